@@ -1,0 +1,1 @@
+"""From raw beams to hidden objects: pure functions on arrays."""

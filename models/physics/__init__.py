@@ -1,0 +1,1 @@
+"""Radar physics: waveform, antenna, mirror geometry, reflection."""

@@ -1,0 +1,80 @@
+"""Antenna: element pattern, steering weights as the phase shifters set them, two-way patterns, the co-array.
+
+Columns stand along +y (left), rows along +z. A target at azimuth a, elevation e gives column n the physical phase
++k y_n sin(a) cos(e) (e^{+j w t}); steering to a_s sets exp(-j Q(k n d sin a_s)), Q rounding to the phase shifter's
+steps. Positions are centred, so an ideal array has a real pattern.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msgs.radar import ArrayParams, ElementPattern, RadarSetup
+
+
+def element_field(element: ElementPattern, azimuth_rad: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:
+    """Field pattern (square root of the gain) of one element; zero in the backward hemisphere (section 2.1.1)."""
+    azimuth_deg, elevation_deg = np.degrees(azimuth_rad), np.degrees(elevation_rad)
+    level_db = -12.0 * (
+        (azimuth_deg / element.azimuth_hpbw_deg) ** 2 + (elevation_deg / element.elevation_hpbw_deg) ** 2
+    )
+    gain_db = element.peak_gain_dbi + np.maximum(level_db, element.sidelobe_floor_db)
+    return np.where(np.abs(azimuth_deg) < 90.0, 10.0 ** (gain_db / 20.0), 0.0)
+
+
+def steering_weights(array: ArrayParams, wavelength_m: float, steer_azimuth_rad: np.ndarray) -> np.ndarray:
+    """Column weights of unit modulus, phases rounded to `phase_bits`; complex128 [beams, columns]."""
+    step = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m)
+    phase_rad = step * np.multiply.outer(np.sin(steer_azimuth_rad), np.arange(array.columns))
+    if array.phase_bits:
+        least_rad = 2.0 * np.pi / 2**array.phase_bits
+        phase_rad = least_rad * np.round(phase_rad / least_rad)
+    # the common phase puts the reference at the array's centre
+    centre_rad = step * np.sin(steer_azimuth_rad)[..., None] * (array.columns - 1) / 2.0
+    return np.exp(-1j * (phase_rad - centre_rad))
+
+
+def column_response(
+    array: ArrayParams, wavelength_m: float, azimuth_rad: np.ndarray, elevation_rad: np.ndarray
+) -> np.ndarray:
+    """Phase of each column for plane waves from given directions; complex128 [directions, columns]."""
+    step = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m)
+    position = np.arange(array.columns) - (array.columns - 1) / 2.0
+    return np.exp(1j * step * np.multiply.outer(np.sin(azimuth_rad) * np.cos(elevation_rad), position))
+
+
+def row_field(array: ArrayParams, wavelength_m: float, elevation_rad: np.ndarray) -> np.ndarray:
+    """Field factor of the rows, steered to the horizon, power normalised; float64 [directions]."""
+    step = 2.0 * np.pi / wavelength_m * array.row_spacing(wavelength_m)
+    position = np.arange(array.rows) - (array.rows - 1) / 2.0
+    phases = step * np.multiply.outer(np.sin(elevation_rad), position)
+    return np.cos(phases).sum(axis=-1) / np.sqrt(array.rows)
+
+
+def two_way_pattern(
+    setup: RadarSetup, weights: np.ndarray, azimuth_rad: np.ndarray, elevation_rad: np.ndarray
+) -> np.ndarray:
+    """Physical B_t B_r of Eq. (1) with element gain, power normalised; complex128 [beams, directions].
+
+    `weights` [beams, columns] steer transmit and receive alike. At boresight the power gain |B_t B_r|^2 of the
+    default array is (32 elements x 4.1 dBi) squared.
+    """
+    radar, array = setup.radar, setup.array
+    response = column_response(array, radar.wavelength_m, azimuth_rad, elevation_rad)
+    one_way = weights @ response.T / np.sqrt(array.columns)
+    directional = element_field(setup.element, azimuth_rad, elevation_rad) * row_field(
+        array, radar.wavelength_m, elevation_rad
+    )
+    return (one_way * directional) ** 2
+
+
+def setup_weights(setup: RadarSetup) -> np.ndarray:
+    """Steering weights of a set-up: those it brings, else computed; complex128 [beams, columns]."""
+    if setup.steering_weights is not None:
+        return setup.steering_weights.astype(np.complex128)
+    return steering_weights(setup.array, setup.radar.wavelength_m, setup.beams.azimuth_rad)
+
+
+def coarray_weights(weights: np.ndarray) -> np.ndarray:
+    """Two-way weights on the 2N-1 virtual columns: each beam's weights convolved with themselves; [beams, 2N-1]."""
+    return np.stack([np.convolve(row, row) for row in weights])

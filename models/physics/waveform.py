@@ -1,0 +1,64 @@
+"""FMCW beats: from a round-trip length to frequency, phase and range profile, exact at every range.
+
+Phases are reduced to a fraction of a turn in float64 before anything is cast: f_c tau alone is thousands of turns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msgs.radar import RadarParams
+from msgs.units import SPEED_OF_LIGHT_MPS
+
+#: Range windows as taps on neighbouring FFT bins: a Hann window is a three-tap filter of the spectrum.
+#: Taps are normalised to unit coherent gain: a tone on a bin keeps its amplitude.
+WINDOW_TAPS: dict[str, tuple[float, ...]] = {"none": (1.0,), "hann": (-0.5, 1.0, -0.5)}
+
+
+def window_noise_gain(window: str) -> float:
+    """Noise power per bin after a window of unit coherent gain, relative to none (Hann: 1.5)."""
+    return float(np.sum(np.square(WINDOW_TAPS[window])))
+
+
+def beat_frequency_hz(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
+    """Beat frequency S L / c of paths with round-trip lengths in metres."""
+    return radar.chirp_slope_hz_per_s * np.asarray(length_m, np.float64) / SPEED_OF_LIGHT_MPS
+
+
+def beat_phase_rad(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
+    """Phase of the recorded beat at the start of the chirp, 2 pi f_c tau - pi S tau^2, in [0, 2 pi)."""
+    delay_s = np.asarray(length_m, np.float64) / SPEED_OF_LIGHT_MPS
+    # f_c tau as L / lambda: one rounding less than through the delay
+    turns = np.asarray(length_m, np.float64) / radar.wavelength_m - 0.5 * radar.chirp_slope_hz_per_s * delay_s**2
+    return 2.0 * np.pi * (turns % 1.0)
+
+
+def beat_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
+    """Recorded beats of unit weight over one chirp, complex128 [paths, samples] (conjugate of Eq. (7))."""
+    turns_per_sample = beat_frequency_hz(radar, length_m) / radar.sample_rate_hz
+    turns = np.multiply.outer(turns_per_sample, np.arange(radar.samples_per_chirp)) % 1.0
+    return np.exp(1j * (2.0 * np.pi * turns + beat_phase_rad(radar, length_m)[..., None]))
+
+
+def range_profile(radar: RadarParams, length_m: np.ndarray, range_bins: int, window: str = "hann") -> np.ndarray:
+    """FFT of `beat_samples` over the first bins, divided by its length, in closed form; complex128 [paths, bins].
+
+    The sum of a geometric series: bin i of a tone at fractional bin q is
+    exp(j pi (N-1)/N (q-i)) sin(pi (q-i)) / (N sin(pi (q-i)/N)); the window is applied as taps on neighbouring bins.
+    """
+    count = radar.samples_per_chirp
+    taps = WINDOW_TAPS[window]
+    reach = len(taps) // 2
+    tone_bin = beat_frequency_hz(radar, length_m) * radar.chirp_period_s
+    offset = np.asarray(tone_bin)[..., None] - np.arange(-reach, range_bins + reach)
+    dirichlet = _periodic_sinc(offset, count) * np.exp(1j * np.pi * (count - 1) / count * offset)
+    profile = sum(tap * dirichlet[..., i : i + range_bins] for i, tap in enumerate(taps))
+    return profile * np.exp(1j * beat_phase_rad(radar, length_m))[..., None]
+
+
+def _periodic_sinc(offset_bins: np.ndarray, count: int) -> np.ndarray:
+    """sin(pi x) / (count sin(pi x / count)), finite and exact at multiples of `count`."""
+    wrapped = offset_bins - count * np.round(offset_bins / count)
+    # sin(pi x / N) of the wrapped offset only vanishes at x = 0
+    sign = np.where(((count - 1) * np.round(offset_bins / count)) % 2 == 0, 1.0, -1.0)
+    return sign * np.sinc(wrapped) / np.sinc(wrapped / count)

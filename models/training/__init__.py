@@ -1,0 +1,1 @@
+"""Targets, losses, training and export. The only place beside models/networks that imports torch."""

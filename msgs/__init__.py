@@ -1,0 +1,1 @@
+"""Floor 1, what is said: values, topics, codec, bus, recording."""

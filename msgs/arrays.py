@@ -1,0 +1,36 @@
+"""Checks that a message's arrays are what its type promises; used by every `__post_init__`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: What may travel. No object, no structured, no datetime dtype: nothing that could carry code or pointers.
+DTYPES = frozenset({"|b1", "|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8", "<c8", "<c16"})
+MAX_NDIM = 6
+
+
+def require_array(name: str, array: np.ndarray, dtype: str, shape: tuple[int | None, ...]) -> None:
+    """Raise `ValueError` naming the field unless `array` has `dtype` ("<c8") and `shape` (None: any length)."""
+    if not isinstance(array, np.ndarray):
+        raise ValueError(f"{name} must be an array, got {type(array).__name__}")
+    if array.dtype.str != dtype:
+        raise ValueError(f"{name} must have dtype {dtype}, got {array.dtype.str}")
+    fits = array.ndim == len(shape) and all(
+        want is None or have == want for have, want in zip(array.shape, shape, strict=True)
+    )
+    if not fits:
+        wanted = "x".join("?" if length is None else str(length) for length in shape)
+        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+
+
+def require_finite(name: str, *values: float) -> None:
+    """Raise `ValueError` naming the field unless every value is finite."""
+    for value in values:
+        if not np.isfinite(value):
+            raise ValueError(f"{name} must be finite, got {value!r}")
+
+
+def require_positive(name: str, value: float) -> None:
+    """Raise `ValueError` naming the field unless `value` is finite and above zero."""
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be finite and positive, got {value!r}")

@@ -1,0 +1,284 @@
+"""Radar values: parameters, grids, and the messages that carry beams and range-azimuth maps."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from msgs.arrays import require_array, require_finite, require_positive
+from msgs.units import (
+    BOLTZMANN_J_PER_K,
+    REFERENCE_TEMPERATURE_K,
+    SPEED_OF_LIGHT_MPS,
+    db_from_ratio,
+    ns_from_s,
+    ratio_from_db,
+)
+
+#: Magnitude of the int16 code that `full_scale_dbm` refers to.
+FULL_SCALE_CODE = 32768
+
+
+class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
+    """Waveform, timing and receiver of an FMCW radar; defaults are Table 1 and section 2.1.1 (X-band)."""
+
+    carrier_hz: float = 10e9
+    bandwidth_hz: float = 700e6
+    sample_rate_hz: float = 1.5e9
+    chirps_per_beam: int = 128
+    samples_per_chirp: int = 8192
+    transmit_power_w: float = 1.6e-3
+    noise_figure_db: float = 8.0
+    #: Time from the first beam of a scan to the first beam of the next; beams are spread evenly over it.
+    scan_period_s: float = 0.3
+
+    def __post_init__(self) -> None:
+        for name in ("carrier_hz", "bandwidth_hz", "sample_rate_hz", "transmit_power_w", "scan_period_s"):
+            require_positive(f"radar.{name}", getattr(self, name))
+        for name in ("chirps_per_beam", "samples_per_chirp"):
+            require_positive(f"radar.{name}", getattr(self, name))
+
+    @property
+    def wavelength_m(self) -> float:
+        """Carrier wavelength in metres."""
+        return SPEED_OF_LIGHT_MPS / self.carrier_hz
+
+    @property
+    def chirp_period_s(self) -> float:
+        """T_c = N / (f_s N_c), Table 1."""
+        return self.samples_per_chirp / self.sample_rate_hz
+
+    @property
+    def chirp_slope_hz_per_s(self) -> float:
+        """S = B / T_c, Table 1."""
+        return self.bandwidth_hz / self.chirp_period_s
+
+    @property
+    def beam_duration_s(self) -> float:
+        """T_f = N_c T_c, Table 1: time on air of one beam."""
+        return self.chirps_per_beam * self.chirp_period_s
+
+    @property
+    def range_bin_m(self) -> float:
+        """c / 2B: range spacing of the chirp-length FFT."""
+        return SPEED_OF_LIGHT_MPS / (2.0 * self.bandwidth_hz)
+
+    @property
+    def noise_power_mw(self) -> float:
+        """k T0 f_s F: total receiver noise power over the sampled band, in milliwatt."""
+        watt = BOLTZMANN_J_PER_K * REFERENCE_TEMPERATURE_K * self.sample_rate_hz * ratio_from_db(self.noise_figure_db)
+        return 1e3 * watt
+
+    @property
+    def noise_power_dbm(self) -> float:
+        """The same in dBm: -74.2 with the defaults."""
+        return db_from_ratio(self.noise_power_mw)
+
+
+class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
+    """A uniform planar array steered in azimuth by phase shifters (section 2.1.1: 4 x 8, 6 bits)."""
+
+    columns: int = 8
+    rows: int = 4
+    #: None: half a wavelength.
+    column_spacing_m: float | None = None
+    row_spacing_m: float | None = None
+    #: 0: ideal, unquantised phases.
+    phase_bits: int = 6
+
+    def __post_init__(self) -> None:
+        for name in ("columns", "rows"):
+            require_positive(f"array.{name}", getattr(self, name))
+        for name in ("column_spacing_m", "row_spacing_m"):
+            if getattr(self, name) is not None:
+                require_positive(f"array.{name}", getattr(self, name))
+        if not 0 <= self.phase_bits <= 16:
+            raise ValueError(f"array.phase_bits must be 0..16, got {self.phase_bits!r}")
+
+    def column_spacing(self, wavelength_m: float) -> float:
+        """Column spacing in metres, lambda/2 unless given."""
+        return wavelength_m / 2.0 if self.column_spacing_m is None else self.column_spacing_m
+
+    def row_spacing(self, wavelength_m: float) -> float:
+        """Row spacing in metres, lambda/2 unless given."""
+        return wavelength_m / 2.0 if self.row_spacing_m is None else self.row_spacing_m
+
+
+class ElementPattern(msgspec.Struct, frozen=True, kw_only=True):
+    """Element pattern of section 2.1.1: Gaussian main lobe, floor, nothing backward."""
+
+    azimuth_hpbw_deg: float = 80.0
+    elevation_hpbw_deg: float = 60.0
+    peak_gain_dbi: float = 4.1
+    sidelobe_floor_db: float = -25.0
+
+
+class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
+    """Steering azimuths of a scan in order of acquisition; 25 beams, -60..60 deg by 5, unless given."""
+
+    azimuth_deg: tuple[float, ...] = tuple(float(angle) for angle in range(-60, 61, 5))
+
+    def __post_init__(self) -> None:
+        if not self.azimuth_deg:
+            raise ValueError("beams.azimuth_deg must name at least one beam")
+        require_finite("beams.azimuth_deg", *self.azimuth_deg)
+        if max(abs(angle) for angle in self.azimuth_deg) >= 90.0:
+            raise ValueError(f"beams.azimuth_deg must lie inside -90..90, got {self.azimuth_deg}")
+
+    @property
+    def azimuth_rad(self) -> np.ndarray:
+        """Steering azimuths in radians, [beams]."""
+        return np.radians(self.azimuth_deg)
+
+    def __len__(self) -> int:
+        return len(self.azimuth_deg)
+
+
+class RangeAzimuthGrid(msgspec.Struct, frozen=True, kw_only=True):
+    """Cells of a range-azimuth map: bin i at i * range_bin_m, azimuths uniform in degree over +-limit."""
+
+    range_bin_m: float = SPEED_OF_LIGHT_MPS / (2.0 * 700e6)
+    range_bins: int = 512
+    azimuth_bins: int = 256
+    azimuth_limit_deg: float = 60.0
+
+    def __post_init__(self) -> None:
+        require_positive("grid.range_bin_m", self.range_bin_m)
+        if not 1 <= self.range_bins <= 8192:
+            raise ValueError(f"grid.range_bins must be 1..8192, got {self.range_bins!r}")
+        if not 2 <= self.azimuth_bins <= 4096:
+            raise ValueError(f"grid.azimuth_bins must be 2..4096, got {self.azimuth_bins!r}")
+        if not 0.0 < self.azimuth_limit_deg <= 90.0:
+            raise ValueError(f"grid.azimuth_limit_deg must be in (0, 90], got {self.azimuth_limit_deg!r}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(range bins, azimuth bins)."""
+        return self.range_bins, self.azimuth_bins
+
+    @property
+    def azimuth_step_rad(self) -> float:
+        """Spacing of neighbouring azimuths."""
+        return math.radians(2.0 * self.azimuth_limit_deg / (self.azimuth_bins - 1))
+
+    @property
+    def range_m(self) -> np.ndarray:
+        """Centres of the range bins, [range]."""
+        return self.range_bin_m * np.arange(self.range_bins)
+
+    @property
+    def azimuth_rad(self) -> np.ndarray:
+        """Centres of the azimuth bins, [azimuth]."""
+        limit_rad = math.radians(self.azimuth_limit_deg)
+        return np.linspace(-limit_rad, limit_rad, self.azimuth_bins)
+
+    def range_index(self, range_m: np.ndarray) -> np.ndarray:
+        """Fractional range bin of ranges in metres."""
+        return np.asarray(range_m) / self.range_bin_m
+
+    def azimuth_index(self, azimuth_rad: np.ndarray) -> np.ndarray:
+        """Fractional azimuth bin of azimuths in radians."""
+        return (np.asarray(azimuth_rad) + math.radians(self.azimuth_limit_deg)) / self.azimuth_step_rad
+
+    def range_at(self, index: np.ndarray) -> np.ndarray:
+        """Range in metres of fractional bins."""
+        return np.asarray(index) * self.range_bin_m
+
+    def azimuth_at(self, index: np.ndarray) -> np.ndarray:
+        """Azimuth in radians of fractional bins."""
+        return np.asarray(index) * self.azimuth_step_rad - math.radians(self.azimuth_limit_deg)
+
+
+class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """What a receiver must know before the first beam: radar, array, beams, calibration (topic `radar/setup`)."""
+
+    stamp_ns: int = 0
+    radar: RadarParams = RadarParams()
+    array: ArrayParams = ArrayParams()
+    element: ElementPattern = ElementPattern()
+    beams: BeamGrid = BeamGrid()
+    #: Power of a complex tone of amplitude 32768.
+    full_scale_dbm: float = -20.0
+    #: +1 where beats have positive frequency for positive range, -1 where the hardware differs.
+    beat_sign: int = 1
+    radar_height_m: float = 1.0
+    #: Steering weights of the columns, complex64 [beams, columns]; None: computed from `array` and `beams`.
+    steering_weights: np.ndarray | None = None
+    #: Open-field background, one chirp a beam, complex64 [beams, samples] in units of the int16 codes.
+    background: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        require_finite("setup.full_scale_dbm", self.full_scale_dbm)
+        if self.beat_sign not in (1, -1):
+            raise ValueError(f"setup.beat_sign must be +1 or -1, got {self.beat_sign!r}")
+        if self.steering_weights is not None:
+            require_array("setup.steering_weights", self.steering_weights, "<c8", (len(self.beams), self.array.columns))
+        if self.background is not None:
+            require_array("setup.background", self.background, "<c8", (len(self.beams), self.radar.samples_per_chirp))
+
+    @property
+    def beam_interval_ns(self) -> int:
+        """Nominal time from one beam to the next."""
+        return ns_from_s(self.radar.scan_period_s / len(self.beams))
+
+    @property
+    def milliwatt_per_code_squared(self) -> float:
+        """Power in milliwatt of a complex tone of amplitude one code."""
+        return ratio_from_db(self.full_scale_dbm) / FULL_SCALE_CODE**2
+
+
+class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """Raw beat samples of one steering angle (topic `radar/beam`)."""
+
+    stamp_ns: int
+    scan_id: int
+    beam_index: int
+    beam_count: int
+    azimuth_rad: float
+    #: I and Q codes, int16 [chirps, samples, 2].
+    samples: np.ndarray
+    full_scale_dbm: float
+
+    def __post_init__(self) -> None:
+        require_array("beam.samples", self.samples, "<i2", (None, None, 2))
+        require_finite("beam.azimuth_rad", self.azimuth_rad)
+        require_finite("beam.full_scale_dbm", self.full_scale_dbm)
+        if self.scan_id < 0:
+            raise ValueError(f"beam.scan_id must not be negative, got {self.scan_id!r}")
+        if not 0 <= self.beam_index < self.beam_count:
+            raise ValueError(f"beam.beam_index must be 0..beam_count-1, got {self.beam_index!r} of {self.beam_count!r}")
+
+
+class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """Complex range-azimuth map of one scan (topic `radar/ra_map`); |values|^2 is milliwatt per bin."""
+
+    #: Acquisition of the first beam; positions in the map refer to the radar's pose at this time.
+    stamp_ns: int
+    scan_id: int
+    grid: RangeAzimuthGrid = RangeAzimuthGrid()
+    #: complex64 [range, azimuth], or float32-valued (zero imaginary part) in Welch mode.
+    values: np.ndarray
+    #: Acquisition time of each azimuth column, int64 [azimuth].
+    azimuth_stamp_ns: np.ndarray
+    #: Mean noise power in milliwatt per bin, measured beyond the map's range.
+    noise_power_mw: float
+    #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].
+    incoherent: np.ndarray
+    #: Indices of beams that never came.
+    missing_beams: tuple[int, ...] = ()
+    #: Share of samples at full scale.
+    saturated_share: float = 0.0
+    #: The radar's own motion was taken out beam by beam.
+    ego_compensated: bool = False
+    mode: str = "coherent"
+
+    def __post_init__(self) -> None:
+        require_array("map.values", self.values, "<c8", self.grid.shape)
+        require_array("map.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (self.grid.azimuth_bins,))
+        require_array("map.incoherent", self.incoherent, "|b1", (self.grid.range_bins,))
+        if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
+            raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
+        if self.mode not in ("coherent", "welch"):
+            raise ValueError(f"map.mode must be coherent or welch, got {self.mode!r}")

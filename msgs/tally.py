@@ -1,0 +1,112 @@
+"""What every bus does with frames, whatever carries them: number what goes out, check, order and count what comes in.
+
+Promise to receivers: at most once, in order per publisher, every gap counted.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+
+import msgspec
+
+from msgs.bus import Envelope, Received
+from msgs.codec import Buffer, CodecError, decode, encode
+from msgs.diagnostics import TopicCount
+from msgs.topics import topic_facts
+from msgs.units import NANOSECONDS_PER_SECOND
+
+logger = logging.getLogger(__name__)
+
+_WARNING_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
+
+
+class _Count:
+    """Running figures of one topic."""
+
+    def __init__(self) -> None:
+        self.messages = self.bytes = self.lost = self.rejected = 0
+
+    def add(self, frames: Sequence[Buffer]) -> None:
+        self.messages += 1
+        self.bytes += sum(len(frame) for frame in frames)
+
+    def frozen(self, topic: str) -> TopicCount:
+        return TopicCount(
+            topic=topic, messages=self.messages, bytes=self.bytes, lost=self.lost, rejected=self.rejected
+        )
+
+
+class Tally:
+    """Sequence numbers and counts of one node's connection."""
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self._published: dict[str, _Count] = {}
+        self._received: dict[str, _Count] = {}
+        self._last: dict[tuple[str, str], Envelope] = {}
+        self._warned_ns: dict[str, int] = {}
+
+    def pack(self, topic: str, message: msgspec.Struct, now_ns: int) -> tuple[Envelope, list[Buffer]]:
+        """Envelope and frames of the next message on `topic`; `CodecError`, and no number spent, if it cannot travel."""
+        sequence = self._published[topic].messages if topic in self._published else 0
+        envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns)
+        frames = encode(envelope, message)
+        self._published.setdefault(topic, _Count()).add(frames)
+        return envelope, frames
+
+    def expect(self, topic: str) -> None:
+        """Count `topic` from now on, so that silence shows as zero."""
+        self._received.setdefault(topic, _Count())
+
+    def accept(self, topic: str, frames: Sequence[Buffer], now_ns: int) -> Received | None:
+        """The message of `frames`, or None where it is unreadable (counted, logged) or older than one already seen."""
+        count = self._received[topic]
+        try:
+            received = decode(frames)
+            _check_origin(received, topic, now_ns)
+        except CodecError as error:
+            count.rejected += 1
+            self._warn(topic, str(error))
+            return None
+        last = self._last.get((topic, received.envelope.publisher))
+        if last is not None:
+            if received.envelope.sent_ns <= last.sent_ns and received.envelope.sequence <= last.sequence:
+                return None
+            # a publisher that starts again counts from 0: what it sent in between was never numbered
+            count.lost += max(0, received.envelope.sequence - last.sequence - 1)
+        self._last[topic, received.envelope.publisher] = received.envelope
+        count.add(frames)
+        return received
+
+    def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
+        """Received and published figures, topics in order of name."""
+        received = tuple(self._received[topic].frozen(topic) for topic in sorted(self._received))
+        published = tuple(self._published[topic].frozen(topic) for topic in sorted(self._published))
+        return received, published
+
+    def _warn(self, topic: str, reason: str) -> None:
+        now_ns = time.monotonic_ns()
+        if now_ns - self._warned_ns.get(topic, -_WARNING_INTERVAL_NS) >= _WARNING_INTERVAL_NS:
+            self._warned_ns[topic] = now_ns
+            logger.warning("rejected: %s (%d so far)", reason, self._received[topic].rejected)
+
+
+def _check_origin(received: Received, topic: str, now_ns: int) -> None:
+    """Raise `CodecError` for another topic's message, or one from the future, which would make all later ones old."""
+    if received.topic != topic:
+        raise CodecError(f"{topic}: message of {received.topic} on its connection")
+    if received.envelope.sent_ns > now_ns:
+        raise CodecError(f"{topic}: sent_ns must not lie in the future, got {received.envelope.sent_ns} at {now_ns}")
+
+
+def without_outdated(messages: list[Received]) -> list[Received]:
+    """`messages`, with the last of each publisher alone on topics whose receivers want the newest only."""
+    newest = {(message.topic, message.envelope.publisher): message for message in messages}
+    return [
+        message
+        for message in messages
+        if not topic_facts(message.topic).newest_only
+        or newest[message.topic, message.envelope.publisher] is message
+    ]

@@ -1,0 +1,36 @@
+"""Vehicle state (topic `vehicle/state`)."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+
+from msgs.arrays import require_finite
+from msgs.frames import Pose2, wrap_angle
+
+
+class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
+    """Speed and yaw rate of the vehicle at a time; counts only while `valid`."""
+
+    stamp_ns: int
+    speed_mps: float = 0.0
+    yaw_rate_rps: float = 0.0
+    steering_rad: float = 0.0
+    valid: bool = True
+    #: Why it is not valid, empty when it is.
+    reason: str = ""
+    #: Age of the oldest signal that went in.
+    age_s: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite("vehicle", self.speed_mps, self.yaw_rate_rps, self.steering_rad, self.age_s)
+
+
+def ego_motion(speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
+    """`start_from_now` after constant speed and yaw rate (exact arc, straight line as the yaw rate vanishes)."""
+    yaw_rad = yaw_rate_rps * elapsed_s
+    half_rad = 0.5 * yaw_rad
+    # sin(a)/a: the chord of an arc, finite and smooth through zero
+    chord_m = speed_mps * elapsed_s * (math.sin(half_rad) / half_rad if abs(half_rad) > 1e-9 else 1.0)
+    return Pose2(chord_m * math.cos(half_rad), chord_m * math.sin(half_rad), wrap_angle(yaw_rad))

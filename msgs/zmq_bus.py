@@ -1,0 +1,257 @@
+"""The live bus: ZeroMQ over Unix sockets, one socket file per topic and publisher, no broker.
+
+`run_dir` is the meeting place: a publisher binds `<topic with . for />@<node>` in it, subscribers look for
+`<topic>@*` and connect; ZeroMQ reconnects by itself when a publisher comes back to its path.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import socket
+import time
+from pathlib import Path
+
+import msgspec
+import zmq
+
+from msgs.bus import Received
+from msgs.codec import Buffer, topic_frame
+from msgs.diagnostics import TopicCount
+from msgs.tally import Tally, without_outdated
+from msgs.topics import MIB, TOPICS, Topic, topic_facts
+from msgs.units import NANOSECONDS_PER_SECOND
+
+#: Room for a path in a Unix socket address, its end mark apart.
+_MAX_PATH_BYTES = 107
+_NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_MAX_MESSAGES_A_CALL = 64
+_LINGER_MS = 500
+_RECONNECT_MS = 20
+_RECONNECT_MAX_MS = 200
+#: How often to look for publishers: while a topic has none yet, and afterwards.
+_SEARCH_INTERVAL_NS = 50_000_000
+_RESCAN_INTERVAL_NS = 250_000_000
+
+
+class ZmqBus:
+    """One node's connection to the live graph; a `Bus`.
+
+    Raises `ValueError` for a node name or run directory that cannot be used, `OSError` where the directory cannot be
+    made.
+    """
+
+    def __init__(self, node: str, run_dir: Path) -> None:
+        if not _NODE_NAME.fullmatch(node):
+            raise ValueError(f"node name must be 1..64 letters, digits, '_', '-' or '.', got {node!r}")
+        self._node = node
+        self._dir = Path(run_dir)
+        for topic in TOPICS:
+            _require_path_fits(socket_path(self._dir, topic, node))
+        self._dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+        self._dir.chmod(0o700)
+        self._context = zmq.Context()
+        self._tally = Tally(node)
+        self._poller = zmq.Poller()
+        self._publishers: dict[str, zmq.Socket[bytes]] = {}
+        self._latched: dict[str, list[Buffer]] = {}
+        self._subscribers: dict[str, zmq.Socket[bytes]] = {}
+        self._found: dict[str, list[str]] = {}
+        self._next_scan_ns = 0
+
+    def advertise(self, topic: str) -> None:
+        """Open `topic` for subscribers before the first message; `publish` does it otherwise.
+
+        Raises `ValueError` when a living process of the same node name publishes it already.
+        """
+        if topic not in self._publishers:
+            self._publishers[topic] = self._bind(topic_facts(topic))
+
+    def publish(self, topic: str, message: msgspec.Struct) -> None:
+        """Send `message` without waiting; subscribers that are behind by the topic's history miss it.
+
+        Arrays are not copied: do not change them afterwards. Raises `CodecError` if it cannot travel.
+        """
+        self.advertise(topic)
+        _, frames = self._tally.pack(topic, message, self.now_ns())
+        if topic in self._latched:
+            # newcomers get the message below: nothing older is owed to them
+            self._newcomers(topic)
+            self._latched[topic] = frames
+        self._publishers[topic].send_multipart(frames, copy=False)
+
+    def subscribe(self, topic: str) -> None:
+        """Receive `topic` from all its publishers, present and to come."""
+        if topic in self._subscribers:
+            return
+        facts = topic_facts(topic)
+        subscriber = self._context.socket(zmq.SUB)
+        subscriber.set(zmq.RCVHWM, facts.history_messages)
+        subscriber.set(zmq.MAXMSGSIZE, facts.max_bytes)
+        subscriber.set(zmq.LINGER, 0)
+        subscriber.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
+        subscriber.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MAX_MS)
+        subscriber.set(zmq.SUBSCRIBE, topic_frame(topic))
+        self._subscribers[topic] = subscriber
+        self._found[topic] = []
+        self._poller.register(subscriber, zmq.POLLIN)
+        self._tally.expect(topic)
+        self._search()
+
+    def receive(self, timeout_s: float) -> list[Received]:
+        """Messages waiting, oldest first and at most 64 a topic; waits up to `timeout_s` for the first."""
+        deadline_ns = self.now_ns() + max(0, int(timeout_s * NANOSECONDS_PER_SECOND))
+        while True:
+            self._search_when_due()
+            wake_ns = min(deadline_ns, self._next_scan_ns) if self._subscribers else deadline_ns
+            received = self._poll(max(0, wake_ns - self.now_ns()))
+            if received or self.now_ns() >= deadline_ns:
+                return received
+
+    def now_ns(self) -> int:
+        """The machine's monotonic clock, shared by all processes on it."""
+        return time.monotonic_ns()
+
+    def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
+        """Received and published messages per topic so far."""
+        return self._tally.counts()
+
+    def close(self) -> None:
+        """Close all sockets; waits for messages on their way no longer than half a second."""
+        for opened in [*self._publishers.values(), *self._subscribers.values()]:
+            opened.close()
+        self._publishers.clear()
+        self._subscribers.clear()
+        self._context.term()
+
+    def _bind(self, topic: Topic) -> zmq.Socket[bytes]:
+        path = socket_path(self._dir, topic.name, self._node)
+        if path.exists():
+            if _is_alive(path):
+                raise ValueError(f"{path}: node {self._node!r} publishes {topic.name} already; names must differ")
+            path.unlink(missing_ok=True)
+        publisher = self._context.socket(zmq.XPUB if topic.latched else zmq.PUB)
+        publisher.set(zmq.SNDHWM, topic.history_messages)
+        publisher.set(zmq.LINGER, 0 if _is_bulk(topic) else _LINGER_MS)
+        if topic.latched:
+            publisher.set(zmq.XPUB_VERBOSE, 1)
+            self._latched[topic.name] = []
+            self._poller.register(publisher, zmq.POLLIN)
+        publisher.bind(f"ipc://{path}")
+        return publisher
+
+    def _poll(self, wait_ns: int) -> list[Received]:
+        """Wait once for any socket; serve newcomers to latched topics, return what came in."""
+        ready = dict(self._poller.poll(-(-wait_ns // 1_000_000)))
+        for topic in self._latched:
+            if self._publishers[topic] in ready:
+                self._serve_newcomers(topic)
+        received: list[Received] = []
+        for topic, subscriber in self._subscribers.items():
+            if subscriber in ready:
+                received += self._drain(topic, subscriber)
+        # one publisher's clock readings never fall: its own order is kept
+        received.sort(key=lambda message: message.envelope.sent_ns)
+        return without_outdated(received)
+
+    def _drain(self, topic: str, subscriber: zmq.Socket[bytes]) -> list[Received]:
+        messages = []
+        for _ in range(_MAX_MESSAGES_A_CALL):
+            try:
+                parts = subscriber.recv_multipart(zmq.NOBLOCK, copy=False)
+            except zmq.Again:
+                break
+            message = self._tally.accept(topic, [part.buffer for part in parts], self.now_ns())
+            if message is not None:
+                messages.append(message)
+        return messages
+
+    def _serve_newcomers(self, topic: str) -> None:
+        """Send a latched topic's last message again if somebody joined; all others discard it as seen."""
+        if self._newcomers(topic) and self._latched[topic]:
+            self._publishers[topic].send_multipart(self._latched[topic], copy=False)
+
+    def _newcomers(self, topic: str) -> bool:
+        """Whether anybody subscribed to a latched topic since the last look."""
+        joined = False
+        while True:
+            try:
+                event = self._publishers[topic].recv_multipart(zmq.NOBLOCK)
+            except zmq.Again:
+                return joined
+            joined |= event[0].startswith(b"\x01")
+
+    def _search_when_due(self) -> None:
+        if self._subscribers and self.now_ns() >= self._next_scan_ns:
+            self._search()
+
+    def _search(self) -> None:
+        """Connect to the publishers that appeared since the last look."""
+        for topic, node in _published_names(self._dir):
+            if topic in self._subscribers and node not in self._found[topic]:
+                self._subscribers[topic].connect(f"ipc://{socket_path(self._dir, topic, node)}")
+                self._found[topic].append(node)
+        interval_ns = _RESCAN_INTERVAL_NS if all(self._found.values()) else _SEARCH_INTERVAL_NS
+        self._next_scan_ns = self.now_ns() + interval_ns
+
+
+def run_dir(domain: str) -> Path:
+    """Default meeting place of a graph; graphs of different domains do not see each other."""
+    if not _NODE_NAME.fullmatch(domain) or set(domain) == {"."}:
+        raise ValueError(f"domain must be 1..64 letters, digits, '_', '-' or '.', got {domain!r}")
+    if chosen := os.environ.get("MIRRORWAVE_RUN_DIR"):
+        return Path(chosen) / domain
+    if runtime := os.environ.get("XDG_RUNTIME_DIR"):
+        return Path(runtime) / "mirrorwave" / domain
+    return Path("/tmp") / f"mirrorwave-{os.getuid()}" / domain
+
+
+def socket_path(run_dir: Path, topic: str, node: str) -> Path:
+    """Where `node` publishes `topic`."""
+    return run_dir / f"{topic.replace('/', '.')}@{node}"
+
+
+def list_publishers(run_dir: Path) -> list[tuple[str, str]]:
+    """(topic, node) of every publisher that is alive, sorted; empty where the directory is missing."""
+    return [
+        (topic, node)
+        for topic, node in _published_names(Path(run_dir))
+        if _is_alive(socket_path(Path(run_dir), topic, node))
+    ]
+
+
+def _published_names(run_dir: Path) -> list[tuple[str, str]]:
+    """(topic, node) of every socket file that follows the rule, sorted; their owners may be dead."""
+    by_file_name = {topic.replace("/", "."): topic for topic in TOPICS}
+    names = []
+    for entry in sorted(os.listdir(run_dir)) if run_dir.is_dir() else []:
+        stem, _, node = entry.partition("@")
+        path_fits = len(os.fsencode(run_dir / entry)) <= _MAX_PATH_BYTES
+        if stem in by_file_name and _NODE_NAME.fullmatch(node) and path_fits:
+            names.append((by_file_name[stem], node))
+    return names
+
+
+def _is_alive(path: Path) -> bool:
+    """Whether a process listens on a socket file."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(0.2)
+        try:
+            probe.connect(str(path))
+        except (ConnectionError, FileNotFoundError):
+            return False
+        except OSError:
+            # a full backlog or a time-out: somebody is there, if busy
+            return path.is_socket()
+    return True
+
+
+def _is_bulk(topic: Topic) -> bool:
+    """Whether messages on their way are worth no wait at shutdown: raw beams, and what is outdated soon."""
+    return topic.newest_only or (topic.max_bytes > 4 * MIB and not topic.latched)
+
+
+def _require_path_fits(path: Path) -> None:
+    size = len(os.fsencode(path))
+    if size > _MAX_PATH_BYTES:
+        raise ValueError(f"socket path must have at most {_MAX_PATH_BYTES} bytes, got {size}: {path}; use a shorter one")
