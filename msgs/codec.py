@@ -1,7 +1,7 @@
-"""Messages as bytes: msgpack header beside raw array frames on the wire, one msgpack map in recordings, JSON for people.
+"""Messages as bytes: msgpack header and raw array frames on the wire, one msgpack map in recordings, JSON for people.
 
-Wire: `[topic\\0][header][array]...`. The header is the msgpack map `{"envelope": ..., "body": ...}`; each array field of
-the body is replaced by `{"dtype", "shape", "frame"}`, `frame` counting the array frames from 0. Inline (recordings): the
+Wire: `[topic\\0][header][array]...`. The header is the msgpack map `{"envelope": ..., "body": ...}`; each array of the
+body is replaced by `{"dtype", "shape", "frame"}`, `frame` counting the array frames from 0. Inline (recordings): the
 body alone, each array replaced by `{"dtype", "shape", "data"}` with its little-endian C-order bytes in `data`.
 
 Nothing received is trusted: sizes, names, types, array layouts and unknown fields are checked before a value is built.
@@ -156,15 +156,13 @@ def _decode_known(topic: Topic, header: Buffer, arrays: Sequence[Buffer]) -> Rec
         unused.discard(at.frame)
         return _view(at.dtype, at.shape, arrays[at.frame])
 
-    message = _convert(topic.type, head.body, array)
+    message: msgspec.Struct = _convert(topic.type, head.body, array)
     if unused:
         raise ValueError(f"{len(unused)} of {len(arrays)} array frames belong to no field")
     return Received(topic.name, message, head.envelope)
 
 
-def _convert(
-    message_type: type[StructType], body: object, array_from: Callable[[object], np.ndarray]
-) -> StructType:
+def _convert(message_type: type[StructType], body: object, array_from: Callable[[object], np.ndarray]) -> StructType:
     """Strictly typed message of plain values; unknown fields are refused."""
 
     def hook(wanted: type, value: object) -> np.ndarray:

@@ -33,9 +33,7 @@ class _Count:
         self.bytes += sum(len(frame) for frame in frames)
 
     def frozen(self, topic: str) -> TopicCount:
-        return TopicCount(
-            topic=topic, messages=self.messages, bytes=self.bytes, lost=self.lost, rejected=self.rejected
-        )
+        return TopicCount(topic=topic, messages=self.messages, bytes=self.bytes, lost=self.lost, rejected=self.rejected)
 
 
 class Tally:
@@ -49,7 +47,7 @@ class Tally:
         self._warned_ns: dict[str, int] = {}
 
     def pack(self, topic: str, message: msgspec.Struct, now_ns: int) -> tuple[Envelope, list[Buffer]]:
-        """Envelope and frames of the next message on `topic`; `CodecError`, and no number spent, if it cannot travel."""
+        """Envelope and frames of the next message; raises `CodecError`, and spends no number, if it cannot travel."""
         sequence = self._published[topic].messages if topic in self._published else 0
         envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns)
         frames = encode(envelope, message)
@@ -107,6 +105,5 @@ def without_outdated(messages: list[Received]) -> list[Received]:
     return [
         message
         for message in messages
-        if not topic_facts(message.topic).newest_only
-        or newest[message.topic, message.envelope.publisher] is message
+        if not topic_facts(message.topic).newest_only or newest[message.topic, message.envelope.publisher] is message
     ]

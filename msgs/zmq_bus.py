@@ -131,7 +131,8 @@ class ZmqBus:
                 raise ValueError(f"{path}: node {self._node!r} publishes {topic.name} already; names must differ")
             path.unlink(missing_ok=True)
         publisher = self._context.socket(zmq.XPUB if topic.latched else zmq.PUB)
-        publisher.set(zmq.SNDHWM, topic.history_messages)
+        # a reader reports what it took in steps of half the mark: only twice the history surely holds it
+        publisher.set(zmq.SNDHWM, 2 * topic.history_messages)
         publisher.set(zmq.LINGER, 0 if _is_bulk(topic) else _LINGER_MS)
         if topic.latched:
             publisher.set(zmq.XPUB_VERBOSE, 1)
@@ -254,4 +255,4 @@ def _is_bulk(topic: Topic) -> bool:
 def _require_path_fits(path: Path) -> None:
     size = len(os.fsencode(path))
     if size > _MAX_PATH_BYTES:
-        raise ValueError(f"socket path must have at most {_MAX_PATH_BYTES} bytes, got {size}: {path}; use a shorter one")
+        raise ValueError(f"socket path must have at most {_MAX_PATH_BYTES} bytes, got {size}: {path}")

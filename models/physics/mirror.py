@@ -73,6 +73,19 @@ def crosses(
     is not cut: it sees the wall's edge, of no width.
     """
     along_ray, along_wall = crossing_parameters(origin, targets, a, b)
+    return cut(along_ray, along_wall, origin, targets, a, b, clearance_m)
+
+
+def cut(
+    along_ray: np.ndarray,
+    along_wall: np.ndarray,
+    origin: np.ndarray,
+    targets: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    clearance_m: float = 1e-6,
+) -> np.ndarray:
+    """`crosses` for those who hold the crossing parameters already; bool [N, M]."""
     ray = np.asarray(targets, np.float64) - origin
     wall = np.asarray(b, np.float64) - a
     ray_share = clearance_m / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), clearance_m)[:, None]

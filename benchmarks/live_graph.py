@@ -1,0 +1,95 @@
+"""The whole graph at the radar's real rate, one process a node: losses, latency, CPU and memory.
+
+Latency counts from the nominal end of the last beam (its start plus its time on air) to the arrival of the view at a
+subscriber outside the graph. Usage: python benchmarks/live_graph.py [--launch FILE] [--duration S] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from msgs.diagnostics import NodeStatus
+from msgs.perception import BevFrame
+from msgs.radar import RadarSetup
+from msgs.units import ns_from_s
+from msgs.zmq_bus import ZmqBus, run_dir
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def run(launch: Path, duration_s: float, overrides: list[str]) -> dict:
+    domain = f"bench{os.getpid()}"
+    command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--duration", str(duration_s)]
+    command += ["--headless", "--domain", domain] + [part for item in overrides for part in ("-p", item)]
+    bus = ZmqBus("benchmark", run_dir(domain))
+    for topic in ("perception/hidden_objects", "diagnostics/node"):
+        bus.subscribe(topic)
+    graph = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
+    setup = RadarSetup()
+    last_beam_ns = (len(setup.beams) - 1) * setup.beam_interval_ns + ns_from_s(setup.radar.beam_duration_s)
+    latency_ms, status = [], {}
+    while graph.poll() is None:
+        for received in bus.receive(0.05):
+            now_ns = time.monotonic_ns()
+            if isinstance(received.message, BevFrame):
+                latency_ms.append((now_ns - received.message.stamp_ns - last_beam_ns) / 1e6)
+            elif isinstance(received.message, NodeStatus):
+                status.setdefault(received.message.node, []).append(received.message)
+    bus.close()
+    return report(np.array(latency_ms), status, graph.returncode)
+
+
+def report(latency_ms: np.ndarray, status: dict[str, list[NodeStatus]], exit_code: int) -> dict:
+    ready = {name: [item for item in items if item.state == "ready"] for name, items in status.items()}
+    nodes = {name: node_report(items) for name, items in ready.items() if len(items) >= 2}
+    lost = {
+        f"{name}: {count.topic}": count.lost + count.rejected
+        for name, items in status.items()
+        for count in items[-1].received
+    }
+    quantiles = np.percentile(latency_ms, [50, 90, 99, 100]) if len(latency_ms) else [float("nan")] * 4
+    return {
+        "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
+        "exit_code": exit_code,
+        "bev_frames": len(latency_ms),
+        "latency_ms": {name: round(float(value), 1) for name, value in zip(("p50", "p90", "p99", "max"), quantiles)},
+        "lost_or_rejected": lost,
+        "nodes": nodes,
+        "resident_mib": round(sum(node["resident_mib"] for node in nodes.values()), 0),
+    }
+
+
+def node_report(items: list[NodeStatus]) -> dict:
+    first, last = items[0], items[-1]
+    wall_s = max(last.uptime_s - first.uptime_s, 1e-9)
+    quarter = items[len(items) // 4]
+    return {
+        "cpu_share": round((last.cpu_s - first.cpu_s) / wall_s, 3),
+        "resident_mib": round(last.resident_bytes / 2**20, 1),
+        "growth_after_first_quarter_mib": round((last.resident_bytes - quarter.resident_bytes) / 2**20, 1),
+        "stages_ms": {stage.name: round(stage.mean_ms, 2) for stage in last.stages},
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--launch", type=Path, default=ROOT / "launch" / "corner.yaml")
+    parser.add_argument("--duration", type=float, default=60.0)
+    parser.add_argument("-p", dest="overrides", action="append", default=[])
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    result = run(arguments.launch, arguments.duration, arguments.overrides)
+    print(json.dumps(result) if arguments.json else json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    main()

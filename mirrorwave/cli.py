@@ -1,0 +1,111 @@
+"""The command line: one verb group a module, one place where errors become one line and an exit code."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import importlib.util
+import logging
+import os
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from mirrorwave.console import ExitCode, error_line, exit_code_of
+
+#: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
+_VERBS = {
+    "demo": "mirrorwave.demo:demo",
+    "launch": "mirrorwave.launch:launch",
+    "process": "mirrorwave.process:process",
+    "doctor": "mirrorwave.doctor:doctor",
+}
+#: Verb group -> module and `typer.Typer`.
+_GROUPS = {
+    "sim": "mirrorwave.sim:app",
+    "bag": "mirrorwave.bag:app",
+    "topic": "mirrorwave.topic:app",
+    "node": "mirrorwave.node:app",
+}
+
+#: Wrong usage, as the command line parser below typer raises it; typer brings its own copy or takes the installed one.
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
+
+app = typer.Typer(
+    name="mirrorwave",
+    help="Sees what stands behind the corner, in the mirror of a wall.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        sys.stdout.write(f"mirrorwave {version()}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    show_version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Sees what stands behind the corner, in the mirror of a wall."""
+
+
+def version() -> str:
+    """Version of the installed project, or "unknown" in a bare checkout."""
+    try:
+        return importlib.metadata.version("mirrorwave")
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _register() -> None:
+    for name, place in _VERBS.items():
+        if (found := _load(place)) is not None:
+            app.command(name)(found)
+    for name, place in _GROUPS.items():
+        if (found := _load(place)) is not None:
+            app.add_typer(found, name=name)
+
+
+def _load(place: str) -> Any:
+    module_name, _, attribute = place.partition(":")
+    if importlib.util.find_spec(module_name) is None:
+        return None
+    return getattr(importlib.import_module(module_name), attribute)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss."""
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    try:
+        code = app(args=argv, prog_name="mirrorwave", standalone_mode=False)
+        return int(code) if isinstance(code, int) else ExitCode.DONE
+    except (KeyboardInterrupt, typer.Abort):
+        return _fail("interrupted", ExitCode.FAILED)
+    except _USAGE_ERROR as error:
+        return _fail(error.format_message() if hasattr(error, "format_message") else str(error), ExitCode.BAD_INPUT)
+    except BrokenPipeError:
+        # the reader of a pipe has seen enough; the interpreter must not find out again while it exits
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return ExitCode.FAILED
+    except Exception as error:
+        # the border of the program: whatever went wrong leaves it as one line and a code
+        logging.getLogger(__name__).debug("traceback", exc_info=error)
+        return _fail(error_line(error), exit_code_of(error))
+
+
+def _fail(line: str, code: ExitCode) -> int:
+    sys.stderr.write(f"mirrorwave: {line}\n")
+    return code
+
+
+_register()
+
+if __name__ == "__main__":
+    sys.exit(main())

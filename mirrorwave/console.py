@@ -1,0 +1,107 @@
+"""What all verbs share: exit codes, the shared options, tables for people, JSON for machines."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections.abc import Iterable, Sequence
+from enum import IntEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import msgspec
+import typer
+
+
+class ExitCode(IntEnum):
+    """Exit codes of every verb."""
+
+    DONE = 0
+    FAILED = 1
+    BAD_INPUT = 2
+    DONE_WITH_LOSS = 3
+
+
+AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")]
+Domain = Annotated[str, typer.Option("--domain", envvar="MIRRORWAVE_DOMAIN", help="Graph to talk to.")]
+DEFAULT_DOMAIN = "default"
+
+#: File errors that mean a wrong argument, not a failing machine.
+_WRONG_PATH = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
+
+
+def print_json(value: Any) -> None:
+    """One JSON document on one line of stdout; numbers that JSON lacks become null."""
+    sys.stdout.write(json.dumps(_plain(value), allow_nan=False) + "\n")
+    sys.stdout.flush()
+
+
+def print_line(text: str) -> None:
+    """One line on stdout, as it is."""
+    sys.stdout.write(text + "\n")
+    sys.stdout.flush()
+
+
+def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """A table on stdout; columns of numbers are aligned right. Lines are never cut where stdout is no terminal."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    cells = [[_cell(value) for value in row] for row in rows]
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for index, name in enumerate(columns):
+        numeric = bool(cells) and all(_is_number(row[index]) for row in cells)
+        table.add_column(name, justify="right" if numeric else "left", no_wrap=True)
+    for row in cells:
+        table.add_row(*(Text(cell) for cell in row))
+    # where nobody's eyes set the width, nothing is cut
+    Console(width=None if sys.stdout.isatty() else 1000).print(table)
+
+
+def error_line(error: BaseException) -> str:
+    """An error as one line that names file, field, value and rule, as far as it knows them."""
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror or type(error).__name__}"
+    if isinstance(error, ImportError):
+        return f"a package is missing: {error}"
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def exit_code_of(error: BaseException) -> ExitCode:
+    """2 for wrong usage or bad input, 1 for everything else."""
+    bad_input = (ValueError, msgspec.MsgspecError, *_WRONG_PATH)
+    return ExitCode.BAD_INPUT if isinstance(error, bad_input) else ExitCode.FAILED
+
+
+def require_new_file(path: Path) -> None:
+    """Raise `FileExistsError` rather than write over what somebody recorded."""
+    if path.exists():
+        raise FileExistsError(17, "exists already; choose another name", str(path))
+    if not path.absolute().parent.is_dir():
+        raise NotADirectoryError(20, "its directory does not exist", str(path))
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
+    return str(value)
+
+
+def _is_number(cell: str) -> bool:
+    return cell == "-" or cell.replace(".", "", 1).replace("-", "").replace("e+", "").isdigit()
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, msgspec.Struct):
+        return _plain(msgspec.to_builtins(value))
+    return value

@@ -1,0 +1,101 @@
+"""`mirrorwave demo`: a simulated corner, the whole graph, hidden objects beside truth."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.console import ExitCode, print_line
+
+if TYPE_CHECKING:
+    from mirrorwave.scoreboard import Scoreboard
+    from msgs.perception import BevFrame
+    from msgs.radar import RangeAzimuthMap
+
+DEMO_LAUNCH = Path(__file__).resolve().parents[1] / "launch" / "demo.yaml"
+
+
+def demo(
+    headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
+    duration: Annotated[float, typer.Option(metavar="S", min=1.0, help="Seconds to run.")] = 12.0,
+    out: Annotated[Path, typer.Option(help="Folder of the picture.")] = Path("out/demo"),
+) -> None:
+    """Run the demo scene live, print what it sees beside the truth, and draw the last view."""
+    from mirrorwave.launch import run_graph
+    from msgs.zmq_bus import run_dir
+    from nodes.launch_file import read_launch_file
+
+    # a domain of its own: the demo neither disturbs a running graph nor hears it
+    domain = "demo"
+    watcher = Watcher(run_dir(domain))
+    watcher.start()
+    try:
+        code = run_graph(read_launch_file(DEMO_LAUNCH), domain, duration, headless=headless)
+    finally:
+        watcher.stop()
+    if code != ExitCode.DONE:
+        raise typer.Exit(code)
+    watcher.board.print_table()
+    if watcher.frame is None:
+        raise RuntimeError("the graph ran but published no view")
+    picture = watcher.draw(out / "bev.png")
+    print_line(f"wrote {picture}")
+
+
+class Watcher(threading.Thread):
+    """Listens to the graph from outside, as any integrator would: views, truth, maps."""
+
+    def __init__(self, run_dir: Path) -> None:
+        super().__init__(name="watcher", daemon=True)
+        from mirrorwave.scoreboard import Scoreboard
+
+        self._run_dir = run_dir
+        self._ended = threading.Event()
+        self.board: Scoreboard = Scoreboard()
+        self.frame: BevFrame | None = None
+        self.ra_map: RangeAzimuthMap | None = None
+
+    def run(self) -> None:
+        """Take in messages until stopped; the bus lives in this thread alone."""
+        from msgs.zmq_bus import ZmqBus
+
+        bus = ZmqBus("demo_watcher", self._run_dir)
+        try:
+            for topic in ("perception/hidden_objects", "radar/ra_map", "sim/truth"):
+                bus.subscribe(topic)
+            while not self._ended.is_set():
+                for received in bus.receive(0.1):
+                    self._take(received.message)
+        finally:
+            bus.close()
+
+    def stop(self) -> None:
+        """End the thread."""
+        self._ended.set()
+        self.join()
+
+    def draw(self, path: Path) -> Path:
+        """Picture of the last view."""
+        from mirrorwave.bev_picture import draw_bev
+
+        assert self.frame is not None
+        path.parent.mkdir(parents=True, exist_ok=True)
+        draw_bev(self.frame, path, truth=self.board.truth_of(self.frame.scan_id), ra_map=self.ra_map)
+        return path
+
+    def _take(self, message: Any) -> None:
+        from msgs.perception import BevFrame, SceneTruth
+        from msgs.radar import RangeAzimuthMap
+
+        match message:
+            case SceneTruth():
+                self.board.add_truth(message)
+            case RangeAzimuthMap():
+                self.ra_map = message
+            case BevFrame():
+                self.frame = message
+                line = self.board.add_frame(message)
+                print_line(line)

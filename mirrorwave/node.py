@@ -1,0 +1,128 @@
+"""`mirrorwave node`: the nodes of a running graph, as their heartbeats tell."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from msgs.diagnostics import NodeState, NodeStatus, TopicCount
+
+app = typer.Typer(help="Look at the nodes of a running graph.", no_args_is_help=True)
+
+#: Long enough for two heartbeats of each node after it was found.
+WINDOW_S = 1.6
+WindowS = Annotated[float, typer.Option("--window", metavar="S", min=0.1, help="Listen this long.")]
+
+Heartbeats = dict[str, list[NodeStatus]]
+
+
+def collect_heartbeats(run_dir: Path, window_s: float = WINDOW_S) -> Heartbeats:
+    """All heartbeats of the graph in `run_dir` within `window_s`, oldest first, by node in order of name."""
+    from msgs.zmq_bus import ZmqBus
+
+    bus = ZmqBus(f"node-{os.getpid()}", run_dir)
+    beats: Heartbeats = {}
+    try:
+        bus.subscribe("diagnostics/node")
+        deadline_s = time.monotonic() + window_s
+        while (remaining_s := deadline_s - time.monotonic()) > 0.0:
+            for received in bus.receive(min(remaining_s, 0.1)):
+                if isinstance(received.message, NodeStatus):
+                    beats.setdefault(received.message.node, []).append(received.message)
+    finally:
+        bus.close()
+    return {name: beats[name] for name in sorted(beats)}
+
+
+def node_row(beats: list[NodeStatus]) -> dict[str, Any]:
+    """State, load, rates and losses of one node from its heartbeats; rates need two of them from one process."""
+    last = beats[-1]
+    first = next(status for status in beats if status.pid == last.pid)
+    elapsed_s = last.uptime_s - first.uptime_s
+    cpu_s = last.cpu_s - first.cpu_s if elapsed_s > 0.0 else last.cpu_s
+    return {
+        "node": last.node,
+        "state": str(last.state),
+        "reason": last.reason,
+        "pid": last.pid,
+        "uptime_s": last.uptime_s,
+        "cpu_percent": 100.0 * cpu_s / max(elapsed_s or last.uptime_s, 1e-3),
+        "resident_bytes": last.resident_bytes,
+        "in_hz": _rate_hz(first.received, last.received, elapsed_s),
+        "out_hz": _rate_hz(first.published, last.published, elapsed_s),
+        "lost": sum(count.lost for count in last.received),
+        "rejected": sum(count.rejected for count in last.received),
+    }
+
+
+@app.command("list")
+def list_nodes(window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
+    """State, pid, load, rates and losses of each node."""
+    rows = [node_row(beats) for beats in _heartbeats(domain, window).values()]
+    if as_json:
+        print_json(rows)
+        return
+    for row in rows:
+        row["rss_mib"] = row["resident_bytes"] / (1 << 20)
+        row["reason"] = row["reason"] or None
+    figures = ("uptime_s", "cpu_percent", "rss_mib", "in_hz", "out_hz", "lost", "rejected")
+    columns = ("node", "state", "pid", *figures, "reason")
+    print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in rows])
+
+
+@app.command()
+def info(
+    name: Annotated[str, typer.Argument(help="Node, as `node list` names it.")],
+    window: WindowS = WINDOW_S,
+    domain: Domain = DEFAULT_DOMAIN,
+    as_json: AsJson = False,
+) -> None:
+    """One node: its topics and the time its stages take."""
+    heard = _heartbeats(domain, window)
+    if name not in heard:
+        raise ValueError(f"unknown node {name!r}; heard of are {', '.join(heard)}")
+    status = next((beat for beat in reversed(heard[name]) if beat.stages), heard[name][-1])
+    if as_json:
+        print_json({**node_row(heard[name]), **_details(status)})
+        return
+    for key, value in node_row(heard[name]).items():
+        print_line(f"{key}: {value}")
+    _print_details(status)
+
+
+def _details(status: NodeStatus) -> dict[str, Any]:
+    return {"received": list(status.received), "published": list(status.published), "stages": list(status.stages)}
+
+
+def _print_details(status: NodeStatus) -> None:
+    counts = [("in", count) for count in status.received] + [("out", count) for count in status.published]
+    rows = [(way, count.topic, count.messages, count.bytes, count.lost, count.rejected) for way, count in counts]
+    print_table(("", "TOPIC", "MESSAGES", "BYTES", "LOST", "REJECTED"), rows)
+    stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]
+    print_table(("STAGE", "COUNT", "LAST MS", "MEAN MS", "MAX MS"), stages)
+
+
+def _heartbeats(domain: str, window_s: float) -> Heartbeats:
+    from msgs.zmq_bus import run_dir
+
+    heard = collect_heartbeats(run_dir(domain), window_s)
+    alive = {name: beats for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
+    if not alive:
+        raise ConnectionError(f"no graph runs in domain {domain!r}: no heartbeat in {window_s:g} s")
+    return alive
+
+
+def _rate_hz(first: tuple[TopicCount, ...], last: tuple[TopicCount, ...], elapsed_s: float) -> float | None:
+    """Messages per second between two heartbeats, diagnostics apart."""
+    if elapsed_s <= 0.0:
+        return None
+    first_total, last_total = (
+        sum(count.messages for count in counts if count.topic not in ("diagnostics/node", "log"))
+        for counts in (first, last)
+    )
+    return (last_total - first_total) / elapsed_s

@@ -1,0 +1,97 @@
+"""A capture through the whole graph in one process: what `mirrorwave process` does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from mirrorwave.bev_picture import draw_bev
+from mirrorwave.scoreboard import Scoreboard
+from models.perception.objects import bev_to_json
+from msgs.bus import Outgoing, Received
+from msgs.local_bus import LocalNetwork
+from msgs.perception import BevFrame, Peaks, SceneTruth
+from msgs.radar import RangeAzimuthMap
+from nodes.launch_file import LaunchFile, read_launch_file, read_yaml_mapping, with_overrides, with_params
+from nodes.node import InProcessGraph, Node, load_node
+
+LAUNCH_DIR = Path(__file__).resolve().parents[1] / "launch"
+
+
+class Results(Node):
+    """Writes what comes out, line by line: objects, times; keeps the last scan for the picture and the score."""
+
+    inputs = ("radar/ra_map", "perception/peaks", "perception/hidden_objects", "sim/truth")
+
+    def __init__(self, objects: TextIO, timing: TextIO, timed: Mapping[str, Node], on_scan: Callable[[], None]) -> None:
+        super().__init__()
+        self._objects, self._timing, self._timed, self._on_scan = objects, timing, timed, on_scan
+        self.scoreboard = Scoreboard()
+        self.ra_map: RangeAzimuthMap | None = None
+        self.peaks: Peaks | None = None
+        self.frame: BevFrame | None = None
+        self.scans_with_loss = 0
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """Take in what came; a view ends its scan."""
+        for received in inputs:
+            match received.message:
+                case RangeAzimuthMap() as ra_map:
+                    self.ra_map = ra_map
+                    self.scans_with_loss += bool(ra_map.missing_beams)
+                case Peaks() as peaks:
+                    self.peaks = peaks
+                case SceneTruth() as truth:
+                    self.scoreboard.add_truth(truth)
+                case BevFrame() as frame:
+                    self._end_scan(frame)
+        return []
+
+    def _end_scan(self, frame: BevFrame) -> None:
+        self.frame = frame
+        self.scoreboard.add_frame(frame)
+        self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
+        stages = {
+            f"{name}.{stage.name}": {"count": stage.count, "mean_ms": stage.mean_ms, "max_ms": stage.max_ms}
+            for name, node in self._timed.items()
+            for stage in node.stages.drain()
+        }
+        self._timing.write(json.dumps({"scan_id": frame.scan_id, "stages": stages}) + "\n")
+        self._on_scan()
+
+
+def launch_for(capture: Path, profile: str, overrides: list[str], **player: Any) -> LaunchFile:
+    """The offline graph with a profile and overrides; ValueError names what is unknown."""
+    path = LAUNCH_DIR / "profiles" / f"{profile}.yaml"
+    if not path.is_file():
+        known = ", ".join(sorted(file.stem for file in path.parent.glob("*.yaml")))
+        raise ValueError(f"--profile: unknown profile {profile!r}; known are {known}")
+    launch = read_launch_file(LAUNCH_DIR / "process.yaml")
+    launch = with_params(launch, read_yaml_mapping(path), str(path))
+    launch = with_params(launch, {"player": {"capture": str(capture), **player}}, "process")
+    return with_overrides(launch, overrides)
+
+
+def run_capture(
+    capture: Path, out: Path, profile: str = "default", overrides: list[str] | None = None,
+    on_scan: Callable[[], None] = lambda: None,
+) -> Results:  # fmt: skip
+    """Process `capture`; writes `objects.jsonl`, `timing.jsonl` and `bev.png` into `out`, returns what was seen."""
+    launch = launch_for(capture, profile, overrides or [])
+    nodes = {name: load_node(entry.module, entry.params, name) for name, entry in launch.nodes.items()}
+    out.mkdir(parents=True, exist_ok=True)
+    objects_path, timing_path = out / "objects.jsonl", out / "timing.jsonl"
+    with objects_path.open("w", encoding="utf-8") as objects, timing_path.open("w", encoding="utf-8") as timing:
+        results = Results(objects, timing, nodes, on_scan)
+        graph = InProcessGraph(LocalNetwork(), {**nodes, "results": results})
+        try:
+            graph.run()
+        finally:
+            graph.close()
+    if results.frame is None:
+        raise ValueError(f"{capture}: holds no complete scan")
+    truth = results.scoreboard.truth_of(results.frame.scan_id)
+    draw_bev(results.frame, out / "bev.png", truth=truth, ra_map=results.ra_map)
+    return results

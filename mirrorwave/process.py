@@ -1,0 +1,39 @@
+"""`mirrorwave process`: a capture through the whole graph, in this process, as fast as the machine allows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line
+
+
+def process(
+    capture: Annotated[Path, typer.Argument(help="SigMF capture or MCAP recording with raw beams.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for objects.jsonl, timing.jsonl and bev.png.")] = None,
+    profile: Annotated[str, typer.Option(help="A named set of parameters: default or cfar.")] = "default",
+    param: Annotated[
+        list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Hidden objects of a capture, scan by scan, beside the truth where the capture holds it."""
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from mirrorwave.offline import run_capture
+
+    out = Path("out") / capture.name.split(".")[0] if out is None else out
+    columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} scans"), TimeElapsedColumn())
+    with Progress(*columns, transient=True) as progress:
+        task = progress.add_task("scans", total=None)
+        results = run_capture(capture, out, profile, param, lambda: progress.advance(task))
+    board = results.scoreboard
+    if as_json:
+        print_json({"out": str(out), "scans_with_loss": results.scans_with_loss, "score": board.summary()})
+    else:
+        board.print_table()
+        print_line(f"wrote {out / 'objects.jsonl'}, {out / 'timing.jsonl'} and {out / 'bev.png'}")
+    if results.scans_with_loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)

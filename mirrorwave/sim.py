@@ -1,0 +1,103 @@
+"""`mirrorwave sim`: captures and datasets from simulated scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mirrorwave.console import print_line, require_new_file
+
+if TYPE_CHECKING:
+    from msgs.bus import Outgoing
+    from msgs.radar import RadarSetup
+
+app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures and labelled datasets.")
+
+
+@app.command()
+def run(
+    scene: Annotated[Path, typer.Argument(help="Scene file (YAML).")],
+    out: Annotated[Path, typer.Option(help="Capture to write: NAME.mcap, or NAME.sigmf-meta for SigMF.")],
+    scans: Annotated[int, typer.Option(min=1)] = 1,
+    seed: int = 0,
+    chirps_per_beam: Annotated[int | None, typer.Option(min=1, help="Fewer chirps, smaller files.")] = None,
+    object_speed_mps: Annotated[float | None, typer.Option(help="Speed of every object along its heading.")] = None,
+    ego_speed_mps: Annotated[float | None, typer.Option(help="Speed of the radar.")] = None,
+    phase_jitter_rad: Annotated[float, typer.Option(help="Standard deviation of a random phase per beam.")] = 0.0,
+) -> None:
+    """Record what the radar would measure, with the truth."""
+    from rich.progress import Progress
+
+    from nodes import player
+
+    require_new_file(out)
+    params = player.Params(
+        scene=str(scene),
+        seed=seed,
+        scans=scans,
+        chirps_per_beam=chirps_per_beam,
+        object_speed_mps=object_speed_mps,
+        ego_speed_mps=ego_speed_mps,
+        phase_jitter_rad=phase_jitter_rad,
+    )
+    source = player.scene_player(params)
+    total = scans * (2 * len(source.setup.beams) + 1)
+    with Progress(transient=True) as progress:
+        events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)
+        if out.suffix == ".mcap":
+            write_recording(out, iter(events), {"scene": scene.stem, "seed": str(seed)})
+        else:
+            write_sigmf(out, source.setup, iter(events))
+    print_line(f"{out}: {scans} scans of {scene.stem}, seed {seed}")
+
+
+@app.command()
+def dataset(
+    out: Annotated[Path, typer.Option(help="Folder of the shards.")],
+    count: Annotated[int, typer.Option(min=1, help="Scenes to simulate.")],
+    seed: int = 0,
+    workers: Annotated[int, typer.Option(min=1)] = 1,
+) -> None:
+    """Labelled beam profiles of random scenes for training; resumable, the same bytes for any number of workers."""
+    from rich.progress import Progress
+    from sim_player.dataset import write_dataset
+
+    with Progress(transient=True) as progress:
+        task = progress.add_task("simulating", total=count)
+        write_dataset(out, count, seed, workers=workers, on_progress=lambda done: progress.update(task, completed=done))
+    print_line(f"{out}: {count} scenes, seed {seed}")
+
+
+def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
+    """MCAP recording of messages at the times their stamps say, as if `player` had sent them."""
+    from msgs.recording import RecordingWriter
+
+    sequences: dict[str, int] = {}
+    with RecordingWriter(path, metadata) as writer:
+        for topic, message in events:
+            sequence = sequences.get(topic, 0)
+            sequences[topic] = sequence + 1
+            stamp_ns = message.stamp_ns
+            writer.write(topic, message, publisher="player", sequence=sequence, sent_ns=stamp_ns)
+
+
+def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing]) -> None:
+    """SigMF capture of the beams; the truth goes beside it as a recording."""
+    from msgs.radar import RadarBeam
+    from msgs.sigmf_capture import write_capture
+    from nodes.player import truth_beside
+
+    truths: list[Outgoing] = []
+
+    def beams() -> Iterator[RadarBeam]:
+        for outgoing in events:
+            if isinstance(outgoing.message, RadarBeam):
+                yield outgoing.message
+            elif outgoing.topic == "sim/truth":
+                truths.append(outgoing)
+
+    write_capture(path, setup, beams())
+    write_recording(truth_beside(path), iter(truths), {})

@@ -1,0 +1,153 @@
+"""Detection without a network: cell-averaging CFAR, lobe suppression, and classes from the walls it finds itself."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from models.perception.clustering import dbscan
+from models.perception.peaks import PeakParams, local_maxima, peaks_at
+from models.perception.recovery import behind_walls, cartesian_covariance, wall_arrays
+from models.perception.walls import WallParams, find_walls
+from msgs.arrays import require_positive
+from msgs.frames import xy_from_polar
+from msgs.perception import PathClass, Peaks, Wall
+from msgs.radar import RangeAzimuthMap
+
+
+class CfarParams(msgspec.Struct, frozen=True, kw_only=True):
+    """Windows in cells (range, azimuth), false-alarm rate, and what counts as the side lobe of a stronger peak."""
+
+    guard: tuple[int, int] = (4, 14)
+    #: Half widths of the training window, guard included.
+    training: tuple[int, int] = (20, 24)
+    false_alarm_rate: float = 1e-4
+    #: Over the map's own noise, in addition.
+    min_snr_db: float = 13.0
+    #: Neighbouring maxima this near (cells) are one.
+    min_distance: int = 3
+    max_range_m: float = 109.0
+    #: Azimuth lobes: weaker by this much within these range bins.
+    azimuth_lobe_db: float = 22.0
+    azimuth_lobe_bins: int = 3
+    #: Range lobes of the Hann window: weaker by this much, this near in range, within a beam.
+    range_lobe_db: float = 30.0
+    range_lobe_bins: int = 12
+    beam_cells: int = 20
+
+    def __post_init__(self) -> None:
+        if any(train <= guard for train, guard in zip(self.training, self.guard, strict=True)):
+            raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
+        if not 0.0 < self.false_alarm_rate < 1.0:
+            raise ValueError(f"cfar.false_alarm_rate must be in (0, 1), got {self.false_alarm_rate!r}")
+        require_positive("cfar.min_distance", self.min_distance)
+
+
+def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """Cells whose power exceeds alpha times the mean of their training cells; bool [range, azimuth].
+
+    alpha = n (P_fa^(-1/n) - 1) for n training cells: exact for exponential (square-law) noise. Windows shrink at the
+    edges of the map and n with them.
+    """
+    ones = np.ones(power.shape)
+    outer, inner = params.training, params.guard
+    total = _box_sum(power, outer) - _box_sum(power, inner)
+    count = _box_sum(ones, outer) - _box_sum(ones, inner)
+    alpha_over_n = params.false_alarm_rate ** (-1.0 / count) - 1.0
+    # sums of powers cannot be negative; differences of large integrals can
+    return power > alpha_over_n * np.maximum(total, 0.0)
+
+
+def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
+    """Sums over windows of the given half widths, cut off at the edges, by an integral image; float64."""
+    integral = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+    integral[1:, 1:] = values.astype(np.float64).cumsum(axis=0).cumsum(axis=1)
+    (low_r, high_r), (low_a, high_a) = (
+        (np.maximum(np.arange(n) - h, 0), np.minimum(np.arange(n) + h + 1, n))
+        for n, h in zip(values.shape, half, strict=True)
+    )
+    return (
+        integral[np.ix_(high_r, high_a)]
+        - integral[np.ix_(low_r, high_a)]
+        - integral[np.ix_(high_r, low_a)]
+        + integral[np.ix_(low_r, low_a)]
+    )
+
+
+def detect(ra_map: RangeAzimuthMap, params: CfarParams, peak_params: PeakParams, sensitivity_db: float = 0.0) -> Peaks:
+    """Local maxima among the CFAR detections that are no side lobes, all of class LOS; strongest first.
+
+    The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
+    """
+    power = np.square(np.abs(ra_map.values)).astype(np.float64)
+    floor = ra_map.noise_power_mw * 10.0 ** (params.min_snr_db / 10.0)
+    found = cfar_mask(power, params) & (power > floor)
+    found &= (ra_map.grid.range_m <= params.max_range_m)[:, None]
+    level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float64).tiny))
+    lowest_db = float(level_db.min())
+    cells = local_maxima(np.where(found, level_db, -np.inf), lowest_db, params.min_distance)
+    cells = cells[~side_lobes(cells, level_db[cells[:, 0], cells[:, 1]], params)]
+    snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
+    score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))
+    fractional = cells.astype(np.float64)
+    fractional[:, 1] = _lobe_azimuth(level_db, cells)
+    path_class = np.full(len(cells), PathClass.LOS, np.uint8)
+    return peaks_at(ra_map, cells, fractional, score, path_class, peak_params, sensitivity_db)
+
+
+def _lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either side."""
+    reach = 3
+    inner = np.clip(cells[:, 1], reach, level_db.shape[1] - 1 - reach)
+    before, here, after = (level_db[cells[:, 0], inner + k] for k in (-reach, 0, reach))
+    curvature = before - 2.0 * here + after
+    peaked = (inner == cells[:, 1]) & (here >= before) & (here >= after) & (curvature < 0.0)
+    shift = 0.5 * reach * (before - after) / np.where(peaked, curvature, -1.0)
+    return np.where(peaked, inner + np.clip(shift, -1.0, 1.0), cells[:, 1])
+
+
+def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: CfarParams) -> np.ndarray:
+    """Which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its beam; [N]."""
+    range_apart = np.abs(cells[:, 0, None] - cells[:, 0])
+    azimuth_apart = np.abs(cells[:, 1, None] - cells[:, 1])
+    weaker_db = level_db - level_db[:, None]  # [N, N]: how much stronger the other one is
+    azimuth_lobe = (range_apart <= params.azimuth_lobe_bins) & (weaker_db >= params.azimuth_lobe_db)
+    range_lobe = (
+        (range_apart <= params.range_lobe_bins)
+        & (azimuth_apart <= params.beam_cells)
+        & (weaker_db >= params.range_lobe_db)
+    )
+    return np.logical_or.reduce(azimuth_lobe | range_lobe, axis=1)
+
+
+def classify_behind_walls(
+    peaks: Peaks, walls: WallParams, eps_m: float = 4.0, min_points: int = 2, depth_m: float = 1.5, rounds: int = 6
+) -> Peaks:
+    """Mark as mirrored what lies behind a wall that the nearer detections make up; no network, no truth.
+
+    All peaks start as direct. The nearest wall not yet used marks every peak whose ray it crosses and that is deeper
+    than `depth_m`; walls are then found anew among the direct ones, so that images never make a wall that counts.
+    Ends when no wall hides a direct peak.
+    """
+    points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
+    covariance_m2 = cartesian_covariance(peaks.range_m, peaks.azimuth_rad, peaks.covariance)
+    mirrored = np.zeros(len(peaks), bool)
+    for _ in range(rounds):
+        direct = np.flatnonzero(~mirrored)
+        labels = dbscan(points_m[direct], eps_m, min_points)
+        found, _ = find_walls(points_m[direct], covariance_m2[direct], labels, walls)
+        hidden = _behind_nearest(points_m[direct], found, depth_m)
+        if not hidden.any():
+            break
+        mirrored[direct[hidden]] = True
+    path_class = np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
+    return msgspec.structs.replace(peaks, path_class=path_class)
+
+
+def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> np.ndarray:
+    """Points [N, 2] behind the nearest wall that hides any; bool [N]."""
+    for wall in sorted(walls, key=lambda wall: wall.offset_m):
+        hidden = behind_walls(points_m, wall_arrays([wall]), depth_m)
+        if hidden.any():
+            return hidden
+    return np.zeros(len(points_m), bool)

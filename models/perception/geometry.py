@@ -1,0 +1,82 @@
+"""The geometry stage as one sentence: classified peaks in, bird's-eye view of what is hidden out."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from models.perception.clustering import dbscan
+from models.perception.objects import ObjectParams, form_objects
+from models.perception.observability import VisibilityParams, observability
+from models.perception.recovery import (
+    DirectReturns,
+    RecoveryParams,
+    Residual,
+    cartesian_covariance,
+    corrected,
+    hidden_mask,
+    recover,
+    reflection_state,
+)
+from models.perception.walls import WallParams, find_walls
+from msgs.arrays import require_positive
+from msgs.frames import xy_from_polar
+from msgs.perception import BevFrame, BevGrid, PathClass, Peaks, Wall
+
+
+class GeometryParams(msgspec.Struct, frozen=True, kw_only=True):
+    """Parameters of the geometry stage; defaults are the released settings where those exist."""
+
+    cluster_eps_m: float = 4.0
+    cluster_min_points: int = 2
+    walls: WallParams = WallParams()
+    recovery: RecoveryParams = RecoveryParams()
+    objects: ObjectParams = ObjectParams()
+    visibility: VisibilityParams = VisibilityParams()
+    grid: BevGrid = BevGrid()
+
+    def __post_init__(self) -> None:
+        require_positive("geometry.cluster_eps_m", self.cluster_eps_m)
+        require_positive("geometry.cluster_min_points", self.cluster_min_points)
+
+
+def recover_bev(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> BevFrame:
+    """Peaks -> walls -> images folded back, Eqs. (18) and (19) -> hidden objects; tracks are added by the tracker."""
+    returns, walls = direct_structure(peaks, params)
+    recovered = recover(peaks, walls, returns, params.recovery)
+    if residual is not None:
+        recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+    hidden = recovered.select(hidden_mask(recovered, walls, returns, params.recovery))
+    return BevFrame(
+        stamp_ns=peaks.stamp_ns,
+        scan_id=peaks.scan_id,
+        walls=tuple(walls),
+        points=hidden.as_hidden_points(),
+        objects=form_objects(hidden, walls, params.objects),
+        los_points_m=returns.points_m.astype(np.float32),
+        grid=params.grid,
+        visibility=observability(walls, peaks.sensitivity_db, params.grid, params.visibility),
+        visibility_rcs_dbsm=params.visibility.rcs_dbsm,
+        flags=condition_flags(peaks),
+    )
+
+
+def direct_structure(peaks: Peaks, params: GeometryParams) -> tuple[DirectReturns, list[Wall]]:
+    """Direct returns in the plane with their clusters, and the walls among them."""
+    direct = peaks.path_class == PathClass.LOS
+    range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
+    points_m = xy_from_polar(range_m, azimuth_rad)
+    covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
+    labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
+    walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
+    return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point), walls
+
+
+def condition_flags(peaks: Peaks) -> tuple[str, ...]:
+    """Conditions of the scan a reader of its view should know."""
+    present = {
+        "incoherent": peaks.incoherent,
+        "missing_beams": bool(peaks.missing_beams),
+        "saturated": peaks.saturated_share > 0.0,
+    }
+    return tuple(name for name, holds in present.items() if holds)

@@ -1,0 +1,172 @@
+"""Peaks of a class heat map, refined below the cell on the range-azimuth map, with their polar errors."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+from scipy import ndimage
+
+from msgs.arrays import require_positive
+from msgs.perception import PathClass, Peaks
+from msgs.radar import RangeAzimuthMap
+
+
+class PeakParams(msgspec.Struct, frozen=True, kw_only=True):
+    """Peak picking (released settings) and the error model of a peak."""
+
+    threshold: float = 0.3
+    min_distance: int = 3
+    #: Two-way 3 dB width of a beam: a peak's azimuth error is this over sqrt(2 SNR), within the bounds below.
+    beam_width_deg: float = 9.0
+    azimuth_std_floor_deg: float = 0.7
+    azimuth_std_limit_deg: float = 4.0
+    #: Range error: a bin over sqrt(2 SNR), within the bounds below.
+    range_std_floor_m: float = 0.06
+    range_std_limit_m: float = 0.2
+    #: Azimuth errors are this much wider where the beams did not fit one coherent scene.
+    incoherent_factor: float = 2.0
+
+    def __post_init__(self) -> None:
+        for name in ("threshold", "min_distance", "beam_width_deg", "azimuth_std_floor_deg", "range_std_floor_m"):
+            require_positive(f"peaks.{name}", getattr(self, name))
+
+
+def find_peaks(
+    probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams, sensitivity_db: float = 0.0
+) -> Peaks:
+    """Local maxima of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
+
+    Raises ValueError where the heat map does not lie on the map's grid.
+    """
+    if probabilities.shape != (len(PathClass), *ra_map.grid.shape):
+        raise ValueError(
+            f"probabilities must have shape {(len(PathClass), *ra_map.grid.shape)}, got {probabilities.shape}"
+        )
+    cells = [local_maxima(channel, params.threshold, params.min_distance) for channel in probabilities]
+    fractional = np.concatenate([_centroid(channel, at) for channel, at in zip(probabilities, cells, strict=True)])
+    path_class = np.repeat(np.arange(len(PathClass), dtype=np.uint8), [len(at) for at in cells])
+    at = np.concatenate(cells)
+    score = probabilities[path_class, at[:, 0], at[:, 1]].astype(np.float64)
+    return peaks_at(ra_map, at, fractional, score, path_class, params, sensitivity_db)
+
+
+def peaks_at(
+    ra_map: RangeAzimuthMap,
+    cells: np.ndarray,
+    fractional: np.ndarray,
+    score: np.ndarray,
+    path_class: np.ndarray,
+    params: PeakParams,
+    sensitivity_db: float = 0.0,
+) -> Peaks:
+    """The message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it peaks."""
+    grid = ra_map.grid
+    power = np.square(np.abs(ra_map.values))
+    range_index = _refined_range(power, cells, fractional[:, 0])
+    snr_db = _snr_db(power, cells, ra_map.noise_power_mw)
+    return Peaks(
+        stamp_ns=ra_map.stamp_ns,
+        scan_id=ra_map.scan_id,
+        range_m=np.asarray(grid.range_at(range_index), np.float64),
+        azimuth_rad=np.asarray(grid.azimuth_at(fractional[:, 1]), np.float64),
+        score=np.asarray(score, np.float64),
+        path_class=np.asarray(path_class, np.uint8),
+        covariance=polar_covariance(snr_db, ra_map.incoherent[cells[:, 0]], grid.range_bin_m, params),
+        peak_stamp_ns=ra_map.azimuth_stamp_ns[cells[:, 1]],
+        snr_db=snr_db,
+        incoherent=bool(ra_map.incoherent[cells[:, 0]].any()),
+        missing_beams=ra_map.missing_beams,
+        saturated_share=ra_map.saturated_share,
+        sensitivity_db=sensitivity_db,
+    )
+
+
+def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.ndarray:
+    """Cells [N, 2] of maxima over `threshold`, none nearer than `min_distance` cells (both axes) to a higher one.
+
+    A plateau gives one peak, at its middle. Highest first; equal ones in the order of the cells.
+    """
+    highest = ndimage.maximum_filter(values, size=2 * min_distance + 1, mode="constant", cval=-np.inf)
+    candidate = (values >= highest) & (values >= threshold)
+    plateaus, count = ndimage.label(candidate, structure=np.ones((3, 3), int))
+    if count == 0:
+        return np.zeros((0, 2), np.int64)
+    middle = _plateau_middles(plateaus, count)
+    level = values[middle[:, 0], middle[:, 1]]
+    order = np.argsort(-level, kind="stable")
+    return middle[order[_apart(middle[order], min_distance)]]
+
+
+def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
+    """The cell of each plateau nearest to its centre [count, 2]; the first of equals."""
+    cells = np.argwhere(plateaus)
+    label = plateaus[cells[:, 0], cells[:, 1]] - 1
+    size = np.bincount(label, minlength=count)
+    centre = np.stack([np.bincount(label, cells[:, axis], count) / size for axis in (0, 1)], axis=1)
+    distance = np.abs(cells - centre[label]).max(axis=1)
+    order = np.lexsort((distance, label))
+    first = np.searchsorted(label[order], np.arange(count))
+    return cells[order[first]]
+
+
+def _apart(cells: np.ndarray, min_distance: int) -> np.ndarray:
+    """Indices of cells [N, 2], best first, that keep their distance from those kept before."""
+    free = np.ones(len(cells), bool)
+    kept = []
+    for index in range(len(cells)):
+        if free[index]:
+            kept.append(index)
+            free &= np.abs(cells - cells[index]).max(axis=1) > min_distance
+    return np.array(kept, np.int64)
+
+
+def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
+    """Fractional cells [N, 2]: centre of mass of the 3 x 3 cells about each, so far as they lie on the map."""
+    step = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1), indexing="ij"), axis=-1).reshape(9, 2)
+    around = cells[:, None] + step  # [N, 9, 2]
+    inside = ((around >= 0) & (around < values.shape)).all(axis=-1)
+    clipped = np.clip(around, 0, np.array(values.shape) - 1)
+    weight = np.where(inside, values[clipped[..., 0], clipped[..., 1]], 0.0).astype(np.float64)
+    # what rises above the lowest of the nine: a constant background would pull towards the middle
+    weight -= np.where(inside, weight, np.inf).min(axis=1, keepdims=True)
+    weight = np.where(inside, weight, 0.0)
+    total = weight.sum(axis=1, keepdims=True)
+    shift = np.einsum("nk,nki->ni", weight / np.where(total > 0.0, total, 1.0), np.broadcast_to(step, around.shape))
+    return cells + shift
+
+
+def _refined_range(power: np.ndarray, cells: np.ndarray, fallback: np.ndarray) -> np.ndarray:
+    """Fractional range bins [N]: the vertex of a parabola through the log powers about the map's own peak.
+
+    The peak may lie one bin off the heat map's; where the map has none there, `fallback` stays.
+    """
+    bins = power.shape[0]
+    reach = np.clip(cells[:, 0, None] + np.arange(-1, 2), 0, bins - 1)
+    top = np.take_along_axis(reach, power[reach, cells[:, 1, None]].argmax(axis=1)[:, None], axis=1)[:, 0]
+    inner = np.clip(top, 1, bins - 2)
+    floor = np.finfo(np.float32).tiny
+    before, here, after = (np.log(np.maximum(power[inner + k, cells[:, 1]], floor)) for k in (-1, 0, 1))
+    peaked = (top == inner) & (here >= before) & (here >= after) & (before - 2.0 * here + after < 0.0)
+    curvature = np.where(peaked, before - 2.0 * here + after, -1.0)
+    return np.where(peaked, inner + 0.5 * (before - after) / curvature, fallback)
+
+
+def _snr_db(power: np.ndarray, cells: np.ndarray, noise_power_mw: float) -> np.ndarray:
+    """Peak power over the map's noise [N], at least -30 dB so that empty cells stay finite."""
+    ratio = power[cells[:, 0], cells[:, 1]].astype(np.float64) / max(noise_power_mw, 1e-300)
+    return 10.0 * np.log10(np.clip(ratio, 1e-3, 1e30))
+
+
+def polar_covariance(snr_db: np.ndarray, incoherent: np.ndarray, range_bin_m: float, params: PeakParams) -> np.ndarray:
+    """Diagonal covariances (range [m], azimuth [rad]) [N, 2, 2]: resolution over sqrt(2 SNR), within bounds."""
+    spread = 1.0 / np.sqrt(2.0 * 10.0 ** (snr_db / 10.0))
+    range_std_m = np.clip(range_bin_m * spread, params.range_std_floor_m, params.range_std_limit_m)
+    azimuth_deg = np.clip(
+        params.beam_width_deg * spread, params.azimuth_std_floor_deg, params.azimuth_std_limit_deg
+    ) * np.where(incoherent, params.incoherent_factor, 1.0)
+    covariance = np.zeros((len(snr_db), 2, 2))
+    covariance[:, 0, 0] = range_std_m**2
+    covariance[:, 1, 1] = (math.pi / 180.0 * azimuth_deg) ** 2
+    return covariance

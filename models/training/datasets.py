@@ -1,0 +1,127 @@
+"""Training maps: beam profiles from disk to encoded network inputs and heatmaps.
+
+Maps are formed once, by the code that forms them on the vehicle, and kept as their sampled columns: 80 KiB each, so a
+few thousand stay in memory and every epoch only encodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from models.perception.coarray import AzimuthInterpolator
+from models.perception.encoding import Encoding, encode_columns, sample_columns
+from models.training.targets import class_heatmaps
+from msgs.radar import RadarSetup, RangeAzimuthGrid
+
+
+@dataclass(frozen=True, kw_only=True)
+class PointLabels:
+    """Truth of one map, in fractional cells of the grid; arrays [points]."""
+
+    row: np.ndarray
+    column: np.ndarray
+    path_class: np.ndarray
+
+    def flipped(self, azimuth_bins: int) -> PointLabels:
+        """The same points with left and right exchanged."""
+        return PointLabels(row=self.row, column=azimuth_bins - 1 - self.column, path_class=self.path_class)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BeamScan:
+    """One scan of a shard: beam profiles complex64 [beams, bins], their noise, and the truth."""
+
+    profiles: np.ndarray
+    noise_power_mw: float
+    labels: PointLabels
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenseSample:
+    """A formed map: sampled columns complex64 [range, columns], its noise, and the truth."""
+
+    columns: np.ndarray
+    noise_power_mw: float
+    labels: PointLabels
+
+
+@dataclass(frozen=True, kw_only=True)
+class Perturbation:
+    """What may differ between the simulated radar and a real one, drawn anew for each scan."""
+
+    gain_std_db: float = 0.4
+    phase_std_rad: float = 0.05
+    #: Share of scans whose beams share no phase: something moved by more than a wavelength between them.
+    incoherent_share: float = 0.25
+    #: Receiver noise is raised by up to this much.
+    extra_noise_db: float = 6.0
+
+
+def split_scenes(count: int, validation_share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """Fixed disjoint scene indices for training and validation, both sorted."""
+    if not 0.0 < validation_share < 1.0 or count < 2:
+        raise ValueError(f"validation_share must be in (0, 1) of at least 2 scenes, got {validation_share} of {count}")
+    order = np.random.default_rng(seed).permutation(count)
+    held_out = min(max(round(count * validation_share), 1), count - 1)
+    return np.sort(order[held_out:]), np.sort(order[:held_out])
+
+
+def perturb_scan(scan: BeamScan, perturbation: Perturbation, rng: np.random.Generator) -> BeamScan:
+    """The same scene seen by a less perfect radar: beam gains, phases and receiver noise differ."""
+    beams, _ = scan.profiles.shape
+    gain = 10.0 ** (rng.normal(0.0, perturbation.gain_std_db, beams) / 20.0)
+    phase_rad = rng.normal(0.0, perturbation.phase_std_rad, beams)
+    if rng.random() < perturbation.incoherent_share:
+        phase_rad = rng.uniform(0.0, 2.0 * np.pi, beams)
+    noise_ratio = 10.0 ** (rng.uniform(0.0, perturbation.extra_noise_db) / 10.0)
+    added_mw = (noise_ratio - 1.0) * scan.noise_power_mw
+    noise = np.sqrt(added_mw / 2.0) * rng.standard_normal((*scan.profiles.shape, 2)) @ (1.0, 1.0j)
+    profiles = scan.profiles * (gain * np.exp(1j * phase_rad))[:, None] + noise
+    return BeamScan(
+        profiles=profiles.astype(np.complex64), noise_power_mw=scan.noise_power_mw + added_mw, labels=scan.labels
+    )
+
+
+def form_sample(scan: BeamScan, interpolator: AzimuthInterpolator, encoding: Encoding) -> DenseSample:
+    """Form the map of a scan and keep the columns the network sees."""
+    values, _ = interpolator.interpolate(scan.profiles, scan.noise_power_mw)
+    return DenseSample(
+        columns=sample_columns(encoding, values), noise_power_mw=scan.noise_power_mw, labels=scan.labels
+    )
+
+
+def encode_batch(
+    samples: list[DenseSample], encoding: Encoding, grid: RangeAzimuthGrid
+) -> tuple[np.ndarray, np.ndarray]:
+    """Network inputs float32 [batch, channels, range, columns] and heatmaps float32 [batch, 2, range, azimuth]."""
+    columns = np.stack([sample.columns for sample in samples])
+    noise_power_mw = np.array([sample.noise_power_mw for sample in samples])
+    shape = encoding.range_bins, grid.azimuth_bins
+    heatmaps = [class_heatmaps(shape, s.labels.row, s.labels.column, s.labels.path_class) for s in samples]
+    return encode_columns(encoding, columns, noise_power_mw), np.stack(heatmaps)
+
+
+def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) -> DenseSample:
+    """Mirror left and right half of the time, and misjudge the noise by a decibel or so."""
+    columns, labels = sample.columns, sample.labels
+    if rng.random() < 0.5:
+        columns, labels = columns[:, ::-1], labels.flipped(azimuth_bins)
+    return DenseSample(
+        columns=columns, noise_power_mw=sample.noise_power_mw * 10.0 ** (rng.normal(0.0, 0.1)), labels=labels
+    )
+
+
+def shuffled_batches(
+    variants: list[list[DenseSample]], batch_size: int, encoding: Encoding, grid: RangeAzimuthGrid, seed: int
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """One epoch of augmented batches over scenes, each given as its variants; a remainder is left out."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(variants))
+    for start in range(0, len(order) - batch_size + 1, batch_size):
+        chosen = [variants[scene] for scene in order[start : start + batch_size]]
+        samples = [augment(scene[rng.integers(len(scene))], grid.azimuth_bins, rng) for scene in chosen]
+        yield encode_batch(samples, encoding, grid)

@@ -1,0 +1,44 @@
+"""Heatmaps that the dense network is trained towards, Eq. (22)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Beyond this many sigma a Gaussian is left out (5e-7 of its peak).
+_REACH_SIGMA = 5.4
+
+
+def gaussian_heatmap(
+    shape: tuple[int, int], row: np.ndarray, column: np.ndarray, sigma_px: float = 1.0
+) -> np.ndarray:
+    """Largest of the Gaussians around points, float32 [rows, columns]; exactly 1 in the cell of each point, Eq. (22).
+
+    `row` and `column` are fractional cells [points]; each is rounded to its cell, points off the map are left out.
+    """
+    heatmap = np.zeros(shape, np.float32)
+    reach = int(np.ceil(_REACH_SIGMA * sigma_px))
+    offset = np.arange(-reach, reach + 1)
+    kernel = np.exp(-np.add.outer(offset**2, offset**2) / (2.0 * sigma_px**2)).astype(np.float32)
+    cells = np.stack([np.rint(row), np.rint(column)], axis=-1).astype(np.int64)
+    inside = ((cells >= 0) & (cells < shape)).all(axis=-1)
+    for i, j in cells[inside]:
+        top, left = max(i - reach, 0), max(j - reach, 0)
+        patch = heatmap[top : i + reach + 1, left : j + reach + 1]
+        kernel_top, kernel_left = top - (i - reach), left - (j - reach)
+        clipped = kernel[kernel_top : kernel_top + patch.shape[0], kernel_left : kernel_left + patch.shape[1]]
+        np.maximum(patch, clipped, out=patch)
+    return heatmap
+
+
+def class_heatmaps(
+    shape: tuple[int, int],
+    row: np.ndarray,
+    column: np.ndarray,
+    path_class: np.ndarray,
+    classes: int = 2,
+    sigma_px: float = 1.0,
+) -> np.ndarray:
+    """One heatmap per path class, float32 [classes, rows, columns]."""
+    return np.stack(
+        [gaussian_heatmap(shape, row[path_class == k], column[path_class == k], sigma_px) for k in range(classes)]
+    )

@@ -1,0 +1,107 @@
+"""One process of the graph, as its parent sees it: started, listened to, asked to stop, and never left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+from nodes.launch_file import NodeEntry
+from nodes.logs import LineSplitter
+
+#: Root of the checkout: children import nodes from here, wherever the graph was started.
+_ROOT = Path(__file__).resolve().parents[1]
+_READ_BYTES = 1 << 16
+#: Reads of one pipe in a turn, so that a node that floods its output cannot hold the others up.
+_READS_PER_TURN = 16
+#: After SIGINT, and again after SIGTERM, a process has this long.
+PATIENCE_S = 2.0
+
+
+class Child:
+    """The process of a node; its own process group, one pipe for all it says."""
+
+    def __init__(self, name: str, entry: NodeEntry, run_dir: Path) -> None:
+        self._splitter = LineSplitter()
+        self._signals: list[tuple[float, signal.Signals]] | None = None
+        self._process = subprocess.Popen(
+            _command(name, entry, run_dir),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            env=_environment(entry),
+            process_group=0,
+        )
+        assert self._process.stdout is not None
+        self._pipe = self._process.stdout.fileno()
+        os.set_blocking(self._pipe, False)
+
+    @property
+    def pid(self) -> int:
+        """Process id, also of its process group."""
+        return self._process.pid
+
+    def exit_code(self) -> int | None:
+        """None while it runs; then its exit code, negative for a signal. What it started itself is killed."""
+        if self._process.returncode is None and os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
+            # before the process is reaped its group's number cannot have gone to somebody else
+            self._signal(signal.SIGKILL)
+            self._process.wait()
+        return self._process.returncode
+
+    def read_lines(self) -> list[str]:
+        """Whole lines it has written since the last call; never waits."""
+        lines: list[str] = []
+        for _ in range(_READS_PER_TURN):
+            try:
+                data = os.read(self._pipe, _READ_BYTES)
+            except BlockingIOError:
+                break
+            if not data:
+                break
+            lines += self._splitter.feed(data)
+        return lines
+
+    def stop(self, now_s: float, patience_s: float = PATIENCE_S) -> None:
+        """Ask it to end: SIGINT, `patience_s` later SIGTERM, then SIGKILL; to be called again until it has."""
+        if self._signals is None:
+            term_s = now_s + patience_s
+            self._signals = [
+                (now_s, signal.SIGINT),
+                (term_s, signal.SIGTERM),
+                (term_s + PATIENCE_S, signal.SIGKILL),
+            ]
+        while self._signals and self._signals[0][0] <= now_s:
+            self._signal(self._signals.pop(0)[1])
+
+    def kill(self) -> None:
+        """End it now."""
+        self._signal(signal.SIGKILL)
+
+    def close(self) -> list[str]:
+        """Kill it if it runs, wait for it, close its pipe; what it still had to say comes back."""
+        if self.exit_code() is None:
+            self.kill()
+            self._process.wait()
+        assert self._process.stdout is not None
+        lines = [] if self._process.stdout.closed else self.read_lines() + self._splitter.finish()
+        self._process.stdout.close()
+        return lines
+
+    def _signal(self, number: signal.Signals) -> None:
+        if self._process.returncode is None:
+            os.killpg(self.pid, number)
+
+
+def _command(name: str, entry: NodeEntry, run_dir: Path) -> list[str]:
+    # -P: a file of the working directory must not stand in for a module
+    host = [sys.executable, "-P", "-m", "nodes.node", entry.module, "--name", name, "--run-dir", str(run_dir)]
+    return [*host, "--params", json.dumps(entry.params), "--json-log", "--die-with", str(os.getpid())]
+
+
+def _environment(entry: NodeEntry) -> dict[str, str]:
+    paths = [str(_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
+    return {**os.environ, "PYTHONUNBUFFERED": "1", "PYTHONPATH": os.pathsep.join(paths), **entry.env}

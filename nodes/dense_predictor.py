@@ -1,0 +1,63 @@
+"""Finds LOS and mirrored returns in each range-azimuth map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from models.perception.cfar import CfarParams
+from models.perception.detectors import CfarDetector, Detector, NetworkDetector
+from models.perception.onnx_model import DEFAULT_MODEL
+from models.perception.peaks import PeakParams
+from msgs.bus import Outgoing, Received
+from msgs.radar import RadarSetup, RangeAzimuthMap
+from nodes.node import Node
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which detector, and its parameters."""
+
+    method: Literal["network", "cfar"] = "network"
+    #: An exported network with its card beside it; None: the committed one.
+    model: str | None = None
+    threads: int = 1
+    peaks: PeakParams = PeakParams()
+    cfar: CfarParams = CfarParams()
+
+
+class DensePredictorNode(Node):
+    """radar/ra_map -> perception/peaks."""
+
+    inputs = ("radar/setup", "radar/ra_map")
+    outputs = ("perception/peaks",)
+
+    def __init__(self, params: Params) -> None:
+        super().__init__()
+        self._params = params
+        # the default set-up until the radar's own comes: a missing or broken model shows at start, not at the first map
+        self._detector = self._detector_for(RadarSetup())
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """One set of peaks per map."""
+        out: list[Outgoing] = []
+        for received in sorted(inputs, key=lambda item: item.topic == "radar/ra_map"):
+            match received.message:
+                case RadarSetup() as setup:
+                    self._detector = self._detector_for(setup)
+                case RangeAzimuthMap() as ra_map:
+                    with self.stages("detect"):
+                        out.append(Outgoing("perception/peaks", self._detector.detect(ra_map)))
+        return out
+
+    def _detector_for(self, setup: RadarSetup) -> Detector:
+        if self._params.method == "cfar":
+            return CfarDetector(setup, self._params.cfar)
+        model = DEFAULT_MODEL if self._params.model is None else Path(self._params.model)
+        return NetworkDetector(setup, model, self._params.threads, self._params.peaks)
+
+
+def create(params: Params) -> DensePredictorNode:
+    """The node with its parameters."""
+    return DensePredictorNode(params)

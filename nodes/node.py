@@ -1,0 +1,374 @@
+"""The contract of a node and the one loop that drives it: receive, step, publish, heartbeat, log, stop.
+
+A node's module holds `Params` (its parameters, a frozen msgspec Struct that forbids unknown fields) and
+`create(params) -> Node`. This file hosts one of them as a process (`python -m nodes.node MODULE ...`) or several of
+them in one process on a virtual clock (`InProcessGraph`); the node cannot tell which.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import ctypes
+import importlib
+import json
+import logging
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import psutil
+
+from msgs.bus import Bus, Outgoing, Received
+from msgs.diagnostics import NodeState, NodeStatus, StageTime
+from msgs.topics import topic_facts
+from nodes.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
+from nodes.validation import convert_at
+
+if TYPE_CHECKING:
+    from msgs.local_bus import LocalNetwork
+
+_LOG = logging.getLogger(__name__)
+
+NODE_NAME = re.compile(r"[a-z0-9_]+")
+MODULE_NAME = re.compile(r"[A-Za-z_]\w*(\.[A-Za-z_]\w*)*")
+HEARTBEAT_S = 1.0 / topic_facts("diagnostics/node").rate_hz
+#: Longest sleep of the loop: a signal that arrives just before it is noticed this much later.
+TURN_S = 0.1
+#: A node that was asked to stop has drained its inputs when nothing came for this long.
+DRAINED_S = 0.15
+#: Subscribers look for new publishers several times in this; a source that spoke earlier would not be heard.
+SETTLE_S = 0.4
+#: The bus drops what is still on its way when it is closed; the last answers of a node get this long.
+FLUSH_S = 0.1
+_REASON_LIMIT = 500
+_PR_SET_PDEATHSIG = 1
+
+EXIT_DONE, EXIT_FAILED, EXIT_BAD_INPUT = 0, 1, 2
+
+
+class StageClock:
+    """Durations of a node's named stages: `with node.stages("fold"): ...`."""
+
+    def __init__(self) -> None:
+        self._durations_ms: dict[str, list[float]] = {}
+
+    @contextlib.contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        """Measure the body; a body that raises is measured too."""
+        start_ns = time.perf_counter_ns()
+        try:
+            yield
+        finally:
+            self._durations_ms.setdefault(name, []).append(1e-6 * (time.perf_counter_ns() - start_ns))
+
+    def drain(self) -> tuple[StageTime, ...]:
+        """Stages since the last call, in the order in which they first ran."""
+        durations_ms, self._durations_ms = self._durations_ms, {}
+        return tuple(
+            StageTime(name=name, count=len(ms), last_ms=ms[-1], mean_ms=sum(ms) / len(ms), max_ms=max(ms))
+            for name, ms in durations_ms.items()
+        )
+
+
+class Node:
+    """Base of all nodes: unpacks messages, makes one call into the algorithm, packs the answer.
+
+    `inputs` are subscribed before the first step and `outputs` is all it may publish; an instance may set its own.
+    """
+
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+    def __init__(self) -> None:
+        self.stages = StageClock()
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """Answer what came in, in order of arrival; empty when the node is called because it was due."""
+        raise TypeError(f"{type(self).__name__} must define step(inputs, now_ns)")
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """Bus time at which `step` is to be called even without input; None: never."""
+        return None
+
+    def finished(self) -> bool:
+        """True when the node has nothing left to say, ever: its process then ends with exit code 0."""
+        return False
+
+    def health(self) -> tuple[NodeState, str]:
+        """State for the next heartbeat, and the reason where it is not READY."""
+        return NodeState.READY, ""
+
+    def close(self) -> None:
+        """Let go of files and devices; called once, also after a step that raised."""
+
+
+class Stop:
+    """A request to end, raised by signal handlers and read by the loop."""
+
+    def __init__(self) -> None:
+        #: End once everything that waits has been answered.
+        self.requested = False
+        #: End before the next step.
+        self.at_once = False
+
+    def request(self, at_once: bool = False) -> None:
+        """Ask to end; a second request, or `at_once`, does not wait for what is queued."""
+        self.at_once = self.at_once or at_once or self.requested
+        self.requested = True
+
+
+def load_node(module_name: str, params: Mapping[str, Any], name: str | None = None) -> Node:
+    """Import a node's module and create the node with `params`.
+
+    Raises `ValueError` naming the node's field for a module that is no node and for wrong parameters.
+    """
+    name = name or module_name.rpartition(".")[2]
+    if not MODULE_NAME.fullmatch(module_name):
+        raise ValueError(f"{name}.module must be a dotted module name, got {module_name!r}")
+    try:
+        module = importlib.import_module(module_name)
+    except ModuleNotFoundError as error:
+        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
+            raise
+        raise ValueError(f"{name}.module: no module named {error.name!r}") from None
+    if not (hasattr(module, "Params") and hasattr(module, "create")):
+        raise ValueError(f"{name}.module: {module_name} is no node, it must define Params and create(params)")
+    node: Node = module.create(convert_at(dict(params), module.Params, f"{name}.params"))
+    return node
+
+
+class Heartbeat:
+    """Says on `diagnostics/node` that the loop turns, and passes log records on to the topic `log`."""
+
+    def __init__(self, bus: Bus, name: str, log: BusLogHandler | None = None) -> None:
+        self._bus, self._name, self._log = bus, name, log
+        self._started_s = self._last_s = time.monotonic()
+        self._process = psutil.Process()
+
+    def beat(self, state: NodeState, reason: str = "", stages: tuple[StageTime, ...] = ()) -> None:
+        """Publish a heartbeat and all log records that wait."""
+        self._last_s = time.monotonic()
+        received, published = self._bus.counts()
+        status = NodeStatus(
+            stamp_ns=self._bus.now_ns(),
+            node=self._name,
+            pid=self._process.pid,
+            state=state,
+            reason=reason[:_REASON_LIMIT],
+            uptime_s=self._last_s - self._started_s,
+            cpu_s=time.process_time(),
+            resident_bytes=self._process.memory_info().rss,
+            stages=stages,
+            received=received,
+            published=published,
+        )
+        self._bus.publish("diagnostics/node", status)
+        self._publish_log()
+
+    def beat_if_due(self, node: Node) -> None:
+        """The heartbeat of a running node, at most once per `HEARTBEAT_S`."""
+        if self.remaining_s() <= 0.0:
+            self.beat(*node.health(), stages=node.stages.drain())
+        else:
+            self._publish_log()
+
+    def remaining_s(self) -> float:
+        """Time until the next heartbeat is due."""
+        return self._last_s + HEARTBEAT_S - time.monotonic()
+
+    def _publish_log(self) -> None:
+        for record in self._log.drain() if self._log else ():
+            self._bus.publish("log", record)
+
+
+def run_loop(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
+    """Drive one node until it is finished or `stop` asks for the end; what a step raises passes through.
+
+    The heartbeat comes from between the steps: a step that hangs is a heartbeat that stops.
+    """
+    for topic in node.inputs:
+        bus.subscribe(topic)
+    reason = ""
+    try:
+        heartbeat.beat(*node.health())
+        # through the pipe, because the bus may need a moment to find the supervisor
+        _LOG.info("ready", extra={"state": NodeState.READY})
+        if not node.inputs:
+            bus.receive(SETTLE_S)
+        while not (stop.requested or node.finished()):
+            _turn(node, bus, min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
+            heartbeat.beat_if_due(node)
+        while not (stop.at_once or node.finished()) and _answer_inputs(node, bus, DRAINED_S):
+            heartbeat.beat_if_due(node)
+    except Exception as error:
+        reason = one_line(error)
+        raise
+    finally:
+        try:
+            node.close()
+        finally:
+            heartbeat.beat(NodeState.STOPPING, reason, node.stages.drain())
+
+
+def one_line(error: BaseException) -> str:
+    """`ValueError: rule`, on one line."""
+    return " ".join(f"{type(error).__name__}: {error}".split())
+
+
+def _wait_s(node: Node, bus: Bus) -> float:
+    now_ns = bus.now_ns()
+    due_ns = node.due_ns(now_ns)
+    return TURN_S if due_ns is None else min(TURN_S, max(0.0, 1e-9 * (due_ns - now_ns)))
+
+
+def _turn(node: Node, bus: Bus, timeout_s: float) -> bool:
+    """Wait for input, step if there is any or if the node is due; True if it stepped."""
+    inputs = bus.receive(timeout_s)
+    now_ns = bus.now_ns()
+    due_ns = node.due_ns(now_ns)
+    if not inputs and (due_ns is None or due_ns > now_ns):
+        return False
+    _step(node, bus, inputs, now_ns)
+    return True
+
+
+def _answer_inputs(node: Node, bus: Bus, timeout_s: float) -> bool:
+    inputs = bus.receive(timeout_s)
+    if inputs:
+        _step(node, bus, inputs, bus.now_ns())
+    return bool(inputs)
+
+
+def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
+    for topic, message in node.step(inputs, now_ns):
+        if topic not in node.outputs:
+            raise ValueError(f"{type(node).__name__} published {topic!r}; its outputs are {', '.join(node.outputs)}")
+        bus.publish(topic, message)
+
+
+class InProcessGraph:
+    """Several nodes on one in-process network: same nodes, same bytes, no processes, a virtual clock.
+
+    Nodes are stepped in the order of `nodes`, each answering all that waits for it, until no node has anything to
+    do; then the clock jumps to the next time at which a node is due. `network` and nodes belong to the graph.
+    """
+
+    def __init__(self, network: LocalNetwork, nodes: Mapping[str, Node]) -> None:
+        self._network = network
+        self._nodes = dict(nodes)
+        self._buses: dict[str, Bus] = {name: network.bus(name) for name in self._nodes}
+        for name, node in self._nodes.items():
+            for topic in node.inputs:
+                self._buses[name].subscribe(topic)
+
+    def run(self, until_ns: int | None = None) -> None:
+        """Step until no node is due any more, or up to the virtual time `until_ns`."""
+        while True:
+            while self._round():
+                pass
+            due_ns = self._next_due_ns()
+            if due_ns is None or (until_ns is not None and due_ns > until_ns):
+                return
+            self._network.advance(due_ns - self._network.now_ns)
+
+    def close(self) -> None:
+        """Close all nodes and their buses."""
+        for name, node in self._nodes.items():
+            node.close()
+            self._buses[name].close()
+
+    def _round(self) -> bool:
+        stepped = [_turn(node, self._buses[name], 0.0) for name, node in self._live()]
+        return any(stepped)
+
+    def _live(self) -> list[tuple[str, Node]]:
+        return [(name, node) for name, node in self._nodes.items() if not node.finished()]
+
+    def _next_due_ns(self) -> int | None:
+        due_ns = [node.due_ns(self._buses[name].now_ns()) for name, node in self._live()]
+        return min((at_ns for at_ns in due_ns if at_ns is not None), default=None)
+
+
+def die_with_parent(parent_pid: int) -> None:
+    """Have the kernel kill this process when its parent ends, however it ends; Linux only.
+
+    Raises `ProcessLookupError` when the parent has gone already, before the kernel could be asked.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "the kernel refused PR_SET_PDEATHSIG")
+    if os.getppid() != parent_pid:
+        raise ProcessLookupError(f"parent process {parent_pid} has gone")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Host one node as a process; returns the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
+    arguments = _arguments(argv)
+    if arguments.die_with is not None:
+        die_with_parent(arguments.die_with)
+    stop = Stop()
+    signal.signal(signal.SIGINT, lambda number, frame: stop.request())
+    signal.signal(signal.SIGTERM, lambda number, frame: stop.request(at_once=True))
+    stream = logging.StreamHandler(sys.stderr)
+    if arguments.json_log:
+        stream.setFormatter(SeparatedJsonFormatter(arguments.name))
+    log = BusLogHandler(arguments.name)
+    install_handlers([stream, log])
+    return _host(arguments, stop, log)
+
+
+def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
+    from msgs.zmq_bus import ZmqBus
+
+    bus = ZmqBus(arguments.name, arguments.run_dir)
+    try:
+        heartbeat = Heartbeat(bus, arguments.name, log)
+        heartbeat.beat(NodeState.STARTING)
+        node = _load_or_say_why(arguments, heartbeat)
+        if node is None:
+            return EXIT_BAD_INPUT
+        for topic in node.outputs:
+            bus.advertise(topic)
+        run_loop(node, bus, stop, heartbeat)
+        if not stop.at_once:
+            time.sleep(FLUSH_S)
+    except Exception as error:  # noqa: BLE001 - the border of the process: every failure leaves as one line and a code
+        _LOG.critical("%s", one_line(error), exc_info=error)
+        return EXIT_FAILED
+    finally:
+        bus.close()
+    return EXIT_DONE
+
+
+def _load_or_say_why(arguments: argparse.Namespace, heartbeat: Heartbeat) -> Node | None:
+    try:
+        return load_node(arguments.module, json.loads(arguments.params), arguments.name)
+    except (ValueError, FileNotFoundError, msgspec.MsgspecError) as error:
+        _LOG.critical("%s", " ".join(str(error).split()))
+        heartbeat.beat(NodeState.STOPPING, str(error))
+        return None
+
+
+def _arguments(argv: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m nodes.node", description="Host one node as a process.")
+    parser.add_argument("module", help="module that defines Params and create(params)")
+    parser.add_argument("--name", required=True, help="the node's name in the graph")
+    parser.add_argument("--run-dir", required=True, type=Path, help="directory of the graph's sockets")
+    parser.add_argument("--params", default="{}", help="parameters as JSON")
+    parser.add_argument("--json-log", action="store_true", help="log JSON records, for the supervisor")
+    parser.add_argument("--die-with", type=int, metavar="PID", help="end with this parent process")
+    return parser.parse_args(argv)
+
+
+if __name__ == "__main__":
+    # nodes import `nodes.node`: host them with that module, or isinstance would see two classes of the same name
+    from nodes import node as hosted
+
+    sys.exit(hosted.main())

@@ -1,0 +1,204 @@
+"""Plays a scene, a SigMF capture or an MCAP recording onto the bus, at the radar's rate or any other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import msgspec
+
+from msgs.bus import Outgoing, Received
+from nodes.node import Node
+
+if TYPE_CHECKING:
+    from sim_player.player import ScenePlayer
+    from sim_player.scene import Scene
+
+#: What the sensors say, and the truth. All else in a recording is the graph's own work and is done again.
+SENSED_TOPICS = ("radar/setup", "radar/beam", "vehicle/state", "sim/truth")
+#: Most messages that one step may send: heartbeats and a stop come between steps.
+BURST = 8
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What to play and how fast; exactly one of `scene` and `capture`."""
+
+    scene: str | None = None
+    capture: str | None = None
+    seed: int = 0
+    #: Scans to play of a scene; None: without end.
+    scans: int | None = None
+    #: Speed of play; 1 is real time.
+    rate: float = 1.0
+    #: Time between the set-up and the first beam, in which subscribers get ready.
+    settle_s: float = 0.3
+    #: Standard deviation of a random phase of each beam: the scene is then not coherent across a scan.
+    phase_jitter_rad: float = 0.0
+    chirps_per_beam: int | None = None
+    #: Speed of every object along its heading, and of the radar; None: as the scene says.
+    object_speed_mps: float | None = None
+    ego_speed_mps: float | None = None
+
+    def __post_init__(self) -> None:
+        if (self.scene is None) == (self.capture is None):
+            raise ValueError("player needs exactly one of scene and capture")
+        if not self.rate > 0.0:
+            raise ValueError(f"player.rate must be positive, got {self.rate!r}")
+        if self.scans is not None and self.scans < 0:
+            raise ValueError(f"player.scans must not be negative, got {self.scans!r}")
+
+
+class Event(NamedTuple):
+    """A message and when to send it, counted from the first beam."""
+
+    offset_ns: int
+    outgoing: Outgoing
+
+
+class Player(Node):
+    """Sends each event when its time has come."""
+
+    outputs = SENSED_TOPICS
+
+    def __init__(self, events: Iterator[Event], rate: float, settle_s: float, restamp: bool) -> None:
+        super().__init__()
+        self._events = events
+        self._rate = rate
+        self._settle_ns = round(settle_s * 1e9)
+        self._restamp = restamp
+        self._start_ns: int | None = None
+        self._next = next(events, None)
+
+    def finished(self) -> bool:
+        """True after the last event."""
+        return self._next is None
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """When the next message is to go out."""
+        if self._next is None:
+            return None
+        if self._start_ns is None:
+            return now_ns
+        return self._start_ns + round(self._next.offset_ns / self._rate)
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """All messages whose time has come."""
+        if self._start_ns is None:
+            return self._open(now_ns)
+        out: list[Outgoing] = []
+        while self._next is not None and self._is_due(now_ns) and len(out) < BURST:
+            out.append(self._take())
+        return out
+
+    def _open(self, now_ns: int) -> list[Outgoing]:
+        """What must be known before the first beam goes out at once, the rest after settling."""
+        self._start_ns = now_ns + self._settle_ns
+        out: list[Outgoing] = []
+        while self._next is not None and self._next.outgoing.topic in ("radar/setup", "vehicle/state"):
+            out.append(self._take())
+        return out
+
+    def _is_due(self, now_ns: int) -> bool:
+        due_ns = self.due_ns(now_ns)
+        return due_ns is not None and due_ns <= now_ns
+
+    def _take(self) -> Outgoing:
+        """The next message; makes the one after it, so that its time finds it ready."""
+        assert self._next is not None
+        outgoing = self._stamped(self._next.outgoing)
+        with self.stages("synthesise"):
+            self._next = next(self._events, None)
+        return outgoing
+
+    def _stamped(self, outgoing: Outgoing) -> Outgoing:
+        """A live scene is stamped with the bus clock; a capture keeps the stamps it was recorded with."""
+        if not self._restamp:
+            return outgoing
+        stamp_ns = outgoing.message.stamp_ns + self._start_ns
+        return Outgoing(outgoing.topic, msgspec.structs.replace(outgoing.message, stamp_ns=stamp_ns))
+
+
+def scene_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
+    """Beams, vehicle state and truth of a scene, scan after scan, stamped from zero."""
+    yield Event(0, Outgoing("radar/setup", player.setup))
+    scan = 0
+    while scans is None or scan < scans:
+        for index in range(len(player.setup.beams)):
+            beam = player.beam(scan, index)
+            yield Event(beam.stamp_ns, Outgoing("vehicle/state", player.vehicle_state(beam.stamp_ns)))
+            yield Event(beam.stamp_ns, Outgoing("radar/beam", beam))
+        yield Event(beam.stamp_ns, Outgoing("sim/truth", player.truth(scan)))
+        scan += 1
+
+
+def capture_events(path: Path) -> Iterator[Event]:
+    """What the sensors said in a capture, SigMF or MCAP by its name."""
+    return _recording_events(path) if path.suffix == ".mcap" else _sigmf_events(path)
+
+
+def truth_beside(capture: Path) -> Path:
+    """Where the truth of a SigMF capture stands: NAME.truth.mcap beside NAME.sigmf-meta."""
+    return capture.with_name(capture.name.split(".sigmf")[0] + ".truth.mcap")
+
+
+def _sigmf_events(path: Path) -> Iterator[Event]:
+    from msgs.sigmf_capture import SigmfCapture
+
+    capture = SigmfCapture.open(path)
+    yield Event(0, Outgoing("radar/setup", capture.setup))
+    if truth_beside(path).is_file():
+        for event in _recording_events(truth_beside(path)):
+            yield event._replace(offset_ns=0)
+    start_ns: int | None = None
+    for beam in capture.beams():
+        start_ns = beam.stamp_ns if start_ns is None else start_ns
+        yield Event(beam.stamp_ns - start_ns, Outgoing("radar/beam", beam))
+
+
+def _recording_events(path: Path) -> Iterator[Event]:
+    from msgs.recording import RecordingReader
+
+    with RecordingReader(path) as reader:
+        start_ns: int | None = None
+        for recorded in reader.messages(topics=SENSED_TOPICS):
+            if recorded.topic != "radar/setup" and start_ns is None:
+                start_ns = recorded.log_time_ns
+            offset_ns = 0 if start_ns is None else recorded.log_time_ns - start_ns
+            yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
+
+
+def scene_of(params: Params) -> Scene:
+    """The scene named by `params`, with the speeds it overrides."""
+    from sim_player.scene import check_scene, load_scene
+
+    scene = load_scene(Path(params.scene or ""))
+    if params.object_speed_mps is not None:
+        things = tuple(msgspec.structs.replace(thing, speed_mps=params.object_speed_mps) for thing in scene.objects)
+        scene = msgspec.structs.replace(scene, objects=things)
+    if params.ego_speed_mps is not None:
+        ego = msgspec.structs.replace(scene.ego, speed_mps=params.ego_speed_mps)
+        scene = msgspec.structs.replace(scene, ego=ego)
+    check_scene(scene)
+    return scene
+
+
+def scene_player(params: Params) -> ScenePlayer:
+    """The simulator that plays `params.scene`."""
+    from sim_player.player import ScenePlayer
+
+    return ScenePlayer(
+        scene_of(params),
+        seed=params.seed,
+        phase_jitter_rad=params.phase_jitter_rad,
+        chirps_per_beam=params.chirps_per_beam,
+    )
+
+
+def create(params: Params) -> Player:
+    """The node with its parameters; the first message is made here, so that compiling is over when it is ready."""
+    if params.scene is not None:
+        events = scene_events(scene_player(params), params.scans)
+    else:
+        events = capture_events(Path(params.capture or ""))
+    return Player(events, params.rate, params.settle_s, restamp=params.scene is not None)

@@ -1,0 +1,404 @@
+"""Starts the processes of a graph, watches them, restarts what fails, and leaves nothing behind.
+
+One thread, one loop: hear heartbeats, read output, reap, restart, stop. A node is started when all it comes `after` are
+ready. Children also ask the kernel to die with this process, so that not even SIGKILL leaves an orphan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from msgs.bus import Bus, Received
+from msgs.diagnostics import LogRecord, NodeState, NodeStatus
+from nodes.child import PATIENCE_S, Child
+from nodes.launch_file import SUPERVISOR, LaunchFile, NodeEntry, RestartPolicy, dump_launch, start_order, stop_order
+from nodes.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
+from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat
+
+#: A crash is seen this much later at most.
+POLL_S = 0.05
+#: If the supervisor itself stood still this long, the age of heartbeats says nothing about the nodes.
+STALLED_S = 1.0
+#: A node that is asked to stop at the end of a stream may take this long to answer what waits.
+DRAIN_S = 5.0
+LOCK_NAME = "supervisor.lock"
+
+LogSink = Callable[[dict[str, Any]], None]
+
+
+class Phase(StrEnum):
+    """Where a node stands in the graph."""
+
+    WAITING = "waiting"
+    STARTING = "starting"
+    READY = "ready"
+    ENDED = "ended"
+    FAILED = "failed"
+
+
+class _Watched:
+    """A node of the graph: its entry, its process if it has one, its history."""
+
+    def __init__(self, entry: NodeEntry) -> None:
+        self.entry = entry
+        self.phase = Phase.WAITING
+        self.child: Child | None = None
+        self.was_ready = False
+        #: WAITING nodes start no earlier.
+        self.start_at_s = 0.0
+        self.started_s = self.heard_s = 0.0
+        self.restarts: deque[float] = deque()
+        #: Last error it reported itself, or what the supervisor killed it for.
+        self.reason = ""
+
+    def recent_restarts(self, now_s: float) -> int:
+        while self.restarts and self.restarts[0] <= now_s - self.entry.restart.window_s:
+            self.restarts.popleft()
+        return len(self.restarts)
+
+    def start(self, name: str, run_dir: Path, now_s: float) -> None:
+        self.child = Child(name, self.entry, run_dir)
+        self.phase, self.started_s, self.reason = Phase.STARTING, now_s, ""
+
+    def overdue(self, now_s: float) -> str:
+        """Why the node counts as hanging; empty if it does not."""
+        if self.phase is Phase.READY and now_s - self.heard_s > self.entry.hang_timeout_s:
+            return f"no heartbeat for {self.entry.hang_timeout_s:g} s"
+        if self.phase is Phase.STARTING and now_s - self.started_s > self.entry.start_timeout_s:
+            return f"not ready after {self.entry.start_timeout_s:g} s"
+        return ""
+
+
+class Supervisor:
+    """Runs one graph from start to end: `Supervisor(launch, run_dir).run()`.
+
+    `on_log` gets every entry of the log (time, node, level, text); the same entries go to `log.jsonl` in the run
+    folder `runs_dir/<name>-<n>`, beside the resolved `launch.yaml`. `duration_s` counts from all nodes ready.
+    """
+
+    def __init__(
+        self,
+        launch: LaunchFile,
+        run_dir: Path,
+        *,
+        runs_dir: Path = Path("runs"),
+        duration_s: float | None = None,
+        on_log: LogSink | None = None,
+    ) -> None:
+        if duration_s is not None and not duration_s > 0.0:
+            raise ValueError(f"duration_s must be above zero, got {duration_s!r}")
+        self._launch, self._run_dir, self._duration_s, self._on_log = launch, run_dir, duration_s, on_log
+        self._nodes = {name: _Watched(launch.nodes[name]) for name in start_order(launch)}
+        self._runs_dir = runs_dir
+        self._exit_code = EXIT_DONE
+        self._stop_requests = 0
+        #: Nodes still to be stopped one after the other; None while the graph runs.
+        self._stopping: list[list[str]] | None = None
+        self._patience_s = DRAIN_S
+        self._stop_at_s: float | None = None
+
+    def request_stop(self) -> None:
+        """Ask the graph to end, from a signal handler or a callback; a second request kills."""
+        self._stop_requests += 1
+
+    def run(self) -> int:
+        """Run the graph to its end; exit code 0 done, 1 a node failed for good, 2 a node refused its parameters.
+
+        Raises `OSError` if the graph's directory is in use by another graph or not writable. Call it from the
+        thread that lives longest: the kernel kills the nodes when the thread that started them ends.
+        """
+        from msgs.zmq_bus import ZmqBus
+
+        with contextlib.ExitStack() as stack:
+            self._run_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+            run_folder = stack.enter_context(self._locked())
+            self._log = JsonLog(run_folder / "log.jsonl")
+            stack.callback(self._log.close)
+            self._bus: Bus = ZmqBus(SUPERVISOR, self._run_dir)
+            stack.callback(self._bus.close)
+            self._heartbeat = Heartbeat(self._bus, SUPERVISOR)
+            self._bus.subscribe("diagnostics/node")
+            stack.callback(self._kill_all)
+            stack.enter_context(self._signals())
+            self._say("info", f"graph {self._launch.name}: {len(self._nodes)} nodes, log in {run_folder}")
+            self._loop()
+        return self._exit_code
+
+    def _loop(self) -> None:
+        turned_s = time.monotonic()
+        while not self._all_gone():
+            messages = self._bus.receive(POLL_S)
+            now_s = time.monotonic()
+            self._hear(messages, now_s)
+            if now_s - turned_s > STALLED_S:
+                self._forgive(now_s)
+            turned_s = now_s
+            self._read_output()
+            self._reap(now_s)
+            self._kill_hanging(now_s)
+            self._check_end(now_s)
+            self._start_or_stop(now_s)
+            self._report()
+
+    # what the nodes say
+
+    def _hear(self, messages: list[Received], now_s: float) -> None:
+        for received in messages:
+            status = received.message
+            assert isinstance(status, NodeStatus)
+            node = self._nodes.get(status.node)
+            # a heartbeat that was on its way when its process died says nothing about the next one
+            if node is None or node.child is None or node.child.pid != status.pid:
+                continue
+            node.heard_s = now_s
+            node.reason = status.reason or node.reason
+
+    def _read_output(self) -> None:
+        for name, node in self._nodes.items():
+            if node.child is not None:
+                self._pass_on(name, node.child.read_lines())
+
+    def _pass_on(self, name: str, lines: list[str]) -> None:
+        for line in lines:
+            entry = parse_line(name, line)
+            if entry.get("level") in ("error", "critical"):
+                self._nodes[name].reason = entry["text"]
+            if entry.get("state") == NodeState.READY:
+                self._mark_ready(name, self._nodes[name], time.monotonic())
+            else:
+                self._write(entry)
+
+    def _mark_ready(self, name: str, node: _Watched, now_s: float) -> None:
+        assert node.child is not None
+        node.phase, node.was_ready, node.heard_s = Phase.READY, True, now_s
+        self._say("info", f"{name} ready after {now_s - node.started_s:.2f} s, pid {node.child.pid}")
+
+    # what becomes of them
+
+    def _reap(self, now_s: float) -> None:
+        for name, node in self._nodes.items():
+            code = node.child.exit_code() if node.child else None
+            if node.child is not None and code is not None:
+                self._pass_on(name, node.child.close())
+                node.child = None
+                self._after_exit(name, node, code, now_s)
+
+    def _after_exit(self, name: str, node: _Watched, code: int, now_s: float) -> None:
+        restart = node.entry.restart
+        again = restart.policy is RestartPolicy.ALWAYS or (code != 0 and restart.policy is RestartPolicy.ON_FAILURE)
+        if self._stopping is not None:
+            self._after_stop(name, node, code)
+        elif not again or code == EXIT_BAD_INPUT:
+            self._end_node(name, node, code)
+        elif node.recent_restarts(now_s) >= restart.max_restarts:
+            self._say("error", f"{name} {_how(code)}; {restart.max_restarts} restarts in {restart.window_s:g} s")
+            self._fail(name, node, code)
+        else:
+            delay_s = restart.backoff_s(len(node.restarts))
+            node.restarts.append(now_s)
+            node.phase, node.start_at_s = Phase.WAITING, now_s + delay_s
+            self._say("warning", f"{name} {_how(code)}{_because(node.reason)}; restart in {delay_s:g} s")
+
+    def _after_stop(self, name: str, node: _Watched, code: int) -> None:
+        if code > 0:
+            self._fail(name, node, code)
+            return
+        if code == -signal.SIGKILL and node.phase is Phase.READY:
+            self._say("warning", f"{name} did not stop when asked and was killed")
+        node.phase = Phase.ENDED
+
+    def _end_node(self, name: str, node: _Watched, code: int) -> None:
+        if code != 0:
+            self._fail(name, node, code)
+            return
+        node.phase = Phase.ENDED
+        self._say("info", f"{name} has ended")
+        if node.entry.ends_graph:
+            self._stop_in_order(f"{name} has come to its end")
+
+    def _fail(self, name: str, node: _Watched, code: int) -> None:
+        node.phase = Phase.FAILED
+        self._exit_code = EXIT_BAD_INPUT if code == EXIT_BAD_INPUT else self._exit_code or EXIT_FAILED
+        node.reason = node.reason or _how(code)
+        self._say("error", f"{name} FAILED{_because(node.reason)}")
+        if self._stopping is None and (not node.was_ready or node.entry.ends_graph):
+            self._stop_in_order(f"{name} is needed")
+
+    def _kill_hanging(self, now_s: float) -> None:
+        for name, node in self._nodes.items():
+            reason = node.overdue(now_s)
+            if reason and node.child is not None and self._stopping is None:
+                node.reason = reason
+                self._say("error", f"{name} hangs: {reason}")
+                node.child.kill()
+
+    def _forgive(self, now_s: float) -> None:
+        for node in self._nodes.values():
+            node.heard_s = max(node.heard_s, now_s)
+
+    # start and end of the graph
+
+    def _start_or_stop(self, now_s: float) -> None:
+        if self._stopping is not None:
+            self._stop_next(now_s)
+            return
+        for name, node in self._nodes.items():
+            if node.phase is Phase.WAITING and node.start_at_s <= now_s and self._may_start(node):
+                node.start(name, self._run_dir, now_s)
+
+    def _may_start(self, node: _Watched) -> bool:
+        others = [self._nodes[other] for other in node.entry.after]
+        return all(other.was_ready or other.phase is Phase.ENDED for other in others)
+
+    def _check_end(self, now_s: float) -> None:
+        if self._stop_requests > 1:
+            self._kill_all()
+        if self._stopping is not None:
+            return
+        if self._stop_requests:
+            self._say("info", "stopping: asked to")
+            self._stopping, self._patience_s = [list(self._nodes)], PATIENCE_S
+        elif self._one_shots_ended():
+            self._stop_in_order("all nodes that run once have ended")
+        elif self._duration_over(now_s):
+            self._stop_in_order(f"{self._duration_s:g} s are over")
+
+    def _one_shots_ended(self) -> bool:
+        once = [node for node in self._nodes.values() if node.entry.restart.policy is RestartPolicy.NEVER]
+        return bool(once) and all(node.phase is Phase.ENDED for node in once)
+
+    def _duration_over(self, now_s: float) -> bool:
+        if self._duration_s is None:
+            return False
+        if self._stop_at_s is None and all(node.was_ready for node in self._nodes.values()):
+            self._stop_at_s = now_s + self._duration_s
+        return self._stop_at_s is not None and now_s >= self._stop_at_s
+
+    def _stop_in_order(self, why: str) -> None:
+        """Stop one after the other, sources first, so that each can answer what waits for it."""
+        self._say("info", f"stopping: {why}")
+        self._stopping = [[name] for name in stop_order(self._launch)]
+
+    def _stop_next(self, now_s: float) -> None:
+        assert self._stopping is not None
+        while self._stopping and not any(self._nodes[name].child for name in self._stopping[0]):
+            self._stopping.pop(0)
+        if self._stop_requests and len(self._stopping) > 1:
+            self._stopping = [[name for group in self._stopping for name in group]]
+        for node in (self._nodes[name] for name in (self._stopping[0] if self._stopping else ())):
+            if node.child is not None and node.phase is Phase.READY:
+                node.child.stop(now_s, self._patience_s)
+            elif node.child is not None:
+                # it has nothing to lose yet, and no handler for a gentler signal
+                node.child.kill()
+
+    def _all_gone(self) -> bool:
+        waiting = self._stopping is None and any(node.phase is Phase.WAITING for node in self._nodes.values())
+        return not waiting and not any(node.child for node in self._nodes.values())
+
+    def _kill_all(self) -> None:
+        for name, node in self._nodes.items():
+            if node.child is not None:
+                self._pass_on(name, node.child.close())
+
+    # what the supervisor says
+
+    def _report(self) -> None:
+        if self._heartbeat.remaining_s() <= 0.0:
+            failed = [f"{name} FAILED{_because(node.reason)}" for name, node in self._nodes.items() if _is_failed(node)]
+            self._heartbeat.beat(NodeState.DEGRADED if failed else NodeState.READY, "; ".join(failed))
+
+    def _say(self, level: str, text: str) -> None:
+        self._write({"time": utc_now(), "node": SUPERVISOR, "level": level, "text": text})
+        record = LogRecord(stamp_ns=self._bus.now_ns(), node=SUPERVISOR, level=level, text=text[:BUS_TEXT_LIMIT])
+        self._bus.publish("log", record)
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        self._log.write(entry)
+        if self._on_log is not None:
+            try:
+                self._on_log(entry)
+            except OSError:
+                # the terminal has gone; the graph goes on, its log is in the file
+                self._on_log = None
+
+    # what it holds
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[Path]:
+        """Hold the graph's directory; the run folder comes back, its name and pid stand in the lock."""
+        with (self._run_dir / LOCK_NAME).open("a+") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                pid = read_lock(self._run_dir).get("pid", "unknown")
+                raise OSError(f"{self._run_dir}: a graph runs here already, pid {pid}") from None
+            run_folder = _new_run_folder(self._runs_dir, self._launch)
+            file.truncate(0)
+            file.write(json.dumps({"pid": os.getpid(), "run": str(run_folder.resolve()), "nodes": list(self._nodes)}))
+            file.flush()
+            yield run_folder
+            file.truncate(0)
+
+    @contextlib.contextmanager
+    def _signals(self) -> Iterator[None]:
+        def ask(number: int, frame: object) -> None:
+            self.request_stop()
+
+        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        previous = [signal.signal(number, ask) for number in numbers]
+        try:
+            yield
+        finally:
+            for number, handler in zip(numbers, previous, strict=True):
+                signal.signal(number, handler)
+
+
+def read_lock(run_dir: Path) -> dict[str, Any]:
+    """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
+    try:
+        with (run_dir / LOCK_NAME).open("r") as file:
+            owner = json.loads(file.read(1 << 16) or "{}")
+    except (FileNotFoundError, ValueError):
+        return {}
+    return owner if isinstance(owner, dict) and _is_running(owner.get("pid")) else {}
+
+
+def _is_running(pid: object) -> bool:
+    return isinstance(pid, int) and pid > 0 and Path(f"/proc/{pid}").exists()
+
+
+def _new_run_folder(runs_dir: Path, launch: LaunchFile) -> Path:
+    runs_dir.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while True:
+        folder = runs_dir / f"{launch.name}-{number}"
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            number += 1
+            continue
+        (folder / "launch.yaml").write_text(dump_launch(launch), encoding="utf-8")
+        return folder
+
+
+def _is_failed(node: _Watched) -> bool:
+    return node.phase is Phase.FAILED
+
+
+def _how(code: int) -> str:
+    return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"exited with code {code}"
+
+
+def _because(reason: str) -> str:
+    return f": {' '.join(reason.split())}" if reason else ""

@@ -1,0 +1,31 @@
+"""Plain data to typed values, with the field's own path in every error."""
+
+from __future__ import annotations
+
+import re
+from typing import Any, TypeVar
+
+import msgspec
+
+T = TypeVar("T")
+
+_PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
+
+
+def convert_at(value: Any, wanted: type[T], where: str) -> T:
+    """`value` as `wanted`; an error reads `where.field: rule`, where `where` names the file or the node.
+
+    Raises `ValueError` for a wrong type, an unknown field or a value its type refuses.
+    """
+    try:
+        return msgspec.convert(value, wanted)
+    except msgspec.ValidationError as error:
+        raise ValueError(explain(str(error), where)) from None
+
+
+def explain(text: str, where: str) -> str:
+    """msgspec's message with its `$.path` put behind `where`, the way a person would write the field."""
+    found = _PATH.search(text)
+    path = found["path"] if found else ""
+    rule = _PATH.sub("", text).replace("`", "")
+    return f"{where}{path}: {rule}"

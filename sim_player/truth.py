@@ -1,0 +1,115 @@
+"""What really is in a scene: visible scattering centres that a map can tell apart, images and their true places."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from models.physics.antenna import setup_weights, two_way_pattern
+from msgs.perception import PathClass, SceneTruth, TruthObject, TruthSurface
+from msgs.radar import RadarSetup, RangeAzimuthGrid
+from sim_player.ray_tracing import Paths, World, radar_pose
+
+#: Truth points differ by at least this many cells in range or in azimuth.
+SEPARATION_CELLS = 4.0
+#: A centre counts as visible when its own beam power stands this far over a beam's noise.
+VISIBLE_SNR_DB = 10.0
+
+
+def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
+    """Power of each path in the beam that sees it best, mW, [paths]."""
+    pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad)
+    return np.abs(paths.amplitude) ** 2 * (np.abs(pattern) ** 2).max(axis=0)
+
+
+def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> np.ndarray:
+    """Indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
+    grid = RangeAzimuthGrid() if grid is None else grid
+    power = best_power_mw(setup, paths)
+    noise = setup.radar.noise_power_mw / (setup.radar.samples_per_chirp * setup.radar.chirps_per_beam)
+    row = grid.range_index(0.5 * paths.length_m)
+    column = grid.azimuth_index(paths.azimuth_rad)
+    inside = (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
+    candidates = np.flatnonzero(inside & (power > noise * 10.0 ** (VISIBLE_SNR_DB / 10.0)))
+    candidates = candidates[np.argsort(-power[candidates], kind="stable")]
+    return candidates[thin(row[candidates], column[candidates])]
+
+
+def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Greedy choice, first come first kept: indices whose cells differ from all kept by 4 in one coordinate."""
+    kept: list[int] = []
+    free = np.ones(len(row), bool)
+    for index in range(len(row)):
+        if free[index]:
+            kept.append(index)
+            free &= (np.abs(row - row[index]) >= SEPARATION_CELLS) | (
+                np.abs(column - column[index]) >= SEPARATION_CELLS
+            )
+    return np.array(kept, int)
+
+
+def scene_truth(world: World, setup: RadarSetup, paths: Paths, time_s: float, stamp_ns: int, scan_id: int) -> SceneTruth:
+    """Truth of one instant in the radar's frame (heights above the antenna); velocities are over ground."""
+    chosen = paths.take(visible_paths(setup, paths))
+    mirrored = chosen.take(chosen.kind == PathClass.MIRRORED)
+    return SceneTruth(
+        stamp_ns=stamp_ns,
+        scan_id=scan_id,
+        los_points_m=chosen.point_m[chosen.kind == PathClass.LOS].astype(np.float32),
+        mirrored_points_m=mirrored.virtual_m.astype(np.float32),
+        hidden_points_m=mirrored.point_m.astype(np.float32),
+        hidden_object=mirrored.thing.astype(np.int32),
+        objects=_objects(world, paths, time_s),
+        surfaces=_surfaces(world, time_s),
+    )
+
+
+def hidden_objects(paths: Paths) -> frozenset[int]:
+    """Objects seen in a mirror and not directly."""
+    mirrored = paths.thing[paths.kind == PathClass.MIRRORED]
+    direct = paths.thing[paths.kind == PathClass.LOS]
+    return frozenset(mirrored.tolist()) - frozenset(direct.tolist()) - {-1}
+
+
+def _objects(world: World, paths: Paths, time_s: float) -> tuple[TruthObject, ...]:
+    """All objects of the scene where the radar has them at a time."""
+    radar_from_start = radar_pose(world.scene, time_s).inverse()
+    hidden = hidden_objects(paths)
+    found = []
+    for index, thing in enumerate(world.scene.objects):
+        velocity = world.velocity_mps[index]
+        x, y = radar_from_start.apply(np.array([thing.x_m, thing.y_m]) + velocity * time_s)
+        vx, vy = radar_from_start.rotate(velocity)
+        found.append(
+            TruthObject(
+                id=index,
+                object_class=thing.class_,
+                x_m=float(x),
+                y_m=float(y),
+                length_m=thing.kind.length_m,
+                width_m=thing.kind.width_m,
+                yaw_rad=math.remainder(math.radians(thing.yaw_deg) + radar_from_start.yaw_rad, 2.0 * math.pi),
+                velocity_x_mps=float(vx),
+                velocity_y_mps=float(vy),
+                hidden=index in hidden,
+            )
+        )
+    return tuple(found)
+
+
+def _surfaces(world: World, time_s: float) -> tuple[TruthSurface, ...]:
+    """All walls as the radar has them at a time."""
+    radar_from_start = radar_pose(world.scene, time_s).inverse()
+    walls = [surface for surface in world.scene.surfaces if surface.role != "ground"]
+    return tuple(
+        TruthSurface(
+            role=surface.role,
+            material=surface.material,
+            polyline_m=msgspec.convert(
+                radar_from_start.apply(np.array(surface.polyline_m)).tolist(), tuple[tuple[float, float], ...]
+            ),
+        )
+        for surface in walls
+    )

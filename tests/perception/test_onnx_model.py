@@ -1,0 +1,128 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from models.networks.compact_unet import CompactUNet, CompactUNetConfig
+from models.perception.encoding import Encoding, encode_map
+from models.perception.onnx_model import ClassScores, DensePredictor, ModelCard, card_path
+from models.training.export_onnx import PARITY, export_onnx, write_card
+from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+
+GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
+ENCODING = Encoding(range_bins=32, columns=8)
+CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
+
+
+def ra_map(grid: RangeAzimuthGrid = GRID) -> RangeAzimuthMap:
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal(grid.shape) + 1j * rng.standard_normal(grid.shape)
+    return RangeAzimuthMap(
+        stamp_ns=0,
+        scan_id=0,
+        grid=grid,
+        values=values.astype(np.complex64),
+        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
+        noise_power_mw=1.0,
+        incoherent=np.zeros(grid.range_bins, bool),
+    )
+
+
+@pytest.fixture(scope="module")
+def network() -> CompactUNet:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    return CompactUNet(CONFIG).eval()
+
+
+@pytest.fixture
+def model(network: CompactUNet, tmp_path: Path) -> Path:
+    path = tmp_path / "net.onnx"
+    sha256 = export_onnx(network, path)
+    scores = ClassScores(precision=1.0, recall=1.0, f1=1.0)
+    card = ModelCard(
+        name="net",
+        sha256=sha256,
+        parameters=1,
+        encoding=ENCODING,
+        grid=GRID,
+        input_shape=(1, 7, 32, 8),
+        output_shape=(1, 2, 32, 64),
+        threshold=0.3,
+        macro_f1=1.0,
+        los=scores,
+        mirrored=scores,
+        data={},
+        training={},
+    )
+    write_card(card, path)
+    return path
+
+
+def change_card(model: Path, **changes: object) -> None:
+    card = msgspec.json.decode(card_path(model).read_bytes())
+    card_path(model).write_bytes(msgspec.json.encode(card | changes))
+
+
+def test_predicts_what_torch_predicts_and_nothing_beyond_its_range(model: Path, network: CompactUNet) -> None:
+    """Probabilities within the export's own tolerance; the 16 bins beyond the crop are zero."""
+    confidence = DensePredictor(model).predict(ra_map())
+    with torch.no_grad():
+        wanted = torch.sigmoid(network(torch.from_numpy(encode_map(ENCODING, ra_map())[None])))[0].numpy()
+    assert confidence.dtype == np.float32
+    assert confidence.shape == (2, *GRID.shape)
+    np.testing.assert_allclose(confidence[:, :32], wanted, atol=PARITY)
+    assert (confidence[:, 32:] == 0.0).all()
+
+
+def test_threads_change_nothing(model: Path) -> None:
+    """Convolutions may add in another order: float32 rounding of probabilities below 1."""
+    one, two = (DensePredictor(model, threads=n).predict(ra_map()) for n in (1, 2))
+    np.testing.assert_allclose(one, two, atol=1e-6)
+
+
+def test_other_grid_is_refused(model: Path) -> None:
+    other = RangeAzimuthGrid(range_bins=48, azimuth_bins=128)
+    with pytest.raises(ValueError, match=r"map\.grid must be .*azimuth_bins=64.* got .*azimuth_bins=128"):
+        DensePredictor(model).predict(ra_map(other))
+
+
+def test_file_that_is_not_the_cards_is_refused(model: Path) -> None:
+    model.write_bytes(model.read_bytes() + b"\0")
+    with pytest.raises(ValueError, match=r"net\.onnx: sha256 must be [0-9a-f]{64} as its card says, got [0-9a-f]{64}"):
+        DensePredictor(model)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"input_shape": [1, 7, 32, 16]}, r"input of the network must be \(1, 7, 32, 16\), got \(1, 7, 32, 8\)"),
+        ({"output_shape": [1, 3, 32, 64]}, r"output of the network must be \(1, 3, 32, 64\), got \(1, 2, 32, 64\)"),
+        ({"encoding": {"range_bins": 16, "columns": 8}}, r"card\.input_shape must be \(1, 7, 16, 8\)"),
+        ({"grid": {"range_bins": 48, "azimuth_bins": 128}}, r"card\.output_shape must be \(1, 2, 32, 128\)"),
+        ({"channels": ["level"]}, r"net\.json: card\.channels must be"),
+        ({"sha256": 3}, r"net\.json: Expected `str`, got `int` - at `\$\.sha256`"),
+    ],
+)
+def test_card_that_does_not_fit_is_refused(model: Path, changes: dict[str, object], message: str) -> None:
+    change_card(model, **changes)
+    with pytest.raises(ValueError, match=message):
+        DensePredictor(model)
+
+
+def test_missing_files_are_named(model: Path) -> None:
+    model.unlink()
+    with pytest.raises(ValueError, match=r"net\.onnx: .*No such file"):
+        DensePredictor(model)
+    card_path(model).unlink()
+    with pytest.raises(ValueError, match=r"net\.json: .*No such file"):
+        DensePredictor(model)
+
+
+def test_no_threads_are_refused(model: Path) -> None:
+    with pytest.raises(ValueError, match="threads must be at least 1, got 0"):
+        DensePredictor(model, threads=0)
