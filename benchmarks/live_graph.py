@@ -61,7 +61,9 @@ def report(latency_ms: np.ndarray, status: dict[str, list[NodeStatus]], exit_cod
         "machine": f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.platform()}",
         "exit_code": exit_code,
         "bev_frames": len(latency_ms),
-        "latency_ms": {name: round(float(value), 1) for name, value in zip(("p50", "p90", "p99", "max"), quantiles)},
+        "latency_ms": {
+            name: round(float(value), 1) for name, value in zip(("p50", "p90", "p99", "max"), quantiles, strict=True)
+        },
         "lost_or_rejected": lost,
         "nodes": nodes,
         "resident_mib": round(sum(node["resident_mib"] for node in nodes.values()), 0),

@@ -97,5 +97,4 @@ class Watcher(threading.Thread):
                 self.ra_map = message
             case BevFrame():
                 self.frame = message
-                line = self.board.add_frame(message)
-                print_line(line)
+                self.board.add_frame(message)

@@ -63,6 +63,7 @@ def dataset(
 ) -> None:
     """Labelled beam profiles of random scenes for training; resumable, the same bytes for any number of workers."""
     from rich.progress import Progress
+
     from sim_player.dataset import write_dataset
 
     with Progress(transient=True) as progress:

@@ -114,7 +114,7 @@ def decode_inline(message_type: type[StructType], data: Buffer) -> StructType:
         raise CodecError(f"{message_type.__name__}: {len(data)} bytes exceed {MAX_INLINE_BYTES}")
 
     def array(reference: object) -> np.ndarray:
-        inline = msgspec.convert(reference, _ArrayInline, strict=True)
+        inline = _described(reference, _ArrayInline)
         return _view(inline.dtype, inline.shape, inline.data)
 
     try:
@@ -150,7 +150,7 @@ def _decode_known(topic: Topic, header: Buffer, arrays: Sequence[Buffer]) -> Rec
     unused = set(range(len(arrays)))
 
     def array(reference: object) -> np.ndarray:
-        at = msgspec.convert(reference, _ArrayHead, strict=True)
+        at = _described(reference, _ArrayHead)
         if at.frame not in unused:
             raise ValueError(f"frame must be one of {len(arrays)}, each used once, got {at.frame}")
         unused.discard(at.frame)
@@ -173,6 +173,15 @@ def _convert(message_type: type[StructType], body: object, array_from: Callable[
     message = msgspec.convert(body, message_type, strict=True, dec_hook=hook)
     _refuse_unknown(body, msgspec.to_builtins(message, enc_hook=lambda array: None), "$")
     return message
+
+
+def _described(reference: object, form: type[StructType]) -> StructType:
+    """What a header says of one array."""
+    try:
+        return msgspec.convert(reference, form, strict=True)
+    except msgspec.ValidationError as error:
+        # msgspec adds the field's path to a plain ValueError only
+        raise ValueError(str(error)) from error
 
 
 def _refuse_unknown(raw: object, known: object, path: str) -> None:
@@ -293,15 +302,14 @@ def _array_schema(value_type: type) -> dict[str, Any]:
 
 
 def _array_summary(array: np.ndarray) -> dict[str, Any]:
-    values = np.abs(array) if np.iscomplexobj(array) else array
-    finite = values[np.isfinite(values)]
     summary: dict[str, Any] = {"dtype": array.dtype.str, "shape": array.shape}
-    if finite.size:
-        summary |= {
-            "min": finite.min().item(),
-            "max": finite.max().item(),
-            "mean": finite.mean(dtype=np.float64).item(),
-        }
+    # beyond the largest float is said as None like all that is not finite
+    with np.errstate(over="ignore"):
+        values = np.abs(array.astype(np.complex128)) if np.iscomplexobj(array) else array
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            mean = finite.mean(dtype=np.float64)
+            summary |= {"min": finite.min().item(), "max": finite.max().item(), "mean": mean.item()}
     return summary
 
 

@@ -393,7 +393,7 @@ def _require_valid(metadata: dict[str, Any], meta_path: Path) -> None:
 
 def _schema_complaint(error: ValidationError) -> str:
     place = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in error.absolute_path)
-    value = "" if isinstance(error.instance, dict | list) else f" is {_short(error.instance)}"
+    value = f" is {_short(error.instance)}" if isinstance(error.instance, str | float | int | None) else ""
     return f"{place.lstrip('.') or 'metadata'}{value}: {_short(error.message, quote=str)}"
 
 

@@ -78,6 +78,10 @@ class Tally:
         count.add(frames)
         return received
 
+    def forget(self, topic: str, publisher: str) -> None:
+        """The next message of `publisher` is its first: no gap before it."""
+        self._last.pop((topic, publisher), None)
+
     def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
         """Received and published figures, topics in order of name."""
         received = tuple(self._received[topic].frozen(topic) for topic in sorted(self._received))

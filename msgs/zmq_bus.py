@@ -56,7 +56,8 @@ class ZmqBus:
         self._publishers: dict[str, zmq.Socket[bytes]] = {}
         self._latched: dict[str, list[Buffer]] = {}
         self._subscribers: dict[str, zmq.Socket[bytes]] = {}
-        self._found: dict[str, list[str]] = {}
+        #: Publishers found per topic, and the life of each, as its socket file tells it.
+        self._found: dict[str, dict[str, tuple[int, int]]] = {}
         self._next_scan_ns = 0
 
     def advertise(self, topic: str) -> None:
@@ -93,7 +94,7 @@ class ZmqBus:
         subscriber.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MAX_MS)
         subscriber.set(zmq.SUBSCRIBE, topic_frame(topic))
         self._subscribers[topic] = subscriber
-        self._found[topic] = []
+        self._found[topic] = {}
         self._poller.register(subscriber, zmq.POLLIN)
         self._tally.expect(topic)
         self._search()
@@ -156,6 +157,7 @@ class ZmqBus:
         return without_outdated(received)
 
     def _drain(self, topic: str, subscriber: zmq.Socket[bytes]) -> list[Received]:
+        self._notice_restarts(topic)
         messages = []
         for _ in range(_MAX_MESSAGES_A_CALL):
             try:
@@ -166,6 +168,14 @@ class ZmqBus:
             if message is not None:
                 messages.append(message)
         return messages
+
+    def _notice_restarts(self, topic: str) -> None:
+        """Start to count anew where a publisher has: what its new life sent before it was connected is no loss."""
+        for node, known in self._found[topic].items():
+            life = _life(socket_path(self._dir, topic, node))
+            if life != known:
+                self._found[topic][node] = life
+                self._tally.forget(topic, node)
 
     def _serve_newcomers(self, topic: str) -> None:
         """Send a latched topic's last message again if somebody joined; all others discard it as seen."""
@@ -191,7 +201,7 @@ class ZmqBus:
         for topic, node in _published_names(self._dir):
             if topic in self._subscribers and node not in self._found[topic]:
                 self._subscribers[topic].connect(f"ipc://{socket_path(self._dir, topic, node)}")
-                self._found[topic].append(node)
+                self._found[topic][node] = _life(socket_path(self._dir, topic, node))
         interval_ns = _RESCAN_INTERVAL_NS if all(self._found.values()) else _SEARCH_INTERVAL_NS
         self._next_scan_ns = self.now_ns() + interval_ns
 
@@ -231,6 +241,15 @@ def _published_names(run_dir: Path) -> list[tuple[str, str]]:
         if stem in by_file_name and _NODE_NAME.fullmatch(node) and path_fits:
             names.append((by_file_name[stem], node))
     return names
+
+
+def _life(path: Path) -> tuple[int, int]:
+    """What differs between one binding of a socket file and the next; zeros where there is none."""
+    try:
+        found = path.stat()
+    except OSError:
+        return 0, 0
+    return found.st_ino, found.st_ctime_ns
 
 
 def _is_alive(path: Path) -> bool:

@@ -5,8 +5,6 @@ from __future__ import annotations
 import logging
 from collections import deque
 
-import msgspec
-
 from models.perception.ra_forming import FormingParams, RaFormer
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState

@@ -23,6 +23,8 @@ from sim_player.ray_tracing import Paths
 
 #: Gridding kernel: width in grid steps and oversampling. 12 at 2 is exact to about 1e-10 of the strongest tone.
 KERNEL_WIDTH, OVERSAMPLING = 12, 2
+#: Samples that the noise and rounding kernel works on at a time.
+BLOCK = 2048
 #: What the slow-time basis may miss of any path, relative to that path.
 SLOW_TIME_TOLERANCE = 1e-5
 
@@ -95,8 +97,17 @@ def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[n
     middle = 0.5 * (turn.max() + turn.min()) if len(turn) else 0.0
     widest = 0.5 * (turn.max() - turn.min()) if len(turn) else 0.0
     basis = _slow_time_basis(radar.chirps_per_beam, _rounded_up(widest))
-    share = basis @ np.exp(1j * np.multiply.outer(chirp, turn - middle))
-    return np.exp(1j * middle * chirp), basis, share
+    phasors = _phasors(turn - middle, radar.chirps_per_beam)
+    return np.exp(1j * middle * chirp), basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
+
+
+def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
+    """exp(j w_p c), c counted from the middle, [chirps, paths]: sixteenths times single steps, few exponentials."""
+    step = 16
+    coarse = np.arange(-(-chirps // step)) * step - 0.5 * (chirps - 1)
+    coarse_phasors = np.exp(1j * np.multiply.outer(coarse, turn))
+    fine_phasors = np.exp(1j * np.multiply.outer(np.arange(step), turn))
+    return (coarse_phasors[:, None] * fine_phasors[None]).reshape(-1, len(turn))[:chirps]
 
 
 @lru_cache(maxsize=64)
@@ -154,7 +165,7 @@ def beam_codes(
         start,
         (turn * per_milliwatt).astype(np.complex64),
         np.float32(sign),
-        codes,
+        codes.reshape(radar.chirps_per_beam, -1),
     )
     return codes
 
@@ -172,25 +183,34 @@ def _fill_codes(
     codes: np.ndarray,
 ) -> None:
     terms, count = beat_re.shape
-    re, im = np.empty(count, np.float32), np.empty(count, np.float32)
+    re, im = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    both = np.empty(2 * BLOCK, np.float32)
     least, most = np.float32(-32768.0), np.float32(32767.0)
-    for chirp in range(len(start)):
-        re[:] = np.float32(0.0)
-        im[:] = np.float32(0.0)
-        for term in range(terms):
-            factor = basis[term, chirp]
-            for n in range(count):
-                re[n] += factor * beat_re[term, n]
-                im[n] += factor * beat_im[term, n]
-        c, s = carrier[chirp].real, carrier[chirp].imag
-        p, q = turn[chirp].real, turn[chirp].imag
-        noise_re = bank[0, start[chirp] : start[chirp] + count]
-        noise_im = bank[1, start[chirp] : start[chirp] + count]
-        for n in range(count):
-            i = c * re[n] - s * im[n] + p * noise_re[n] - q * noise_im[n]
-            j = sign * (s * re[n] + c * im[n]) + q * noise_re[n] + p * noise_im[n]
-            codes[chirp, n, 0] = np.int16(min(max(np.rint(i), least), most))
-            codes[chirp, n, 1] = np.int16(min(max(np.rint(j), least), most))
+    # block by block: the terms of a block stay in the nearest cache for all chirps
+    for first in range(0, count, BLOCK):
+        size = min(BLOCK, count - first)
+        for chirp in range(len(start)):
+            re[:] = np.float32(0.0)
+            im[:] = np.float32(0.0)
+            for term in range(terms):
+                factor = basis[term, chirp]
+                row_re, row_im = beat_re[term, first : first + size], beat_im[term, first : first + size]
+                for n in range(size):
+                    re[n] += factor * row_re[n]
+                for n in range(size):
+                    im[n] += factor * row_im[n]
+            c, s = carrier[chirp].real, carrier[chirp].imag
+            p, q = turn[chirp].real, turn[chirp].imag
+            noise_re = bank[0, start[chirp] + first : start[chirp] + first + size]
+            noise_im = bank[1, start[chirp] + first : start[chirp] + first + size]
+            out = codes[chirp, 2 * first : 2 * (first + size)]
+            for n in range(size):
+                i = c * re[n] - s * im[n] + p * noise_re[n] - q * noise_im[n]
+                j = sign * (s * re[n] + c * im[n]) + q * noise_re[n] + p * noise_im[n]
+                both[2 * n] = min(max(np.rint(i), least), most)
+                both[2 * n + 1] = min(max(np.rint(j), least), most)
+            for n in range(2 * size):
+                out[n] = np.int16(np.int32(both[n]))
 
 
 def literal_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray, chirps: int = 1) -> np.ndarray:

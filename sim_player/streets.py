@@ -137,8 +137,10 @@ def _place(
             y_m=float(spot[index, 1]),
             yaw_deg=float(yaw_deg[index]),
         )
-        off_radar = math.hypot(thing.x_m, thing.y_m) > thing.kind.length_m
-        if off_radar and wall_inside(thing, surfaces) is None and all(_apart(thing, other) for other in things):
+        clear = math.hypot(thing.x_m, thing.y_m) > thing.kind.length_m and wall_inside(thing, surfaces) is None
+        # out of sight as a whole, not only its centre
+        sheltered = not hidden or blocked(ORIGIN, thing.corners_m(), *_pieces(surfaces)).all()
+        if clear and sheltered and all(_apart(thing, other) for other in things):
             return thing
     return None
 
@@ -168,8 +170,7 @@ def _in_mirror(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
         good = ~np.isnan(specular[:, 0]) & (np.abs(np.arctan2(image[:, 1], image[:, 0])) < IMAGE_AZIMUTH_RAD)
         good &= (distance > IMAGE_RANGE_M[0]) & (distance < IMAGE_RANGE_M[1])
         good[good] = ~blocked(ORIGIN, specular[good], a, b)
-        for index in np.flatnonzero(good):
-            good[index] = not blocked(specular[index], spot[index : index + 1], a, b)[0]
+        good[good] = ~blocked(specular[good], spot[good], a, b)
         shown |= good
     return shown & blocked(ORIGIN, spot, a, b)
 

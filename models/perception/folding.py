@@ -42,13 +42,15 @@ def fold_chirps(samples: np.ndarray, groups: int) -> tuple[np.ndarray, int]:
     chirps, length = samples.shape[:2]
     edges = group_edges(chirps, groups)
     codes = np.require(samples, requirements=("C", "A")).reshape(chirps, 2 * length)
+    # messages come read-only, simulated beams do not: one compiled kernel for both
+    codes.flags.writeable = False
     sums = np.zeros((groups, 2 * length), np.int32)
     saturated = _fold(codes, edges, sums)
     return sums.reshape(groups, length, 2), int(saturated)
 
 
 @njit(cache=True, nogil=True)
-def _fold(codes, edges, sums):  # type: ignore[no-untyped-def]
+def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
     """Add rows of `codes` [chirps, 2 samples] into `sums` [groups, 2 samples]; returns saturated samples."""
     saturated = 0
     for group in range(len(edges) - 1):
@@ -68,7 +70,7 @@ def _fold(codes, edges, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _add_four(first, second, third, fourth, total):  # type: ignore[no-untyped-def]
+def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
     """total += four rows; whether any code stands at full scale. No branch and no call, so that it becomes SIMD."""
     highest = np.int16(0)
     lowest = np.int16(0)
@@ -77,11 +79,11 @@ def _add_four(first, second, third, fourth, total):  # type: ignore[no-untyped-d
         total[i] += np.int32(a) + np.int32(b) + np.int32(c) + np.int32(d)
         highest = max(highest, a, b, c, d)
         lowest = min(lowest, a, b, c, d)
-    return highest >= SATURATION_CODE or lowest <= -SATURATION_CODE
+    return bool(highest >= SATURATION_CODE or lowest <= -SATURATION_CODE)
 
 
 @njit(cache=True, nogil=True)
-def _count_saturated(rows):  # type: ignore[no-untyped-def]
+def _count_saturated(rows: np.ndarray) -> int:
     """Samples of interleaved I/Q codes with either at full scale: run on the rare blocks that have any."""
     count = 0
     for row in rows:

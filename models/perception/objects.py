@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from models.perception.clustering import dbscan, fits_box
-from models.perception.recovery import Recovered, segment_distance_m, wall_arrays
+from models.perception.recovery import Recovered, in_open_view, segment_distance_m, wall_arrays
 from msgs.arrays import require_positive
 from msgs.frames import polar_from_xy
 from msgs.perception import BevFrame, HiddenObject, Wall
@@ -25,14 +25,17 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True):
     """When recovered points are an object, and how large one may be."""
 
     eps_m: float = 2.0
-    #: Fragments no further apart than eps plus two sigma belong together, if they fit in one vehicle.
+    #: Fragments no further apart than eps plus one sigma belong together, if they fit in one vehicle.
     vehicle_length_m: float = 5.5
     vehicle_width_m: float = 2.5
     min_points: int = 2
     min_score: float = 0.5
     #: A single point makes an object only this strong.
-    single_min_score: float = 0.8
+    single_min_score: float = 0.6
     single_min_snr_db: float = 15.0
+    #: Where no wall, lengthened by the margin, hides it, it should have been seen directly: more points are asked for.
+    open_view_min_points: int = 3
+    open_view_margin_m: float = 1.5
     #: Longer than any vehicle: a wall seen in a mirror.
     max_length_m: float = 14.0
     #: A line this long that starts at a wall's end is the building's next face.
@@ -58,7 +61,7 @@ def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) 
 
 
 def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectParams) -> np.ndarray:
-    """Join clusters whose nearest points lie within eps plus two sigma of their distance and that fit in one vehicle.
+    """Join clusters whose nearest points lie within eps plus one sigma of their distance and that fit in one vehicle.
 
     Nearest clusters first; labels [N] renumbered 0, 1, ... in the order of their smallest.
     """
@@ -69,7 +72,7 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
     distance_m = np.hypot(difference[:, 0], difference[:, 1])
     variance = np.einsum("pi,pij,pj->p", difference, covariance_m2[first] + covariance_m2[second], difference)
     sigma_m = np.sqrt(variance) / np.maximum(distance_m, 1e-9)
-    near = np.flatnonzero(distance_m <= params.eps_m + 2.0 * sigma_m)
+    near = np.flatnonzero(distance_m <= params.eps_m + sigma_m)
     for pair in near[np.argsort(distance_m[near], kind="stable")]:
         i, j = first[pair], second[pair]
         if labels[i] == labels[j]:
@@ -87,6 +90,9 @@ def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> b
         strong = (cluster.score >= params.single_min_score) & (cluster.snr_db >= params.single_min_snr_db)
         if not strong.any():
             return False
+    centre_m = cluster.points_m.mean(axis=0, keepdims=True)
+    if len(cluster) < params.open_view_min_points and in_open_view(centre_m, walls, params.open_view_margin_m)[0]:
+        return False
     extent_m = _extent_m(cluster)
     if extent_m > params.max_length_m or joint_score(cluster.score) < params.min_score:
         return False

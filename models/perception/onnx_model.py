@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -17,11 +18,20 @@ DEFAULT_MODEL = Path(__file__).parents[1] / "weights" / "compact_unet.onnx"
 
 
 class ClassScores(msgspec.Struct, frozen=True, kw_only=True):
-    """Detection scores of one path class (Hungarian matching, 2 m gate, counts over all frames)."""
+    """Detection scores of one path class (one-to-one matching, 2 m gate, counts over all frames)."""
 
     precision: float
     recall: float
     f1: float
+
+
+class ScoresAt(msgspec.Struct, frozen=True, kw_only=True):
+    """Detection scores at one confidence threshold."""
+
+    threshold: float
+    macro_f1: float
+    los: ClassScores
+    mirrored: ClassScores
 
 
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
@@ -30,20 +40,19 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     sha256: str
     parameters: int
-    encoding: Encoding
     channels: tuple[str, ...] = CHANNELS
+    encoding: Encoding
     grid: RangeAzimuthGrid
     input_shape: tuple[int, ...]
     output_shape: tuple[int, ...]
-    #: Threshold that the scores below were measured at.
+    #: Threshold to pick peaks at; `scores` holds its line.
     threshold: float
-    macro_f1: float
-    los: ClassScores
-    mirrored: ClassScores
-    #: How the training and validation maps were made, how many, and how they were split.
-    data: dict[str, str | int | float]
-    #: Training command, seed, and the resolved configuration of network and schedule.
-    training: dict[str, str | int | float | dict[str, str | int | float | list[int]]]
+    #: On test scenes that neither trained nor chose the network.
+    scores: tuple[ScoresAt, ...]
+    #: How training and test scenes were made, and how many.
+    data: dict[str, str | int]
+    #: Training command, chosen epoch, and the resolved configuration of data, schedule and network.
+    training: dict[str, Any]
 
     def __post_init__(self) -> None:
         if self.channels != CHANNELS:

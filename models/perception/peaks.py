@@ -33,9 +33,7 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True):
             require_positive(f"peaks.{name}", getattr(self, name))
 
 
-def find_peaks(
-    probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams, sensitivity_db: float = 0.0
-) -> Peaks:
+def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
     """Local maxima of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
 
     Raises ValueError where the heat map does not lie on the map's grid.
@@ -49,7 +47,7 @@ def find_peaks(
     path_class = np.repeat(np.arange(len(PathClass), dtype=np.uint8), [len(at) for at in cells])
     at = np.concatenate(cells)
     score = probabilities[path_class, at[:, 0], at[:, 1]].astype(np.float64)
-    return peaks_at(ra_map, at, fractional, score, path_class, params, sensitivity_db)
+    return peaks_at(ra_map, at, fractional, score, path_class, params)
 
 
 def peaks_at(
@@ -59,7 +57,6 @@ def peaks_at(
     score: np.ndarray,
     path_class: np.ndarray,
     params: PeakParams,
-    sensitivity_db: float = 0.0,
 ) -> Peaks:
     """The message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it peaks."""
     grid = ra_map.grid
@@ -79,7 +76,6 @@ def peaks_at(
         incoherent=bool(ra_map.incoherent[cells[:, 0]].any()),
         missing_beams=ra_map.missing_beams,
         saturated_share=ra_map.saturated_share,
-        sensitivity_db=sensitivity_db,
     )
 
 
@@ -96,7 +92,7 @@ def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.
     middle = _plateau_middles(plateaus, count)
     level = values[middle[:, 0], middle[:, 1]]
     order = np.argsort(-level, kind="stable")
-    return middle[order[_apart(middle[order], min_distance)]]
+    return middle[order[keep_apart(middle[order], (min_distance, min_distance))]]
 
 
 def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
@@ -111,14 +107,14 @@ def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
     return cells[order[first]]
 
 
-def _apart(cells: np.ndarray, min_distance: int) -> np.ndarray:
-    """Indices of cells [N, 2], best first, that keep their distance from those kept before."""
+def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
+    """Indices of cells [N, 2], best first, further than `spacing` in one axis at least from all kept before."""
     free = np.ones(len(cells), bool)
     kept = []
     for index in range(len(cells)):
         if free[index]:
             kept.append(index)
-            free &= np.abs(cells - cells[index]).max(axis=1) > min_distance
+            free &= (np.abs(cells - cells[index]) > spacing).any(axis=1)
     return np.array(kept, np.int64)
 
 

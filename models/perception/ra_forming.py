@@ -96,7 +96,11 @@ class EgoCorrection:
 
 
 def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = "coherent") -> RangeAzimuthMap:
-    """Range-azimuth map of a scan's beam profiles."""
+    """Range-azimuth map of a scan's beam profiles.
+
+    The noise power is that of coherent cells (0.58 of a beam's) or of Welch cells; bins that fell back to magnitudes
+    hold 0.9 of a beam's.
+    """
     missing, looks = scan.missing_beams, scan.look_azimuth_rad
     if mode == "welch":
         values = interpolator.interpolate_magnitude(np.abs(scan.profiles), missing, looks).astype(np.complex64)
@@ -207,7 +211,7 @@ class BeamFolder:
     def _noise_bins(self) -> tuple[int, int]:
         """First bin and count of those that hold noise alone: beyond the map, and short of its I/Q image."""
         beyond = self.setup.radar.samples_per_chirp - 2 * self.grid.range_bins
-        if beyond < 64:
+        if beyond < 128:
             # chirps this short leave nothing beyond the map: its own median, right while most cells are empty
             return 0, self.grid.range_bins
         guard = min(self.grid.range_bins, beyond // 4)
@@ -317,7 +321,8 @@ class RaFormer:
         self._scan: _OpenScan | None = None
         #: Number and stamp of the newest scan.
         self._newest: tuple[int, int] | None = None
-        # the first scan should not pay for the matrices
+        # the first beam should not pay for compiling, nor the first scan for the matrices
+        fold_chirps(np.zeros((1, 1, 2), np.int16), 1)
         self.interpolator.noise_gain()
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[RangeAzimuthMap]:

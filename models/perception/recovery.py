@@ -381,7 +381,7 @@ def _on_visible_vehicle(
     sigma_m = np.sqrt(np.linalg.eigvalsh(recovered.image_covariance_m2)[:, 1])
     explained = np.zeros(len(recovered), bool)
     for label in range(int(labels.max(initial=NOISE)) + 1):
-        group = loose[labels == label]
+        group = _with_whole_walls(loose[labels == label], returns)
         points_m = returns.points_m[group]
         near = np.abs(recovered.points_m - points_m.mean(axis=0)).max(axis=1) <= 2.0 * params.vehicle_length_m
         near &= recovered.snr_db <= returns.snr_db[group].max() + params.comparable_db
@@ -392,12 +392,26 @@ def _on_visible_vehicle(
     return explained & ~behind_walls(recovered.points_m, walls.select(long_walls), params.cut_depth_m)
 
 
+def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
+    """The returns of a group and all others on its walls: a missed return does not make two things of one front."""
+    walls = np.unique(returns.wall[group])
+    return np.union1d(group, np.flatnonzero(np.isin(returns.wall, walls[walls != NO_WALL])))
+
+
 def behind_walls(points_m: np.ndarray, walls: WallArrays, depth_m: float) -> np.ndarray:
     """Points [N, 2] the radar does not see because a wall, passed by more than `depth_m`, stands between; bool [N]."""
     if len(walls) == 0:
         return np.zeros(len(points_m), bool)
     cut = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)
     return np.logical_or.reduce(cut, axis=1)
+
+
+def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np.ndarray:
+    """Points [N, 2] that no wall hides, each lengthened by `margin_m` at both ends; bool [N]."""
+    arrays = wall_arrays(walls)
+    outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
+    longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
+    return ~behind_walls(points_m, longer, 0.0)
 
 
 def segment_distance_m(points_m: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -28,6 +28,8 @@ INLIER_SIGMAS = 3.0
 SCATTER_WIDTH_M = 8.0
 #: Hypotheses that are refit and compared in each round of the search.
 FINALISTS = 4
+#: Log likelihood a point must add to continue a wall.
+MIN_EXTENSION_GAIN = 1.0
 
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True):
@@ -41,7 +43,7 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True):
     flatness_m: float = 0.08
     min_inliers: int = 4
     min_length_m: float = 2.5
-    max_gap_m: float = 5.0
+    max_gap_m: float = 6.5
     max_angle_std_rad: float = math.radians(6.0)
     min_offset_m: float = 0.5
     #: Log likelihood ratio against scattered points.
@@ -100,6 +102,7 @@ def find_walls(
     for label in range(int(labels.max(initial=NOISE)) + 1):
         fits += _walls_of_cluster(points_m, covariance_m2, np.flatnonzero(labels == label), params, rng)
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
+    fits = [_extended(points_m, covariance_m2, fit, _unclaimed(len(points_m), fits), params) for fit in fits]
     fits.sort(key=lambda fit: (-len(fit.members), fit.offset_m))
     fits = _drop_walls_behind_walls(fits)[: params.max_walls]
     wall_of_point = np.full(len(points_m), -1, np.int64)
@@ -301,6 +304,39 @@ def _joined(
         return None
     reach = np.sort(points_m[joint.members] @ np.array([-joint.normal[1], joint.normal[0]]))
     return joint if np.diff(reach).max(initial=0.0) <= params.max_gap_m else None
+
+
+def _unclaimed(count: int, fits: list[LineFit]) -> np.ndarray:
+    """Points on no wall."""
+    members = [fit.members for fit in fits]
+    return np.setdiff1d(np.arange(count), np.concatenate(members)) if members else np.arange(count)
+
+
+def _extended(
+    points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, free: np.ndarray, params: WallParams
+) -> LineFit:
+    """The wall with the free points that continue it, nearest first, whatever cluster they are in.
+
+    A smooth wall answers at few spots (the foot of the perpendicular above all), often further apart than a cluster
+    reaches. A point must lie on the line within its own error and that of the line so far out.
+    """
+    while len(free):
+        tangent = np.array([-fit.normal[1], fit.normal[0]])
+        low, high = np.sort(fit.ends_m @ tangent)
+        reach = points_m[free] @ tangent
+        gap_m = np.maximum(np.maximum(low - reach, reach - high), 0.0)
+        line_variance = fit.offset_std_m**2 + ((reach - 0.5 * (low + high)) * fit.angle_std_rad) ** 2
+        widened = covariance_m2[free] + line_variance[:, None, None] * np.eye(2)
+        gain = line_gain(points_m[free], widened, fit.normal[None], np.array([fit.offset_m]))[0]
+        candidates = np.flatnonzero((gain > MIN_EXTENSION_GAIN) & (gap_m <= params.max_gap_m))
+        if len(candidates) == 0:
+            break
+        taken = candidates[gap_m[candidates].argmin()]
+        longer = _supported(points_m, covariance_m2, np.append(fit.members, free[taken]), params)
+        if longer is not None and longer.score >= fit.score:
+            fit = longer
+        free = np.delete(free, taken)
+    return fit
 
 
 def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:

@@ -96,7 +96,7 @@ def cut(
 
 
 def blocked(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Which targets no longer see the origin because some wall a -> b stands between; bool [N]."""
+    """Which targets do not see the origin (or each its own, [N, 2]) because some wall a -> b is between; bool [N]."""
     if len(a) == 0:
         return np.zeros(len(targets), bool)
     return crosses(origin, targets, a, b).any(axis=1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ from models.perception.coarray import AzimuthInterpolator
 from models.perception.encoding import Encoding, encode_columns, sample_columns
 from models.training.targets import class_heatmaps
 from msgs.radar import RadarSetup, RangeAzimuthGrid
+
+#: What is read of a shard: profiles complex64 [scenes, beams, bins], noise [scenes], and the truth points of all scenes
+#: in one row, those of scene i at offset[i]..offset[i + 1].
+SHARD_ARRAYS = ("profiles", "noise_power_mw", "offset", "range_m", "azimuth_rad", "path_class")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,6 +64,81 @@ class Perturbation:
     incoherent_share: float = 0.25
     #: Receiver noise is raised by up to this much.
     extra_noise_db: float = 6.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataConfig:
+    """How a data set becomes training data."""
+
+    #: Of the split and of the perturbations.
+    seed: int = 0
+    validation_share: float = 0.15
+    #: Perturbed variants of each training scene beside the clean one.
+    perturbed_copies: int = 1
+    perturbation: Perturbation = Perturbation()
+    encoding: Encoding = Encoding()
+    grid: RangeAzimuthGrid = RangeAzimuthGrid()
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingData:
+    """Formed maps: for training a list of variants a scene, for validation one map a scene."""
+
+    train: list[list[DenseSample]]
+    validation: list[DenseSample]
+    config: DataConfig
+
+
+def load_training_data(directory: Path, config: DataConfig) -> TrainingData:
+    """Form the maps of a data set, split by scene.
+
+    Raises `ValueError` where the folder holds no shards or a shard lacks an array.
+    """
+    interpolator = AzimuthInterpolator(RadarSetup(), config.grid)
+    scans = read_scans(directory, config.grid)
+    train, validation = split_scenes(len(scans), config.validation_share, config.seed)
+
+    def variants(scene: int) -> list[DenseSample]:
+        # each scene its own draws, whatever the split
+        rng = np.random.default_rng([config.seed, scene])
+        copies = [perturb_scan(scans[scene], config.perturbation, rng) for _ in range(config.perturbed_copies)]
+        return [form_sample(scan, interpolator, config.encoding) for scan in (scans[scene], *copies)]
+
+    return TrainingData(
+        train=[variants(scene) for scene in train],
+        validation=[form_sample(scans[scene], interpolator, config.encoding) for scene in validation],
+        config=config,
+    )
+
+
+def load_samples(directory: Path, config: DataConfig) -> list[DenseSample]:
+    """Form all maps of a data set as they are; raises `ValueError` as above."""
+    interpolator = AzimuthInterpolator(RadarSetup(), config.grid)
+    return [form_sample(scan, interpolator, config.encoding) for scan in read_scans(directory, config.grid)]
+
+
+def read_scans(directory: Path, grid: RangeAzimuthGrid) -> list[BeamScan]:
+    """All scans of a data set's shards (`shard-*.npz`), in order; raises `ValueError` as above."""
+    paths = sorted(directory.glob("shard-*.npz"))
+    if not paths:
+        raise ValueError(f"{directory} must hold shards (shard-*.npz), found none")
+    return [scan for path in paths for scan in _shard_scans(path, grid)]
+
+
+def _shard_scans(path: Path, grid: RangeAzimuthGrid) -> Iterator[BeamScan]:
+    with np.load(path, allow_pickle=False) as shard:
+        missing = [name for name in SHARD_ARRAYS if name not in shard.files]
+        if missing:
+            raise ValueError(f"{path} must hold the arrays {', '.join(SHARD_ARRAYS)}; it lacks {', '.join(missing)}")
+        arrays = {name: shard[name] for name in SHARD_ARRAYS}
+    row, column = grid.range_index(arrays["range_m"]), grid.azimuth_index(arrays["azimuth_rad"])
+    for scene, (first, last) in enumerate(pairwise(arrays["offset"])):
+        labels = PointLabels(
+            row=row[first:last], column=column[first:last], path_class=arrays["path_class"][first:last]
+        )
+        yield BeamScan(
+            profiles=arrays["profiles"][scene], noise_power_mw=float(arrays["noise_power_mw"][scene]), labels=labels
+        )
 
 
 def split_scenes(count: int, validation_share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -116,7 +196,11 @@ def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) ->
 
 
 def shuffled_batches(
-    variants: list[list[DenseSample]], batch_size: int, encoding: Encoding, grid: RangeAzimuthGrid, seed: int
+    variants: list[list[DenseSample]],
+    batch_size: int,
+    encoding: Encoding,
+    grid: RangeAzimuthGrid,
+    seed: int | tuple[int, ...],
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """One epoch of augmented batches over scenes, each given as its variants; a remainder is left out."""
     rng = np.random.default_rng(seed)

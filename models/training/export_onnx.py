@@ -13,7 +13,13 @@ import torch
 from torch import Tensor, nn
 
 from models.networks.compact_unet import CompactUNet
-from models.perception.onnx_model import ModelCard, card_path
+from models.perception.encoding import encode_columns
+from models.perception.metrics import Counts
+from models.perception.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
+from models.training.datasets import DenseSample, load_samples
+from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
+from models.training.train_dense import RunConfig, load_best
+from msgs.perception import PathClass
 
 OPSET = 17
 #: Largest difference between torch and ONNX Runtime, in probability, that an export may show.
@@ -73,6 +79,75 @@ def parity(model: nn.Module, path: Path, seed: int = 0) -> float:
     return max(differences)
 
 
+def export_run(run_dir: Path, test_dir: Path, model_path: Path, data_dir: Path) -> ModelCard:
+    """Export the best network of a run and write its card, with its scores on the scenes of `test_dir`.
+
+    The scores are those of the exported file. `data_dir` is the data set the run was trained on: the card tells how it
+    was made. Raises `ValueError` where a folder holds no run or no data set, or when the export differs from torch.
+    """
+    network, run, epoch = load_best(run_dir)
+    samples = load_samples(test_dir, run.data)
+    sha256 = export_onnx(network, model_path)
+    card = ModelCard(
+        name=model_path.stem,
+        sha256=sha256,
+        parameters=sum(parameter.numel() for parameter in network.parameters()),
+        encoding=run.data.encoding,
+        grid=run.data.grid,
+        input_shape=(1, *run.data.encoding.shape),
+        output_shape=(1, len(PathClass), run.data.encoding.range_bins, run.data.grid.azimuth_bins),
+        threshold=DEFAULT_THRESHOLD,
+        scores=_scores(_tally(model_path, samples, run)),
+        data={"training": _command(data_dir), "test": _command(test_dir), "test_scenes": len(samples)},
+        training={
+            "command": f"mirrorwave train dense --data {data_dir} --out {run_dir} --epochs {run.training.epochs} "
+            f"--seed {run.training.seed}",
+            "chosen_epoch": epoch,
+            "config": msgspec.to_builtins(run),
+        },
+    )
+    write_card(card, model_path)
+    return card
+
+
 def write_card(card: ModelCard, model_path: Path) -> None:
     """Write the card beside its network file."""
     card_path(model_path).write_bytes(msgspec.json.format(msgspec.json.encode(card), indent=2) + b"\n")
+
+
+def _tally(model_path: Path, samples: list[DenseSample], run: RunConfig) -> DetectionTally:
+    """Detections of an exported file, as the vehicle runs it."""
+    session = onnxruntime.InferenceSession(model_path, providers=["CPUExecutionProvider"])
+    tally = DetectionTally(run.data.grid)
+    for sample in samples:
+        encoded = encode_columns(run.data.encoding, sample.columns, np.float64(sample.noise_power_mw))
+        tally.add(session.run(None, {session.get_inputs()[0].name: encoded[None]})[0][0], sample.labels)
+    return tally
+
+
+def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
+    def of(counts: Counts) -> ClassScores:
+        return ClassScores(
+            precision=round(counts.precision, 4), recall=round(counts.recall, 4), f1=round(counts.f1, 4)
+        )
+
+    return tuple(
+        ScoresAt(
+            threshold=threshold,
+            macro_f1=round(tally.macro_f1(threshold), 4),
+            los=of(counts[PathClass.LOS]),
+            mirrored=of(counts[PathClass.MIRRORED]),
+        )
+        for threshold, counts in tally.counts.items()
+    )
+
+
+def _command(data_dir: Path) -> str:
+    """The command that makes a data set again, from what its folder says."""
+    try:
+        seed = msgspec.json.decode((data_dir / "series.json").read_bytes())["seed"]
+        shards = (data_dir / "manifest.jsonl").read_bytes().splitlines()
+        count = sum(msgspec.json.decode(line)["scenes"] for line in shards)
+    except (OSError, KeyError, msgspec.DecodeError) as error:
+        raise ValueError(f"{data_dir} must hold a whole data set: {error}") from None
+    return f"mirrorwave sim dataset --out {data_dir} --count {count} --seed {seed}"

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
 from torch import nn
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
-from models.perception.encoding import Encoding
-from models.training.datasets import DenseSample, encode_batch, shuffled_batches
+from models.training.datasets import DataConfig, TrainingData, encode_batch, shuffled_batches
 from models.training.losses import heatmap_focal_loss
 from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
-from msgs.radar import RangeAzimuthGrid
+from msgs.perception import PathClass
 
 LAST, BEST, CONFIG, CURVES = "last.pt", "best.pt", "config.json", "curves.json"
 
@@ -37,7 +36,7 @@ class TrainDenseConfig:
     threads: int = 1
     #: Convolutions in bfloat16 (the published training uses mixed precision as well).
     mixed_precision: bool = True
-    network: CompactUNetConfig = field(default_factory=CompactUNetConfig)
+    network: CompactUNetConfig = CompactUNetConfig()
 
     def __post_init__(self) -> None:
         for name in ("epochs", "batch_size", "threads"):
@@ -49,13 +48,11 @@ class TrainDenseConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrainingData:
-    """Formed maps: for training a list of variants a scene, for validation one map a scene."""
+class RunConfig:
+    """All that a run was made with; its JSON lies in the run folder."""
 
-    train: list[list[DenseSample]]
-    validation: list[DenseSample]
-    encoding: Encoding
-    grid: RangeAzimuthGrid
+    training: TrainDenseConfig
+    data: DataConfig
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +112,7 @@ class DenseTraining:
         losses = []
         # the epoch's own seed: a resumed run draws what it would have drawn
         batches = shuffled_batches(
-            data.train, config.batch_size, data.encoding, data.grid, seed=config.seed * 100_003 + epoch
+            data.train, config.batch_size, data.config.encoding, data.config.grid, seed=(config.seed, epoch)
         )
         for inputs, heatmaps in batches:
             self.optimiser.zero_grad()
@@ -135,25 +132,24 @@ class DenseTraining:
 
     def _validate(self, epoch: int, train_loss: float) -> EpochReport:
         loss, tally = evaluate_network(self._logits, self.network, self.data, self.config.batch_size)
-        los_f1, mirrored_f1 = (float(f1) for f1 in tally.at(DEFAULT_THRESHOLD)[:, 2])
-        macro_f1 = (los_f1 + mirrored_f1) / 2.0
+        scores = tally.counts[DEFAULT_THRESHOLD]
         return EpochReport(
             epoch=epoch,
             train_loss=train_loss,
             validation_loss=loss,
-            macro_f1=macro_f1,
-            los_f1=los_f1,
-            mirrored_f1=mirrored_f1,
-            is_best=macro_f1 > max((r.macro_f1 for r in self.reports), default=-1.0),
+            macro_f1=tally.macro_f1(),
+            los_f1=scores[PathClass.LOS].f1,
+            mirrored_f1=scores[PathClass.MIRRORED].f1,
+            is_best=tally.macro_f1() > max((r.macro_f1 for r in self.reports), default=-1.0),
         )
 
     def _adopt_config(self) -> None:
         """Write the resolved configuration, or insist that the run's own is the same."""
         path = self.run_dir / CONFIG
-        wanted = json.dumps(asdict(self.config), indent=2)
-        if path.exists() and path.read_text() != wanted:
+        wanted = _json(RunConfig(training=self.config, data=self.data.config))
+        if path.exists() and path.read_bytes() != wanted:
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
-        path.write_text(wanted)
+        path.write_bytes(wanted)
 
     def _save(self) -> None:
         state = {
@@ -164,7 +160,7 @@ class DenseTraining:
         }
         if self.reports[-1].is_best:
             _write(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
-        (self.run_dir / CURVES).write_text(json.dumps(state["reports"], indent=2))
+        (self.run_dir / CURVES).write_bytes(_json(self.reports))
         # last of all: a run killed before this line repeats the epoch
         _write(self.run_dir / LAST, state)
 
@@ -181,12 +177,12 @@ def evaluate_network(
 ) -> tuple[float, DetectionTally]:
     """Mean loss a batch and detection scores over the validation maps."""
     network.eval()
-    tally = DetectionTally(data.grid)
+    tally = DetectionTally(data.config.grid)
     losses = []
     with torch.no_grad():
         for start in range(0, len(data.validation), batch_size):
             samples = data.validation[start : start + batch_size]
-            inputs, heatmaps = encode_batch(samples, data.encoding, data.grid)
+            inputs, heatmaps = encode_batch(samples, data.config.encoding, data.config.grid)
             logits = logits_of(inputs)
             losses.append(heatmap_focal_loss(logits, torch.from_numpy(heatmaps)).item())
             for sample, confidence in zip(samples, torch.sigmoid(logits).numpy(), strict=True):
@@ -194,17 +190,23 @@ def evaluate_network(
     return float(np.mean(losses)), tally
 
 
-def load_best(run_dir: Path) -> tuple[CompactUNet, int]:
-    """The best network of a run, in evaluation mode, and its epoch; raises `ValueError` where there is none."""
-    config_path, best_path = run_dir / CONFIG, run_dir / BEST
-    for path in (config_path, best_path):
-        if not path.exists():
-            raise ValueError(f"{path} must exist: the run folder holds no trained network")
-    config = json.loads(config_path.read_text())["network"]
-    network = CompactUNet(CompactUNetConfig(**{**config, "widths": tuple(config["widths"])}))
-    state = torch.load(best_path, weights_only=True)
+def load_best(run_dir: Path) -> tuple[CompactUNet, RunConfig, int]:
+    """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
+
+    Raises `ValueError` where the folder holds none.
+    """
+    for name in (CONFIG, BEST):
+        if not (run_dir / name).exists():
+            raise ValueError(f"{run_dir / name} must exist: the run folder holds no trained network")
+    config = msgspec.json.decode((run_dir / CONFIG).read_bytes(), type=RunConfig)
+    network = CompactUNet(config.training.network)
+    state = torch.load(run_dir / BEST, weights_only=True)
     network.load_state_dict(state["network"])
-    return network.eval(), int(state["epoch"])
+    return network.eval(), config, int(state["epoch"])
+
+
+def _json(value: object) -> bytes:
+    return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"
 
 
 def _write(path: Path, state: dict[str, object]) -> None:

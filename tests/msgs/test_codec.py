@@ -6,6 +6,7 @@ import base64
 import json
 import math
 import struct
+from collections.abc import Callable
 
 import jsonschema
 import msgpack
@@ -228,7 +229,7 @@ def test_oversize_is_not_sent_and_not_read() -> None:
 
 
 def test_header_has_a_limit_of_its_own() -> None:
-    with pytest.raises(CodecError, match="header of .* exceeds 1048576"):
+    with pytest.raises(CodecError, match=r"header of .* exceeds 1048576"):
         decode([b"radar/beam\0", b"\xc0" * ((1 << 20) + 1)])
 
 
@@ -364,18 +365,28 @@ def test_flipped_bytes_give_a_message_or_a_refusal(
     case: tuple[str, msgspec.Struct], flips: list[tuple[float, int]]
 ) -> None:
     topic, message = case
-    for data, read in (
-        (bytes(encode(envelope(topic), message)[1]), lambda d: decode([f"{topic}\0".encode(), d, *frames[2:]])),
-        (encode_inline(message), lambda d: decode_inline(type(message), d)),
-    ):
-        frames = encode(envelope(topic), message)
-        damaged = bytearray(data)
-        for share, mask in flips:
-            damaged[int(share * min(len(damaged), 400))] ^= mask
-        try:
-            read(bytes(damaged))
-        except CodecError as refused:
-            assert "\n" not in str(refused)
+    frames = encode(envelope(topic), message)
+    refusals = [
+        refusal(lambda: decode([frames[0], flipped(frames[1], flips), *frames[2:]])),
+        refusal(lambda: decode_inline(type(message), flipped(encode_inline(message), flips))),
+    ]
+    assert not any("\n" in reason for reason in refusals)
+
+
+def flipped(data: object, flips: list[tuple[float, int]]) -> bytes:
+    damaged = bytearray(data)  # type: ignore[call-overload]
+    for share, mask in flips:
+        damaged[int(share * min(len(damaged), 400))] ^= mask
+    return bytes(damaged)
+
+
+def refusal(read: Callable[[], object]) -> str:
+    """The reason of a `CodecError`, empty where none came; anything else passes through and fails the test."""
+    try:
+        read()
+    except CodecError as refused:
+        return str(refused)
+    return ""
 
 
 @settings(max_examples=60, deadline=None)

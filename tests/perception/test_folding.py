@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 
@@ -14,7 +16,7 @@ def _codes(chirps: int, samples: int, seed: int = 7) -> np.ndarray:
 
 def _expected(codes: np.ndarray, groups: int) -> np.ndarray:
     edges = [g * len(codes) // groups for g in range(groups + 1)]
-    return np.stack([codes[a:b].astype(np.int64).sum(axis=0) for a, b in zip(edges[:-1], edges[1:], strict=True)])
+    return np.stack([codes[a:b].astype(np.int64).sum(axis=0) for a, b in itertools.pairwise(edges)])
 
 
 @pytest.mark.parametrize(

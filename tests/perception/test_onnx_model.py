@@ -9,7 +9,7 @@ import torch
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.perception.encoding import Encoding, encode_map
-from models.perception.onnx_model import ClassScores, DensePredictor, ModelCard, card_path
+from models.perception.onnx_model import ClassScores, DensePredictor, ModelCard, ScoresAt, card_path
 from models.training.export_onnx import PARITY, export_onnx, write_card
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 
@@ -43,7 +43,7 @@ def network() -> CompactUNet:
 def model(network: CompactUNet, tmp_path: Path) -> Path:
     path = tmp_path / "net.onnx"
     sha256 = export_onnx(network, path)
-    scores = ClassScores(precision=1.0, recall=1.0, f1=1.0)
+    best = ClassScores(precision=1.0, recall=1.0, f1=1.0)
     card = ModelCard(
         name="net",
         sha256=sha256,
@@ -53,9 +53,7 @@ def model(network: CompactUNet, tmp_path: Path) -> Path:
         input_shape=(1, 7, 32, 8),
         output_shape=(1, 2, 32, 64),
         threshold=0.3,
-        macro_f1=1.0,
-        los=scores,
-        mirrored=scores,
+        scores=(ScoresAt(threshold=0.3, macro_f1=1.0, los=best, mirrored=best),),
         data={},
         training={},
     )

@@ -9,8 +9,8 @@ import torch
 
 from models.networks.compact_unet import CompactUNetConfig
 from models.perception.encoding import Encoding
-from models.training.datasets import DenseSample, PointLabels
-from models.training.train_dense import CURVES, DenseTraining, EpochReport, TrainDenseConfig, TrainingData, load_best
+from models.training.datasets import DataConfig, DenseSample, PointLabels, TrainingData
+from models.training.train_dense import CURVES, DenseTraining, EpochReport, RunConfig, TrainDenseConfig, load_best
 from msgs.radar import RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
@@ -35,8 +35,7 @@ def data(count: int = 16) -> TrainingData:
     return TrainingData(
         train=[[scene(rng)] for _ in range(count)],
         validation=[scene(rng) for _ in range(4)],
-        encoding=ENCODING,
-        grid=GRID,
+        config=DataConfig(encoding=ENCODING, grid=GRID),
     )
 
 
@@ -77,8 +76,9 @@ def test_run_folder_holds_curves_and_the_best_network(tmp_path: Path) -> None:
     training = DenseTraining(config(), data(), tmp_path)
     best = training.run(lambda report: None)
     assert [row["epoch"] for row in json.loads((tmp_path / CURVES).read_text())] == [0, 1, 2]
-    network, epoch = load_best(tmp_path)
+    network, run_config, epoch = load_best(tmp_path)
     assert epoch == best.epoch
+    assert run_config == RunConfig(training=training.config, data=training.data.config)
     assert not network.training
 
 

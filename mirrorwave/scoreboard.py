@@ -1,0 +1,117 @@
+"""Hidden objects beside the truth, scan by scan and in sum."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import msgspec
+
+from mirrorwave.console import print_table
+from models.perception.metrics import ObjectMatch, match_objects
+from msgs.perception import BevFrame, HiddenObject, SceneTruth, TruthObject
+
+#: A hidden object is found when its visible face or centre is met within this.
+GATE_M = 1.0
+#: Scans for which truth is kept while their view is still on its way.
+KEPT_SCANS = 64
+
+
+class Score(msgspec.Struct, frozen=True, kw_only=True):
+    """Sum over scans; the counts against truth are None where no truth was given."""
+
+    scans: int
+    objects: int
+    matched: int | None = None
+    missed: int | None = None
+    unmatched: int | None = None
+    mean_error_m: float | None = None
+    worst_error_m: float | None = None
+
+
+class Scoreboard:
+    """Pairs each view with its scan's truth, in whatever order they come."""
+
+    def __init__(self) -> None:
+        self._truths: dict[int, SceneTruth] = {}
+        self._frames: dict[int, BevFrame] = {}
+        self._last: tuple[BevFrame, SceneTruth | None] | None = None
+        self._matches: list[ObjectMatch] = []
+        self._scans = self._objects = 0
+
+    def add_truth(self, truth: SceneTruth) -> None:
+        """What was there in a scan."""
+        _keep(self._truths, truth.scan_id, truth)
+        if truth.scan_id in self._frames:
+            self._pair(self._frames.pop(truth.scan_id), truth)
+
+    def add_frame(self, frame: BevFrame) -> None:
+        """What was seen in a scan."""
+        self._scans += 1
+        self._objects += len(frame.objects)
+        self._last = (frame, None)
+        if frame.scan_id in self._truths:
+            self._pair(frame, self._truths[frame.scan_id])
+        else:
+            _keep(self._frames, frame.scan_id, frame)
+
+    def truth_of(self, scan_id: int) -> SceneTruth | None:
+        """Truth of a recent scan, None where it did not come."""
+        return self._truths.get(scan_id)
+
+    def summary(self) -> Score:
+        """The sum so far."""
+        if not self._matches:
+            return Score(scans=self._scans, objects=self._objects)
+        errors_m = [error_m for match in self._matches for _, _, error_m in match.matched]
+        return Score(
+            scans=self._scans,
+            objects=self._objects,
+            matched=len(errors_m),
+            missed=sum(len(match.missed_truths) for match in self._matches),
+            unmatched=sum(len(match.unmatched_objects) for match in self._matches),
+            mean_error_m=sum(errors_m) / len(errors_m) if errors_m else None,
+            worst_error_m=max(errors_m, default=None),
+        )
+
+    def print_table(self) -> None:
+        """The last scan's objects beside its truth, then the sum over all scans."""
+        if self._last is not None:
+            frame, truth = self._last
+            columns = ("hidden object", "x [m]", "y [m]", "std [m]", "score", "truth", "x [m]", "y [m]", "error [m]")
+            print_table(columns, _rows(frame, truth))
+        score = self.summary()
+        names = ("scans", "objects", "matched", "missed", "unmatched", "mean error [m]", "worst error [m]")
+        print_table(names, [tuple(msgspec.structs.astuple(score))])
+
+    def _pair(self, frame: BevFrame, truth: SceneTruth) -> None:
+        self._matches.append(match_objects(frame.objects, truth, GATE_M))
+        if self._last is not None and self._last[0] is frame:
+            self._last = (frame, truth)
+
+
+def _keep(store: dict[int, Any], key: int, value: Any) -> None:
+    store[key] = value
+    while len(store) > KEPT_SCANS:
+        del store[next(iter(store))]
+
+
+def _rows(frame: BevFrame, truth: SceneTruth | None) -> list[tuple[object, ...]]:
+    """Found objects with the truth they match, then truths that were missed."""
+    found = {one.id: one for one in frame.objects}
+    if truth is None:
+        return [(*_found_cells(one), *[None] * 4) for one in frame.objects]
+    real = {one.id: one for one in truth.objects}
+    match = match_objects(frame.objects, truth, GATE_M)
+    rows = [(*_found_cells(found[i]), *_truth_cells(real[j]), error_m) for i, j, error_m in match.matched]
+    rows += [(*_found_cells(found[i]), "nothing there", None, None, None) for i in match.unmatched_objects]
+    return rows + [("missed", *[None] * 4, *_truth_cells(real[j]), None) for j in match.missed_truths]
+
+
+def _found_cells(one: HiddenObject) -> tuple[object, ...]:
+    std_m = math.sqrt(0.5 * (one.cov_m2[0][0] + one.cov_m2[1][1]))
+    return f"object {one.id}", one.x_m, one.y_m, std_m, one.score
+
+
+def _truth_cells(one: TruthObject) -> tuple[object, ...]:
+    return one.object_class, one.x_m, one.y_m

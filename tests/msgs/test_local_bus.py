@@ -1,0 +1,233 @@
+"""The in-process bus: order, virtual time, latching, bounded history, faults; all of it repeatable."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from msgs.bus import Bus, Received
+from msgs.codec import CodecError
+from msgs.diagnostics import LogRecord, TopicCount
+from msgs.local_bus import Faults, LocalNetwork
+from msgs.perception import Peaks
+from msgs.radar import RadarBeam, RadarSetup
+from msgs.topics import TOPICS
+from msgs.vehicle import VehicleState
+
+
+def state(stamp_ns: int) -> VehicleState:
+    return VehicleState(stamp_ns=stamp_ns)
+
+
+def stamps(received: list[Received]) -> list[int]:
+    return [message.message.stamp_ns for message in received]  # type: ignore[attr-defined]
+
+
+def peaks(stamp_ns: int) -> Peaks:
+    none = np.zeros(0)
+    return Peaks(
+        stamp_ns=stamp_ns,
+        scan_id=0,
+        range_m=none,
+        azimuth_rad=none,
+        score=none,
+        path_class=np.zeros(0, np.uint8),
+        covariance=np.zeros((0, 2, 2)),
+        peak_stamp_ns=np.zeros(0, np.int64),
+        snr_db=none,
+    )
+
+
+def beam(index: int) -> RadarBeam:
+    return RadarBeam(
+        stamp_ns=index,
+        scan_id=index,
+        beam_index=0,
+        beam_count=1,
+        azimuth_rad=0.0,
+        samples=np.zeros((128, 8192, 2), np.int16),
+        full_scale_dbm=0.0,
+    )
+
+
+def received_counts(bus: Bus) -> TopicCount:
+    (count,) = bus.counts()[0]
+    return count
+
+
+def test_messages_come_in_order_with_the_virtual_clock() -> None:
+    network = LocalNetwork(start_ns=100)
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    for stamp_ns in range(3):
+        sender.publish("vehicle/state", state(stamp_ns))
+        network.advance(10)
+    received = receiver.receive(1.0)
+    assert stamps(received) == [0, 1, 2]
+    assert [message.envelope.sent_ns for message in received] == [100, 110, 120]
+    assert [message.envelope.sequence for message in received] == [0, 1, 2]
+    assert receiver.now_ns() == network.now_ns == 130
+    assert receiver.receive(1.0) == []
+
+
+def test_equal_times_are_ordered_by_publisher_then_sequence() -> None:
+    network = LocalNetwork()
+    receiver = network.bus("receiver")
+    receiver.subscribe("log")
+    receiver.subscribe("vehicle/state")
+    for node in ("b", "a"):
+        bus = network.bus(node)
+        bus.publish("vehicle/state", state(0))
+        bus.publish("log", LogRecord(stamp_ns=1, node=node, level="info", text=""))
+    assert [message.envelope.publisher for message in receiver.receive(0.0)] == ["a", "a", "b", "b"]
+
+
+def test_latched_topics_reach_late_joiners_and_others_do_not() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    sender.publish("radar/setup", RadarSetup(stamp_ns=1))
+    sender.publish("radar/setup", RadarSetup(stamp_ns=2))
+    sender.publish("vehicle/state", state(3))
+    receiver.subscribe("radar/setup")
+    receiver.subscribe("vehicle/state")
+    assert stamps(receiver.receive(0.0)) == [2]
+
+
+def test_history_is_bounded_in_bytes_and_losses_are_counted() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("radar/beam")
+    sender.publish("radar/beam", beam(0))
+    assert stamps(receiver.receive(0.0)) == [0]
+    for index in range(1, 51):
+        sender.publish("radar/beam", beam(index))
+    kept = receiver.receive(0.0)
+    # 4 MiB and a header of some hundred bytes each: 31 fit into 125 MiB, the newest
+    assert TOPICS["radar/beam"].history_bytes == 125 << 20
+    assert stamps(kept) == list(range(20, 51))
+    assert received_counts(receiver).lost == 19
+
+
+def test_newest_only_skips_without_loss() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("perception/peaks")
+    for stamp_ns in range(4):
+        sender.publish("perception/peaks", peaks(stamp_ns))
+    assert stamps(receiver.receive(0.0)) == [3]
+    assert received_counts(receiver).lost == 0
+    assert received_counts(receiver).messages == 4
+
+
+def test_restart_of_a_publisher_is_no_loss() -> None:
+    network = LocalNetwork()
+    receiver = network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    for life in range(2):
+        sender = network.bus("sender")
+        for count in range(3 - life):
+            sender.publish("vehicle/state", state(count))
+        sender.close()
+        network.advance(1)
+    assert stamps(receiver.receive(0.0)) == [0, 1, 2, 0, 1]
+    assert received_counts(receiver).lost == 0
+
+
+def test_delay_holds_messages_back() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    network.inject("vehicle/state", Faults(delay_ns=10))
+    sender.publish("vehicle/state", state(1))
+    network.advance(9)
+    assert receiver.receive(0.0) == []
+    network.advance(1)
+    assert stamps(receiver.receive(0.0)) == [1]
+
+
+def test_corrupt_messages_are_rejected_and_later_ones_come(caplog: pytest.LogCaptureFixture) -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    network.inject("vehicle/state", Faults(corrupt=1.0))
+    for stamp_ns in range(5):
+        sender.publish("vehicle/state", state(stamp_ns))
+    assert receiver.receive(0.0) == []
+    network.inject("vehicle/state", Faults())
+    sender.publish("vehicle/state", state(5))
+    assert stamps(receiver.receive(0.0)) == [5]
+    assert received_counts(receiver).rejected == 5
+    assert len(caplog.records) == 1, "one warning line, not five"
+
+
+def test_duplicates_are_delivered_once() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    network.inject("vehicle/state", Faults(duplicate=1.0))
+    for stamp_ns in range(3):
+        sender.publish("vehicle/state", state(stamp_ns))
+        network.advance(1)
+    assert stamps(receiver.receive(0.0)) == [0, 1, 2]
+    assert received_counts(receiver).messages == 3
+
+
+def run_with_faults(seed: int) -> tuple[list[int], TopicCount]:
+    network = LocalNetwork(seed=seed)
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    network.inject("vehicle/state", Faults(drop=0.2, jitter_ns=30, duplicate=0.2, corrupt=0.1))
+    got = []
+    for stamp_ns in range(200):
+        sender.publish("vehicle/state", state(stamp_ns))
+        network.advance(10)
+        got += stamps(receiver.receive(0.0))
+    network.inject("vehicle/state", Faults())
+    network.advance(30)
+    sender.publish("vehicle/state", state(200))
+    return got + stamps(receiver.receive(0.0)), received_counts(receiver)
+
+
+def test_every_missing_message_is_counted_and_order_holds() -> None:
+    got, count = run_with_faults(seed=3)
+    assert got == sorted(set(got)), "in order, none twice"
+    # all but those before the first seen: a receiver cannot know that it came late
+    assert count.lost == 201 - got[0] - len(got)
+    assert 20 < count.lost < 140
+
+
+def test_same_seed_same_faults() -> None:
+    assert run_with_faults(seed=4) == run_with_faults(seed=4)
+    assert run_with_faults(seed=4) != run_with_faults(seed=5)
+
+
+def test_what_cannot_travel_is_refused_and_spends_no_number() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    with pytest.raises(CodecError):
+        sender.publish("vehicle/state", RadarSetup())
+    with pytest.raises(ValueError, match="unknown topic"):
+        sender.publish("vehicle", state(0))
+    sender.publish("vehicle/state", state(0))
+    assert receiver.receive(0.0)[0].envelope.sequence == 0
+
+
+def test_closed_bus_receives_nothing_more() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("sender"), network.bus("receiver")
+    receiver.subscribe("vehicle/state")
+    receiver.close()
+    sender.publish("vehicle/state", state(0))
+    assert receiver.receive(0.0) == []
+
+
+@pytest.mark.parametrize("change", [{"drop": 1.5}, {"corrupt": -0.1}, {"duplicate": float("nan")}, {"delay_ns": -1}])
+def test_faults_refuse(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"faults.{next(iter(change))}"):
+        Faults(**change)  # type: ignore[arg-type]
+
+
+def test_time_does_not_run_back() -> None:
+    with pytest.raises(ValueError, match="duration_ns must not be negative"):
+        LocalNetwork().advance(-1)

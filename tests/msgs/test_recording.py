@@ -1,0 +1,308 @@
+"""Recordings: round trip, order, other readers, cuts at every byte, flipped bytes, foreign topics, refusals."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import jsonschema
+import msgpack
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from msgs.diagnostics import LogRecord
+from msgs.radar import RadarBeam
+from msgs.recording import Recorded, RecordingReader, RecordingWriter, copy_recording, info
+from msgs.topics import TOPICS
+from msgs.vehicle import VehicleState
+
+METADATA = {"scene": "corner", "config": "{}"}
+
+
+def state(stamp_ns: int) -> VehicleState:
+    return VehicleState(stamp_ns=stamp_ns, speed_mps=0.5 * stamp_ns)
+
+
+def beam(index: int) -> RadarBeam:
+    samples = np.random.default_rng(index).integers(-99, 99, (2, 64, 2), dtype=np.int16)
+    return RadarBeam(
+        stamp_ns=index,
+        scan_id=0,
+        beam_index=index,
+        beam_count=100,
+        azimuth_rad=0.0,
+        samples=samples,
+        full_scale_dbm=0.0,
+    )
+
+
+def record(path: Path, count: int = 6, step_ns: int = 10) -> Path:
+    """`count` beams of "radar" and states of "car", taking turns."""
+    with RecordingWriter(path, METADATA) as writer:
+        for index in range(count):
+            writer.write("radar/beam", beam(index), publisher="radar", sequence=index, sent_ns=step_ns * index)
+            writer.write("vehicle/state", state(index), publisher="car", sequence=index, sent_ns=step_ns * index + 5)
+    return path
+
+
+def read(path: Path) -> tuple[list[Recorded], str | None]:
+    with RecordingReader(path) as reader:
+        return list(reader.messages()), reader.loss
+
+
+def keys(messages: list[Recorded]) -> list[tuple[str, int, int]]:
+    return [(message.topic, message.sequence, message.log_time_ns) for message in messages]
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    messages, loss = read(record(tmp_path / "a.mcap"))
+    assert loss is None
+    assert keys(messages)[:3] == [("radar/beam", 0, 0), ("vehicle/state", 0, 5), ("radar/beam", 1, 10)]
+    assert [message.publisher for message in messages[:2]] == ["radar", "car"]
+    for message in messages:
+        if isinstance(message.message, RadarBeam):
+            expected = beam(message.sequence)
+            assert message.message.samples.tobytes() == expected.samples.tobytes()
+            assert message.message.stamp_ns == expected.stamp_ns
+        else:
+            assert message.message == state(message.sequence)
+
+
+def test_info(tmp_path: Path) -> None:
+    found = info(record(tmp_path / "a.mcap", count=11))
+    assert (found.complete, found.checksums_agree, found.loss) == (True, True, None)
+    assert found.metadata == METADATA
+    assert found.start_ns == 0
+    assert found.duration_s == pytest.approx(105e-9)
+    radar, car = found.topics
+    assert (radar.topic, radar.type, radar.publishers, radar.messages) == ("radar/beam", "RadarBeam", ("radar",), 11)
+    assert radar.rate_hz == pytest.approx(1e8)
+    assert (car.topic, car.known) == ("vehicle/state", True)
+    assert radar.bytes > 11 * beam(0).samples.nbytes
+
+
+def test_any_mcap_and_msgpack_library_reads_it(tmp_path: Path) -> None:
+    """Message encoding, JSON Schema and times as the reference reader shows them, with all checksums verified."""
+    with record(tmp_path / "a.mcap").open("rb") as file:
+        rows = list(make_reader(file, validate_crcs=True).iter_messages())
+    assert len(rows) == 12
+    for schema, channel, message in rows:
+        assert schema is not None
+        assert (channel.message_encoding, schema.encoding) == ("msgpack", "jsonschema")
+        assert schema.name == TOPICS[channel.topic].type.__name__
+        body = msgpack.unpackb(message.data)
+        jsonschema.validate(json.loads(json.dumps(body, default=lambda data: data.hex())), json.loads(schema.data))
+        assert message.publish_time == body["stamp_ns"] == message.sequence
+
+
+def test_topics_and_times_filter(tmp_path: Path) -> None:
+    with RecordingReader(record(tmp_path / "a.mcap")) as reader:
+        states = list(reader.messages(topics=["vehicle/state"], start_ns=15, end_ns=45))
+        assert keys(states) == [("vehicle/state", 1, 15), ("vehicle/state", 2, 25), ("vehicle/state", 3, 35)]
+        # the same reader again, from the beginning
+        assert len(list(reader.messages())) == 12
+
+
+def test_log_time_order_across_chunks(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    times = [5_000_000_000, 1, 9_000_000_000, 3_000_000_000, 3_000_000_000, 2]
+    with RecordingWriter(path, {}) as writer:
+        for sequence, sent_ns in enumerate(times):
+            writer.write("vehicle/state", state(0), publisher="car", sequence=sequence, sent_ns=sent_ns)
+    messages, _ = read(path)
+    assert [message.log_time_ns for message in messages] == sorted(times)
+    assert [message.sequence for message in messages] == [1, 5, 3, 4, 0, 2], "equal times in order of writing"
+
+
+def test_same_messages_same_bytes(tmp_path: Path) -> None:
+    assert record(tmp_path / "a.mcap").read_bytes() == record(tmp_path / "b.mcap").read_bytes()
+
+
+def test_cut_at_every_byte_yields_all_whole_chunks(tmp_path: Path) -> None:
+    """Chunks of one turn each; from the magic on, no cut raises and none costs more than the chunk it goes through."""
+    whole = record(tmp_path / "whole.mcap", count=4, step_ns=2_000_000_000)
+    raw = whole.read_bytes()
+    everything, _ = read(whole)
+    with RecordingReader(whole) as reader:
+        ends = [chunk.offset for chunk in reader._walk.chunks[1:]]
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(raw)
+    for size in reversed(range(8, len(raw))):
+        os.truncate(cut, size)
+        messages, loss = read(cut)
+        assert keys(messages) == keys(everything)[: len(messages)]
+        chunks_whole = sum(end <= size for end in ends)
+        assert len(messages) >= len(everything) - 2 * (len(ends) + 1 - chunks_whole) - 1
+        # the last 8 bytes only repeat the magic
+        assert (loss is None) == (size >= len(raw) - 8), f"{size} of {len(raw)} bytes: {loss}"
+
+
+def test_flipped_bytes_never_give_a_changed_message_silently(tmp_path: Path) -> None:
+    whole = record(tmp_path / "whole.mcap", count=5, step_ns=2_000_000_000)
+    raw = bytearray(whole.read_bytes())
+    everything = [(m[0], *m[2:], m.message.stamp_ns) for m in read(whole)[0]]  # type: ignore[attr-defined]
+    damaged = tmp_path / "damaged.mcap"
+    noticed = 0
+    positions = np.random.default_rng(2).integers(8, len(raw) - 8, 150)
+    for at in positions:
+        raw[at] ^= 0x10
+        damaged.write_bytes(raw)
+        raw[at] ^= 0x10
+        messages, _ = read(damaged)
+        assert {(m[0], *m[2:], m.message.stamp_ns) for m in messages} <= set(everything)  # type: ignore[attr-defined]
+        found = info(damaged)
+        noticed += not (found.checksums_agree and found.complete)
+    assert noticed == len(positions)
+
+
+def test_damaged_chunk_is_left_out_and_the_rest_read(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", count=5, step_ns=2_000_000_000)
+    with RecordingReader(path) as reader:
+        offset = reader._walk.chunks[2].offset
+    raw = bytearray(path.read_bytes())
+    raw[offset + 200] ^= 1
+    path.write_bytes(raw)
+    messages, loss = read(path)
+    assert 7 <= len(messages) < 10
+    assert loss is not None
+    assert f"1 damaged chunks, the first at byte {offset}" in loss
+    assert info(path).checksums_agree is False
+
+
+CHILD = """
+import sys, time
+from pathlib import Path
+from msgs.recording import RecordingWriter
+from msgs.vehicle import VehicleState
+writer = RecordingWriter(Path(sys.argv[1]), {"run": "7"})
+for index in range(10_000):
+    writer.write("vehicle/state", VehicleState(stamp_ns=index), publisher="car", sequence=index, sent_ns=index * 10**8)
+    time.sleep(0.002)
+"""
+
+
+def test_killed_recorder_leaves_a_readable_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    child = subprocess.Popen([sys.executable, "-c", CHILD, str(path)])
+    deadline = time.monotonic() + 20.0
+    while time.monotonic() < deadline and (not path.exists() or path.stat().st_size < 4000):
+        time.sleep(0.01)
+    os.kill(child.pid, signal.SIGKILL)
+    child.wait()
+    messages, loss = read(path)
+    assert len(messages) >= 10
+    assert [message.sequence for message in messages] == list(range(len(messages)))
+    assert loss is not None
+    assert "cut off" in loss
+    with RecordingReader(path) as reader:
+        assert reader.metadata == {"run": "7"}
+
+
+def test_existing_file_is_kept_unless_asked(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap")
+    with pytest.raises(FileExistsError, match=r"a\.mcap: exists already"):
+        RecordingWriter(path, {})
+    RecordingWriter(path, {}, overwrite=True).close()
+    assert read(path) == ([], None)
+
+
+def test_writer_refuses(tmp_path: Path) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", {}) as writer:
+        with pytest.raises(ValueError, match="radar/beam carries RadarBeam, got VehicleState"):
+            writer.write("radar/beam", state(0), publisher="a", sequence=0, sent_ns=0)
+        with pytest.raises(ValueError, match="unknown topic"):
+            writer.write("nothing", state(0), publisher="a", sequence=0, sent_ns=0)
+        with pytest.raises(ValueError, match="sent_ns must be"):
+            writer.write("vehicle/state", state(0), publisher="a", sequence=0, sent_ns=-1)
+    writer.close()
+
+
+@pytest.mark.parametrize(
+    ("content", "rule"),
+    [(b"", "is empty"), (b"\x89MCAP", "is not an MCAP recording"), (b"garbage " * 99, "is not an MCAP recording")],
+)
+def test_no_recording_at_all(tmp_path: Path, content: bytes, rule: str) -> None:
+    path = tmp_path / "a.mcap"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"a\.mcap: {rule}") as refused:
+        RecordingReader(path)
+    assert "\n" not in str(refused.value)
+
+
+def test_no_file_and_no_regular_file(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no such file"):
+        RecordingReader(tmp_path / "none.mcap")
+    with pytest.raises(ValueError, match="is a directory"):
+        RecordingReader(tmp_path)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(ValueError, match="is not a regular file"):
+        RecordingReader(tmp_path / "pipe")
+
+
+def foreign(path: Path, *, chunked: bool) -> Path:
+    """Another program's file: a topic unknown here, one of ours with unreadable bytes, one in another encoding."""
+    with path.open("wb") as file:
+        writer = Writer(file, use_chunking=chunked, compression=CompressionType.ZSTD)
+        writer.start()
+        schema = writer.register_schema("Imu", "jsonschema", b"{}")
+        imu = writer.register_channel("imu", "json", schema)
+        bad = writer.register_channel("vehicle/state", "msgpack", 0)
+        other = writer.register_channel("log", "cdr", 0)
+        for time_ns in range(3):
+            writer.add_message(imu, time_ns, b"{}", time_ns, time_ns)
+        writer.add_message(bad, 3, msgpack.packb({"stamp_ns": "late"}), 3)
+        writer.add_message(bad, 4, msgpack.packb({"stamp_ns": 4}), 4)
+        writer.add_message(other, 5, b"\x00", 5)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("chunked", [True, False])
+def test_foreign_topics_are_listed_and_skipped(tmp_path: Path, chunked: bool) -> None:
+    path = foreign(tmp_path / "a.mcap", chunked=chunked)
+    with RecordingReader(path) as reader:
+        (message,) = reader.messages()
+        assert message.message == VehicleState(stamp_ns=4)
+        assert reader.skipped == {"imu": 3, "vehicle/state": 1, "log": 1}
+        assert reader.loss is None
+    topics = {topic.topic: (topic.messages, topic.known, topic.type) for topic in info(path).topics}
+    assert topics == {"imu": (3, False, "Imu"), "log": (1, True, ""), "vehicle/state": (2, True, "")}
+
+
+def test_copy_recovers_a_cut_file_and_keeps_unknown_topics(tmp_path: Path) -> None:
+    whole = record(tmp_path / "whole.mcap", count=5, step_ns=2_000_000_000)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(whole.read_bytes()[:-3000])
+    count, loss = copy_recording(cut, tmp_path / "recovered.mcap")
+    assert loss is not None
+    recovered = info(tmp_path / "recovered.mcap")
+    assert (recovered.complete, recovered.checksums_agree, recovered.metadata) == (True, True, METADATA)
+    assert keys(read(tmp_path / "recovered.mcap")[0]) == keys(read(cut)[0])
+    assert len(read(cut)[0]) == count
+    copy_recording(foreign(tmp_path / "f.mcap", chunked=True), tmp_path / "g.mcap")
+    assert [topic.topic for topic in info(tmp_path / "g.mcap").topics] == ["imu", "log", "vehicle/state"]
+
+
+def test_copy_trims_and_compresses(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", count=50)
+    count, loss = copy_recording(
+        path, tmp_path / "b.mcap", topics=["vehicle/state"], start_ns=100, end_ns=300, compress=True
+    )
+    assert (count, loss) == (20, None)
+    assert keys(read(tmp_path / "b.mcap")[0]) == [("vehicle/state", n, 10 * n + 5) for n in range(10, 30)]
+
+
+def test_log_text_of_any_kind(tmp_path: Path) -> None:
+    record_in = LogRecord(stamp_ns=-5, node="a", level="info", text="Mauer \u00e4 \U0001f697 \0")
+    with RecordingWriter(tmp_path / "a.mcap", {}) as writer:
+        writer.write("log", record_in, publisher="a", sequence=(1 << 32) + 3, sent_ns=0)
+    ((message,), _) = read(tmp_path / "a.mcap")
+    assert message.message == record_in
+    assert message.sequence == 3, "the file keeps 32 bits"
