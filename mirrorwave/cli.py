@@ -89,7 +89,9 @@ def main(argv: list[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _fail("interrupted", ExitCode.FAILED)
     except _USAGE_ERROR as error:
-        return _fail(error.format_message() if hasattr(error, "format_message") else str(error), ExitCode.BAD_INPUT)
+        text = error.format_message() if hasattr(error, "format_message") else str(error)
+        # a group without a verb answers with its help, which is no error line
+        return _fail(text, ExitCode.BAD_INPUT, prefix="" if "\n" in text else "mirrorwave: ")
     except BrokenPipeError:
         # the reader of a pipe has seen enough; the interpreter must not find out again while it exits
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -100,8 +102,8 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(error_line(error), exit_code_of(error))
 
 
-def _fail(line: str, code: ExitCode) -> int:
-    sys.stderr.write(f"mirrorwave: {line}\n")
+def _fail(line: str, code: ExitCode, prefix: str = "mirrorwave: ") -> int:
+    sys.stderr.write(f"{prefix}{line}\n")
     return code
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 #: What the sensors say, and the truth. All else in a recording is the graph's own work and is done again.
 SENSED_TOPICS = ("radar/setup", "radar/beam", "vehicle/state", "sim/truth")
+#: Scenes named in launch files are looked for here when they are not in the working directory.
+CHECKOUT = Path(__file__).resolve().parents[1]
 #: Most messages that one step may send: heartbeats and a stop come between steps.
 BURST = 8
 
@@ -31,7 +34,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     scans: int | None = None
     #: Speed of play; 1 is real time.
     rate: float = 1.0
-    #: Time between the set-up and the first beam, in which subscribers get ready.
+    #: Rest before the first beam, in which subscribers get ready, and after the last, in which it gets through.
     settle_s: float = 0.3
     #: Standard deviation of a random phase of each beam: the scene is then not coherent across a scan.
     phase_jitter_rad: float = 0.0
@@ -68,22 +71,28 @@ class Player(Node):
         self._settle_ns = round(settle_s * 1e9)
         self._restamp = restamp
         self._start_ns: int | None = None
+        self._end_ns: int | None = None
+        self._ended = False
         self._next = next(events, None)
 
     def finished(self) -> bool:
-        """True after the last event."""
-        return self._next is None
+        """True once the last message has had time to get through."""
+        return self._ended
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When the next message is to go out."""
+        """When the next message is to go out, or when to end."""
         if self._next is None:
-            return None
+            return self._end_ns or now_ns
         if self._start_ns is None:
             return now_ns
         return self._start_ns + round(self._next.offset_ns / self._rate)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """All messages whose time has come."""
+        if self._next is None:
+            self._ended = self._end_ns is not None and now_ns >= self._end_ns
+            self._end_ns = self._end_ns or now_ns + self._settle_ns
+            return []
         if self._start_ns is None:
             return self._open(now_ns)
         out: list[Outgoing] = []
@@ -168,11 +177,19 @@ def _recording_events(path: Path) -> Iterator[Event]:
             yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
 
 
+def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
+    first = next(events, None)
+    if first is None:
+        raise ValueError(f"{capture}: holds none of {', '.join(SENSED_TOPICS)}")
+    return itertools.chain([first], events)
+
+
 def scene_of(params: Params) -> Scene:
     """The scene named by `params`, with the speeds it overrides."""
     from sim_player.scene import check_scene, load_scene
 
-    scene = load_scene(Path(params.scene or ""))
+    path = Path(params.scene or "")
+    scene = load_scene(path if path.exists() else CHECKOUT / path)
     if params.object_speed_mps is not None:
         things = tuple(msgspec.structs.replace(thing, speed_mps=params.object_speed_mps) for thing in scene.objects)
         scene = msgspec.structs.replace(scene, objects=things)
@@ -200,5 +217,5 @@ def create(params: Params) -> Player:
     if params.scene is not None:
         events = scene_events(scene_player(params), params.scans)
     else:
-        events = capture_events(Path(params.capture or ""))
+        events = _not_empty(capture_events(Path(params.capture or "")), params.capture)
     return Player(events, params.rate, params.settle_s, restamp=params.scene is not None)

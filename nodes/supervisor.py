@@ -70,6 +70,10 @@ class _Watched:
         self.child = Child(name, self.entry, run_dir)
         self.phase, self.started_s, self.reason = Phase.STARTING, now_s, ""
 
+    def kill(self) -> None:
+        if self.child is not None:
+            self.child.kill()
+
     def overdue(self, now_s: float) -> str:
         """Why the node counts as hanging; empty if it does not."""
         if self.phase is Phase.READY and now_s - self.heard_s > self.entry.hang_timeout_s:
@@ -128,7 +132,7 @@ class Supervisor:
             stack.callback(self._bus.close)
             self._heartbeat = Heartbeat(self._bus, SUPERVISOR)
             self._bus.subscribe("diagnostics/node")
-            stack.callback(self._kill_all)
+            stack.callback(self._close_all)
             stack.enter_context(self._signals())
             self._say("info", f"graph {self._launch.name}: {len(self._nodes)} nodes, log in {run_folder}")
             self._loop()
@@ -240,7 +244,7 @@ class Supervisor:
             if reason and node.child is not None and self._stopping is None:
                 node.reason = reason
                 self._say("error", f"{name} hangs: {reason}")
-                node.child.kill()
+                node.kill()
 
     def _forgive(self, now_s: float) -> None:
         for node in self._nodes.values():
@@ -262,7 +266,8 @@ class Supervisor:
 
     def _check_end(self, now_s: float) -> None:
         if self._stop_requests > 1:
-            self._kill_all()
+            for node in self._nodes.values():
+                node.kill()
         if self._stopping is not None:
             return
         if self._stop_requests:
@@ -298,15 +303,15 @@ class Supervisor:
         for node in (self._nodes[name] for name in (self._stopping[0] if self._stopping else ())):
             if node.child is not None and node.phase is Phase.READY:
                 node.child.stop(now_s, self._patience_s)
-            elif node.child is not None:
+            else:
                 # it has nothing to lose yet, and no handler for a gentler signal
-                node.child.kill()
+                node.kill()
 
     def _all_gone(self) -> bool:
         waiting = self._stopping is None and any(node.phase is Phase.WAITING for node in self._nodes.values())
         return not waiting and not any(node.child for node in self._nodes.values())
 
-    def _kill_all(self) -> None:
+    def _close_all(self) -> None:
         for name, node in self._nodes.items():
             if node.child is not None:
                 self._pass_on(name, node.child.close())

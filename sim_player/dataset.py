@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 
 from models.physics.waveform import WINDOW_TAPS, range_profile, window_noise_gain
-from msgs.perception import PathClass, SceneTruth
+from msgs.perception import SceneTruth
 from msgs.radar import RadarSetup
 from msgs.units import ratio_from_db
 from sim_player.fmcw import beam_weights
@@ -32,6 +33,8 @@ SCENES_PER_SHARD = 50
 WINDOW = "hann"
 #: Spread of the radar's gain from scene to scene (ageing, temperature, radome), uniform within.
 GAIN_DB = 3.0
+#: Folder, seed of the series, first scene, number of scenes.
+ShardJob = tuple[Path, int, int, int]
 
 
 @dataclass(frozen=True)
@@ -60,7 +63,7 @@ def profile_noise(setup: RadarSetup, seed: int, range_bins: int = RANGE_BINS) ->
     rng = np.random.default_rng([seed, 6])
     draws = rng.standard_normal((2, len(setup.beams), range_bins + len(taps) - 1)) * np.sqrt(0.5 * power)
     white = draws[0] + 1j * draws[1]
-    return sum(tap * white[:, i : i + range_bins] for i, tap in enumerate(taps))  # type: ignore[return-value]
+    return sum(tap * white[:, i : i + range_bins] for i, tap in enumerate(taps))
 
 
 def noise_power_mw(setup: RadarSetup) -> float:
@@ -119,6 +122,8 @@ def write_dataset(
     for name, value in (("count", count), ("workers", workers)):
         if value < 1:
             raise ValueError(f"{name} must be at least 1, got {value!r}")
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed!r}")
     out_dir.mkdir(parents=True, exist_ok=True)
     _claim(out_dir, seed)
     firsts = range(0, count, SCENES_PER_SHARD)
@@ -140,7 +145,7 @@ def read_shard(path: Path) -> dict[str, np.ndarray]:
         return {name: shard[name] for name in shard.files}
 
 
-def _run(jobs: list[tuple[Path, int, int, int]], workers: int):  # type: ignore[no-untyped-def]
+def _run(jobs: list[ShardJob], workers: int) -> Iterator[dict[str, Any]]:
     """Manifest lines of all shards, in order."""
     if workers == 1:
         yield from map(_write_shard, jobs)
@@ -150,7 +155,7 @@ def _run(jobs: list[tuple[Path, int, int, int]], workers: int):  # type: ignore[
         yield from pool.map(_write_shard, jobs)
 
 
-def _write_shard(job: tuple[Path, int, int, int]) -> dict:
+def _write_shard(job: ShardJob) -> dict[str, Any]:
     """Simulate one shard unless it is there; its manifest line."""
     out_dir, seed, first, count = job
     path = out_dir / f"shard-{first // SCENES_PER_SHARD:05d}.npz"
@@ -158,7 +163,7 @@ def _write_shard(job: tuple[Path, int, int, int]) -> dict:
         arrays = _shard_arrays(seed, first, count)
         part = path.with_suffix(".part")
         with part.open("wb") as file:
-            np.savez(file, **arrays)
+            np.savez(file, **arrays)  # type: ignore[arg-type]
             file.flush()
             os.fsync(file.fileno())
         part.replace(path)

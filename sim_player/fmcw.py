@@ -86,7 +86,7 @@ def _kernel_transform(count: int) -> np.ndarray:
 
 
 def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Phases of moving paths over a beam's chirps in few terms: exp(j w_p c) = carrier[c] sum_r share[r, p] basis[r, c].
+    """Phases of moving paths over a beam's chirps: exp(j w_p c) = carrier[c] sum_r share[r, p] basis[r, c].
 
     Chirps count from the middle of the beam. Returns carrier complex128 [chirps], basis float64 [terms, chirps] and
     share complex128 [terms, paths]. A common turn is taken out first, then the band that is left needs only as many
@@ -107,7 +107,7 @@ def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
     coarse = np.arange(-(-chirps // step)) * step - 0.5 * (chirps - 1)
     coarse_phasors = np.exp(1j * np.multiply.outer(coarse, turn))
     fine_phasors = np.exp(1j * np.multiply.outer(np.arange(step), turn))
-    return (coarse_phasors[:, None] * fine_phasors[None]).reshape(-1, len(turn))[:chirps]
+    return (coarse_phasors[:, None] * fine_phasors[None]).reshape(len(coarse) * step, len(turn))[:chirps]
 
 
 @lru_cache(maxsize=64)

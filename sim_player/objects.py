@@ -61,7 +61,7 @@ def scattering_centres(object_class: str, seed: int, index: int) -> ScatteringCe
 def seen_rcs_m2(
     peak_rcs_m2: np.ndarray, normals: np.ndarray, lobe_exponent: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
-    """RCS towards plane unit vectors `direction` [..., K, 2] pointing from the centres to the radar; 0 if turned away."""
+    """RCS towards plane unit vectors `direction` [..., K, 2] from the centres to the radar; 0 if turned away."""
     cosine = np.maximum(
         direction[..., 0] * normals[:, 0, 0] + direction[..., 1] * normals[:, 0, 1],
         direction[..., 0] * normals[:, 1, 0] + direction[..., 1] * normals[:, 1, 1],
@@ -88,7 +88,7 @@ def _layout(
     for normal in outward:
         along = np.array([-normal[1], normal[0]])
         reach = abs(along @ half)
-        count = max(int(round(2.0 * reach / CENTRE_SPACING_M)) - 1, 1)
+        count = max(round(float(2.0 * reach / CENTRE_SPACING_M)) - 1, 1)
         # jittered: even spacing would make a grating
         place = np.linspace(-reach, reach, count + 2)[1:-1] + rng.uniform(-0.25, 0.25, count) * CENTRE_SPACING_M
         position.append(normal * half + np.clip(place, -reach, reach)[:, None] * along)

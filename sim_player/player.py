@@ -83,9 +83,7 @@ class ScenePlayer:
     def vehicle_state(self, stamp_ns: int) -> VehicleState:
         """The vehicle's constant motion, as its bus would report it."""
         ego = self.scene.ego
-        return VehicleState(
-            stamp_ns=stamp_ns, speed_mps=ego.speed_mps, yaw_rate_rps=math.radians(ego.yaw_rate_dps)
-        )
+        return VehicleState(stamp_ns=stamp_ns, speed_mps=ego.speed_mps, yaw_rate_rps=math.radians(ego.yaw_rate_dps))
 
     def _elapsed_s(self, stamp_ns: int) -> float:
         return s_from_ns(stamp_ns - self.setup.stamp_ns)

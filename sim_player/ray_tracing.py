@@ -37,6 +37,8 @@ LIT_ELEVATION_RAD = 0.3
 #: Median and spread of the wall's own small scatterers.
 STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB = -12.0, 4.0
 STRUCTURE_SPACING_M = (1.0, 3.0)
+#: Nearer than this the radar equation means nothing; distances are taken as at least this.
+NEAREST_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -66,12 +68,12 @@ class Paths:
 
     def take(self, which: np.ndarray) -> Paths:
         """The paths of an index or mask."""
-        return Paths(*(getattr(self, field.name)[which] for field in fields(self)))
+        return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 @dataclass(frozen=True)
 class World:
-    """A scene made ready for tracing: flat arrays, all randomness drawn. W wall pieces, K centres, Q wall scatterers."""
+    """A scene made ready for tracing: flat arrays, randomness drawn. W wall pieces, K centres, Q wall scatterers."""
 
     scene: Scene
     radar: RadarParams
@@ -106,6 +108,8 @@ class World:
 
 def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> World:
     """Draw a scene's scatterers (phases fixed by `seed`) and flatten it for `trace`; ValueError from `check_scene`."""
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed!r}")
     check_scene(scene)
     setup = scene.setup if setup is None else setup
     walls = [
@@ -140,7 +144,7 @@ def radar_pose(scene: Scene, time_s: float) -> Pose2:
 
 
 def trace(world: World, time_s: float = 0.0) -> Paths:
-    """All paths at a time after start, strongest physics only (see the module): LOS objects, walls, mirrored objects."""
+    """All paths at a time after start, of the kinds the module names: LOS objects, walls, mirrored objects."""
     view = _View.at(world, time_s)
     parts = [_direct_objects(view), _wall_flashes(view), _wall_specks_seen(view), _mirrored_objects(view)]
     return _in_radar_frame(view, [part for part in parts if len(part.length_m)])
@@ -159,6 +163,9 @@ class _View:
     blocker_a: np.ndarray
     blocker_b: np.ndarray
     blocker_height: np.ndarray
+    #: Unit normals [W, 2] of all pieces of wall towards the radar, and their offsets [W].
+    normal: np.ndarray
+    offset: np.ndarray
 
     @classmethod
     def at(cls, world: World, time_s: float) -> _View:
@@ -169,19 +176,25 @@ class _View:
         speed = world.scene.ego.speed_mps
         centre = world.centre_m.copy()
         centre[:, :2] += shift[world.centre_object]
+        origin = np.array([pose.x_m, pose.y_m])
+        normal, offset = _wall_lines(world, origin)
         return cls(
             world=world,
             pose=pose,
-            origin=np.array([pose.x_m, pose.y_m]),
+            origin=origin,
             radar_velocity=speed * np.array([math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)]),
             centre=centre,
             velocity=world.velocity_mps[world.centre_object],
             blocker_a=np.concatenate([world.wall_a, world.face_a + face_shift]),
             blocker_b=np.concatenate([world.wall_b, world.face_b + face_shift]),
             blocker_height=np.concatenate([world.wall_height_m, world.face_height_m]),
+            normal=normal,
+            offset=offset,
         )
 
-    def free(self, start: np.ndarray, end: np.ndarray, start_z: np.ndarray, end_z: np.ndarray) -> np.ndarray:
+    def free(
+        self, start: np.ndarray, end: np.ndarray, start_z: np.ndarray | float, end_z: np.ndarray | float
+    ) -> np.ndarray:
         """Which straight legs [N] pass every wall and box, or over them."""
         along_ray, along_wall = crossing_parameters(start, end, self.blocker_a, self.blocker_b)
         hit = cut(along_ray, along_wall, start, end, self.blocker_a, self.blocker_b)
@@ -212,7 +225,7 @@ def _direct_objects(view: _View) -> _Part:
     which = which[view.free(view.origin, centre[which, :2], world.radar_height_m, centre[which, 2])]
     target = centre[which]
     ray = _ray(view, target)
-    length = 2.0 * _norm(ray)
+    length = 2.0 * np.maximum(_norm(ray), NEAREST_M)
     phasor = np.exp(1j * world.centre_phase_rad[which])
     return _Part(
         PathClass.LOS,
@@ -230,8 +243,7 @@ def _mirrored_objects(view: _View) -> _Part:
     """Scattering centres seen in each piece of wall: the specular point inside the piece, both legs free."""
     world, centre = view.world, view.centre
     wall, target = _mirror_pairs(view)
-    normal, offset = _wall_lines(view)
-    normal, offset = normal[wall], offset[wall]
+    normal, offset = view.normal[wall], view.offset[wall]
     image = reflect(centre[target], normal, offset)
     # the specular point, by the heights over the wall of the two ends (exact, no line intersection needed)
     radar_height = normal @ view.origin + offset
@@ -245,7 +257,7 @@ def _mirrored_objects(view: _View) -> _Part:
     seen[seen] = view.free(specular[seen, :2], centre[target[seen], :2], specular[seen, 2], centre[target[seen], 2])
     wall, target, image, normal, rcs = wall[seen], target[seen], image[seen], normal[seen], rcs[seen]
     ray = _ray(view, image)
-    length = 2.0 * _norm(ray)
+    length = 2.0 * np.maximum(_norm(ray), NEAREST_M)
     image_velocity = reflect(view.velocity[target], normal, 0.0)
     field = _wall_field(world, wall, np.abs(_dot(ray[:, :2], normal)) / (0.5 * length))
     return _Part(
@@ -266,7 +278,7 @@ def _mirror_pairs(view: _View) -> tuple[np.ndarray, np.ndarray]:
     world = view.world
     if not len(world.wall_a) or not len(view.centre):
         return np.zeros(0, int), np.zeros(0, int)
-    normal, offset = _wall_lines(view)
+    normal, offset = view.normal, view.offset
     height = normal @ view.centre[:, :2].T + offset[:, None]  # [W, K]
     radar_height = (normal @ view.origin + offset)[:, None]
     along = world.wall_b - world.wall_a
@@ -276,19 +288,20 @@ def _mirror_pairs(view: _View) -> tuple[np.ndarray, np.ndarray]:
     # similar triangles: the feet of both, weighted by the other's height
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (radar_share * height + target_share * radar_height) / (height + radar_height)
-        return np.nonzero((height > 1e-9) & (radar_height > 1e-9) & (share >= 0.0) & (share <= 1.0))
+        wall, target = np.nonzero((height > 1e-9) & (radar_height > 1e-9) & (share >= 0.0) & (share <= 1.0))
+    return wall, target
 
 
 def _wall_flashes(view: _View) -> _Part:
     """The image of the radar itself where the foot of the perpendicular lies on a visible piece of wall."""
     world = view.world
-    normal, offset = _wall_lines(view)
+    normal, offset = view.normal, view.offset
     distance = normal @ view.origin + offset
     foot = view.origin - distance[:, None] * normal
     along = world.wall_b - world.wall_a
     share = _dot(foot - world.wall_a, along) / _dot(along, along)
     height = world.radar_height_m
-    wall = np.flatnonzero((share >= 0.0) & (share <= 1.0) & (world.wall_height_m > height) & (distance > 1e-9))
+    wall = np.flatnonzero((share >= 0.0) & (share <= 1.0) & (world.wall_height_m > height) & (distance > NEAREST_M))
     wall = wall[view.free(view.origin, foot[wall], height, height)]
     distance = distance[wall]
     spreading = world.radar.wavelength_m / (4.0 * np.pi * 2.0 * distance)
@@ -313,9 +326,8 @@ def _wall_specks_seen(view: _View) -> _Part:
     which = tall[view.free(view.origin, world.speck_m[tall], height, height)]
     wall = world.speck_wall[which]
     ray = world.speck_m[which] - view.origin
-    distance = _norm(ray)
-    normal, _ = _wall_lines(view)
-    cosine = np.minimum(np.abs(_dot(ray, normal[wall])) / distance, 1.0)
+    distance = np.maximum(_norm(ray), NEAREST_M)
+    cosine = np.minimum(np.abs(_dot(ray, view.normal[wall])) / distance, 1.0)
     reflected = np.abs(_fresnel(world, wall, cosine)) ** 2
     lost = reflected * (1.0 - coherent_power(world.wall_roughness_m[wall], cosine, world.radar.wavelength_m))
     lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * distance)
@@ -353,13 +365,12 @@ def _fresnel(world: World, wall: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     )
 
 
-def _wall_lines(view: _View) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals [W, 2] towards the radar and offsets [W] of all pieces of wall."""
-    world = view.world
+def _wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals [W, 2] towards a place and offsets [W] of all pieces of wall."""
     along = world.wall_b - world.wall_a
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / _norm(along)[:, None]
     middle = 0.5 * (world.wall_a + world.wall_b)
-    side = np.where(_dot(view.origin - middle, normal) < 0.0, -1.0, 1.0)
+    side = np.where(_dot(origin - middle, normal) < 0.0, -1.0, 1.0)
     normal *= side[:, None]
     return normal, -_dot(normal, middle)
 
@@ -371,17 +382,13 @@ def _within(specular: np.ndarray, world: World, wall: np.ndarray) -> np.ndarray:
 
 def _seen_rcs(world: World, which: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """RCS of some centres towards plane directions."""
-    return seen_rcs_m2(
-        world.centre_rcs_m2[which], world.centre_normals[which], world.centre_exponent[which], direction
-    )
+    return seen_rcs_m2(world.centre_rcs_m2[which], world.centre_normals[which], world.centre_exponent[which], direction)
 
 
 def _in_radar_frame(view: _View, parts: list[_Part]) -> Paths:
     """All parts as one set of paths, seen from the radar."""
     if not parts:
-        empty, points = np.zeros(0), np.zeros((0, 3))
-        none = np.zeros(0, np.int32)
-        return Paths(none.astype(np.uint8), *([empty] * 4), empty.astype(complex), none, none, points, points)
+        parts = [_nothing()]
     virtual = _to_radar(view, np.concatenate([part.virtual for part in parts]))
     plan = np.hypot(virtual[:, 0], virtual[:, 1])
     return Paths(
@@ -396,6 +403,12 @@ def _in_radar_frame(view: _View, parts: list[_Part]) -> Paths:
         point_m=_to_radar(view, np.concatenate([part.point for part in parts])),
         virtual_m=virtual,
     )
+
+
+def _nothing() -> _Part:
+    """No paths."""
+    empty, points = np.zeros(0), np.zeros((0, 3))
+    return _Part(PathClass.LOS, empty, empty, empty, empty, empty, points, points)
 
 
 def _to_radar(view: _View, points: np.ndarray) -> np.ndarray:
@@ -418,7 +431,7 @@ def _dot(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / _norm(vectors)[..., None]
+    return vectors / np.maximum(_norm(vectors), 1e-9)[..., None]
 
 
 def _object_arrays(scene: Scene, seed: int) -> dict[str, np.ndarray]:

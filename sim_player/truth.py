@@ -50,7 +50,9 @@ def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
     return np.array(kept, int)
 
 
-def scene_truth(world: World, setup: RadarSetup, paths: Paths, time_s: float, stamp_ns: int, scan_id: int) -> SceneTruth:
+def scene_truth(
+    world: World, setup: RadarSetup, paths: Paths, time_s: float, stamp_ns: int, scan_id: int
+) -> SceneTruth:
     """Truth of one instant in the radar's frame (heights above the antenna); velocities are over ground."""
     chosen = paths.take(visible_paths(setup, paths))
     mirrored = chosen.take(chosen.kind == PathClass.MIRRORED)

@@ -1,13 +1,14 @@
 """CompactUNet: dense LOS / mirrored prediction for a CPU, 0.9 M parameters.
 
 A U-Net on folded range pairs. The class of a return depends on the whole scene (which wall stands in front of it, and
-how that wall lies), so the bottleneck attends globally. The head upsamples azimuth eightfold by pixel shuffle instead of
-convolving an input that was interpolated before.
+how that wall lies), so the bottleneck attends globally. The head upsamples azimuth eightfold by pixel shuffle: no
+convolution runs on an input that was only interpolated.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
@@ -18,7 +19,7 @@ from torch.nn import functional
 class CompactUNetConfig:
     """Shape of a `CompactUNet`; defaults fit `models.perception.encoding`."""
 
-    in_channels: int = 7
+    in_channels: int = 5
     range_bins: int = 320
     columns: int = 32
     #: Output azimuths per input column.
@@ -119,7 +120,7 @@ class CompactUNet(nn.Module):
         super().__init__()
         self.config = config = config or CompactUNetConfig()
         widths = config.widths
-        steps = list(zip(widths[:-1], widths[1:], strict=True))
+        steps = list(pairwise(widths))
         self.stem = nn.Sequential(
             nn.Conv2d(2 * config.in_channels, widths[0], 3, padding=1, bias=False),
             nn.BatchNorm2d(widths[0]),

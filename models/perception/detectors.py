@@ -48,5 +48,5 @@ class CfarDetector:
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Classified peaks of one map."""
-        peaks = cfar.detect(ra_map, self._params, self._params.peaks, self._sensitivity_db)
-        return cfar.classify_behind_walls(peaks, self._params)
+        peaks = cfar.classify_behind_walls(cfar.detect(ra_map, self._params), self._params)
+        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)

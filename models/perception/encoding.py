@@ -14,7 +14,7 @@ from msgs.arrays import require_positive
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 #: What each channel of the input says, in order; all are about 0..1 or -1..1.
-CHANNELS = ("level", "shadow", "contrast", "phase_cos", "phase_sin", "range", "azimuth")
+CHANNELS = ("level", "shadow", "contrast", "range", "azimuth")
 
 
 class Encoding(msgspec.Struct, frozen=True, kw_only=True):
@@ -26,7 +26,7 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
     columns: int = 32
     #: Levels over the noise, in dB, that map to 0 and to 1.
     level_min_db: float = -5.0
-    level_max_db: float = 65.0
+    level_max_db: float = 85.0
     #: Without a usable noise power, levels count from this far below the strongest cell.
     dynamic_range_db: float = 90.0
 
@@ -55,7 +55,7 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
 def encode_map(encoding: Encoding, ra_map: RangeAzimuthMap) -> np.ndarray:
     """Network input of one map, float32 [channels, range, columns]."""
     encoding.check_grid(ra_map.grid)
-    return encode_columns(encoding, sample_columns(encoding, ra_map.values), np.float64(ra_map.noise_power_mw))
+    return encode_columns(encoding, sample_columns(encoding, ra_map.values), np.array(ra_map.noise_power_mw))
 
 
 def sample_columns(encoding: Encoding, values: np.ndarray) -> np.ndarray:
@@ -69,32 +69,27 @@ def sample_columns(encoding: Encoding, values: np.ndarray) -> np.ndarray:
 
 
 def encode_columns(encoding: Encoding, columns: np.ndarray, noise_power_mw: np.ndarray) -> np.ndarray:
-    """Network input, float32 [..., channels, range, columns], of sampled maps [..., range, columns] and their noise [...].
+    """Network input, float32 [..., channels, range, columns], of sampled maps [..., range, columns] and noise [...].
 
     Finite for every input: cells that are not finite count as empty. Levels are over the noise, so a gain common to
     signal and noise changes nothing.
     """
-    values = _finite(columns)
     # [..., range, columns]
-    level = _level(encoding, np.abs(values) ** 2, noise_power_mw)
-    phase_cos, phase_sin = _phase_slope(values)
+    level = _level(encoding, _power_mw(columns), noise_power_mw)
     channels = np.empty((*level.shape[:-2], *encoding.shape), np.float32)
     channels[..., 0, :, :] = level
     channels[..., 1, :, :] = _strongest_nearer(level)
     channels[..., 2, :, :] = level - level.max(axis=-1, keepdims=True)
-    channels[..., 3, :, :] = phase_cos
-    channels[..., 4, :, :] = phase_sin
-    channels[..., 5, :, :] = np.linspace(0.0, 1.0, encoding.range_bins)[:, None]
-    channels[..., 6, :, :] = np.linspace(-1.0, 1.0, encoding.columns)
+    channels[..., 3, :, :] = np.linspace(0.0, 1.0, encoding.range_bins)[:, None]
+    channels[..., 4, :, :] = np.linspace(-1.0, 1.0, encoding.columns)
     return channels
 
 
-def _finite(columns: np.ndarray) -> np.ndarray:
-    """Complex128 copy with cells that are not finite set to zero."""
-    # complex128: the square of a float32 magnitude may leave float32
-    values = columns.astype(np.complex128)
-    values[~np.isfinite(values)] = 0.0
-    return values
+def _power_mw(columns: np.ndarray) -> np.ndarray:
+    """Power of each cell, float64: the square of a float32 magnitude may leave float32."""
+    power_mw = columns.real.astype(np.float64) ** 2 + columns.imag.astype(np.float64) ** 2
+    power_mw[~np.isfinite(power_mw)] = 0.0
+    return power_mw
 
 
 def _level(encoding: Encoding, power_mw: np.ndarray, noise_power_mw: np.ndarray) -> np.ndarray:
@@ -113,17 +108,3 @@ def _strongest_nearer(level: np.ndarray) -> np.ndarray:
     shadow = np.zeros_like(level)
     np.maximum.accumulate(level[..., :-1, :], axis=-2, out=shadow[..., 1:, :])
     return shadow
-
-
-def _phase_slope(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cosine and sine of the phase from the left to the right neighbour column, zero where either is empty.
-
-    One scatterer has the phase of a real pattern that is nowhere negative (cosine 1); interfering ones turn it.
-    """
-    right = np.concatenate([values[..., 1:], values[..., -1:]], axis=-1)
-    left = np.concatenate([values[..., :1], values[..., :-1]], axis=-1)
-    magnitudes = np.abs(right), np.abs(left)
-    empty = (magnitudes[0] == 0.0) | (magnitudes[1] == 0.0)
-    # normalised one by one: a product of magnitudes may leave the floating-point range
-    phasor = (right / np.where(empty, 1.0, magnitudes[0])) * np.conj(left / np.where(empty, 1.0, magnitudes[1]))
-    return np.where(empty, 0.0, phasor.real), np.where(empty, 0.0, phasor.imag)

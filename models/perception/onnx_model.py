@@ -96,7 +96,7 @@ class DensePredictor:
         Raises `ValueError` when the map's grid is not the card's.
         """
         if ra_map.grid != self.card.grid:
-            raise ValueError(f"map.grid must be {self.card.grid}, the grid of {self.card.name}, got {ra_map.grid}")
+            raise ValueError(f"map.grid must be the {self.card.name} card's, {self.card.grid}, got {ra_map.grid}")
         seen = self._infer(encode_map(self.card.encoding, ra_map)[None])[0]
         confidence = np.zeros((len(seen), *ra_map.grid.shape), np.float32)
         confidence[:, : seen.shape[1]] = seen

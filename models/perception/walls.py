@@ -47,7 +47,7 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True):
     max_angle_std_rad: float = math.radians(6.0)
     min_offset_m: float = 0.5
     #: Log likelihood ratio against scattered points.
-    min_score: float = 7.0
+    min_score: float = 9.0
     max_walls: int = 12
     seed: int = 0
 

@@ -92,7 +92,8 @@ def cut(
     wall_share = clearance_m / np.maximum(np.hypot(wall[:, 0], wall[:, 1]), clearance_m)[None]
     # comparisons with NaN (parallel) are false: not cut
     inside_ray = (along_ray > ray_share) & (along_ray < 1.0 - ray_share)
-    return inside_ray & (along_wall >= -wall_share) & (along_wall <= 1.0 + wall_share)
+    inside_wall = (along_wall >= -wall_share) & (along_wall <= 1.0 + wall_share)
+    return np.asarray(inside_ray & inside_wall)
 
 
 def blocked(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ few thousand stay in memory and every epoch only encodes.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
@@ -38,11 +38,12 @@ class PointLabels:
 
 @dataclass(frozen=True, kw_only=True)
 class BeamScan:
-    """One scan of a shard: beam profiles complex64 [beams, bins], their noise, and the truth."""
+    """One scan of a shard: beam profiles complex64 [beams, bins], a beam's noise per bin, and the truth."""
 
     profiles: np.ndarray
     noise_power_mw: float
     labels: PointLabels
+    missing_beams: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +65,8 @@ class Perturbation:
     incoherent_share: float = 0.25
     #: Receiver noise is raised by up to this much.
     extra_noise_db: float = 6.0
+    #: Share of scans that lack a beam.
+    missing_share: float = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,8 +79,8 @@ class DataConfig:
     #: Perturbed variants of each training scene beside the clean one.
     perturbed_copies: int = 1
     perturbation: Perturbation = Perturbation()
-    encoding: Encoding = Encoding()
-    grid: RangeAzimuthGrid = RangeAzimuthGrid()
+    encoding: Encoding = field(default_factory=Encoding)
+    grid: RangeAzimuthGrid = field(default_factory=RangeAzimuthGrid)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -161,16 +164,22 @@ def perturb_scan(scan: BeamScan, perturbation: Perturbation, rng: np.random.Gene
     added_mw = (noise_ratio - 1.0) * scan.noise_power_mw
     noise = np.sqrt(added_mw / 2.0) * rng.standard_normal((*scan.profiles.shape, 2)) @ (1.0, 1.0j)
     profiles = scan.profiles * (gain * np.exp(1j * phase_rad))[:, None] + noise
+    missing = (int(rng.integers(beams)),) if rng.random() < perturbation.missing_share else ()
     return BeamScan(
-        profiles=profiles.astype(np.complex64), noise_power_mw=scan.noise_power_mw + added_mw, labels=scan.labels
+        profiles=profiles.astype(np.complex64),
+        noise_power_mw=scan.noise_power_mw + added_mw,
+        labels=scan.labels,
+        missing_beams=missing,
     )
 
 
 def form_sample(scan: BeamScan, interpolator: AzimuthInterpolator, encoding: Encoding) -> DenseSample:
-    """Form the map of a scan and keep the columns the network sees."""
-    values, _ = interpolator.interpolate(scan.profiles, scan.noise_power_mw)
+    """Form the map of a scan and keep the columns the network sees; noise is the map's, as on the vehicle."""
+    values, _ = interpolator.interpolate(scan.profiles, scan.noise_power_mw, scan.missing_beams)
     return DenseSample(
-        columns=sample_columns(encoding, values), noise_power_mw=scan.noise_power_mw, labels=scan.labels
+        columns=sample_columns(encoding, values),
+        noise_power_mw=scan.noise_power_mw * interpolator.noise_gain(scan.missing_beams),
+        labels=scan.labels,
     )
 
 

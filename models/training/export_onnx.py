@@ -103,7 +103,7 @@ def export_run(run_dir: Path, test_dir: Path, model_path: Path, data_dir: Path) 
             "command": f"mirrorwave train dense --data {data_dir} --out {run_dir} --epochs {run.training.epochs} "
             f"--seed {run.training.seed}",
             "chosen_epoch": epoch,
-            "config": msgspec.to_builtins(run),
+            "config": msgspec.json.decode(msgspec.json.encode(run)),
         },
     )
     write_card(card, model_path)
@@ -120,16 +120,14 @@ def _tally(model_path: Path, samples: list[DenseSample], run: RunConfig) -> Dete
     session = onnxruntime.InferenceSession(model_path, providers=["CPUExecutionProvider"])
     tally = DetectionTally(run.data.grid)
     for sample in samples:
-        encoded = encode_columns(run.data.encoding, sample.columns, np.float64(sample.noise_power_mw))
+        encoded = encode_columns(run.data.encoding, sample.columns, np.array(sample.noise_power_mw))
         tally.add(session.run(None, {session.get_inputs()[0].name: encoded[None]})[0][0], sample.labels)
     return tally
 
 
 def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
     def of(counts: Counts) -> ClassScores:
-        return ClassScores(
-            precision=round(counts.precision, 4), recall=round(counts.recall, 4), f1=round(counts.f1, 4)
-        )
+        return ClassScores(precision=round(counts.precision, 4), recall=round(counts.recall, 4), f1=round(counts.f1, 4))
 
     return tuple(
         ScoresAt(

@@ -8,9 +8,7 @@ import numpy as np
 _REACH_SIGMA = 5.4
 
 
-def gaussian_heatmap(
-    shape: tuple[int, int], row: np.ndarray, column: np.ndarray, sigma_px: float = 1.0
-) -> np.ndarray:
+def gaussian_heatmap(shape: tuple[int, int], row: np.ndarray, column: np.ndarray, sigma_px: float = 1.0) -> np.ndarray:
     """Largest of the Gaussians around points, float32 [rows, columns]; exactly 1 in the cell of each point, Eq. (22).
 
     `row` and `column` are fractional cells [points]; each is rounded to its cell, points off the map are left out.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import msgspec
@@ -36,7 +36,7 @@ class TrainDenseConfig:
     threads: int = 1
     #: Convolutions in bfloat16 (the published training uses mixed precision as well).
     mixed_precision: bool = True
-    network: CompactUNetConfig = CompactUNetConfig()
+    network: CompactUNetConfig = field(default_factory=CompactUNetConfig)
 
     def __post_init__(self) -> None:
         for name in ("epochs", "batch_size", "threads"):
@@ -53,6 +53,17 @@ class RunConfig:
 
     training: TrainDenseConfig
     data: DataConfig
+
+    def __post_init__(self) -> None:
+        network, data = self.training.network, self.data
+        takes = network.in_channels, network.range_bins, network.columns
+        if takes != data.encoding.shape:
+            raise ValueError(f"network must take the encoding's shape {data.encoding.shape}, takes {takes}")
+        if network.columns * network.azimuth_factor != data.grid.azimuth_bins:
+            raise ValueError(
+                f"network.azimuth_factor must spread {network.columns} columns to {data.grid.azimuth_bins} azimuths, "
+                f"got {network.azimuth_factor}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +87,7 @@ class DenseTraining:
     """
 
     def __init__(self, config: TrainDenseConfig, data: TrainingData, run_dir: Path) -> None:
+        self.run_config = RunConfig(training=config, data=data.config)
         if len(data.train) < config.batch_size:
             raise ValueError(f"train.batch_size must be at most the {len(data.train)} scenes, got {config.batch_size}")
         torch.set_num_threads(config.threads)
@@ -146,7 +158,7 @@ class DenseTraining:
     def _adopt_config(self) -> None:
         """Write the resolved configuration, or insist that the run's own is the same."""
         path = self.run_dir / CONFIG
-        wanted = _json(RunConfig(training=self.config, data=self.data.config))
+        wanted = _json(self.run_config)
         if path.exists() and path.read_bytes() != wanted:
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
         path.write_bytes(wanted)

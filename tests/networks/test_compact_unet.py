@@ -31,7 +31,7 @@ def test_parameter_count_stays_compact() -> None:
 def test_fresh_network_says_one_in_ten_everywhere() -> None:
     """Head bias -2.19 is the logit of 0.1; head weights are small, so every cell starts near it."""
     with torch.no_grad():
-        confidence = torch.sigmoid(network()(torch.zeros(1, 7, 32, 8)))
+        confidence = torch.sigmoid(network()(torch.zeros(1, 5, 32, 8)))
     assert confidence.mean().item() == pytest.approx(0.1, abs=0.02)
 
 
@@ -58,7 +58,7 @@ def test_shuffle_puts_each_column_on_its_eight_outputs() -> None:
 def test_every_input_cell_reaches_every_output() -> None:
     """The class of a return depends on the whole scene: no input cell may be without influence on a far output."""
     net = network().double()
-    x = torch.randn(1, 7, 32, 8, dtype=torch.float64, requires_grad=True)
+    x = torch.randn(1, 5, 32, 8, dtype=torch.float64, requires_grad=True)
     net(x)[0, 1, 31, 63].backward()
     assert x.grad is not None
     assert (x.grad.abs().sum(dim=1) > 0).all()
@@ -66,7 +66,7 @@ def test_every_input_cell_reaches_every_output() -> None:
 
 def test_maps_of_a_batch_do_not_mix() -> None:
     net = network()
-    x = torch.randn(3, 7, 32, 8)
+    x = torch.randn(3, 5, 32, 8)
     with torch.no_grad():
         torch.testing.assert_close(net(x)[1:2], net(x[1:2]), atol=1e-5, rtol=1e-4)
 

@@ -50,7 +50,7 @@ def model(network: CompactUNet, tmp_path: Path) -> Path:
         parameters=1,
         encoding=ENCODING,
         grid=GRID,
-        input_shape=(1, 7, 32, 8),
+        input_shape=(1, 5, 32, 8),
         output_shape=(1, 2, 32, 64),
         threshold=0.3,
         scores=(ScoresAt(threshold=0.3, macro_f1=1.0, los=best, mirrored=best),),
@@ -98,9 +98,9 @@ def test_file_that_is_not_the_cards_is_refused(model: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"input_shape": [1, 7, 32, 16]}, r"input of the network must be \(1, 7, 32, 16\), got \(1, 7, 32, 8\)"),
+        ({"input_shape": [1, 5, 32, 16]}, r"input of the network must be \(1, 5, 32, 16\), got \(1, 5, 32, 8\)"),
         ({"output_shape": [1, 3, 32, 64]}, r"output of the network must be \(1, 3, 32, 64\), got \(1, 2, 32, 64\)"),
-        ({"encoding": {"range_bins": 16, "columns": 8}}, r"card\.input_shape must be \(1, 7, 16, 8\)"),
+        ({"encoding": {"range_bins": 16, "columns": 8}}, r"card\.input_shape must be \(1, 5, 16, 8\)"),
         ({"grid": {"range_bins": 48, "azimuth_bins": 128}}, r"card\.output_shape must be \(1, 2, 32, 128\)"),
         ({"channels": ["level"]}, r"net\.json: card\.channels must be"),
         ({"sha256": 3}, r"net\.json: Expected `str`, got `int` - at `\$\.sha256`"),

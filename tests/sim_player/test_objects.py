@@ -27,7 +27,7 @@ def test_coherent_rcs_averages_to_the_same() -> None:
     """Speckle: the coherent sum |sum sqrt(rcs) e^{j(phase + 2 k r)}|^2 averages to the incoherent one.
 
     Layout: a car at 10 GHz, 720 aspects, 40 seeds. Centres 0.28 m apart are 19 half waves: independent phases. One
-    aspect is exponentially distributed; some 10 aspects a seed are independent, so 400 draws: 5 % = 0.22 dB rms, 3 sigma.
+    aspect is exponentially distributed; some 10 a seed are independent, so 400 draws: 5 % = 0.22 dB rms, 3 sigma.
     """
     wave_number = 2.0 * np.pi * 10e9 / 299_792_458.0
     aspect = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
@@ -64,13 +64,13 @@ def test_only_faces_turned_to_the_radar_scatter() -> None:
 
 
 def test_flat_faces_flash_along_their_normals() -> None:
-    """A truck's broadside is brighter than its mean, its corners' directions are dimmer; a pedestrian has no lobes."""
+    """A truck's broadside is brighter than its mean, its corners' directions are dimmer."""
     truck = scattering_centres("truck", 0, 0)
     level = [
         seen_rcs_m2(truck.peak_rcs_m2, truck.normals, truck.lobe_exponent, towards(aspect)).sum()
         for aspect in (90.0, 50.0)
     ]
-    assert level[0] > 2.0 * mean_rcs_m2(truck)
+    assert level[0] > 1.5 * mean_rcs_m2(truck)
     assert level[1] < mean_rcs_m2(truck)
 
 

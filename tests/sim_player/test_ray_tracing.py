@@ -14,7 +14,7 @@ from models.physics.mirror import reflect, specular_points
 from msgs.perception import PathClass
 from msgs.radar import RadarParams, RadarSetup
 from sim_player.ray_tracing import Paths, echo_amplitude, prepare, trace
-from sim_player.scene import Ego, Scene, SceneObject, Surface
+from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface
 
 RADAR = RadarParams()
 
@@ -152,12 +152,15 @@ def test_shadows_of_walls_and_cars() -> None:
 
 
 def test_both_legs_of_a_mirror_path_must_be_free() -> None:
+    """Screens on the way out and on the way on (they may mirror the car themselves: only the relay's paths count)."""
     relay, thing = wall((20.0, -9.0), (20.0, 12.0)), car(6.0, 9.0, yaw_deg=90.0)
-    assert len(mirrored(paths_of(relay, thing))) > 10
-    first_leg = wall((12.0, 2.5), (12.0, 5.5), role="occluder")
-    second_leg = wall((12.0, 6.0), (12.0, 9.0), role="occluder")
-    assert len(mirrored(paths_of(relay, first_leg, thing))) == 0
-    assert len(mirrored(paths_of(relay, second_leg, thing))) < 5
+    first_leg = wall((12.0, 1.5), (12.0, 5.5), role="occluder")
+    second_leg = wall((12.0, 4.8), (12.0, 11.5), role="occluder")
+    count = [
+        (mirrored(paths_of(relay, *screens, thing)).surface == 0).sum() for screens in ((), (first_leg,), (second_leg,))
+    ]
+    assert count[0] > 10
+    assert count[1:] == [0, 0]
 
 
 def test_rays_pass_over_low_walls() -> None:
@@ -181,7 +184,7 @@ def test_mirror_windows_end_where_the_wall_ends() -> None:
 
 @pytest.mark.parametrize("ego_mps", [0.0, 8.0])
 def test_radial_speed_is_the_rate_of_the_length(ego_mps: float) -> None:
-    """Central difference over 2 ms against the stated rate; third derivatives are below 1e-2 m/s^3: 1e-6 m/s."""
+    """Central difference over 2 ms against the stated rate; its error is j dt^2 / 6, jerk j ~ v^3 / R^2 < 200 m/s^3."""
     scene = Scene(
         name="t",
         surfaces=(wall((20.0, -9.0), (21.0, 12.0)),),
@@ -192,7 +195,7 @@ def test_radial_speed_is_the_rate_of_the_length(ego_mps: float) -> None:
     before, now, after = (trace(world, 0.05 + shift_s) for shift_s in (-1e-3, 0.0, 1e-3))
     assert len(before) == len(now) == len(after)
     rate = 0.5 * (after.length_m - before.length_m) / 2e-3
-    np.testing.assert_allclose(now.radial_speed_mps, rate, atol=2e-6 * max(ego_mps, 1.0) + 2e-5)
+    np.testing.assert_allclose(now.radial_speed_mps, rate, atol=4e-5)
     assert np.abs(now.radial_speed_mps).max() > 4.0
 
 
@@ -234,3 +237,29 @@ def test_setup_may_be_replaced() -> None:
     scene = Scene(name="t", objects=(car(10.0, 0.0),))
     louder = RadarSetup(radar=msgspec.structs.replace(RADAR, transmit_power_w=6.4e-3))
     np.testing.assert_allclose(trace(prepare(scene, 0, louder)).amplitude, 2.0 * trace(prepare(scene, 0)).amplitude)
+
+
+def test_driving_through_everything_stays_finite() -> None:
+    """Ego runs over a scattering centre, through a wall, and stands on its line: finite paths, no warning."""
+    scene = Scene(
+        name="t", surfaces=(wall((8.0, 0.0), (16.0, 0.0)), wall((10.0, -4.0), (10.0, -0.5))), objects=(car(5.0, 0.9),)
+    )
+    scene = msgspec.structs.replace(scene, objects=(car(5.0, 1.0),), ego=Ego(speed_mps=1.0))
+    world = prepare(scene)
+    at_centre = [float(x) for x, y, _ in world.centre_m if abs(y - 0.1) < 1e-9]
+    for time_s in [*at_centre, 4.0, 7.9, 8.0, 10.0, 12.0, 20.0]:
+        paths = trace(world, time_s)
+        for field in ("length_m", "radial_speed_mps", "azimuth_rad", "elevation_rad", "amplitude", "virtual_m"):
+            assert np.isfinite(getattr(paths, field)).all(), (time_s, field)
+
+
+def test_negative_seeds_are_refused() -> None:
+    with pytest.raises(ValueError, match="seed must not be negative, got -1"):
+        prepare(Scene(name="t", objects=(car(10.0, 0.0),)), seed=-1)
+
+
+def test_77_ghz_scene_uses_its_own_aperture() -> None:
+    scene = Scene(name="t", radar=SceneRadar(preset="77ghz"), surfaces=(wall((10.0, -4.0), (10.0, 4.0)),))
+    assert scene.setup.array.columns == 57
+    flash = np.abs(trace(prepare(scene)).amplitude).max()
+    assert flash == pytest.approx(math.sqrt(1.6) * scene.setup.radar.wavelength_m / (4.0 * math.pi * 20.0), rel=2e-3)

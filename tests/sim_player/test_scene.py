@@ -51,7 +51,7 @@ def test_written_scene_reads_back_the_same() -> None:
         (scene(WALL.replace("}", ", roughness_mm: -1}").join("[]")), "surfaces[0].roughness_mm: must not be negative"),
         (scene(WALL.replace("}", ", height_m: 0}").join("[]")), "surfaces[0].height_m: must be positive"),
         (scene(WALL.replace("}", ", colour: red}").join("[]")), "surfaces[0]: "),
-        (scene(WALL.replace("10", "0.05").join("[]")), "surfaces[0].polyline_m[0]: the radar at (0, 0) must stand 0.1 m"),
+        (scene(WALL.replace("10", "0.05").join("[]")), "surfaces[0].polyline_m[0]: the radar at (0, 0) must stand"),
         (scene(objects="[{class: tank, x_m: 5, y_m: 0}]"), "objects[0].class: "),
         (scene(objects="[{class: car, x_m: 5}]"), "objects[0]: object missing required field `y_m`"),
         (scene(objects="[{class: car, x_m: .inf, y_m: 0}]"), "objects[0].x_m: must be finite, got inf"),

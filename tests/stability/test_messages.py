@@ -96,7 +96,7 @@ def test_scalars_keep_every_bit(speed_mps: float) -> None:
 
 
 def test_summary_of_arrays_at_the_edge() -> None:
-    """The magnitude of the largest complex64 exceeds float32, a sum of int8 its type; nothing finite gives no figure."""
+    """The magnitude of the largest complex64 exceeds float32, a sum of int8 its type; none finite, no figure."""
     largest = np.float32(np.finfo(np.float32).max)
     summary = to_builtins(Sample(np.array([complex(largest, largest)], np.complex64)))["values"]
     assert summary["max"] == pytest.approx(math.sqrt(2.0) * float(largest), rel=1e-12)

@@ -69,7 +69,7 @@ def test_perturbed_noise_is_as_strong_as_it_says() -> None:
 
 
 def test_perturbation_changes_beams_not_ranges() -> None:
-    """Without added noise every beam keeps its profile up to one complex factor; incoherent ones keep only magnitude."""
+    """Without added noise every beam keeps its profile up to one complex factor, here of a random phase."""
     rng = np.random.default_rng(2)
     profiles = (rng.standard_normal((25, 64)) + 1j * rng.standard_normal((25, 64))).astype(np.complex64)
     scan = BeamScan(profiles=profiles, noise_power_mw=0.0, labels=labels(1, 1))

@@ -25,9 +25,9 @@ def test_export_has_fixed_shapes_and_answers_probabilities(network: CompactUNet,
     path = tmp_path / "net.onnx"
     export_onnx(network, path)
     session = onnxruntime.InferenceSession(path)
-    assert session.get_inputs()[0].shape == [1, 7, 32, 8]
+    assert session.get_inputs()[0].shape == [1, 5, 32, 8]
     assert session.get_outputs()[0].shape == [1, 2, 32, 64]
-    answer = session.run(None, {"encoded": np.full((1, 7, 32, 8), 100.0, np.float32)})[0]
+    answer = session.run(None, {"encoded": np.full((1, 5, 32, 8), 100.0, np.float32)})[0]
     assert 0.0 <= answer.min() <= answer.max() <= 1.0
 
 

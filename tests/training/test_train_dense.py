@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import torch
 from models.networks.compact_unet import CompactUNetConfig
 from models.perception.encoding import Encoding
 from models.training.datasets import DataConfig, DenseSample, PointLabels, TrainingData
-from models.training.train_dense import CURVES, DenseTraining, EpochReport, RunConfig, TrainDenseConfig, load_best
+from models.training.train_dense import CURVES, DenseTraining, EpochReport, TrainDenseConfig, load_best
 from msgs.radar import RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
@@ -40,10 +41,11 @@ def data(count: int = 16) -> TrainingData:
 
 
 def config(**changes: object) -> TrainDenseConfig:
-    return TrainDenseConfig(network=NETWORK, **{"epochs": 3, "batch_size": 8, "mixed_precision": False} | changes)  # type: ignore[arg-type]
+    settings: dict[str, object] = {"epochs": 3, "batch_size": 8, "mixed_precision": False, "network": NETWORK}
+    return TrainDenseConfig(**settings | changes)  # type: ignore[arg-type]
 
 
-class Killed(Exception):
+class KilledError(Exception):
     pass
 
 
@@ -60,9 +62,9 @@ def test_killed_run_ends_as_one_that_was_not(tmp_path: Path) -> None:
     whole.run(lambda report: None)
 
     def kill(report: EpochReport) -> None:
-        raise Killed
+        raise KilledError
 
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         DenseTraining(config(), data(), tmp_path / "killed").run(kill)
     resumed = DenseTraining(config(), data(), tmp_path / "killed")
     assert len(resumed.reports) == 1
@@ -78,7 +80,7 @@ def test_run_folder_holds_curves_and_the_best_network(tmp_path: Path) -> None:
     assert [row["epoch"] for row in json.loads((tmp_path / CURVES).read_text())] == [0, 1, 2]
     network, run_config, epoch = load_best(tmp_path)
     assert epoch == best.epoch
-    assert run_config == RunConfig(training=training.config, data=training.data.config)
+    assert run_config == training.run_config
     assert not network.training
 
 
@@ -91,6 +93,13 @@ def test_other_configuration_needs_another_folder(tmp_path: Path) -> None:
 def test_folder_without_a_network_is_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"config\.json must exist: the run folder holds no trained network"):
         load_best(tmp_path)
+
+
+def test_network_must_fit_encoding_and_grid(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"network must take the encoding's shape \(5, 32, 8\), takes \(5, 64, 8\)"):
+        DenseTraining(config(network=replace(NETWORK, range_bins=64)), data(), tmp_path)
+    with pytest.raises(ValueError, match=r"azimuth_factor must spread 8 columns to 64 azimuths, got 4"):
+        DenseTraining(config(network=replace(NETWORK, azimuth_factor=4)), data(), tmp_path)
 
 
 def test_settings_out_of_range_are_refused(tmp_path: Path) -> None:

@@ -1,0 +1,110 @@
+"""Every committed scene through the whole chain: hidden vehicles found within 1 m, objects that are nothing, flags.
+
+Cases: at rest over noise seeds (the seed also draws the speckle of walls and vehicles), hidden objects moving, the
+radar moving, beams with random phases. A moving object is compared with where it was when its beams were measured.
+Usage: python -m benchmarks.six_scenes [--method network|cfar] [--seeds 10] [--scans 1] [--json]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from models.perception.chain import Chain
+from models.perception.detectors import CfarDetector, Detector, NetworkDetector
+from models.perception.metrics import match_objects
+from msgs.perception import BevFrame, SceneTruth
+from msgs.radar import RadarSetup
+from nodes.player import Params, scene_player
+from sim_player.player import ScenePlayer
+
+SCENES = sorted((Path(__file__).resolve().parents[1] / "launch" / "scenes").glob("*.yaml"))
+CASES: dict[str, dict[str, float]] = {
+    "at rest": {},
+    "objects 0.6 m/s": {"object_speed_mps": 0.6},
+    "objects 5 m/s": {"object_speed_mps": 5.0},
+    "objects 15 m/s": {"object_speed_mps": 15.0},
+    "ego 8 m/s": {"ego_speed_mps": 8.0},
+    "random beam phases": {"phase_jitter_rad": 10.0},
+}
+
+
+class Row(msgspec.Struct, kw_only=True):
+    """One scene in one case, summed over seeds and scans."""
+
+    case: str
+    scene: str
+    scans: int = 0
+    matched: int = 0
+    missed: int = 0
+    unmatched: int = 0
+    errors_m: list[float] = []
+    flagged: int = 0
+
+
+def detector(method: str, setup: RadarSetup) -> Detector:
+    return CfarDetector(setup) if method == "cfar" else NetworkDetector(setup)
+
+
+def views(player: ScenePlayer, method: str, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:
+    chain = Chain(player.setup, detector(method, player.setup))
+    for scan in range(scans):
+        for index in range(len(player.setup.beams)):
+            beam = player.beam(scan, index)
+            for frame in chain.add(beam, player.vehicle_state(player.stamp_ns(scan))):
+                yield frame, player.truth(scan)
+
+
+def run(scene: Path, case: str, method: str, seeds: int, scans: int) -> Row:
+    row = Row(case=case, scene=scene.stem)
+    for seed in range(seeds):
+        player = scene_player(Params(scene=str(scene), seed=seed, **CASES[case]))  # type: ignore[arg-type]
+        for frame, truth in views(player, method, scans):
+            match = match_objects(frame.objects, truth)
+            row.scans += 1
+            row.matched += len(match.matched)
+            row.missed += len(match.missed_truths)
+            row.unmatched += len(match.unmatched_objects)
+            row.errors_m += [error_m for _, _, error_m in match.matched]
+            row.flagged += "incoherent" in frame.flags
+    return row
+
+
+def line(row: Row) -> str:
+    worst_m, median_m = (max(row.errors_m), np.median(row.errors_m)) if row.errors_m else (0.0, 0.0)
+    return (
+        f"{row.case:20s} {row.scene:22s} scans {row.scans:3d}  found {row.matched:3d}  missed {row.missed:3d}  "
+        f"nothing there {row.unmatched:3d}  error median {median_m:.2f} worst {worst_m:.2f} m  "
+        f"flagged {row.flagged}/{row.scans}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--method", choices=("network", "cfar"), default="network")
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--scans", type=int, default=1)
+    parser.add_argument("--cases", nargs="*", choices=list(CASES), default=list(CASES))
+    parser.add_argument("--json", action="store_true")
+    arguments = parser.parse_args()
+    rows = []
+    for case in arguments.cases:
+        for scene in SCENES:
+            row = run(scene, case, arguments.method, arguments.seeds, arguments.scans)
+            rows.append(row)
+            if not arguments.json:
+                print(line(row), flush=True)
+    if arguments.json:
+        machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
+        print(json.dumps({"machine": machine, "method": arguments.method, "rows": msgspec.to_builtins(rows)}))
+
+
+if __name__ == "__main__":
+    main()

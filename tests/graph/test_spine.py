@@ -1,0 +1,49 @@
+"""The real graph, one process a node, on a capture: the same bytes as `mirrorwave process`."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from mirrorwave.cli import main
+from models.perception.objects import bev_to_json
+from msgs.perception import BevFrame
+from msgs.recording import RecordingReader
+
+LAUNCH = """
+name: spine
+nodes:
+  player:
+    module: nodes.player
+    params: {{capture: {capture}, settle_s: 1.0}}
+    after: [ra_former, dense_predictor, geometry, recorder]
+    ends_graph: true
+  ra_former: {{module: nodes.ra_former}}
+  dense_predictor: {{module: nodes.dense_predictor}}
+  geometry: {{module: nodes.geometry}}
+  recorder:
+    module: nodes.recorder
+    params: {{path: {recording}}}
+"""
+
+
+@pytest.mark.graph
+def test_many_processes_give_the_bytes_of_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(tmp_path / "run"))
+    capture, recording = tmp_path / "capture.mcap", tmp_path / "seen.mcap"
+    scene = "launch/scenes/two_hidden_vehicles.yaml"
+    assert main(["sim", "run", scene, "--out", str(capture), "--scans", "3", "--chirps-per-beam", "8"]) == 0
+    assert main(["process", str(capture), "--out", str(tmp_path / "out")]) == 0
+
+    launch = tmp_path / "spine.yaml"
+    launch.write_text(LAUNCH.format(capture=capture, recording=recording))
+    assert main(["launch", str(launch), "--runs-dir", str(tmp_path / "runs"), "--domain", "spine"]) == 0
+
+    with RecordingReader(recording) as reader:
+        frames = [item.message for item in reader.messages(topics=["perception/hidden_objects"])]
+        assert reader.loss is None
+    assert all(isinstance(frame, BevFrame) for frame in frames)
+    seen = "".join(json.dumps(bev_to_json(frame)) + "\n" for frame in frames)
+    assert seen == (tmp_path / "out" / "objects.jsonl").read_text()

@@ -1,0 +1,122 @@
+"""The command line: exit codes, one-line errors, JSON, and every verb on recordings and quiet domains."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from mirrorwave.cli import main
+from mirrorwave.console import error_line, exit_code_of
+from msgs.recording import RecordingWriter, info
+from msgs.vehicle import VehicleState
+
+
+@pytest.fixture(autouse=True)
+def quiet_domain(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    with tempfile.TemporaryDirectory(prefix="mw") as folder:
+        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", folder)
+        yield
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for index in range(10):
+            state = VehicleState(stamp_ns=index, speed_mps=float(index))
+            writer.write("vehicle/state", state, publisher="can", sequence=index, sent_ns=1_000_000 * index)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("argv", "code", "text"),
+    [
+        (["lunch"], 2, "No such command 'lunch'"),
+        (["launch"], 2, "Missing argument"),
+        (["launch", "nope.yaml"], 2, "nope.yaml: No such file"),
+        (["topic", "hz", "nope"], 2, "unknown topic 'nope'"),
+        (["topic", "echo", "log", "--timeout", "0.1"], 1, "log: 0 messages in 0.1 s"),
+        (["node", "list", "--window", "0.2"], 1, "no graph runs in domain"),
+        (["bag", "info", "nope.mcap"], 2, "nope.mcap: no such file"),
+        (["bag", "play", "nope.mcap", "--rate", "0"], 2, "--rate must be above 0"),
+        (["topic", "list", "--domain", "../x"], 2, "domain must be"),
+    ],
+)
+def test_errors_are_one_line_and_a_code(
+    argv: list[str], code: int, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(argv) == code
+    error = capsys.readouterr().err
+    assert text in error
+    assert error.count("\n") == 1
+
+
+def test_version_and_help_end_well(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--version"]) == 0
+    assert capsys.readouterr().out.startswith("mirrorwave ")
+    assert main(["--help"]) == 0
+    assert "launch" in capsys.readouterr().out
+
+
+def test_a_launch_file_error_names_the_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "l.yaml"
+    path.write_text("name: x\nnodes: {a: {module: 3}}")
+    assert main(["launch", str(path)]) == 2
+    assert f"{path}: nodes.a.module: Expected str, got int" in capsys.readouterr().err
+
+
+def test_bag_info_tells_what_a_recording_holds(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bag", "info", str(recording), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["topics"][0]["messages"] == 10
+    assert main(["bag", "info", str(recording)]) == 0
+    assert "vehicle/state" in capsys.readouterr().out
+
+
+def test_a_cut_recording_is_done_with_loss_and_recovered(recording: Path, tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recording.read_bytes()[:-40])
+    assert main(["bag", "info", str(cut)]) == 3
+    assert main(["bag", "recover", str(cut), str(tmp_path / "whole.mcap")]) == 3
+    assert info(tmp_path / "whole.mcap").complete
+    assert main(["bag", "recover", str(cut), str(tmp_path / "whole.mcap")]) == 2
+
+
+def test_trim_keeps_the_span(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "b.mcap"
+    assert main(["bag", "trim", str(recording), str(out), "--start", "0.002", "--end", "0.005"]) == 0
+    assert sum(topic.messages for topic in info(out).topics) == 3
+    assert main(["bag", "trim", str(recording), str(tmp_path / "c.mcap"), "--start", "2", "--end", "1"]) == 2
+
+
+@pytest.mark.graph
+def test_play_publishes_unless_somebody_does(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from msgs.zmq_bus import ZmqBus, run_dir
+
+    assert main(["bag", "play", str(recording), "--rate", "10"]) == 0
+    assert "10 messages played" in capsys.readouterr().out
+    bus = ZmqBus("can", run_dir("default"))
+    try:
+        bus.advertise("vehicle/state")
+        assert main(["bag", "play", str(recording)]) == 2
+        assert "living publishers of vehicle/state (can)" in capsys.readouterr().err
+    finally:
+        bus.close()
+
+
+def test_topic_list_covers_the_table(capsys: pytest.CaptureFixture[str]) -> None:
+    from msgs.topics import TOPICS
+
+    assert main(["topic", "list", "--json"]) == 0
+    assert [row["topic"] for row in json.loads(capsys.readouterr().out)] == list(TOPICS)
+
+
+def test_errors_know_their_code() -> None:
+    assert exit_code_of(ValueError("x")) == exit_code_of(FileNotFoundError(2, "no", "f")) == 2
+    assert exit_code_of(OSError(28, "full", "f")) == 1
+    assert error_line(OSError(28, os.strerror(28), "f")) == "f: No space left on device"

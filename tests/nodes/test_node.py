@@ -1,0 +1,150 @@
+"""The contract of nodes and the loop, on the in-process bus."""
+
+from __future__ import annotations
+
+import logging
+
+import pytest
+
+from msgs.bus import Outgoing, Received
+from msgs.diagnostics import NodeState, NodeStatus
+from msgs.local_bus import LocalNetwork
+from msgs.vehicle import VehicleState
+from nodes.logs import BusLogHandler, LineSplitter, parse_line
+from nodes.node import Heartbeat, InProcessGraph, Node, StageClock, Stop, load_node, run_loop
+from tests.graph import toy_nodes
+
+TOY = "tests.graph.toy_nodes"
+
+
+def _toy(**params: object) -> Node:
+    return toy_nodes.create(toy_nodes.Params(period_s=0.0, **params))  # type: ignore[arg-type]
+
+
+class _StopAfter(toy_nodes.Echo):
+    """Asks for the end when the first message comes, and counts what it still gets."""
+
+    def __init__(self, stop: Stop, at_once: bool) -> None:
+        super().__init__(toy_nodes.Params())
+        self.stop, self.at_once = stop, at_once
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        self.stop.request(self.at_once)
+        return super().step(inputs[:1], now_ns)
+
+
+@pytest.mark.parametrize(
+    ("module", "params", "message"),
+    [
+        (TOY, {"ticks": "many"}, r"^toy\.params\.ticks: Expected int, got str$"),
+        (TOY, {"tocks": 1}, r"^toy\.params: .*unknown field tocks$"),
+        (TOY, {"kind": "nonsense"}, "toy.kind must be one of"),
+        ("nodes.no_such_node", {}, "no module named 'nodes.no_such_node'"),
+        ("nodes.logs", {}, r"is no node, it must define Params and create"),
+        ("../evil", {}, "dotted module name"),
+    ],
+)
+def test_wrong_nodes_and_params_are_refused_by_name(module: str, params: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_node(module, params, "toy")
+
+
+def test_loop_publishes_until_finished_and_says_so() -> None:
+    network = LocalNetwork()
+    listener = network.bus("listener")
+    listener.subscribe("vehicle/state")
+    listener.subscribe("diagnostics/node")
+    bus = network.bus("tick")
+    run_loop(_toy(ticks=3), bus, Stop(), Heartbeat(bus, "tick"))
+    messages = [received.message for received in listener.receive(0.0)]
+    assert [message.speed_mps for message in messages if isinstance(message, VehicleState)] == [1.0, 2.0, 3.0]
+    beats = [message for message in messages if isinstance(message, NodeStatus)]
+    assert [beat.state for beat in beats] == [NodeState.READY, NodeState.STOPPING]
+    assert beats[-1].stages[0].name == "tick"
+    assert beats[-1].stages[0].count == 3
+
+
+def test_a_step_that_raises_leaves_with_its_reason() -> None:
+    network = LocalNetwork()
+    listener = network.bus("listener")
+    listener.subscribe("diagnostics/node")
+    bus = network.bus("crash")
+    with pytest.raises(RuntimeError, match="the toy is broken"):
+        run_loop(_toy(kind="crash"), bus, Stop(), Heartbeat(bus, "crash"))
+    last = listener.receive(0.0)[-1].message
+    assert isinstance(last, NodeStatus)
+    assert (last.state, last.reason) == (NodeState.STOPPING, "RuntimeError: the toy is broken")
+
+
+def test_an_undeclared_output_is_refused() -> None:
+    bus = LocalNetwork().bus("x")
+    with pytest.raises(ValueError, match="published 'vehicle/state'"):
+        run_loop(_toy(kind="undeclared"), bus, Stop(), Heartbeat(bus, "x"))
+
+
+@pytest.mark.parametrize(("at_once", "total"), [(False, 3.0), (True, 1.0)])
+def test_stop_answers_what_waits_unless_at_once(at_once: bool, total: float) -> None:
+    network = LocalNetwork()
+    stop = Stop()
+    node = _StopAfter(stop, at_once)
+    bus = network.bus("echo")
+    bus.subscribe("vehicle/state")
+    sender = network.bus("sender")
+
+    class _Refill(_StopAfter):
+        def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+            if self.total < 2.0:
+                sender.publish("vehicle/state", VehicleState(stamp_ns=1, speed_mps=1.0))
+                network.advance(1)
+            return super().step(inputs, now_ns)
+
+    node = _Refill(stop, at_once)
+    sender.publish("vehicle/state", VehicleState(stamp_ns=0, speed_mps=1.0))
+    if not at_once:
+        # a second request means "at once": this one asks a single time
+        node.stop = Stop()
+        stop.request()
+    run_loop(node, bus, stop, Heartbeat(bus, "echo"))
+    assert node.total == total
+
+
+def test_in_process_graph_is_deterministic_and_runs_on_the_virtual_clock() -> None:
+    def run() -> tuple[float, int]:
+        network = LocalNetwork()
+        tick = toy_nodes.create(toy_nodes.Params(period_s=0.1, ticks=5))
+        echo = toy_nodes.Echo(toy_nodes.Params())
+        graph = InProcessGraph(network, {"tick": tick, "echo": echo})
+        graph.run()
+        graph.close()
+        return echo.total, network.now_ns
+
+    assert run() == run() == (15.0, 400_000_000)
+
+
+def test_stage_clock_keeps_order_and_starts_anew() -> None:
+    clock = StageClock()
+    for name in ("b", "a", "b"):
+        with clock(name):
+            pass
+    assert [(stage.name, stage.count) for stage in clock.drain()] == [("b", 2), ("a", 1)]
+    assert clock.drain() == ()
+
+
+def test_log_records_travel_with_the_heartbeat() -> None:
+    network = LocalNetwork()
+    listener = network.bus("listener")
+    listener.subscribe("log")
+    bus = network.bus("x")
+    handler = BusLogHandler("x")
+    handler.emit(logging.LogRecord("n", logging.WARNING, "", 0, "careful", None, None))
+    Heartbeat(bus, "x", handler).beat(NodeState.READY)
+    record = listener.receive(0.0)[0].message
+    assert (record.node, record.level, record.text) == ("x", "warning", "careful")
+
+
+def test_lines_are_cut_cleaned_and_parsed() -> None:
+    splitter = LineSplitter(limit=4)
+    assert splitter.feed(b"a\x1b[2J\nbcdefg\xff") == ["a[2J", "bcde"]
+    assert splitter.finish() == ["fg\ufffd"]
+    assert parse_line("n", '\x1e{"text": "t", "level": "info"}') == {"text": "t", "level": "info"}
+    assert parse_line("n", '\x1e{"text": 1}')["level"] == "output"

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from models.perception.objects import ObjectParams, bev_to_json, form_objects, joint_score
+from models.perception.recovery import Recovered
+from msgs.perception import BevFrame, BevGrid, HiddenObject, HiddenPoint, Wall
+
+OCCLUDER = Wall(normal=(0.0, -1.0), offset_m=5.0, ends_m=((4.0, 5.0), (24.0, 5.0)), inliers=9)
+
+
+def recovered(points: np.ndarray, score: float = 0.8, snr_db: float = 30.0, std_m: float = 0.3) -> Recovered:
+    """Places behind the occluder with images in a wall x = 30."""
+    points = np.asarray(points, np.float64).reshape(-1, 2)
+    count = len(points)
+    return Recovered(
+        points_m=points, images_m=np.stack([60.0 - points[:, 0], points[:, 1]], axis=1),
+        image_covariance_m2=np.tile(std_m**2 * np.eye(2), (count, 1, 1)),
+        wall_covariance_m2=np.tile(0.05**2 * np.eye(2), (count, 1, 1)), wall=np.zeros(count, np.int64),
+        score=np.full(count, score), snr_db=np.full(count, snr_db), stamp_ns=np.arange(count, dtype=np.int64) * 10,
+    )  # fmt: skip
+
+
+def together(*parts: Recovered) -> Recovered:
+    return Recovered(
+        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in Recovered.__dataclass_fields__}
+    )
+
+
+def face(x: float, y: float, length: float, count: int, yaw: float = 0.0) -> np.ndarray:
+    along = np.linspace(-length / 2, length / 2, count)
+    return np.stack([x + along * math.cos(yaw), y + along * math.sin(yaw)], axis=1)
+
+
+def objects_of(points: Recovered) -> tuple[HiddenObject, ...]:
+    return form_objects(points, [OCCLUDER], ObjectParams())
+
+
+def test_a_face_becomes_one_object_at_its_centre():
+    """Nine points over 4.4 m: variance L^2 (n+1) / (12 (n-1)) less 0.3^2, so L (5/4 - ...)^1/2 = 4.8 m."""
+    (one,) = objects_of(recovered(face(15.0, 9.0, 4.4, 9, yaw=0.6)))
+    assert (one.x_m, one.y_m) == pytest.approx((15.0, 9.0))
+    assert one.yaw_rad == pytest.approx(0.6, abs=1e-6)
+    assert one.length_m == pytest.approx(math.sqrt(4.4**2 * 10.0 / 8.0 - 12.0 * 0.09), abs=1e-6)
+    assert (one.points, one.stamp_ns, one.id) == (9, 40, 0)
+    assert one.score == pytest.approx(1.0 - 0.2**9)
+
+
+def test_covariance_shrinks_with_points_down_to_that_of_the_wall():
+    few, many = (np.array(objects_of(recovered(face(15.0, 9.0, 2.0, n)))[0].cov_m2) for n in (2, 16))
+    assert np.trace(many) < 0.3 * np.trace(few)
+    assert (np.linalg.eigvalsh(many) > 0.05**2).all()
+
+
+def test_two_objects_apart_and_their_order():
+    strong, weak = recovered(face(20.0, 9.0, 2.0, 3), 0.9), recovered(face(10.0, 9.0, 2.0, 3), 0.6)
+    objects = objects_of(together(weak, strong))
+    assert [round(one.x_m) for one in objects] == [20, 10]
+    assert [one.id for one in objects] == [0, 1]
+
+
+def test_order_of_the_points_does_not_matter():
+    points = together(recovered(face(20.0, 9.0, 2.0, 3)), recovered(face(10.0, 9.0, 2.0, 4)))
+    shuffled = points.select(np.random.default_rng(0).permutation(7))
+    for one, other in zip(objects_of(points), objects_of(shuffled), strict=True):
+        assert (one.x_m, one.y_m, one.score) == pytest.approx((other.x_m, other.y_m, other.score))
+
+
+def test_fragments_of_one_vehicle_are_joined_and_two_vehicles_are_not():
+    """2.2 m between the nearest points, eps 2.0 and one sigma of 0.42 m: one vehicle if all fit in its box."""
+    near = together(recovered(face(13.0, 9.0, 1.0, 2)), recovered(face(16.2, 9.0, 1.0, 2)))
+    assert len(objects_of(near)) == 1
+    long = together(recovered(face(12.0, 9.0, 4.4, 6)), recovered(face(18.6, 9.0, 4.4, 6)))
+    assert len(objects_of(long)) == 2
+
+
+@pytest.mark.parametrize(("score", "snr_db", "expected"), [(0.9, 30.0, 1), (0.4, 30.0, 0), (0.9, 10.0, 0)])
+def test_a_single_point_must_be_strong(score, snr_db, expected):
+    assert len(objects_of(recovered([[15.0, 9.0]], score, snr_db))) == expected
+
+
+def test_a_pair_in_open_view_is_a_ghost_and_the_same_behind_the_occluder_is_not():
+    assert objects_of(recovered(face(15.0, -9.0, 1.0, 2))) == ()
+    assert len(objects_of(recovered(face(15.0, 9.0, 1.0, 2)))) == 1
+
+
+def test_a_mirrored_wall_is_no_object():
+    assert objects_of(recovered(face(15.0, 12.0, 16.0, 17))) == ()
+
+
+def test_the_next_face_of_a_building_is_no_object():
+    """An 8 m line from the occluder's end; the same line 6 m away from it is a bus."""
+    assert objects_of(recovered(face(24.5, 9.5, 8.0, 9, yaw=math.pi / 2))) == ()
+    assert len(objects_of(recovered(face(15.0, 15.0, 8.0, 9, yaw=math.pi / 2)))) == 1
+
+
+def test_a_side_lobe_at_the_same_range_is_no_object():
+    main, lobe = recovered(face(15.0, 9.0, 1.0, 3), snr_db=50.0), recovered(face(14.0, 14.0, 1.0, 3), snr_db=20.0)
+    # the images stand 45.9 and 48.1 m off; move the lobe to the same range
+    shift = np.hypot(*main.images_m.mean(axis=0)) / np.hypot(*lobe.images_m.mean(axis=0))
+    lobe.images_m[:] *= shift
+    assert len(objects_of(together(main, lobe))) == 1
+
+
+def test_nothing_recovered_is_no_object():
+    assert objects_of(recovered(np.zeros((0, 2)))) == ()
+
+
+def test_joint_score_stays_within_zero_and_one():
+    assert joint_score(np.array([0.5, 0.5])) == 0.75
+    assert joint_score(np.array([1.0, 0.3])) == 1.0
+
+
+def test_json_line_has_the_fields_of_the_contract():
+    grid = BevGrid(rows=2, columns=3)
+    frame = BevFrame(
+        stamp_ns=12, scan_id=3, walls=(OCCLUDER,), grid=grid,
+        points=(HiddenPoint(x_m=0.1, y_m=2.0, score=0.5, image_x_m=3.0, image_y_m=4.0, wall=0),),
+        objects=objects_of(recovered(face(15.0, 9.0, 2.0, 3))), los_points_m=np.zeros((0, 2), np.float32),
+        visibility=np.zeros((2, 3), np.uint8),
+    )  # fmt: skip
+    line = bev_to_json(frame)
+    assert json.loads(json.dumps(line, allow_nan=False)) == line
+    assert set(line) == {"scan_id", "stamp_ns", "frame", "walls", "points", "objects"}
+    assert line["walls"] == [
+        {"normal": [0.0, -1.0], "offset_m": 5.0, "ends_m": [[4.0, 5.0], [24.0, 5.0]], "inliers": 9}
+    ]
+    assert line["points"] == [{"x_m": 0.1, "y_m": 2.0, "score": 0.5}]
+    (one,) = line["objects"]
+    assert set(one) == {"id", "x_m", "y_m", "length_m", "width_m", "yaw_rad", "score", "cov_m2"}

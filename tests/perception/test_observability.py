@@ -1,0 +1,77 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from models.perception.observability import VisibilityParams, observability, sensitivity_db
+from models.physics.mirror import specular_points, wall_from_ends
+from msgs.perception import BevGrid, Visibility, Wall
+from msgs.radar import RadarParams, RadarSetup
+
+GRID = BevGrid()
+
+
+def wall(a: tuple[float, float], b: tuple[float, float]) -> Wall:
+    normal, offset_m = wall_from_ends(np.array(a), np.array(b), np.zeros(2))
+    return Wall(normal=(float(normal[0]), float(normal[1])), offset_m=offset_m, ends_m=(a, b), inliers=9)
+
+
+def seen_at(mask: np.ndarray, x: float, y: float) -> int:
+    return int(mask[int((y - GRID.y_min_m) / GRID.cell_m), int((x - GRID.x_min_m) / GRID.cell_m)])
+
+
+def test_sensitivity_by_hand():
+    """1.6 mW = 2.04 dBm; gain (15.05 + 4.1) dB twice; lambda^2 -30.46 dB; (4 pi)^3 32.98 dB: -23.1 dBm at 1 m.
+    Noise -74.2 dBm less 60.2 dB for 2^20 samples, plus 1.76 dB of the Hann window: -132.7 dBm. Together 109.5 dB."""
+    assert sensitivity_db(RadarSetup()) == pytest.approx(109.5, abs=0.2)
+
+
+def test_eight_chirps_are_twelve_decibels_less_than_128():
+    few = RadarSetup(radar=RadarParams(chirps_per_beam=8))
+    assert sensitivity_db(RadarSetup()) - sensitivity_db(few) == pytest.approx(10.0 * math.log10(16.0))
+
+
+def test_without_walls_the_field_of_view_is_direct():
+    mask = observability([], 110.0, GRID, VisibilityParams())
+    assert seen_at(mask, 20.0, 0.0) == Visibility.DIRECT
+    assert seen_at(mask, 5.0, 20.0) == Visibility.UNKNOWN  # 76 degrees off
+    assert not (mask == Visibility.MIRRORED).any()
+
+
+def test_facade_shows_what_the_occluder_hides():
+    """Facade x = 20, occluder at y = 5: (12, 8) is hidden and seen in the facade, (26, 0) is behind the facade,
+    (8, 20) is hidden, and its mirror point y = 12.5 lies past the facade's end."""
+    mask = observability([wall((20, -10), (20, 10)), wall((5, 5), (13, 5))], 110.0, GRID, VisibilityParams())
+    assert seen_at(mask, 16.0, 8.0) == Visibility.MIRRORED
+    assert seen_at(mask, 26.0, 0.0) == Visibility.UNKNOWN
+    assert seen_at(mask, 8.0, 20.0) == Visibility.UNKNOWN
+    assert seen_at(mask, 10.0, 0.0) == Visibility.DIRECT
+
+
+def test_agrees_with_the_forward_law_of_reflection():
+    """Every mirrored cell has a specular point on one of the walls."""
+    walls = [wall((20, -10), (22, 10)), wall((4, -6), (18, -7))]
+    mask = observability(walls, 110.0, GRID, VisibilityParams())
+    cells = GRID.cell_centres_m()[mask == Visibility.MIRRORED]
+    assert len(cells) > 100
+    points = [specular_points(np.zeros(2), cells, *(np.array(end) for end in one.ends_m)) for one in walls]
+    assert (np.isfinite(points[0][:, 0]) | np.isfinite(points[1][:, 0])).all()
+
+
+def test_reach_follows_the_radar_equation():
+    """At boresight the threshold is met up to R = 10^((S + rcs - T) / 40): 40 m for S + rcs - T = 64.1 dB."""
+    params = VisibilityParams(rcs_dbsm=0.0, threshold_db=13.0)
+    mask = observability([], 13.0 + 40.0 * math.log10(40.0), GRID, params)
+    assert seen_at(mask, 39.0, 0.1) == Visibility.DIRECT
+    assert seen_at(mask, 41.0, 0.1) == Visibility.UNKNOWN
+
+
+def test_a_fainter_object_is_seen_in_fewer_cells():
+    walls = [wall((20, -10), (20, 10)), wall((5, 5), (13, 5))]
+    counts = [
+        int((observability(walls, 75.0, GRID, VisibilityParams(rcs_dbsm=rcs)) == Visibility.MIRRORED).sum())
+        for rcs in (20.0, 10.0, 0.0)
+    ]
+    assert counts[0] > counts[1] > counts[2]

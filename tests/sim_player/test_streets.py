@@ -1,0 +1,46 @@
+"""Random streets: legal, varied, repeatable."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_player.ray_tracing import prepare, trace
+from sim_player.scene import scene_from_yaml, scene_to_yaml
+from sim_player.streets import ROUGHNESS_MM, THICKNESS_MM, random_street
+from sim_player.truth import hidden_objects
+
+STREETS = [random_street(11, index) for index in range(60)]
+
+
+def test_streets_repeat_and_differ() -> None:
+    assert [random_street(11, index) for index in range(10)] == STREETS[:10]
+    assert len({scene_to_yaml(scene) for scene in STREETS}) == len(STREETS)
+    assert random_street(12, 0) != STREETS[0]
+
+
+def test_streets_survive_yaml() -> None:
+    for scene in STREETS[:20]:
+        assert scene_from_yaml(scene_to_yaml(scene)) == scene
+
+
+def test_streets_cover_materials_and_classes() -> None:
+    """60 scenes of 2-3 walls and up to 6 objects: each of 5 materials and 6 classes is missed with p < 1e-6."""
+    walls = [surface for scene in STREETS for surface in scene.surfaces]
+    assert {surface.material for surface in walls} == set(THICKNESS_MM)
+    assert {thing.class_ for scene in STREETS for thing in scene.objects} == {
+        "car",
+        "van",
+        "truck",
+        "bus",
+        "bicycle",
+        "pedestrian",
+    }
+    roughness = np.array([surface.roughness_mm for surface in walls])
+    assert roughness.min() >= ROUGHNESS_MM[0]
+    assert roughness.max() <= ROUGHNESS_MM[1]
+
+
+def test_most_streets_hide_something_and_some_nothing() -> None:
+    """15 % are drawn empty and some placements fail: 55-90 % hide an object (60 scenes, 3 sigma = 19 %)."""
+    share = np.mean([bool(hidden_objects(trace(prepare(scene)))) for scene in STREETS])
+    assert 0.55 < share < 0.95

@@ -1,0 +1,93 @@
+"""Truth points: thinning, visibility, the true place behind an image."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from models.physics.mirror import reflect
+from msgs.perception import PathClass
+from msgs.radar import RangeAzimuthGrid
+from sim_player.player import ScenePlayer
+from sim_player.ray_tracing import prepare, trace
+from sim_player.scene import Ego, Scene, SceneObject, Surface
+from sim_player.truth import SEPARATION_CELLS, best_power_mw, hidden_objects, thin, visible_paths
+
+RELAY = Surface(role="relay", material="concrete", polyline_m=((22.0, -9.0), (22.0, 14.0)), height_m=6.0)
+CORNER = Surface(role="occluder", material="brick", polyline_m=((1.0, 3.5), (8.0, 3.5), (8.0, 20.0)), height_m=6.0)
+HIDDEN = SceneObject(class_="car", x_m=11.0, y_m=9.3, yaw_deg=-90.0, speed_mps=5.0)
+OPEN = SceneObject(class_="pedestrian", x_m=12.0, y_m=-2.0)
+SCENE = Scene(name="t", surfaces=(RELAY, CORNER), objects=(HIDDEN, OPEN))
+
+
+def test_thinning_keeps_the_first_and_parts_the_rest() -> None:
+    rng = np.random.default_rng(0)
+    row, column = rng.uniform(0, 60, (2, 500))
+    kept = thin(row, column)
+    assert kept[0] == 0
+    apart = np.maximum(np.abs(row[kept, None] - row[kept]), np.abs(column[kept, None] - column[kept]))
+    assert (apart + 100.0 * np.eye(len(kept))).min() >= SEPARATION_CELLS
+    # nothing was dropped without a kept point near it
+    near = np.maximum(np.abs(row[:, None] - row[kept]), np.abs(column[:, None] - column[kept])) < SEPARATION_CELLS
+    assert near.any(axis=1).all()
+    assert len(thin(np.zeros(0), np.zeros(0))) == 0
+
+
+def test_truth_points_are_apart_on_the_grid_and_strongest_first() -> None:
+    player = ScenePlayer(SCENE, chirps_per_beam=1)
+    paths = player.paths(0.0)
+    chosen = paths.take(visible_paths(player.setup, paths))
+    power = best_power_mw(player.setup, chosen)
+    assert (np.diff(power) <= 0.0).all()
+    grid = RangeAzimuthGrid()
+    row, column = grid.range_index(0.5 * chosen.length_m), grid.azimuth_index(chosen.azimuth_rad)
+    apart = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column)) + 100.0 * np.eye(len(row))
+    assert apart.min() >= SEPARATION_CELLS
+    assert column.min() >= 0.0
+    assert column.max() <= 255.0
+
+
+def test_images_and_true_places_belong_together() -> None:
+    """Mirroring each hidden point in the relay wall gives its image; float32 rounds 40 m to 2e-6 m."""
+    truth = ScenePlayer(SCENE, chirps_per_beam=1).truth(0)
+    assert len(truth.mirrored_points_m) >= 2
+    image = reflect(truth.hidden_points_m, np.array([-1.0, 0.0]), 22.0)
+    relayed = truth.hidden_object == 0
+    np.testing.assert_allclose(truth.mirrored_points_m[relayed], image[relayed], atol=1e-5)
+    for index, point in zip(truth.hidden_object, truth.hidden_points_m, strict=True):
+        thing = truth.objects[index]
+        reach = 0.5 * np.hypot(thing.length_m, thing.width_m) + 1e-3
+        assert np.hypot(point[0] - thing.x_m, point[1] - thing.y_m) <= reach
+
+
+def test_hidden_means_mirrored_and_out_of_sight() -> None:
+    truth = ScenePlayer(SCENE, chirps_per_beam=1).truth(0)
+    assert [thing.hidden for thing in truth.objects] == [True, False]
+    paths = trace(prepare(SCENE))
+    assert hidden_objects(paths) == {0}
+    # an object in the open keeps its mirror images
+    assert ((paths.kind == PathClass.MIRRORED) & (paths.thing == 1)).any()
+
+
+def test_objects_carry_their_motion_into_the_radars_frame() -> None:
+    """After 0.3 s the car has gone 1.5 m along its heading; the radar 2.4 m ahead with a turn of 3 degrees."""
+    scene = Scene(name="t", surfaces=(RELAY,), objects=(HIDDEN,), ego=Ego(speed_mps=8.0, yaw_rate_dps=10.0))
+    player = ScenePlayer(scene, chirps_per_beam=1, start_ns=5)
+    truth = player.truth(1)
+    thing = truth.objects[0]
+    turn = np.radians(3.0)
+    centre = 2.4 * np.sin(turn / 2) / (turn / 2) * np.array([np.cos(turn / 2), np.sin(turn / 2)])
+    ahead = np.array([11.0, 9.3 - 1.5]) - centre
+    expected = [np.cos(turn) * ahead[0] + np.sin(turn) * ahead[1], -np.sin(turn) * ahead[0] + np.cos(turn) * ahead[1]]
+    np.testing.assert_allclose([thing.x_m, thing.y_m], expected, atol=1e-12)
+    np.testing.assert_allclose(np.hypot(thing.velocity_x_mps, thing.velocity_y_mps), 5.0)
+    assert thing.yaw_rad == pytest.approx(-np.pi / 2 - turn)
+    assert truth.stamp_ns == 300_000_005
+    assert truth.surfaces[0].polyline_m[0][0] < 22.0
+
+
+def test_weak_points_are_no_truth() -> None:
+    """A pedestrian at 109 m in one chirp is lost in noise; in 128 chirps it is not."""
+    scene = Scene(name="t", objects=(SceneObject(class_="pedestrian", x_m=108.0, y_m=0.0),))
+    assert len(ScenePlayer(scene, chirps_per_beam=1).truth(0).los_points_m) == 0
+    assert len(ScenePlayer(scene).truth(0).los_points_m) == 1
