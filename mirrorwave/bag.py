@@ -264,7 +264,8 @@ def _progress() -> Any:
 def _stop_by_signal(stop: Any, duration_s: float | None) -> Any:
     """Have SIGINT, SIGTERM and, after `duration_s`, the alarm clock ask for the end."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
-        signal.signal(number, lambda _number, _frame: stop.request())
+        # at once: publishers go on, so what waits would never end
+        signal.signal(number, lambda _number, _frame: stop.request(at_once=True))
     if duration_s is not None:
         signal.setitimer(signal.ITIMER_REAL, duration_s)
     return stop

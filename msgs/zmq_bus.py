@@ -144,6 +144,9 @@ class ZmqBus:
 
     def _poll(self, wait_ns: int) -> list[Received]:
         """Wait once for any socket; serve newcomers to latched topics, return what came in."""
+        if not self._poller.sockets:
+            # a poll of nothing would return at once
+            time.sleep(wait_ns / NANOSECONDS_PER_SECOND)
         ready = dict(self._poller.poll(-(-wait_ns // 1_000_000)))
         for topic in self._latched:
             if self._publishers[topic] in ready:

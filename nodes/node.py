@@ -43,6 +43,8 @@ HEARTBEAT_S = 1.0 / topic_facts("diagnostics/node").rate_hz
 TURN_S = 0.1
 #: A node that was asked to stop has drained its inputs when nothing came for this long.
 DRAINED_S = 0.15
+#: Where a foreign publisher goes on, what waits would never end; this is enough for a queue of beams.
+DRAIN_LIMIT_S = 2.0
 #: Subscribers look for new publishers several times in this; a source that spoke earlier would not be heard.
 SETTLE_S = 0.4
 #: The bus drops what is still on its way when it is closed; the last answers of a node get this long.
@@ -205,8 +207,7 @@ def run_loop(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
         while not (stop.requested or node.finished()):
             _turn(node, bus, min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
             heartbeat.beat_if_due(node)
-        while not (stop.at_once or node.finished()) and _answer_inputs(node, bus, DRAINED_S):
-            heartbeat.beat_if_due(node)
+        _drain(node, bus, stop, heartbeat)
     except Exception as error:
         reason = one_line(error)
         raise
@@ -215,6 +216,15 @@ def run_loop(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
             node.close()
         finally:
             heartbeat.beat(NodeState.STOPPING, reason, node.stages.drain())
+
+
+def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
+    """Answer what still waits, until nothing comes, the time is up or the node is to end at once."""
+    end_s = time.monotonic() + DRAIN_LIMIT_S
+    while not (stop.at_once or node.finished()) and time.monotonic() < end_s:
+        if not _answer_inputs(node, bus, DRAINED_S):
+            return
+        heartbeat.beat_if_due(node)
 
 
 def one_line(error: BaseException) -> str:

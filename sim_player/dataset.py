@@ -110,12 +110,12 @@ def write_dataset(
     count: int,
     seed: int,
     workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    on_progress: Callable[[int], None] | None = None,
 ) -> Path:
     """Write `count` random street scenes as npz shards and a manifest; returns the manifest's path.
 
-    Shards already there are kept (an interrupted run goes on); bytes do not depend on `workers`. `progress` hears
-    (scenes done, scenes in all) after each shard. Raises ValueError for a bad count, or a folder that holds another
+    Shards already there are kept (an interrupted run goes on); bytes do not depend on `workers`. `on_progress` hears
+    how many scenes are done after each shard. Raises ValueError for a bad count, or a folder that holds another
     data set. Arrays of a shard: profiles c8 [n, 25, 512], noise_power_mw [n], gain_db [n], scene_yaml [n],
     offset int64 [n + 1] into the points' range_m, azimuth_rad, path_class, hidden_xy_m, power_mw.
     """
@@ -132,8 +132,8 @@ def write_dataset(
     for line in _run(jobs, workers):
         lines.append(line)
         done += line["scenes"]
-        if progress is not None:
-            progress(done, count)
+        if on_progress is not None:
+            on_progress(done)
     manifest = out_dir / "manifest.jsonl"
     _write_whole(manifest, b"".join(msgspec.json.encode(line) + b"\n" for line in lines))
     return manifest

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
-from sim_player.scene import OBJECT_KINDS, Point, Scene, SceneObject, Surface, check_scene, wall_inside
+from sim_player.scene import Point, Scene, SceneObject, Surface, check_scene, wall_inside
 
 #: Thickness in mm that walls of a material are drawn from.
 THICKNESS_MM: dict[str, tuple[float, float]] = {
@@ -22,12 +22,21 @@ THICKNESS_MM: dict[str, tuple[float, float]] = {
     "wood": (18.0, 60.0),
 }
 ROUGHNESS_MM = (0.1, 2.0)
-#: Share of scenes without a hidden object.
+#: Share of scenes that are given no hidden object (in about as many more, none finds a place to hide).
 EMPTY_SHARE = 0.15
 #: Where images of hidden objects are asked to lie.
 IMAGE_RANGE_M, IMAGE_AZIMUTH_RAD = (5.0, 60.0), math.radians(55.0)
-#: Candidates drawn for one object before it is given up.
+#: Candidate places drawn for one object before it is given up.
 CANDIDATES = 256
+#: How often each class is drawn: cars are most common, in the scene as in the street.
+CLASS_SHARE: dict[str, float] = {
+    "car": 0.35,
+    "van": 0.15,
+    "truck": 0.12,
+    "bus": 0.08,
+    "bicycle": 0.14,
+    "pedestrian": 0.16,
+}
 ORIGIN = np.zeros(2)
 
 
@@ -124,9 +133,7 @@ def _place(
     rng: np.random.Generator, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
 ) -> SceneObject | None:
     """A random road user at the first candidate place that fits; None where none does."""
-    classes = list(OBJECT_KINDS)
-    # cars are most common, in the street as in the open
-    name = str(rng.choice(classes, p=[0.35, 0.15, 0.12, 0.08, 0.14, 0.16]))
+    name = str(rng.choice(list(CLASS_SHARE), p=list(CLASS_SHARE.values())))
     spot = np.column_stack([rng.uniform(4.0, 50.0, CANDIDATES), rng.uniform(-35.0, 35.0, CANDIDATES)])
     yaw_deg = rng.choice([0.0, 90.0, 180.0, 270.0], CANDIDATES) + rng.normal(0.0, 12.0, CANDIDATES)
     fits = _in_mirror(spot, surfaces) if hidden else _in_open(spot, surfaces)
@@ -137,12 +144,21 @@ def _place(
             y_m=float(spot[index, 1]),
             yaw_deg=float(yaw_deg[index]),
         )
-        clear = math.hypot(thing.x_m, thing.y_m) > thing.kind.length_m and wall_inside(thing, surfaces) is None
-        # out of sight as a whole, not only its centre
-        sheltered = not hidden or blocked(ORIGIN, thing.corners_m(), *_pieces(surfaces)).all()
-        if clear and sheltered and all(_apart(thing, other) for other in things):
+        if _stands_well(thing, surfaces, things, hidden):
             return thing
     return None
+
+
+def _stands_well(
+    thing: SceneObject, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
+) -> bool:
+    """Clear of radar, walls and others; if hidden, out of sight as a whole and not only its centre."""
+    return (
+        math.hypot(thing.x_m, thing.y_m) > thing.kind.length_m
+        and all(_apart(thing, other) for other in things)
+        and wall_inside(thing, surfaces) is None
+        and (not hidden or bool(blocked(ORIGIN, thing.corners_m(), *_pieces(surfaces)).all()))
+    )
 
 
 def _pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:

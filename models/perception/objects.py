@@ -24,18 +24,19 @@ UNIFORM_FACE = 12.0
 class ObjectParams(msgspec.Struct, frozen=True, kw_only=True):
     """When recovered points are an object, and how large one may be."""
 
-    eps_m: float = 2.0
+    eps_m: float = 2.5
     #: Fragments no further apart than eps plus one sigma belong together, if they fit in one vehicle.
     vehicle_length_m: float = 5.5
     vehicle_width_m: float = 2.5
     min_points: int = 2
-    min_score: float = 0.5
+    min_score: float = 0.7
     #: A single point makes an object only this strong.
     single_min_score: float = 0.6
     single_min_snr_db: float = 15.0
-    #: Where no wall, lengthened by the margin, hides it, it should have been seen directly: more points are asked for.
+    #: Where no wall, lengthened by the margin, hides it, it should have been seen directly: more is asked for.
     open_view_min_points: int = 3
-    open_view_margin_m: float = 1.5
+    open_view_min_score: float = 0.9
+    open_view_margin_m: float = 2.5
     #: Longer than any vehicle: a wall seen in a mirror.
     max_length_m: float = 14.0
     #: A line this long that starts at a wall's end is the building's next face.
@@ -85,18 +86,22 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
 
 
 def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
-    """Enough points or one strong one, no longer than a vehicle, not the next face of a building."""
-    if len(cluster) < params.min_points:
-        strong = (cluster.score >= params.single_min_score) & (cluster.snr_db >= params.single_min_snr_db)
-        if not strong.any():
-            return False
-    centre_m = cluster.points_m.mean(axis=0, keepdims=True)
-    if len(cluster) < params.open_view_min_points and in_open_view(centre_m, walls, params.open_view_margin_m)[0]:
-        return False
+    """Enough evidence for where it stands, no longer than a vehicle, not the next face of a building."""
     extent_m = _extent_m(cluster)
-    if extent_m > params.max_length_m or joint_score(cluster.score) < params.min_score:
+    if extent_m > params.max_length_m or not _has_evidence(cluster, walls, params):
         return False
     return not (extent_m > params.face_length_m and _starts_at_wall_end(cluster, walls))
+
+
+def _has_evidence(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
+    """Enough points or one strong one, and more of them where nothing seems to hide the place."""
+    score = joint_score(cluster.score)
+    strong = (cluster.score >= params.single_min_score) & (cluster.snr_db >= params.single_min_snr_db)
+    enough = score >= params.min_score if len(cluster) >= params.min_points else bool(strong.any())
+    centre_m = cluster.points_m.mean(axis=0, keepdims=True)
+    if enough and in_open_view(centre_m, walls, params.open_view_margin_m)[0]:
+        return len(cluster) >= params.open_view_min_points and score >= params.open_view_min_score
+    return enough
 
 
 def joint_score(scores: np.ndarray) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 
 from models.perception.recovery import RADAR, WallArrays, wall_arrays
 from models.physics.antenna import row_field
-from models.physics.mirror import blocked, crossing_parameters, reflect
+from models.physics.mirror import blocked, reflect
 from models.physics.waveform import window_noise_gain
 from msgs.arrays import require_finite, require_positive
 from msgs.frames import polar_from_xy
@@ -59,11 +59,20 @@ def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: 
     cells_m = grid.cell_centres_m().reshape(-1, 2)
     arrays = wall_arrays(walls)
     mask = np.full(len(cells_m), Visibility.UNKNOWN, np.uint8)
+    direct = _detectable(cells_m, sensitivity + params.rcs_dbsm, params)
     for index in range(len(walls)):
         mask[_seen_in_mirror(cells_m, index, arrays, sensitivity, params)] = Visibility.MIRRORED
-    direct = np.flatnonzero(_detectable(cells_m, sensitivity + params.rcs_dbsm, params))
-    mask[direct[~blocked(RADAR, cells_m[direct], arrays.a, arrays.b)]] = Visibility.DIRECT
+        behind = cells_m @ arrays.normal[index] + arrays.offset_m[index] < 0.0
+        direct &= ~(behind & _in_wedge(cells_m, arrays.a[index], arrays.b[index]))
+    mask[direct] = Visibility.DIRECT
     return mask.reshape(grid.rows, grid.columns)
+
+
+def _in_wedge(points_m: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Points [N, 2] whose ray from the origin passes between a and b [2]; bool [N]."""
+    turn = np.sign(a[0] * b[1] - a[1] * b[0])
+    past_a = turn * (points_m @ np.array([-a[1], a[0]])) >= 0.0
+    return past_a & (turn * (points_m @ np.array([b[1], -b[0]])) >= 0.0)
 
 
 def _detectable(images_m: np.ndarray, level_db: float, params: VisibilityParams) -> np.ndarray:
@@ -81,14 +90,16 @@ def _seen_in_mirror(
 ) -> np.ndarray:
     """Indices of the cells an object of the stated RCS would be detected in, through one wall."""
     normal, offset_m = walls.normal[index], float(walls.offset_m[index])
-    in_front = np.flatnonzero(cells_m @ normal + offset_m > 0.0)
-    images_m = reflect(cells_m[in_front], normal, offset_m)
+    # the wall is a window through which the radar's own image looks at the cells
+    radar_image = reflect(RADAR, normal, offset_m)
+    window = _in_wedge(cells_m - radar_image, walls.a[index] - radar_image, walls.b[index] - radar_image)
+    cells = np.flatnonzero(window & (cells_m @ normal + offset_m > 0.0))
+    images_m = reflect(cells_m[cells], normal, offset_m)
     seen = _detectable(images_m, sensitivity + params.rcs_dbsm - params.bounce_loss_db, params)
-    images_m, cells = images_m[seen], in_front[seen]
-    along_ray, along_wall = crossing_parameters(RADAR, images_m, walls.a[index][None], walls.b[index][None])
-    inside = ((along_wall >= 0.0) & (along_wall <= 1.0))[:, 0]
-    cells = cells[inside]
-    mirror_m = along_ray[inside] * images_m[inside]
+    images_m, cells = images_m[seen], cells[seen]
+    # the height over the wall's line falls from offset_m at the radar to -height at the image
+    height_m = cells_m[cells] @ normal + offset_m
+    mirror_m = images_m * (offset_m / (offset_m + height_m))[:, None]
     others = walls.select(np.arange(len(walls)) != index)
     cut = blocked(RADAR, mirror_m, others.a, others.b) | blocked(mirror_m, cells_m[cells], others.a, others.b)
     return cells[~cut]

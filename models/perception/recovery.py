@@ -271,9 +271,11 @@ def _cut_paths(images_m: np.ndarray, along_ray: np.ndarray, walls: WallArrays, p
     of_each_wall = np.broadcast_to(images_m[:, None], (*shape, 2))
     place_m = reflect(of_each_wall, walls.normal, walls.offset_m).reshape(-1, 2)
     a, b = walls.trimmed(params.end_margin_m)
+    # a vehicle's side is too short to be sure that a path does not pass beside it
+    long_enough = walls.length_m > params.vehicle_length_m
     cut = np.zeros((len(mirror_m), len(walls)), bool)
     for origin, end in ((RADAR, mirror_m), (mirror_m, place_m)):
-        deep = np.abs(walls.distance_m(end)) > params.cut_depth_m
+        deep = (np.abs(walls.distance_m(end)) > params.cut_depth_m) & long_enough
         cut |= crosses(origin, end, a, b) & deep
     # the wall itself is where the path turns
     own = np.tile(np.eye(len(walls), dtype=bool), (shape[0], 1))

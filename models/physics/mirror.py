@@ -93,14 +93,14 @@ def cut(
     # comparisons with NaN (parallel) are false: not cut
     inside_ray = (along_ray > ray_share) & (along_ray < 1.0 - ray_share)
     inside_wall = (along_wall >= -wall_share) & (along_wall <= 1.0 + wall_share)
-    return np.asarray(inside_ray & inside_wall)
+    return inside_ray & inside_wall
 
 
 def blocked(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Which targets do not see the origin (or each its own, [N, 2]) because some wall a -> b is between; bool [N]."""
     if len(a) == 0:
         return np.zeros(len(targets), bool)
-    return crosses(origin, targets, a, b).any(axis=1)
+    return np.asarray(crosses(origin, targets, a, b).any(axis=1))
 
 
 def specular_points(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:

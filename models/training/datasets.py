@@ -61,8 +61,8 @@ class Perturbation:
 
     gain_std_db: float = 0.4
     phase_std_rad: float = 0.05
-    #: Share of scans whose beams share no phase: something moved by more than a wavelength between them.
-    incoherent_share: float = 0.25
+    #: Share of scans in which everything within some stretch of range moves: its phase turns from beam to beam.
+    moving_share: float = 0.5
     #: Receiver noise is raised by up to this much.
     extra_noise_db: float = 6.0
     #: Share of scans that lack a beam.
@@ -75,7 +75,7 @@ class DataConfig:
 
     #: Of the split and of the perturbations.
     seed: int = 0
-    validation_share: float = 0.15
+    validation_share: float = 0.1
     #: Perturbed variants of each training scene beside the clean one.
     perturbed_copies: int = 1
     perturbation: Perturbation = Perturbation()
@@ -155,15 +155,16 @@ def split_scenes(count: int, validation_share: float, seed: int) -> tuple[np.nda
 
 def perturb_scan(scan: BeamScan, perturbation: Perturbation, rng: np.random.Generator) -> BeamScan:
     """The same scene seen by a less perfect radar: beam gains, phases and receiver noise differ."""
-    beams, _ = scan.profiles.shape
+    beams, bins = scan.profiles.shape
     gain = 10.0 ** (rng.normal(0.0, perturbation.gain_std_db, beams) / 20.0)
-    phase_rad = rng.normal(0.0, perturbation.phase_std_rad, beams)
-    if rng.random() < perturbation.incoherent_share:
-        phase_rad = rng.uniform(0.0, 2.0 * np.pi, beams)
+    phase_rad = np.tile(rng.normal(0.0, perturbation.phase_std_rad, (beams, 1)), bins)
+    if rng.random() < perturbation.moving_share:
+        first, last = np.sort(rng.integers(0, bins + 1, 2))
+        phase_rad[:, first:last] += rng.uniform(-np.pi, np.pi) * np.arange(beams)[:, None]
     noise_ratio = 10.0 ** (rng.uniform(0.0, perturbation.extra_noise_db) / 10.0)
     added_mw = (noise_ratio - 1.0) * scan.noise_power_mw
     noise = np.sqrt(added_mw / 2.0) * rng.standard_normal((*scan.profiles.shape, 2)) @ (1.0, 1.0j)
-    profiles = scan.profiles * (gain * np.exp(1j * phase_rad))[:, None] + noise
+    profiles = gain[:, None] * np.exp(1j * phase_rad) * scan.profiles + noise
     missing = (int(rng.integers(beams)),) if rng.random() < perturbation.missing_share else ()
     return BeamScan(
         profiles=profiles.astype(np.complex64),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -21,7 +23,7 @@ nodes:
     after: [ra_former, dense_predictor, geometry, recorder]
     ends_graph: true
   ra_former: {{module: nodes.ra_former}}
-  dense_predictor: {{module: nodes.dense_predictor}}
+  dense_predictor: {{module: nodes.dense_predictor, params: {{method: cfar}}}}
   geometry: {{module: nodes.geometry}}
   recorder:
     module: nodes.recorder
@@ -29,13 +31,20 @@ nodes:
 """
 
 
+@pytest.fixture
+def run_dir(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A short path: socket names are limited."""
+    with tempfile.TemporaryDirectory(prefix="mw") as path:
+        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", path)
+        yield Path(path)
+
+
 @pytest.mark.graph
-def test_many_processes_give_the_bytes_of_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(tmp_path / "run"))
+def test_many_processes_give_the_bytes_of_one(tmp_path: Path, run_dir: Path) -> None:
     capture, recording = tmp_path / "capture.mcap", tmp_path / "seen.mcap"
     scene = "launch/scenes/two_hidden_vehicles.yaml"
     assert main(["sim", "run", scene, "--out", str(capture), "--scans", "3", "--chirps-per-beam", "8"]) == 0
-    assert main(["process", str(capture), "--out", str(tmp_path / "out")]) == 0
+    assert main(["process", str(capture), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 0
 
     launch = tmp_path / "spine.yaml"
     launch.write_text(LAUNCH.format(capture=capture, recording=recording))

@@ -104,7 +104,7 @@ def test_an_image_in_front_of_the_wall_has_none():
 
 
 def test_a_path_that_a_third_wall_cuts_is_none():
-    """The way from the facade at (20, 7.1) back to (6, 12) passes through a wall at y = 9; that to the facade does not."""
+    """The way from the facade at (20, 7.1) back to (6, 12) passes through a wall at y = 9, that to the facade not."""
     walls = [wall(*FACADE), wall((4.0, 9.0), (16.0, 9.0))]
     image = image_of([6.0, 12.0], *FACADE)[None]
     assert associate_crossing(image, np.array([0.02]), wall_arrays(walls[:1]), RecoveryParams()).tolist() == [0]

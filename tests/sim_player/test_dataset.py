@@ -76,9 +76,9 @@ def test_labels_point_at_echoes() -> None:
 
 @pytest.mark.usefixtures("_small_shards")
 def test_shards_hold_what_they_say(tmp_path: Path) -> None:
-    heard: list[tuple[int, int]] = []
-    manifest = write_dataset(tmp_path, 7, seed=2, progress=lambda done, total: heard.append((done, total)))
-    assert heard == [(3, 7), (6, 7), (7, 7)]
+    heard: list[int] = []
+    manifest = write_dataset(tmp_path, 7, seed=2, on_progress=heard.append)
+    assert heard == [3, 6, 7]
     lines = [msgspec.json.decode(line) for line in manifest.read_bytes().splitlines()]
     assert [(line["shard"], line["first_scene"], line["scenes"]) for line in lines] == [
         ("shard-00000.npz", 0, 3),

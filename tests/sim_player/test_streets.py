@@ -41,6 +41,6 @@ def test_streets_cover_materials_and_classes() -> None:
 
 
 def test_most_streets_hide_something_and_some_nothing() -> None:
-    """15 % are drawn empty and some placements fail: 55-90 % hide an object (60 scenes, 3 sigma = 19 %)."""
+    """15 % are drawn empty, about as many find no place to hide: 70 % hide something (60 scenes, 3 sigma = 18 %)."""
     share = np.mean([bool(hidden_objects(trace(prepare(scene)))) for scene in STREETS])
-    assert 0.55 < share < 0.95
+    assert 0.52 < share < 0.88

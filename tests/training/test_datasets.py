@@ -69,13 +69,32 @@ def test_perturbed_noise_is_as_strong_as_it_says() -> None:
 
 
 def test_perturbation_changes_beams_not_ranges() -> None:
-    """Without added noise every beam keeps its profile up to one complex factor, here of a random phase."""
+    """Without motion and added noise every beam keeps its profile up to one complex factor near 1.
+
+    Gains and phases are normal: five standard deviations of 0.4 dB and 0.05 rad.
+    """
     rng = np.random.default_rng(2)
     profiles = (rng.standard_normal((25, 64)) + 1j * rng.standard_normal((25, 64))).astype(np.complex64)
     scan = BeamScan(profiles=profiles, noise_power_mw=0.0, labels=labels(1, 1))
-    factors = perturb_scan(scan, Perturbation(incoherent_share=1.0), rng).profiles / profiles
+    factors = perturb_scan(scan, Perturbation(moving_share=0.0), rng).profiles / profiles
     np.testing.assert_allclose(factors, factors[:, :1] * np.ones(64), rtol=1e-5)
-    assert np.abs(np.angle(factors[:, 0])).max() > 1.0
+    assert np.abs(20 * np.log10(np.abs(factors))).max() < 2.0
+    assert 0.0 < np.abs(np.angle(factors)).max() < 0.25
+
+
+def test_motion_turns_the_phase_from_beam_to_beam_in_one_stretch_of_range() -> None:
+    """Outside the stretch nothing turns; inside, neighbouring beams differ by one and the same phase, and magnitudes
+    stay. Tolerance: complex64 rounding.
+    """
+    scan = BeamScan(profiles=np.ones((25, 64), np.complex64), noise_power_mw=0.0, labels=labels(1, 1))
+    moved = Perturbation(gain_std_db=0.0, phase_std_rad=0.0, moving_share=1.0, missing_share=0.0)
+    profiles = perturb_scan(scan, moved, np.random.default_rng(3)).profiles
+    turn = profiles[1:] * profiles[:-1].conj()
+    stretch = np.flatnonzero(np.abs(turn[0] - 1.0) > 1e-5)
+    assert 0 < len(stretch) < 64
+    assert (np.diff(stretch) == 1).all()
+    np.testing.assert_allclose(turn[:, stretch], turn[0, stretch[0]], atol=1e-5)
+    np.testing.assert_allclose(np.abs(profiles), 1.0, atol=1e-6)
 
 
 def test_batch_shapes_and_peaks() -> None:
