@@ -8,21 +8,20 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from scipy import ndimage
 from scipy.optimize import brentq
 
 from models.perception.clustering import dbscan
-from models.perception.peaks import PeakParams, keep_apart, peaks_at
+from models.perception.peaks import PeakParams, peaks_at
 from models.perception.recovery import WallArrays, behind_walls, cartesian_covariance, wall_arrays
+from models.perception.ridges import RidgeParams, find_ridges
 from models.perception.walls import WallParams, find_walls
-from msgs.arrays import require_positive
 from msgs.frames import xy_from_polar
 from msgs.perception import PathClass, Peaks, Wall
 from msgs.radar import RangeAzimuthMap
 
 
 class CfarParams(msgspec.Struct, frozen=True, kw_only=True):
-    """Kind and windows in cells (range, azimuth), false-alarm rate, and what is the side lobe of a stronger peak."""
+    """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that tell images."""
 
     kind: Literal["os", "ca"] = "os"
     #: Ordered statistic: window in range bins, which share of it counts as quiet, ranges that share a window.
@@ -33,22 +32,11 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True):
     guard: tuple[int, int] = (4, 14)
     training: tuple[int, int] = (20, 24)
     false_alarm_rate: float = 1e-4
-    #: Over the map's own noise, in addition.
-    min_snr_db: float = 13.0
-    #: Peaks keep this many cells (range, azimuth) apart in one of the two: the resolution of the map.
-    spacing: tuple[int, int] = (2, 10)
-    max_range_m: float = 109.0
-    #: Azimuth lobes: weaker by this much within these range bins.
-    azimuth_lobe_db: float = 22.0
-    azimuth_lobe_bins: int = 3
-    #: Range lobes of the Hann window: weaker by this much, this near in range, within a beam.
-    range_lobe_db: float = 30.0
-    range_lobe_bins: int = 12
-    beam_cells: int = 20
     #: Walls that tell images from direct returns; an image lies at least this deep behind one.
     cluster_eps_m: float = 4.0
     cluster_min_points: int = 2
     min_depth_m: float = 1.5
+    ridges: RidgeParams = RidgeParams()
     peaks: PeakParams = PeakParams()
     walls: WallParams = WallParams()
 
@@ -57,7 +45,6 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
         if not 0.0 < self.false_alarm_rate < 1.0:
             raise ValueError(f"cfar.false_alarm_rate must be in (0, 1), got {self.false_alarm_rate!r}")
-        require_positive("cfar.max_range_m", self.max_range_m)
 
 
 def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
@@ -131,54 +118,12 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
     power = np.square(np.abs(ra_map.values)).astype(np.float64)
-    floor = ra_map.noise_power_mw * 10.0 ** (params.min_snr_db / 10.0)
-    found = cfar_mask(power, params) & (power > floor)
-    found &= (ra_map.grid.range_m <= params.max_range_m)[:, None]
-    level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float64).tiny))
-    cells = ridge_cells(np.where(found, level_db, -np.inf), params.spacing)
-    cells = cells[~side_lobes(cells, level_db[cells[:, 0], cells[:, 1]], params)]
+    mask, noise_power_mw = cfar_mask(power, params), ra_map.noise_power_mw
+    cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges)
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
     score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))
-    fractional = cells.astype(np.float64)
-    fractional[:, 1] = _lobe_azimuth(level_db, cells)
     path_class = np.full(len(cells), PathClass.LOS, np.uint8)
     return peaks_at(ra_map, cells, fractional, score, path_class, params.peaks)
-
-
-def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it; highest first.
-
-    Not maxima of the plane: a wall seen at an angle is a ridge across many range bins with hardly a summit.
-    """
-    top = ndimage.maximum_filter1d(level_db, 2 * spacing[1] + 1, axis=1, mode="constant", cval=-np.inf)
-    cells = np.argwhere((level_db >= top) & np.isfinite(level_db))
-    cells = cells[np.argsort(-level_db[cells[:, 0], cells[:, 1]], kind="stable")]
-    return cells[keep_apart(cells, spacing)]
-
-
-def _lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either side."""
-    reach = 3
-    inner = np.clip(cells[:, 1], reach, level_db.shape[1] - 1 - reach)
-    before, here, after = (level_db[cells[:, 0], inner + k] for k in (-reach, 0, reach))
-    curvature = before - 2.0 * here + after
-    peaked = (inner == cells[:, 1]) & (here >= before) & (here >= after) & (curvature < 0.0)
-    shift = 0.5 * reach * (before - after) / np.where(peaked, curvature, -1.0)
-    return np.where(peaked, inner + np.clip(shift, -1.0, 1.0), cells[:, 1])
-
-
-def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its beam; [N]."""
-    range_apart = np.abs(cells[:, 0, None] - cells[:, 0])
-    azimuth_apart = np.abs(cells[:, 1, None] - cells[:, 1])
-    weaker_db = level_db - level_db[:, None]  # [N, N]: how much stronger the other one is
-    azimuth_lobe = (range_apart <= params.azimuth_lobe_bins) & (weaker_db >= params.azimuth_lobe_db)
-    range_lobe = (
-        (range_apart <= params.range_lobe_bins)
-        & (azimuth_apart <= params.beam_cells)
-        & (weaker_db >= params.range_lobe_db)
-    )
-    return np.logical_or.reduce(azimuth_lobe | range_lobe, axis=1)
 
 
 def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:

@@ -44,6 +44,9 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True):
     min_inliers: int = 4
     min_length_m: float = 2.5
     max_gap_m: float = 6.5
+    #: A wall that answers at few spots, too far apart for one cluster, must outscore scattered points by more.
+    sparse_gap_m: float = 12.0
+    sparse_min_score: float = 12.0
     max_angle_std_rad: float = math.radians(6.0)
     min_offset_m: float = 0.5
     #: Log likelihood ratio against scattered points.
@@ -102,6 +105,8 @@ def find_walls(
     for label in range(int(labels.max(initial=NOISE)) + 1):
         fits += _walls_of_cluster(points_m, covariance_m2, np.flatnonzero(labels == label), params, rng)
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
+    sparse = msgspec.structs.replace(params, max_gap_m=params.sparse_gap_m, min_score=params.sparse_min_score)
+    fits += _walls_of_cluster(points_m, covariance_m2, _unclaimed(len(points_m), fits), sparse, rng)
     fits = [_extended(points_m, covariance_m2, fit, _unclaimed(len(points_m), fits), params) for fit in fits]
     fits.sort(key=lambda fit: (-len(fit.members), fit.offset_m))
     fits = _drop_walls_behind_walls(fits)[: params.max_walls]

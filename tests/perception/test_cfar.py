@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from models.perception.cfar import CfarParams, cfar_mask, cfar_peaks, classify_behind_walls, detect, side_lobes
+from models.perception.cfar import CfarParams, cfar_mask, cfar_peaks, classify_behind_walls, detect
+from models.perception.ridges import RidgeParams, side_lobes
 from msgs.frames import polar_from_xy
 from msgs.perception import PathClass, Peaks
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
@@ -70,7 +71,7 @@ def test_side_lobes_of_a_stronger_peak():
     cells = np.array([[100, 128], [101, 40], [100, 220], [106, 130], [140, 40]])
     level_db = np.array([60.0, 30.0, 45.0, 25.0, 30.0])
     # 30 dB down at its range; only 15 dB down; 35 dB down near it in its beam; elsewhere
-    assert side_lobes(cells, level_db, CfarParams()).tolist() == [False, True, False, True, False]
+    assert side_lobes(cells, level_db, RidgeParams()).tolist() == [False, True, False, True, False]
 
 
 def test_classes_come_from_the_walls_in_front():
