@@ -1,7 +1,8 @@
 """Hidden objects from recovered points: clusters, boxes of what was seen, scores, covariances; and their JSON line.
 
-The centre is the mean of the seen points: the centre of the visible face, which is what the radar measures. It is not
-pushed inwards by half a typical depth: that would trade a known quantity for a guess of the class.
+The centre is the mean of the seen points, weighted by amplitude and score: the centre of the visible face, which is
+what the radar measures. It is not pushed inwards by half a typical depth: that would trade a known quantity for a guess
+of the class.
 """
 
 from __future__ import annotations
@@ -12,7 +13,8 @@ import msgspec
 import numpy as np
 
 from models.perception.clustering import dbscan, fits_box
-from models.perception.recovery import Recovered, in_open_view, segment_distance_m, wall_arrays
+from models.perception.recovery import Recovered, in_open_view, wall_arrays
+from models.physics.mirror import segment_distance_m
 from msgs.arrays import require_positive
 from msgs.frames import polar_from_xy
 from msgs.perception import BevFrame, HiddenObject, Wall
@@ -43,6 +45,11 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True):
     face_length_m: float = 6.5
     #: An object this much weaker than another at the same range is its side lobe.
     lobe_db: float = 22.0
+    #: This few points, this near in image range and azimuth to a larger object, are part of it.
+    satellite_points: int = 2
+    satellite_range_m: float = 1.5
+    satellite_beam_deg: float = 9.0
+    satellite_db: float = 3.0
     min_length_m: float = 1.5
     min_width_m: float = 0.8
 
@@ -56,7 +63,8 @@ def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) 
     labels = merge_fragments(recovered, dbscan(recovered.points_m, params.eps_m, 1), params)
     clusters = [recovered.select(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
     clusters = [cluster for cluster in clusters if _is_object(cluster, walls, params)]
-    boxes = [_box(cluster, params) for cluster in _without_lobes(clusters, params.lobe_db)]
+    clusters = _without_satellites(_without_lobes(clusters, params.lobe_db), params)
+    boxes = [_box(cluster, params) for cluster in clusters]
     boxes.sort(key=lambda box: (-box.score, box.x_m, box.y_m))
     return tuple(msgspec.structs.replace(box, id=index) for index, box in enumerate(boxes))
 
@@ -140,13 +148,38 @@ def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]
     ]
 
 
+def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list[Recovered]:
+    """Clusters that are not the ragged edge of one twice as large: few points, at its image range, inside its beam.
+
+    Two returns that one beam holds at one range are hardly told apart in azimuth: a stray peak of a long vehicle must
+    not become a second one.
+    """
+    return [
+        cluster
+        for cluster in clusters
+        if len(cluster) > params.satellite_points
+        or not any(len(other) >= 2 * len(cluster) and _in_one_beam(cluster, other, params) for other in clusters)
+    ]
+
+
+def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
+    """Whether each point of a cluster has one of the other, no weaker, at its image range and within a beam of it."""
+    range_m, azimuth_rad = polar_from_xy(cluster.images_m)
+    other_range_m, other_azimuth_rad = polar_from_xy(other.images_m)
+    near = np.abs(range_m[:, None] - other_range_m) <= params.satellite_range_m
+    near &= np.abs(azimuth_rad[:, None] - other_azimuth_rad) <= math.radians(params.satellite_beam_deg)
+    near &= other.snr_db >= cluster.snr_db[:, None] - params.satellite_db
+    return bool(near.any(axis=1).all())
+
+
 def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
     """Oriented box of the seen points and the covariance of its centre.
 
     The spread of the points less their own mean error is that of the face. Where nothing is left of it the face's
     direction is unknown, and it is taken across the ray that saw it.
     """
-    weights = cluster.score / cluster.score.sum()
+    weights = cluster.score * 10.0 ** (cluster.snr_db / 20.0)
+    weights = weights / weights.sum()
     centre = weights @ cluster.points_m
     spread = cluster.points_m - centre
     scatter = (spread * weights[:, None]).T @ spread

@@ -16,7 +16,7 @@ import msgspec
 import numpy as np
 
 from models.perception.clustering import NOISE, dbscan, fits_box
-from models.physics.mirror import crosses, crossing_parameters, reflect
+from models.physics.mirror import crosses, crossing_parameters, reflect, segment_distance_m
 from msgs.arrays import require_positive
 from msgs.frames import polar_from_xy, xy_from_polar
 from msgs.perception import HiddenPoint, PathClass, Peaks, Wall
@@ -38,6 +38,8 @@ class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True):
     max_margin_m: float = 4.0
     #: A path is cut by a wall it passes by more than this.
     cut_depth_m: float = 1.0
+    #: A wall with this many returns of a long wall behind it hides nothing and mirrors nothing.
+    seen_through_points: int = 3
     #: Places this near a wall or a direct return are that wall or return.
     same_place_m: float = 1.0
     #: Direct returns count as the same thing if at most this much weaker than the image.
@@ -177,7 +179,8 @@ def recover(images: Peaks, walls: list[Wall], returns: DirectReturns, params: Re
     polar = images.covariance[mirrored]
     arrays = wall_arrays(walls)
     if params.association == "crossing":
-        wall = associate_crossing(points_m, np.sqrt(polar[:, 1, 1]), arrays, params)
+        opaque = ~seen_through(arrays, returns, params)
+        wall = associate_crossing(points_m, np.sqrt(polar[:, 1, 1]), arrays, params, opaque)
         used = np.flatnonzero(wall != NO_WALL)
     else:
         arrays, wall = associate_buddy(points_m, arrays, returns)
@@ -231,14 +234,37 @@ def fold_covariance(
     return own, common
 
 
+def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
+    """Which walls have `seen_through_points` returns of another one, longer than a vehicle, behind them; bool [W].
+
+    What is seen behind a line proves that the line is no wall: a row of vehicles, or a wall drawn too long.
+    """
+    transparent = np.zeros(len(walls), bool)
+    on_long = np.flatnonzero(np.append(walls.length_m > params.vehicle_length_m, False)[returns.wall])
+    if len(walls) == 0 or len(on_long) == 0:
+        return transparent
+    points_m = returns.points_m[on_long]
+    a, b = walls.trimmed(params.end_margin_m)
+    behind = crosses(RADAR, points_m, a, b) & (walls.distance_m(points_m) < -params.cut_depth_m)  # [N, W]
+    for other in np.unique(returns.wall[on_long]):
+        counts = behind[returns.wall[on_long] == other].sum(axis=0)
+        transparent |= counts >= params.seen_through_points
+    return transparent
+
+
 def associate_crossing(
-    images_m: np.ndarray, azimuth_std_rad: np.ndarray, walls: WallArrays, params: RecoveryParams
+    images_m: np.ndarray,
+    azimuth_std_rad: np.ndarray,
+    walls: WallArrays,
+    params: RecoveryParams,
+    opaque: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Wall of each image [N]: the nearest one its ray passes through, `NO_WALL` for none.
+    """Wall of each image [N]: the last one its ray passes through, `NO_WALL` for none.
 
     The image must stand behind the wall, and no other wall may cut the way from the radar to the wall or from there
     to the true place. Rays that pass just off a wall's end count by a margin that grows with the angular error;
-    a wall truly passed comes before one narrowly missed.
+    a wall truly passed comes before one narrowly missed. Of several passed the last is the mirror: that its returns
+    came at all shows that the nearer ones do not reach this far. Walls that are not `opaque` [W] count for nothing.
     """
     if len(walls) == 0 or len(images_m) == 0:
         return np.full(len(images_m), NO_WALL)
@@ -256,15 +282,18 @@ def associate_crossing(
         & (along_ray < 1.0)
         & (missed_m <= margin_m)
     )
-    possible &= ~_cut_paths(images_m, along_ray, walls, params)
+    opaque = np.ones(len(walls), bool) if opaque is None else opaque
+    possible &= opaque & ~_cut_paths(images_m, along_ray, walls, opaque, params)
     # the sides of vehicles are poor mirrors: only where nothing longer offers itself
     later = 1e3 * (missed_m > 0.0) + 2e3 * (walls.length_m <= params.vehicle_length_m)
-    cost = np.where(possible, to_wall_m + later + missed_m, np.inf)
-    nearest = cost.argmin(axis=1)
-    return np.where(np.isfinite(cost.min(axis=1)), nearest, NO_WALL)
+    cost = np.where(possible, later + missed_m - to_wall_m, np.inf)
+    chosen = cost.argmin(axis=1)
+    return np.where(np.isfinite(cost.min(axis=1)), chosen, NO_WALL)
 
 
-def _cut_paths(images_m: np.ndarray, along_ray: np.ndarray, walls: WallArrays, params: RecoveryParams) -> np.ndarray:
+def _cut_paths(
+    images_m: np.ndarray, along_ray: np.ndarray, walls: WallArrays, opaque: np.ndarray, params: RecoveryParams
+) -> np.ndarray:
     """Paths radar -> wall -> true place that a third wall cuts, for each image and wall; bool [N, W]."""
     shape = along_ray.shape
     mirror_m = (along_ray[..., None] * images_m[:, None]).reshape(-1, 2)  # where the ray meets the wall
@@ -272,7 +301,7 @@ def _cut_paths(images_m: np.ndarray, along_ray: np.ndarray, walls: WallArrays, p
     place_m = reflect(of_each_wall, walls.normal, walls.offset_m).reshape(-1, 2)
     a, b = walls.trimmed(params.end_margin_m)
     # a vehicle's side is too short to be sure that a path does not pass beside it
-    long_enough = walls.length_m > params.vehicle_length_m
+    long_enough = opaque & (walls.length_m > params.vehicle_length_m)
     cut = np.zeros((len(mirror_m), len(walls)), bool)
     for origin, end in ((RADAR, mirror_m), (mirror_m, place_m)):
         deep = (np.abs(walls.distance_m(end)) > params.cut_depth_m) & long_enough
@@ -414,14 +443,6 @@ def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np
     outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
     longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
     return ~behind_walls(points_m, longer, 0.0)
-
-
-def segment_distance_m(points_m: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of points [N, 2] from segments a -> b [W, 2]; [N, W]."""
-    along = b - a
-    from_a = points_m[:, None] - a
-    share = np.sum(from_a * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-12)
-    return np.linalg.norm(from_a - np.clip(share, 0.0, 1.0)[..., None] * along, axis=-1)
 
 
 def _on_wall(points_m: np.ndarray, walls: WallArrays, reach_m: float) -> np.ndarray:
