@@ -46,7 +46,7 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True):
     max_gap_m: float = 6.5
     #: A wall that answers at few spots, too far apart for one cluster, must outscore scattered points by more.
     sparse_gap_m: float = 12.0
-    sparse_min_score: float = 12.0
+    sparse_min_score: float = 15.0
     max_angle_std_rad: float = math.radians(6.0)
     min_offset_m: float = 0.5
     #: Log likelihood ratio against scattered points.

@@ -115,10 +115,10 @@ def test_objects_match_by_centre_or_visible_face():
 
 
 def test_truth_is_moved_to_the_objects_own_time():
-    late = found(0, 12.0, 6.0, stamp_ns=1_200_000_000)
+    late = found(0, 12.0, 5.0, stamp_ns=1_300_000_000)
     assert match_objects([late], scene()).matched == ((0, 9, pytest.approx(0.0, abs=1e-9)),)
-    # at the scene's own time its nearest visible point, (13, 7), is 1.4 m away
-    assert match_objects([found(0, 12.0, 6.0, stamp_ns=1_000_000_000)], scene()).missed_truths == (9,)
+    # at the scene's own time the near end of the visible face, (12.9, 5.8), is 1.2 m away
+    assert match_objects([found(0, 12.0, 5.0, stamp_ns=1_000_000_000)], scene()).missed_truths == (9,)
 
 
 def test_visible_objects_are_not_asked_for_and_do_not_excuse():

@@ -132,3 +132,13 @@ def test_json_line_has_the_fields_of_the_contract():
     assert line["points"] == [{"x_m": 0.1, "y_m": 2.0, "score": 0.5}]
     (one,) = line["objects"]
     assert set(one) == {"id", "x_m", "y_m", "length_m", "width_m", "yaw_rad", "score", "cov_m2"}
+
+
+def test_a_stray_peak_in_the_beam_of_a_long_vehicle_is_part_of_it() -> None:
+    """Image range of the stray is that of the vehicle's near end, 6 deg beside it: one beam holds both."""
+    along = np.linspace(-3.0, 3.0, 6)
+    vehicle = recovered(np.stack([np.full(6, 12.0), 8.0 + along], axis=1))
+    stray = recovered(np.array([[12.0 + 0.2, 8.0 + 3.0 + 3.6]]), snr_db=30.0)
+    assert len(objects_of(together(vehicle, stray))) == 1
+    apart = recovered(np.array([[12.0, 8.0 + 3.0 + 9.0]]), snr_db=30.0)
+    assert len(objects_of(together(vehicle, apart))) == 2

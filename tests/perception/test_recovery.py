@@ -16,6 +16,7 @@ from models.perception.recovery import (
     hidden_mask,
     recover,
     reflection_state,
+    seen_through,
     wall_arrays,
 )
 from models.physics.mirror import reflect, wall_from_ends
@@ -201,3 +202,17 @@ def test_a_residual_moves_the_places_and_flags_are_told():
     assert moved.points[0].x_m == pytest.approx(plain.points[0].x_m + 0.25)
     assert moved.points[0].image_x_m == plain.points[0].image_x_m
     assert plain.flags == ()
+
+
+def test_what_is_seen_behind_a_line_proves_that_it_is_no_wall() -> None:
+    """A row of parked cars 6 m ahead, fitted as a line, and a long wall's returns behind it at 20 m."""
+    row, facade = wall((6.0, -3.0), (6.0, 3.0)), wall((20.0, -8.0), (20.0, 8.0))
+    points = np.array([[6.0, -2.0], [6.0, 2.0], [20.0, -2.0], [20.0, 0.0], [20.0, 2.0]])
+    returns = DirectReturns(points, np.full(5, 30.0), np.zeros(5, np.int64), np.array([0, 0, 1, 1, 1]))
+    arrays = wall_arrays([row, facade])
+    assert seen_through(arrays, returns, RecoveryParams()).tolist() == [True, False]
+    image, error = np.array([[30.0, 1.0]]), np.array([0.01])
+    assert associate_crossing(image, error, arrays, RecoveryParams(), np.array([False, True])).tolist() == [1]
+    # two returns are not proof enough
+    few = DirectReturns(points[:4], np.full(4, 30.0), np.zeros(4, np.int64), np.array([0, 0, 1, 1]))
+    assert not seen_through(arrays, few, RecoveryParams()).any()

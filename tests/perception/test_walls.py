@@ -160,3 +160,16 @@ def test_refuses_parameters_that_make_no_sense():
         WallParams(min_inliers=1)
     with pytest.raises(ValueError, match="max_gap_m"):
         WallParams(max_gap_m=0.0)
+
+
+def test_a_wall_that_answers_at_few_spots() -> None:
+    """A smooth facade 22 m ahead: its flash and four far-apart joints, 7.7 m and more between them: no cluster."""
+    along = np.array([-10.2, -7.7, 0.0, 8.0, 9.2])
+    points = np.stack([np.full(5, 22.0), along], axis=1)
+    covariance = np.tile(np.diag([0.06**2, 0.3**2]), (5, 1, 1))
+    labels = np.array([0, 0, -1, 1, 1])
+    walls, wall_of_point = find_walls(points, covariance, labels, WallParams())
+    assert len(walls) == 1
+    assert wall_of_point.tolist() == [0] * 5
+    assert walls[0].offset_m == pytest.approx(22.0, abs=0.05)
+    assert find_walls(points, covariance, labels, WallParams(sparse_min_score=1e9))[0] == []
