@@ -12,6 +12,9 @@ from typing import Annotated, Any
 
 import typer
 
+# BLAS threads cost more than they bring on matrices of this size; must be said before numpy is imported
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 from mirrorwave.console import ExitCode, error_line, exit_code_of
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
@@ -19,11 +22,13 @@ _VERBS = {
     "demo": "mirrorwave.demo:demo",
     "launch": "mirrorwave.launch:launch",
     "process": "mirrorwave.process:process",
+    "export": "mirrorwave.export:export",
     "doctor": "mirrorwave.doctor:doctor",
 }
 #: Verb group -> module and `typer.Typer`.
 _GROUPS = {
     "sim": "mirrorwave.sim:app",
+    "train": "mirrorwave.train:app",
     "bag": "mirrorwave.bag:app",
     "topic": "mirrorwave.topic:app",
     "node": "mirrorwave.node:app",

@@ -81,7 +81,7 @@ def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, 
         for topic, message in events:
             sequence = sequences.get(topic, 0)
             sequences[topic] = sequence + 1
-            stamp_ns = message.stamp_ns
+            stamp_ns = message.stamp_ns  # type: ignore[attr-defined]
             writer.write(topic, message, publisher="player", sequence=sequence, sent_ns=stamp_ns)
 
 

@@ -124,7 +124,7 @@ class Player(Node):
         """A live scene is stamped with the bus clock; a capture keeps the stamps it was recorded with."""
         if not self._restamp:
             return outgoing
-        stamp_ns = outgoing.message.stamp_ns + self._start_ns
+        stamp_ns = outgoing.message.stamp_ns + self._start_ns  # type: ignore[attr-defined]
         return Outgoing(outgoing.topic, msgspec.structs.replace(outgoing.message, stamp_ns=stamp_ns))
 
 
