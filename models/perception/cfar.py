@@ -20,7 +20,7 @@ from msgs.perception import PathClass, Peaks, Wall
 from msgs.radar import RangeAzimuthMap
 
 
-class CfarParams(msgspec.Struct, frozen=True, kw_only=True):
+class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that tell images."""
 
     kind: Literal["os", "ca"] = "os"

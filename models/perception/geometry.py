@@ -24,7 +24,7 @@ from msgs.frames import xy_from_polar
 from msgs.perception import BevFrame, BevGrid, PathClass, Peaks, Wall
 
 
-class GeometryParams(msgspec.Struct, frozen=True, kw_only=True):
+class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage; defaults are the released settings where those exist."""
 
     cluster_eps_m: float = 4.0

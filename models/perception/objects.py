@@ -23,7 +23,7 @@ from msgs.perception import BevFrame, HiddenObject, Wall
 UNIFORM_FACE = 12.0
 
 
-class ObjectParams(msgspec.Struct, frozen=True, kw_only=True):
+class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """When recovered points are an object, and how large one may be."""
 
     eps_m: float = 2.5

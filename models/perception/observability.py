@@ -22,7 +22,7 @@ from msgs.radar import RadarSetup
 from msgs.units import db_from_ratio
 
 
-class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True):
+class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the mask assumes of object, walls and receiver."""
 
     rcs_dbsm: float = 10.0

@@ -13,7 +13,7 @@ from msgs.perception import PathClass, Peaks
 from msgs.radar import RangeAzimuthMap
 
 
-class PeakParams(msgspec.Struct, frozen=True, kw_only=True):
+class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Peak picking (released settings) and the error model of a peak."""
 
     threshold: float = 0.3

@@ -26,7 +26,7 @@ RADAR = np.zeros(2)
 NO_WALL = -1
 
 
-class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True):
+class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How images find their wall and which folded places count as hidden."""
 
     #: `crossing`: the wall the image's own ray passes through. `buddy`: that of the direct return nearest in angle.

@@ -32,7 +32,7 @@ FINALISTS = 4
 MIN_EXTENSION_GAIN = 1.0
 
 
-class WallParams(msgspec.Struct, frozen=True, kw_only=True):
+class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How walls are found. What acts as a mirror: at least `min_inliers` points over `min_length_m`, on a line known to
     `max_angle_std_rad`, that stands `min_offset_m` or more off the radar and outscores scattered points."""
 
