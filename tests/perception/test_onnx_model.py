@@ -124,3 +124,42 @@ def test_missing_files_are_named(model: Path) -> None:
 def test_no_threads_are_refused(model: Path) -> None:
     with pytest.raises(ValueError, match="threads must be at least 1, got 0"):
         DensePredictor(model, threads=0)
+
+
+@pytest.fixture(scope="module")
+def shipped() -> DensePredictor:
+    return DensePredictor()
+
+
+def shipped_map(values: np.ndarray, noise_power_mw: float) -> RangeAzimuthMap:
+    blank = ra_map(RangeAzimuthGrid())
+    return msgspec.structs.replace(blank, values=values.astype(np.complex64), noise_power_mw=noise_power_mw)
+
+
+def test_shipped_network_is_as_good_as_its_card_must_say(shipped: DensePredictor) -> None:
+    line = next(line for line in shipped.card.scores if line.threshold == shipped.card.threshold)
+    assert line.macro_f1 >= 0.85
+    assert min(line.los.f1, line.mirrored.f1) >= 0.8
+    # a false image where nothing is hidden is the costliest error
+    assert line.mirrored.precision >= 0.9
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_shipped_network_sees_nothing_in_noise(shipped: DensePredictor, seed: int) -> None:
+    """Layout: receiver noise alone, as 15 co-array coefficients a row make it: 512 x 15 independent values a map, of
+    which the network may call none a return.
+    """
+    rng = np.random.default_rng(seed)
+    steering = np.exp(1j * np.pi * np.multiply.outer(np.arange(-7, 8), np.sin(RangeAzimuthGrid().azimuth_rad)))
+    coefficients = rng.standard_normal((512, 15, 2)) @ np.array([1.0, 1.0j]) / np.sqrt(30.0)
+    confidence = shipped.predict(shipped_map(1e-6 * coefficients @ steering, noise_power_mw=1e-12))
+    assert confidence.max() < shipped.card.threshold
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e-30, 1e30])
+def test_shipped_network_answers_probabilities_for_any_map(shipped: DensePredictor, scale: float) -> None:
+    values = scale * np.random.default_rng(0).standard_normal(RangeAzimuthGrid().shape)
+    for noise_power_mw in (0.0, 1e-13):
+        confidence = shipped.predict(shipped_map(values, noise_power_mw))
+        assert np.isfinite(confidence).all()
+        assert 0.0 <= confidence.min() <= confidence.max() <= 1.0
