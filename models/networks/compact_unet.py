@@ -1,4 +1,4 @@
-"""CompactUNet: dense LOS / mirrored prediction for a CPU, 0.9 M parameters.
+"""CompactUNet: dense LOS / mirrored prediction for a CPU, 0.96 M parameters.
 
 A U-Net on folded range pairs. The class of a return depends on the whole scene (which wall stands in front of it, and
 how that wall lies), so the bottleneck attends globally. The head upsamples azimuth eightfold by pixel shuffle: no

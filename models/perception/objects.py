@@ -31,13 +31,13 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     vehicle_length_m: float = 5.5
     vehicle_width_m: float = 2.5
     min_points: int = 2
-    min_score: float = 0.7
+    min_score: float = 0.6
     #: A single point makes an object only this strong.
-    single_min_score: float = 0.6
+    single_min_score: float = 0.5
     single_min_snr_db: float = 15.0
     #: Where no wall, lengthened by the margin, hides it, it should have been seen directly: more is asked for.
     open_view_min_points: int = 3
-    open_view_min_score: float = 0.9
+    open_view_min_score: float = 0.85
     open_view_margin_m: float = 2.5
     #: Longer than any vehicle: a wall seen in a mirror.
     max_length_m: float = 14.0
@@ -50,6 +50,11 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     satellite_range_m: float = 1.5
     satellite_beam_deg: float = 9.0
     satellite_db: float = 3.0
+    #: Or this near in line with one of so many points, if the longest vehicle reaches so far.
+    side_points: int = 4
+    side_gap_m: float = 4.0
+    side_width_m: float = 1.2
+    side_length_m: float = 12.5
     min_length_m: float = 1.5
     min_width_m: float = 0.8
 
@@ -149,17 +154,34 @@ def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]
 
 
 def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list[Recovered]:
-    """Clusters that are not the ragged edge of one twice as large: few points, at its image range, inside its beam.
+    """Clusters that are not a stray piece of one twice as large: few points, in its beam at its range or along its side.
 
-    Two returns that one beam holds at one range are hardly told apart in azimuth: a stray peak of a long vehicle must
-    not become a second one.
+    Two returns that one beam holds at one range are hardly told apart in azimuth, and the side of a long vehicle
+    answers at few spots: neither may become a second vehicle.
     """
     return [
         cluster
         for cluster in clusters
         if len(cluster) > params.satellite_points
-        or not any(len(other) >= 2 * len(cluster) and _in_one_beam(cluster, other, params) for other in clusters)
+        or not any(len(other) >= 2 * len(cluster) and _belongs_to(cluster, other, params) for other in clusters)
     ]
+
+
+def _belongs_to(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
+    return _in_one_beam(cluster, other, params) or _along_side(cluster, other, params)
+
+
+def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
+    """Whether a cluster goes on in line with a long one, over a gap, no further than the longest vehicle reaches."""
+    if len(other) < params.side_points:
+        return False
+    centre = other.points_m.mean(axis=0)
+    spread, axes = np.linalg.eigh(np.cov(other.points_m.T))
+    reach = (np.vstack([other.points_m, cluster.points_m]) - centre) @ axes[:, ::-1]
+    own, stray = reach[: len(other), 0], reach[len(other) :]
+    gap_m = np.maximum(stray[:, 0] - own.max(), own.min() - stray[:, 0])
+    in_line = (gap_m <= params.side_gap_m) & (np.abs(stray[:, 1]) <= params.side_width_m)
+    return bool(spread[1] > 4.0 * spread[0] and in_line.all() and np.ptp(reach[:, 0]) <= params.side_length_m)
 
 
 def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
