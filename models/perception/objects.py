@@ -154,7 +154,7 @@ def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]
 
 
 def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list[Recovered]:
-    """Clusters that are not a stray piece of one twice as large: few points, in its beam at its range or along its side.
+    """Clusters that are no stray piece of one twice as large: few points, in its beam at its range or along its side.
 
     Two returns that one beam holds at one range are hardly told apart in azimuth, and the side of a long vehicle
     answers at few spots: neither may become a second vehicle.
