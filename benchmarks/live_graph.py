@@ -78,7 +78,20 @@ def node_report(items: list[NodeStatus]) -> dict:
         "cpu_share": round((last.cpu_s - first.cpu_s) / wall_s, 3),
         "resident_mib": round(last.resident_bytes / 2**20, 1),
         "growth_after_first_quarter_mib": round((last.resident_bytes - quarter.resident_bytes) / 2**20, 1),
-        "stages_ms": {stage.name: round(stage.mean_ms, 2) for stage in last.stages},
+        "stages_ms": stages_ms(items),
+    }
+
+
+def stages_ms(items: list[NodeStatus]) -> dict[str, dict[str, float]]:
+    """Mean and longest duration of each stage over all heartbeats."""
+    stages = [stage for item in items for stage in item.stages]
+    return {
+        name: {
+            "mean": round(sum(s.mean_ms * s.count for s in own) / sum(s.count for s in own), 2),
+            "max": round(max(s.max_ms for s in own), 2),
+        }
+        for name in dict.fromkeys(stage.name for stage in stages)
+        if (own := [stage for stage in stages if stage.name == name])
     }
 
 
