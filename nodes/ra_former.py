@@ -33,6 +33,8 @@ class RaFormerNode(Node):
     def __init__(self, params: Params) -> None:
         super().__init__()
         self._params = params
+        # compiles the folding kernel while the graph still waits for this node, not when the first beam does
+        RaFormer(RadarSetup(), params)
         self._former: RaFormer | None = None
         self._states: deque[VehicleState] = deque(maxlen=256)
         self._scan: tuple[int, int] | None = None
