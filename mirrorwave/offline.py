@@ -14,6 +14,7 @@ from msgs.bus import Outgoing, Received
 from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame, Peaks, SceneTruth
 from msgs.radar import RangeAzimuthMap
+from msgs.recording import RecordingReader
 from nodes.launch_file import LaunchFile, read_launch_file, read_yaml_mapping, with_overrides, with_params
 from nodes.node import InProcessGraph, Node, load_node
 
@@ -33,6 +34,8 @@ class Results(Node):
         self.peaks: Peaks | None = None
         self.frame: BevFrame | None = None
         self.scans_with_loss = 0
+        #: What the capture itself lacks, None where it is whole.
+        self.capture_loss: str | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Take in what came; a view ends its scan."""
@@ -90,8 +93,17 @@ def run_capture(
             graph.run()
         finally:
             graph.close()
+    results.capture_loss = _loss_of(capture)
     if results.frame is None:
         raise ValueError(f"{capture}: holds no complete scan")
     truth = results.scoreboard.truth_of(results.frame.scan_id)
     draw_bev(results.frame, out / "bev.png", truth=truth, ra_map=results.ra_map)
     return results
+
+
+def _loss_of(capture: Path) -> str | None:
+    """What is missing or damaged in a recording; a SigMF capture is refused unless it is whole."""
+    if capture.suffix != ".mcap":
+        return None
+    with RecordingReader(capture) as reader:
+        return reader.loss

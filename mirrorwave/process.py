@@ -31,9 +31,12 @@ def process(
         results = run_capture(capture, out, profile, param, lambda: progress.advance(task))
     board = results.scoreboard
     if as_json:
-        print_json({"out": str(out), "scans_with_loss": results.scans_with_loss, "score": board.summary()})
+        loss = {"scans_with_loss": results.scans_with_loss, "capture_loss": results.capture_loss}
+        print_json({"out": str(out), **loss, "score": board.summary()})
     else:
         board.print_table()
         print_line(f"wrote {out / 'objects.jsonl'}, {out / 'timing.jsonl'} and {out / 'bev.png'}")
-    if results.scans_with_loss:
+        if results.capture_loss:
+            print_line(f"{capture}: {results.capture_loss}")
+    if results.scans_with_loss or results.capture_loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)

@@ -14,6 +14,8 @@ from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
 
+#: A scan whose next beam has not come for this long is given up and published with what is there.
+PATIENCE_NS = 500_000_000
 #: A vehicle state older than this says nothing about the scan.
 STATE_AGE_NS = 500_000_000
 
@@ -38,11 +40,12 @@ class RaFormerNode(Node):
         self._former: RaFormer | None = None
         self._states: deque[VehicleState] = deque(maxlen=256)
         self._scan: tuple[int, int] | None = None
+        self._give_up_ns: int | None = None
         self._refused = 0
         self._trouble = ""
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Fold every beam that came; the last of a scan brings its map."""
+        """Fold every beam that came; the last of a scan brings its map, a long silence that of an unfinished one."""
         out: list[Outgoing] = []
         # set-up and vehicle state first: what they say holds for the beams that came with them
         for received in sorted(inputs, key=lambda item: item.topic == "radar/beam"):
@@ -53,7 +56,15 @@ class RaFormerNode(Node):
                     self._states.append(state)
                 case RadarBeam() as beam:
                     out += self._fold(beam)
+                    self._give_up_ns = now_ns + PATIENCE_NS
+        if self._former is not None and self._give_up_ns is not None and now_ns >= self._give_up_ns:
+            out += [Outgoing("radar/ra_map", ra_map) for ra_map in self._former.flush()]
+            self._give_up_ns = None
         return out
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """When to stop waiting for the rest of a scan."""
+        return self._give_up_ns
 
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while beams are refused or no set-up has come."""

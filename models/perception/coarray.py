@@ -49,6 +49,10 @@ class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         require_positive("coherence.model_error", self.model_error)
 
 
+#: A beam sees this many beam spacings to either side: one missing beam leaves no gap, three in a row do.
+SEEN_SPACINGS = 1.5
+
+
 @dataclass(frozen=True)
 class _Inverse:
     """Precomputed products for one set of beams; `beams` rows each."""
@@ -123,6 +127,7 @@ class AzimuthInterpolator:
         if incoherent.any():
             looks = None if look_azimuth_rad is None else look_azimuth_rad[present][:, incoherent]
             values[incoherent] = self._magnitudes(np.abs(beams[incoherent]), inverse, looks)
+        values[:, self._unseen(missing)] = 0.0
         return values, incoherent
 
     def interpolate_magnitude(
@@ -131,11 +136,20 @@ class AzimuthInterpolator:
         """Magnitudes float32 [range, azimuth] of beam magnitudes float32 [beams, range]; arguments as above."""
         present = self._present(missing)
         looks = None if look_azimuth_rad is None else look_azimuth_rad[present]
-        return self._magnitudes(np.ascontiguousarray(magnitudes[present].T), self._inverse(missing), looks)
+        values = self._magnitudes(np.ascontiguousarray(magnitudes[present].T), self._inverse(missing), looks)
+        values[:, self._unseen(missing)] = 0.0
+        return values
 
     def noise_gain(self, missing: tuple[int, ...] = ()) -> float:
         """Mean noise power of a coherent cell relative to a beam's (0.58 with all of the default beams)."""
         return self._inverse(missing).noise_gain
+
+    def _unseen(self, missing: tuple[int, ...]) -> np.ndarray:
+        """Azimuths [azimuth] that beams should have seen but for the missing ones: there the fit would be invention."""
+        reach_rad = SEEN_SPACINGS * np.median(np.diff(np.sort(self.setup.beams.azimuth_rad), prepend=-np.pi))
+        distance_rad = np.abs(self.grid.azimuth_rad[:, None] - self.setup.beams.azimuth_rad)
+        seen, meant = (distance_rad[:, beams] <= reach_rad for beams in (self._present(missing), slice(None)))
+        return meant.any(axis=1) & ~seen.any(axis=1)
 
     def _present(self, missing: tuple[int, ...]) -> list[int]:
         return [beam for beam in range(len(self.setup.beams)) if beam not in missing]

@@ -66,6 +66,19 @@ def test_sigmf_gives_the_same_objects(capture: Path, tmp_path: Path) -> None:
     assert (tmp_path / "a" / "objects.jsonl").read_bytes() == (tmp_path / "b" / "objects.jsonl").read_bytes()
 
 
+def test_a_cut_recording_is_processed_as_far_as_it_goes_and_said(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Cut in the second scan: two lines, the second from the beams that are there; exit code 3."""
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(capture.read_bytes()[: capture.stat().st_size * 3 // 4])
+    assert main(["process", str(cut), "--out", str(tmp_path), "--profile", "cfar", "--json"]) == 3
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["scans_with_loss"] == 1
+    assert "cut" in summary["capture_loss"]
+    assert len((tmp_path / "objects.jsonl").read_text().splitlines()) == 2
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

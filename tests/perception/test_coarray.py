@@ -178,3 +178,18 @@ def test_looks_of_a_displaced_radar_move_the_magnitudes() -> None:
 def test_wrong_profiles_are_refused() -> None:
     with pytest.raises(ValueError, match=r"profiles must have shape 25x\?, got \(24, 512\)"):
         AzimuthInterpolator(SETUP, GRID).interpolate(np.zeros((24, 512), np.complex64), 1.0)
+
+
+def test_what_no_beam_saw_stays_dark() -> None:
+    """Only beams at -60..-15 deg came: nothing is invented beyond 7.5 deg from the last; a single gap is filled."""
+    setup = RadarSetup()
+    interpolator = AzimuthInterpolator(setup)
+    profiles = np.ones((25, 4), np.complex64)
+    azimuth_deg = np.degrees(interpolator.grid.azimuth_rad)
+    values, _ = interpolator.interpolate(profiles, 1e-12, missing=tuple(range(10, 25)))
+    assert not values[:, azimuth_deg > -7.5 + 0.01].any()
+    assert values[:, azimuth_deg < -20.0].any()
+    magnitudes = interpolator.interpolate_magnitude(np.abs(profiles), missing=tuple(range(10, 25)))
+    assert not magnitudes[:, azimuth_deg > -7.5 + 0.01].any()
+    filled, _ = interpolator.interpolate(profiles, 1e-12, missing=(12,))
+    assert np.abs(filled).min(axis=0)[np.abs(azimuth_deg) < 5.0].min() > 0.0

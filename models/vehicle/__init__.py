@@ -1,0 +1,1 @@
+"""The vehicle's own motion, as its CAN bus tells it: pure rules on frames, ages and ranges."""
