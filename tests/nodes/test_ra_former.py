@@ -1,0 +1,102 @@
+"""The RA former as a node: set-up first, refusals that say why, the vehicle state that holds for a scan, silence."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from msgs.bus import Envelope, Received
+from msgs.diagnostics import NodeState
+from msgs.radar import RadarBeam, RadarParams, RadarSetup
+from msgs.vehicle import VehicleState
+from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
+
+SETUP = RadarSetup(radar=RadarParams(chirps_per_beam=8))
+
+
+def received(message: msgspec.Struct, topic: str) -> Received:
+    return Received(topic, message, Envelope(publisher="test", topic=topic, sequence=0, sent_ns=0))
+
+
+def setup() -> Received:
+    return received(SETUP, "radar/setup")
+
+
+def beam(index: int, scan: int = 0, samples: int = 8192) -> Received:
+    noise = np.random.default_rng(index).integers(-300, 300, (8, samples, 2)).astype("<i2")
+    message = RadarBeam(
+        stamp_ns=scan * 300_000_000 + index * SETUP.beam_interval_ns, scan_id=scan, beam_index=index, beam_count=25,
+        azimuth_rad=float(SETUP.beams.azimuth_rad[index]), samples=noise, full_scale_dbm=SETUP.full_scale_dbm,
+    )  # fmt: skip
+    return received(message, "radar/beam")
+
+
+def state(stamp_ns: int, speed_mps: float, valid: bool = True) -> Received:
+    return received(VehicleState(stamp_ns=stamp_ns, speed_mps=speed_mps, valid=valid), "vehicle/state")
+
+
+@pytest.fixture
+def node() -> RaFormerNode:
+    return create(Params())
+
+
+def test_the_last_beam_brings_the_map(node: RaFormerNode) -> None:
+    assert node.step([setup(), *[beam(index) for index in range(24)]], 0) == []
+    (out,) = node.step([beam(24)], 0)
+    assert out.topic == "radar/ra_map"
+    assert out.message.missing_beams == ()
+    assert not out.message.ego_compensated
+    assert node.health() == (NodeState.READY, "")
+
+
+def test_setup_counts_before_the_beams_that_came_with_it(node: RaFormerNode) -> None:
+    assert len(node.step([*[beam(index) for index in range(25)], setup()], 0)) == 1
+
+
+def test_beams_before_the_setup_are_refused_aloud(node: RaFormerNode) -> None:
+    assert node.step([beam(0)], 0) == []
+    assert node.health() == (NodeState.DEGRADED, "beam 0 of scan 0 came before radar/setup")
+    node.step([setup(), *[beam(index, scan=1) for index in range(25)]], 0)
+    assert node.health()[0] is NodeState.READY
+
+
+def test_a_beam_of_another_size_is_refused_and_the_scan_goes_on(node: RaFormerNode) -> None:
+    node.step([setup(), beam(0), beam(1, samples=4096)], 0)
+    reason = node.health()[1]
+    assert "4096" in reason
+    assert "8192" in reason
+    (out,) = node.step([beam(index) for index in range(2, 25)] + [beam(0, scan=1)], 0)
+    assert out.message.missing_beams == (1,)
+
+
+def test_after_a_silence_the_unfinished_scan_is_published(node: RaFormerNode) -> None:
+    node.step([setup(), *[beam(index) for index in range(20)]], 1_000)
+    assert node.due_ns(1_000) == 1_000 + PATIENCE_NS
+    (out,) = node.step([], 1_000 + PATIENCE_NS)
+    assert out.message.missing_beams == (20, 21, 22, 23, 24)
+    assert node.due_ns(0) is None
+
+
+@pytest.mark.parametrize(
+    ("states", "compensated"),
+    [
+        ([state(0, 8.0)], True),
+        ([state(1, 8.0)], False),
+        ([state(0, 8.0, valid=False)], False),
+        ([state(-600_000_000, 8.0)], False),
+        ([], False),
+    ],
+    ids=["at the first beam", "after it", "invalid", "too old", "none"],
+)
+def test_the_state_at_the_first_beam_holds_for_the_scan(
+    node: RaFormerNode, states: list[Received], compensated: bool
+) -> None:
+    (out,) = node.step([setup(), *states, *[beam(index) for index in range(25)]], 0)
+    assert out.message.ego_compensated is compensated
+
+
+def test_compensation_can_be_switched_off() -> None:
+    node = create(Params(ego_compensation=False))
+    (out,) = node.step([setup(), state(0, 8.0), *[beam(index) for index in range(25)]], 0)
+    assert not out.message.ego_compensated
