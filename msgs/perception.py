@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from msgs.arrays import require_array, require_finite, require_positive
+from msgs.vehicle import VehicleState
 
 #: One object's covariance, row-major 2x2 [m^2].
 Covariance = tuple[tuple[float, float], tuple[float, float]]
@@ -167,6 +168,8 @@ class BevFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     visibility: np.ndarray
     #: RCS the mask speaks of.
     visibility_rcs_dbsm: float = 10.0
+    #: Motion of the vehicle when the scan began, None where nothing recent is known.
+    ego: VehicleState | None = None
     #: Conditions of this scan that a reader should know: "incoherent", "missing_beams", "saturated".
     flags: tuple[str, ...] = ()
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import msgspec
+
 from models.perception.geometry import GeometryParams, recover_bev
 from msgs.bus import Outgoing, Received
-from msgs.perception import Peaks
+from msgs.perception import BevFrame, Peaks
+from msgs.vehicle import VehicleState
 from nodes.node import Node
+from nodes.state_history import StateHistory
 
 
 class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -13,23 +17,31 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class GeometryNode(Node):
-    """perception/peaks -> perception/hidden_objects."""
+    """perception/peaks -> perception/hidden_objects, with the vehicle's motion at the time of the scan."""
 
-    inputs = ("perception/peaks",)
+    inputs = ("perception/peaks", "vehicle/state")
     outputs = ("perception/hidden_objects",)
 
     def __init__(self, params: Params) -> None:
         super().__init__()
         self._params = params
+        self._states = StateHistory()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One view per set of peaks."""
-        out = []
-        for received in inputs:
-            assert isinstance(received.message, Peaks)  # the only input
-            with self.stages("geometry"):
-                out.append(Outgoing("perception/hidden_objects", recover_bev(received.message, self._params)))
+        out: list[Outgoing] = []
+        for received in sorted(inputs, key=lambda item: item.topic == "perception/peaks"):
+            match received.message:
+                case VehicleState() as state:
+                    self._states.add(state)
+                case Peaks() as peaks:
+                    out.append(Outgoing("perception/hidden_objects", self._view(peaks)))
         return out
+
+    def _view(self, peaks: Peaks) -> BevFrame:
+        with self.stages("geometry"):
+            view = recover_bev(peaks, self._params)
+        return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
 
 def create(params: Params) -> GeometryNode:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections import deque
 
 from models.perception.ra_forming import FormingParams, RaFormer
 from msgs.bus import Outgoing, Received
@@ -11,13 +10,12 @@ from msgs.diagnostics import NodeState
 from msgs.radar import RadarBeam, RadarSetup
 from msgs.vehicle import VehicleState
 from nodes.node import Node
+from nodes.state_history import StateHistory
 
 _LOG = logging.getLogger(__name__)
 
 #: A scan whose next beam has not come for this long is given up and published with what is there.
 PATIENCE_NS = 500_000_000
-#: A vehicle state older than this says nothing about the scan.
-STATE_AGE_NS = 500_000_000
 
 
 class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,7 +36,7 @@ class RaFormerNode(Node):
         # compiles the folding kernel while the graph still waits for this node, not when the first beam does
         RaFormer(RadarSetup(), params)
         self._former: RaFormer | None = None
-        self._states: deque[VehicleState] = deque(maxlen=256)
+        self._states = StateHistory()
         self._scan: tuple[int, int] | None = None
         self._give_up_ns: int | None = None
         self._refused = 0
@@ -53,7 +51,7 @@ class RaFormerNode(Node):
                 case RadarSetup() as setup:
                     self._former = RaFormer(setup, self._params)
                 case VehicleState() as state:
-                    self._states.append(state)
+                    self._states.add(state)
                 case RadarBeam() as beam:
                     out += self._fold(beam)
                     self._give_up_ns = now_ns + PATIENCE_NS
@@ -92,11 +90,8 @@ class RaFormerNode(Node):
             return None
         if self._scan is None or self._scan[0] != beam.scan_id:
             self._scan = (beam.scan_id, beam.stamp_ns)
-        start_ns = self._scan[1]
-        for state in reversed(self._states):
-            if state.stamp_ns <= start_ns:
-                return state if state.valid and start_ns - state.stamp_ns <= STATE_AGE_NS else None
-        return None
+        state = self._states.at(self._scan[1])
+        return state if state is not None and state.valid else None
 
     def _say(self, trouble: str) -> None:
         self._refused += 1

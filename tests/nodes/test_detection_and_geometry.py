@@ -11,6 +11,7 @@ import pytest
 from msgs.bus import Envelope, Received
 from msgs.perception import BevFrame, Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
+from msgs.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 
 
@@ -47,3 +48,13 @@ def test_a_missing_model_ends_the_node_at_start(tmp_path: Path) -> None:
 def test_another_method_is_refused_with_those_that_exist() -> None:
     with pytest.raises(msgspec.ValidationError, match="method"):
         msgspec.convert({"method": "magic"}, dense_predictor.Params)
+
+
+def test_a_view_carries_the_vehicles_motion_at_its_scan() -> None:
+    detect = dense_predictor.create(dense_predictor.Params(method="cfar"))
+    (peaks,) = detect.step([received(noise_map(), "radar/ra_map")], 0)
+    node = geometry.create(geometry.Params())
+    states = [received(VehicleState(stamp_ns=at, speed_mps=float(at)), "vehicle/state") for at in (5, 7, 9)]
+    # the scan began at 7
+    (view,) = node.step([received(peaks.message, "perception/peaks"), *states], 0)
+    assert view.message.ego.speed_mps == 7.0
