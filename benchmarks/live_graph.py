@@ -26,6 +26,12 @@ from msgs.zmq_bus import ZmqBus, run_dir
 ROOT = Path(__file__).resolve().parents[1]
 
 
+def last_beam_ns() -> int:
+    """From the start of a scan to the nominal end of its last beam."""
+    setup = RadarSetup()
+    return (len(setup.beams) - 1) * setup.beam_interval_ns + ns_from_s(setup.radar.beam_duration_s)
+
+
 def run(launch: Path, duration_s: float, overrides: list[str]) -> dict:
     domain = f"bench{os.getpid()}"
     command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--duration", str(duration_s)]
@@ -34,14 +40,12 @@ def run(launch: Path, duration_s: float, overrides: list[str]) -> dict:
     for topic in ("perception/hidden_objects", "diagnostics/node"):
         bus.subscribe(topic)
     graph = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
-    setup = RadarSetup()
-    last_beam_ns = (len(setup.beams) - 1) * setup.beam_interval_ns + ns_from_s(setup.radar.beam_duration_s)
     latency_ms, status = [], {}
     while graph.poll() is None:
         for received in bus.receive(0.05):
             now_ns = time.monotonic_ns()
             if isinstance(received.message, BevFrame):
-                latency_ms.append((now_ns - received.message.stamp_ns - last_beam_ns) / 1e6)
+                latency_ms.append((now_ns - received.message.stamp_ns - last_beam_ns()) / 1e6)
             elif isinstance(received.message, NodeStatus):
                 status.setdefault(received.message.node, []).append(received.message)
     bus.close()
