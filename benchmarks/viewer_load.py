@@ -1,6 +1,6 @@
 """What pages cost the graph: latency with no page, one that never reads, ten that do, and one that sends garbage.
 
-`launch/demo.yaml` at the real rate; latency as in `benchmarks.live_graph`. Each phase lasts `--phase` seconds in the same
+`launch/demo.yaml` at the real rate; latency as in `benchmarks.live_graph`; phases of `--phase` seconds in the same
 run. Usage: python -m benchmarks.viewer_load [--phase 12] [--json]
 """
 
@@ -57,7 +57,7 @@ class Pages:
                     self.bytes += len(message)
                     if isinstance(message, str) and (update := json.loads(message)).get("type") == "update":
                         self.bytes += sum(len(page.recv(timeout=5.0)) for _ in range(update.get("messages", 0)))
-                        page.send(json.dumps({"type": "ack", "id": update["id"]}))
+                        page.send(json.dumps({"type": "ack", "number": update["number"]}))
 
     def sends_garbage(self, ended: threading.Event) -> None:
         while not ended.is_set():
