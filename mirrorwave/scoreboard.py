@@ -49,7 +49,8 @@ class Scoreboard:
         """What was seen in a scan."""
         self._scans += 1
         self._objects += len(frame.objects)
-        self._last = (frame, None)
+        if self._last is None or self._last[1] is None:
+            self._last = (frame, None)
         if frame.scan_id in self._truths:
             self._pair(frame, self._truths[frame.scan_id])
         else:
@@ -75,7 +76,7 @@ class Scoreboard:
         )
 
     def print_table(self) -> None:
-        """The last scan's objects beside its truth, then the sum over all scans."""
+        """Objects of the last scan, the last one with truth if there is any, then the sum over all scans."""
         if self._last is not None:
             frame, truth = self._last
             columns = ("hidden object", "x [m]", "y [m]", "std [m]", "score", "truth", "x [m]", "y [m]", "error [m]")
@@ -86,8 +87,7 @@ class Scoreboard:
 
     def _pair(self, frame: BevFrame, truth: SceneTruth) -> None:
         self._matches.append(match_objects(frame.objects, truth, GATE_M))
-        if self._last is not None and self._last[0] is frame:
-            self._last = (frame, truth)
+        self._last = (frame, truth)
 
 
 def _keep(store: dict[int, Any], key: int, value: Any) -> None:

@@ -1,0 +1,81 @@
+"""Views and truths paired in whatever order they come."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mirrorwave.scoreboard import KEPT_SCANS, Scoreboard
+from msgs.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
+
+GRID = BevGrid(rows=1, columns=1)
+
+
+def frame(scan_id: int, *places: tuple[float, float]) -> BevFrame:
+    objects = tuple(
+        HiddenObject(
+            id=index, x_m=x, y_m=y, length_m=2.0, width_m=1.0, yaw_rad=0.0, score=0.9, cov_m2=((0.1, 0.0), (0.0, 0.1))
+        )
+        for index, (x, y) in enumerate(places)
+    )
+    return BevFrame(
+        stamp_ns=0, scan_id=scan_id, objects=objects, los_points_m=np.zeros((0, 2), np.float32), grid=GRID,
+        visibility=np.zeros((1, 1), np.uint8),
+    )  # fmt: skip
+
+
+def truth(scan_id: int) -> SceneTruth:
+    """One hidden car at (10, 5), 4.5 m by 1.8 m along x."""
+    none = np.zeros((0, 3), np.float32)
+    car = TruthObject(id=7, object_class="car", x_m=10.0, y_m=5.0, length_m=4.5, width_m=1.8, yaw_rad=0.0, hidden=True)
+    return SceneTruth(
+        stamp_ns=0, scan_id=scan_id, los_points_m=none, mirrored_points_m=none, hidden_points_m=none,
+        hidden_object=np.zeros(0, np.int32), objects=(car,),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("truth_first", [True, False])
+def test_order_does_not_matter(truth_first: bool) -> None:
+    board = Scoreboard()
+    steps = [lambda: board.add_truth(truth(0)), lambda: board.add_frame(frame(0, (10.3, 5.0), (30.0, 0.0)))]
+    for step in steps if truth_first else reversed(steps):
+        step()
+    score = board.summary()
+    assert (score.scans, score.objects, score.matched, score.missed, score.unmatched) == (1, 2, 1, 0, 1)
+    assert score.mean_error_m == score.worst_error_m == pytest.approx(0.3)
+
+
+def test_without_truth_nothing_is_claimed() -> None:
+    board = Scoreboard()
+    board.add_frame(frame(0, (1.0, 1.0)))
+    score = board.summary()
+    assert (score.matched, score.missed, score.unmatched, score.mean_error_m) == (None, None, None, None)
+
+
+def test_the_table_shows_the_last_scan_that_has_its_truth(capsys: pytest.CaptureFixture[str]) -> None:
+    board = Scoreboard()
+    board.add_truth(truth(0))
+    board.add_frame(frame(0, (10.3, 5.0)))
+    board.add_frame(frame(1, (77.0, 5.0)))
+    board.print_table()
+    text = capsys.readouterr().out
+    assert "car" in text
+    assert "77" not in text
+
+
+def test_a_missed_object_and_one_that_is_nothing_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    board = Scoreboard()
+    board.add_truth(truth(0))
+    board.add_frame(frame(0, (30.0, 0.0)))
+    board.print_table()
+    text = capsys.readouterr().out
+    assert "nothing there" in text
+    assert "missed" in text
+
+
+def test_memory_is_bounded() -> None:
+    board = Scoreboard()
+    for scan in range(3 * KEPT_SCANS):
+        board.add_truth(truth(scan))
+    assert board.truth_of(0) is None
+    assert board.truth_of(3 * KEPT_SCANS - 1) is not None
