@@ -22,6 +22,7 @@ _VERBS = {
     "demo": "mirrorwave.demo:demo",
     "launch": "mirrorwave.launch:launch",
     "process": "mirrorwave.process:process",
+    "view": "mirrorwave.view:view",
     "export": "mirrorwave.export:export",
     "doctor": "mirrorwave.doctor:doctor",
 }
@@ -30,6 +31,7 @@ _GROUPS = {
     "sim": "mirrorwave.sim:app",
     "train": "mirrorwave.train:app",
     "bag": "mirrorwave.bag:app",
+    "can": "mirrorwave.can:app",
     "topic": "mirrorwave.topic:app",
     "node": "mirrorwave.node:app",
 }

@@ -35,6 +35,10 @@ _PACKAGES = {
     "rich": "rich",
     "matplotlib": "matplotlib",
     "psutil": "psutil",
+    "python-can": "can",
+    "cantools": "cantools",
+    "starlette": "starlette",
+    "uvicorn": "uvicorn",
 }
 _WEIGHTS = Path(__file__).resolve().parents[1] / "models" / "weights"
 #: Below this the graph's buffers and networks do not fit beside anything else.

@@ -42,6 +42,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Speed of every object along its heading, and of the radar; None: as the scene says.
     object_speed_mps: float | None = None
     ego_speed_mps: float | None = None
+    #: False where a car on a CAN bus says how the vehicle moves.
+    publish_vehicle_state: bool = True
 
     def __post_init__(self) -> None:
         if (self.scene is None) == (self.capture is None):
@@ -218,4 +220,6 @@ def create(params: Params) -> Player:
         events = scene_events(scene_player(params), params.scans)
     else:
         events = _not_empty(capture_events(Path(params.capture or "")), params.capture)
+    if not params.publish_vehicle_state:
+        events = (event for event in events if event.outgoing.topic != "vehicle/state")
     return Player(events, params.rate, params.settle_s, restamp=params.scene is not None)

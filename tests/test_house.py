@@ -13,6 +13,7 @@ FLOORS = {"msgs": 1, "models": 2, "sim_player": 3, "nodes": 4, "mirrorwave": 5}
 VALUES = {"msgs.units", "msgs.arrays", "msgs.frames", "msgs.radar", "msgs.vehicle", "msgs.perception"}
 ROOMS = {
     "models.physics": {"models.physics"},
+    "models.vehicle": {"models.vehicle"},
     "models.perception": {"models.perception", "models.physics"},
     "models.networks": {"models.networks"},
     "models.training": {"models.training", "models.perception", "models.physics", "models.networks"},

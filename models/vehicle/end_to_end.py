@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message, Signal
 
 #: x^8 + x^4 + x^3 + x^2 + 1, the polynomial of CRC-8 SAE J1850.
 _J1850_POLYNOMIAL = 0x1D
@@ -68,6 +71,34 @@ def checksum_of(rule: ChecksumRule, data: bytes, position: int) -> int:
     """Checksum of a payload without the byte at `position`, where the checksum itself stands."""
     prefix = b"" if rule.data_id is None else rule.data_id.to_bytes(2, "little")
     return _ALGORITHMS[rule.algorithm](prefix + data[:position] + data[position + 1 :])
+
+
+def checksum_byte(message: Message, rule: ChecksumRule) -> int:
+    """Which byte of the payload is the checksum; `ValueError` where the DBC has none there."""
+    field = f"messages.{message.name}.checksum.signal"
+    signal = signal_of(message, rule.signal, field)
+    first_bit = 0 if signal.byte_order == "little_endian" else 7
+    if signal.length != 8 or signal.start % 8 != first_bit:
+        raise ValueError(f"{field}: {rule.signal} must fill one byte")
+    return signal.start // 8
+
+
+def counter_modulus(message: Message, rule: CounterRule) -> int:
+    """How many values the counter has; `ValueError` where the DBC's bits cannot hold them."""
+    field = f"messages.{message.name}.counter"
+    bits = signal_of(message, rule.signal, f"{field}.signal").length
+    modulus = 1 << bits if rule.modulus is None else rule.modulus
+    if not rule.max_step < modulus <= 1 << bits:
+        raise ValueError(f"{field}: needs max_step < modulus <= {1 << bits}, got {rule.max_step} and {modulus}")
+    return modulus
+
+
+def signal_of(message: Message, name: str, field: str) -> Signal:
+    """A signal of a message by name; `ValueError` naming the mapping's `field` if there is none."""
+    for signal in message.signals:
+        if signal.name == name:
+            return signal
+    raise ValueError(f"{field}: message {message.name} of the DBC has no signal {name!r}")
 
 
 def counter_step(last: int, new: int, modulus: int) -> int:

@@ -1,0 +1,247 @@
+"""`mirrorwave can`: what the car's CAN bus, or a log of it, says of the vehicle's motion."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table
+
+if TYPE_CHECKING:
+    from models.vehicle.can_state import CanDecoder, Judged
+    from msgs.vehicle import VehicleState
+    from nodes.can_link import LogFrame
+
+app = typer.Typer(help="Look at the vehicle's CAN bus and at logs of it.", no_args_is_help=True)
+
+_DBC = Path("launch/can/mirrorwave.dbc")
+_MAPPING = Path("launch/can/mirrorwave.yaml")
+Dbc = Annotated[Path, typer.Option("--dbc", help="The car's DBC.")]
+Mapping = Annotated[Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")]
+#: Faults of one kind and message closer than this are one event.
+_EVENT_GAP_S = 1.0
+#: Longer lists are cut on the terminal; --json keeps them whole.
+_SHOWN_EVENTS = 40
+
+
+class LogReport:
+    """What a log says: states, sampled, and events: runs of frames that do not count, spans that are not valid."""
+
+    def __init__(self, decoder: CanDecoder, every_s: float) -> None:
+        self._decoder, self._every_s = decoder, every_s
+        self.samples: list[dict[str, Any]] = []
+        self.events: list[dict[str, Any]] = []
+        self.frames = self.states = self.valid_states = 0
+        self.start_ns: int | None = None
+        self.duration_s = 0.0
+        self.loss = ""
+        self._slot = -1
+        self._invalid: dict[str, Any] | None = None
+
+    def read(self, frames: Iterable[LogFrame]) -> None:
+        """Take in a log; one that cannot be read on leaves its reason in `loss`."""
+        from models.vehicle.can_state import StateReporter
+        from nodes.can_link import decode_frame
+
+        reporter: StateReporter | None = None
+        for frame, stamp_ns in _until_error(frames, self):
+            self.frames += 1
+            judged = decode_frame(self._decoder, frame, stamp_ns)
+            if stamp_ns < 0:
+                continue
+            if self.start_ns is None or reporter is None:
+                self.start_ns, reporter = stamp_ns, StateReporter(self._decoder, stamp_ns)
+            self.duration_s = max(self.duration_s, self._time_s(stamp_ns))
+            self._note_frame(judged, stamp_ns)
+            for state in (reporter.tick(stamp_ns), reporter.frame(judged, stamp_ns)):
+                if state is not None:
+                    self._note_state(state)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, as JSON has it."""
+        return {
+            "frames": self.frames,
+            "duration_s": self.duration_s,
+            "frames_by_verdict": {str(verdict): count for verdict, count in sorted(self._decoder.counts.items())},
+            "state_count": self.states,
+            "valid_state_count": self.valid_states,
+            "states": self.samples,
+            "events": self.events,
+            "loss": self.loss or None,
+        }
+
+    def _time_s(self, stamp_ns: int) -> float:
+        return 1e-9 * (stamp_ns - (self.start_ns or 0))
+
+    def _note_frame(self, judged: Judged, stamp_ns: int) -> None:
+        from models.vehicle.can_state import HARMLESS
+
+        if judged.verdict in HARMLESS:
+            return
+        time_s = self._time_s(stamp_ns)
+        for event in reversed(self.events):
+            same = event["message"] == judged.message and event["event"] == str(judged.verdict)
+            if same and time_s - event["to_s"] <= _EVENT_GAP_S:
+                event.update(to_s=time_s, count=event["count"] + 1)
+                return
+        self.events.append(_event(str(judged.verdict), time_s, judged.message, judged.why))
+
+    def _note_state(self, state: VehicleState) -> None:
+        time_s = self._time_s(state.stamp_ns)
+        self.states += 1
+        self.valid_states += state.valid
+        # the first state of each interval; without intervals, every one
+        slot = int(time_s / self._every_s) if self._every_s else self.states
+        if slot != self._slot:
+            self._slot = slot
+            self.samples.append({"time_s": time_s, **_state_row(state)})
+        if state.valid:
+            self._invalid = None
+        elif self._invalid is None:
+            self._invalid = _event("state not valid", time_s, "", state.reason)
+            self.events.append(self._invalid)
+        else:
+            self._invalid.update(to_s=time_s, count=self._invalid["count"] + 1)
+
+
+def _event(kind: str, time_s: float, message: str, why: str) -> dict[str, Any]:
+    return {"event": kind, "from_s": time_s, "to_s": time_s, "count": 1, "message": message, "why": why}
+
+
+def _state_row(state: VehicleState) -> dict[str, Any]:
+    return {
+        "speed_mps": state.speed_mps,
+        "yaw_rate_rps": state.yaw_rate_rps,
+        "steering_rad": state.steering_rad,
+        "valid": state.valid,
+        "reason": state.reason,
+        "age_s": state.age_s,
+    }
+
+
+def _until_error(frames: Iterable[LogFrame], report: LogReport) -> Iterator[LogFrame]:
+    try:
+        yield from frames
+    except ValueError as error:
+        report.loss = str(error)
+
+
+@app.command()
+def decode(
+    log: Annotated[Path, typer.Argument(help="Log: candump (.log), ASC, BLF, CSV or TRC.")],
+    dbc: Dbc = _DBC,
+    mapping: Mapping = _MAPPING,
+    channel: Annotated[str | None, typer.Option("--channel", help="Only frames of this channel of the log.")] = None,
+    every: Annotated[float, typer.Option("--every", metavar="S", min=0.0, help="Show a state each S seconds.")] = 1.0,
+    as_json: AsJson = False,
+) -> None:
+    """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
+    from nodes.can_link import checkout_path, load_decoder, read_log
+
+    report = LogReport(load_decoder(checkout_path(str(dbc)), checkout_path(str(mapping))), every)
+    report.read(read_log(log, channel))
+    if report.frames == 0:
+        raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
+    if as_json:
+        print_json({"log": str(log), **report.as_dict()})
+    else:
+        _print_report(report)
+    if report.loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+    if not report.valid_states:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _print_report(report: LogReport) -> None:
+    columns = ("time_s", "speed_mps", "yaw_rate_rps", "steering_rad", "valid", "reason")
+    print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in report.samples])
+    print_line("")
+    if report.events:
+        keys = ("event", "from_s", "to_s", "count", "message", "why")
+        shown = report.events[:_SHOWN_EVENTS]
+        print_table([name.upper() for name in keys], [[event[name] for name in keys] for event in shown])
+        if len(report.events) > len(shown):
+            print_line(f"... {len(report.events)} events in all")
+        print_line("")
+    facts = report.as_dict()
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in facts["frames_by_verdict"].items())
+    print_line(f"{report.frames} frames in {report.duration_s:.2f} s: {verdicts}")
+    print_line(f"{report.valid_states} of {report.states} states valid")
+    if report.loss:
+        print_line(f"the log breaks off: {report.loss}")
+
+
+@app.command()
+def monitor(
+    interface: Annotated[str, typer.Option("--interface", "-i", help="python-can's name of it.")] = "socketcan",
+    channel: Annotated[str, typer.Option("--channel", "-c", help="Bus, as the interface names it.")] = "can0",
+    bitrate: Annotated[int | None, typer.Option("--bitrate", help="Bits per second, where it must be set.")] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option("--option", "-o", metavar="KEY=VALUE", help="For the interface; may be repeated."),
+    ] = None,
+    dbc: Dbc = _DBC,
+    mapping: Mapping = _MAPPING,
+    every: Annotated[float, typer.Option("--every", metavar="S", min=0.01, help="A line each S seconds.")] = 0.5,
+    duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Stop after S seconds.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """The vehicle state of a live bus, line by line; exit code 1 if it was never valid."""
+    from nodes.vehicle_can import Params, create
+
+    params = Params(
+        interface=interface, channel=channel, bitrate=bitrate, options=_options(option or []),
+        dbc=str(dbc), mapping=str(mapping),
+    )  # fmt: skip
+    node = create(params)
+    was_valid = False
+    try:
+        for state in _live_states(node, every, duration):
+            was_valid = was_valid or state.valid
+            if as_json:
+                print_json(_state_row(state))
+            else:
+                print_line(_state_line(state))
+    finally:
+        node.close()
+    if not was_valid:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _live_states(node: Any, every_s: float, duration_s: float | None) -> Iterator[VehicleState]:
+    """The newest state, each `every_s`; Ctrl-C ends it."""
+    start_s = time.monotonic()
+    last: VehicleState | None = None
+    lines = 0
+    while duration_s is None or time.monotonic() - start_s < duration_s:
+        for _, state in node.step([], time.monotonic_ns()):
+            last = state
+        if last is not None and time.monotonic() - start_s >= (lines + 1) * every_s:
+            lines += 1
+            yield last
+        time.sleep(max(0.0, 1e-9 * (node.due_ns(time.monotonic_ns()) - time.monotonic_ns())))
+
+
+def _state_line(state: VehicleState) -> str:
+    motion = (
+        f"speed {state.speed_mps:8.3f} m/s  yaw rate {state.yaw_rate_rps:8.4f} rad/s  "
+        f"steering {state.steering_rad:7.3f} rad"
+    )
+    return f"{motion}  {'valid' if state.valid else 'NOT VALID: ' + state.reason}"
+
+
+def _options(texts: list[str]) -> dict[str, Any]:
+    """`key=value` with values as YAML has them: numbers are numbers."""
+    from nodes.launch_file import parse_yaml
+
+    options = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ValueError(f"--option {text}: expected key=value")
+        options[key] = parse_yaml(value, f"--option {text}")
+    return options

@@ -1,0 +1,398 @@
+"""CAN frames to vehicle state: which frames count, what they say in SI units, how long it holds.
+
+Pure: a frame is an arbitration id, bytes and a stamp; time is only what the caller says it is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter, deque
+from enum import StrEnum
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+import msgspec
+from cantools.database.errors import DecodeError
+
+from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus, counter_step, signal_of
+from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
+from msgs.units import s_from_ns
+from msgs.vehicle import VehicleState
+
+if TYPE_CHECKING:
+    from cantools.database import Database
+    from cantools.database.can import Message, Signal
+
+#: What a message said holds while it is younger than this many of its periods.
+AGE_PERIODS = 10
+#: An invalid state is said again at least this often.
+INVALID_INTERVAL_NS = 100_000_000
+#: Stamps that go back further than this are a new start, not a late frame.
+RESTART_NS = 1_000_000_000
+#: Stamps beyond this fit no message; 2**62 ns are 146 years.
+MAX_STAMP_NS = 1 << 62
+#: A state must fit its topic's byte limit whatever a DBC calls its signals.
+_REASON_LIMIT = 500
+#: So many frames without one that is looked for are no chance.
+_MANY_FRAMES = 100
+#: Payload lengths of CAN FD above those of classic CAN: shorter messages are padded up to one of them.
+_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
+
+
+class Verdict(StrEnum):
+    """What became of a frame."""
+
+    COUNTED = "counted"
+    #: Sets the counter that the next one is measured against.
+    FIRST = "first of its counter"
+    OUT_OF_RANGE = "out of range"
+    WRONG_CHECKSUM = "wrong checksum"
+    WRONG_COUNTER = "wrong counter"
+    WRONG_LENGTH = "wrong length"
+    UNDECODABLE = "undecodable"
+    LATE = "late"
+    BAD_STAMP = "bad stamp"
+    UNKNOWN_ID = "unknown id"
+    REMOTE_FRAME = "remote frame"
+    ERROR_FRAME = "error frame"
+
+
+#: Frames that are no fault of the car: every bus carries messages that no mapping asks for.
+HARMLESS = frozenset({Verdict.COUNTED, Verdict.FIRST, Verdict.UNKNOWN_ID, Verdict.REMOTE_FRAME})
+
+
+class Judged(NamedTuple):
+    """The verdict on a frame, the message it belongs to, and why it does not count."""
+
+    verdict: Verdict
+    message: str = ""
+    why: str = ""
+
+
+class CanDecoder:
+    """Holds what the frames of one car have said.
+
+    Raises `ValueError` naming the mapping's field for a message or signal that the DBC does not have.
+    """
+
+    def __init__(self, database: Database, mapping: CanMapping) -> None:
+        self._by_name = {message.name: message for message in database.messages}
+        self._watches: dict[str, _Watch] = {}
+        self._rules = mapping.messages
+        self._quantities = {name: self._quantity(name, rule) for name, rule in mapping.quantities.items()}
+        for name in mapping.messages:
+            if name not in self._watches:
+                raise ValueError(f"messages.{name}: no quantity is taken from this message")
+        self._by_id = {watch.frame_id: watch for watch in self._watches.values()}
+        self._newest_ns = 0
+        #: How many frames met each verdict.
+        self.counts: Counter[Verdict] = Counter()
+
+    @property
+    def speed_message(self) -> str:
+        """Name of the message that sets the rate of the states."""
+        return self._quantities["speed"].watch.name
+
+    def add(self, arbitration_id: int, data: bytes, stamp_ns: int, extended: bool = False) -> Judged:
+        """Take in one data frame; never raises for what a bus can carry."""
+        judged = self._judge(arbitration_id, data, stamp_ns, extended)
+        self.counts[judged.verdict] += 1
+        return judged
+
+    def skip(self, verdict: Verdict) -> Judged:
+        """Count a frame that carries no data."""
+        self.counts[verdict] += 1
+        return Judged(verdict)
+
+    def state(self, now_ns: int) -> VehicleState:
+        """The vehicle at `now_ns`; not valid, with every reason, while any quantity is missing, old or out of range."""
+        troubles = [text for text in (item.trouble(now_ns) for item in self._quantities.values()) if text]
+        others = self.counts[Verdict.UNKNOWN_ID]
+        if others >= _MANY_FRAMES and not any(watch.seen for watch in self._watches.values()):
+            troubles.append(f"{others} frames of other ids came: wrong DBC?")
+        stamps_ns = [item.stamp_ns for item in self._quantities.values() if item.stamp_ns is not None]
+        steering = self._quantities.get("steering")
+        return VehicleState(
+            stamp_ns=now_ns,
+            speed_mps=self._quantities["speed"].value,
+            yaw_rate_rps=self._quantities["yaw rate"].value,
+            steering_rad=steering.value if steering else 0.0,
+            valid=not troubles,
+            reason="; ".join(troubles)[:_REASON_LIMIT],
+            age_s=s_from_ns(max(0, now_ns - min(stamps_ns, default=now_ns))),
+        )
+
+    def expiry_ns(self) -> int | None:
+        """When the state stops being valid if nothing more comes; None while something has never come."""
+        times_ns = [item.expiry_ns() for item in self._quantities.values()]
+        known_ns = [time_ns for time_ns in times_ns if time_ns is not None]
+        return min(known_ns) if len(known_ns) == len(times_ns) else None
+
+    def _judge(self, arbitration_id: int, data: bytes, stamp_ns: int, extended: bool) -> Judged:
+        if not 0 <= stamp_ns < MAX_STAMP_NS:
+            return Judged(Verdict.BAD_STAMP, why=f"stamp {stamp_ns} ns")
+        if stamp_ns < self._newest_ns - RESTART_NS:
+            self._forget()
+        self._newest_ns = max(self._newest_ns, stamp_ns)
+        watch = self._by_id.get((arbitration_id, extended))
+        if watch is None:
+            return Judged(Verdict.UNKNOWN_ID)
+        verdict, why = watch.judge(data, stamp_ns)
+        if verdict is Verdict.COUNTED:
+            faults = [item.take(stamp_ns) for item in self._quantities.values() if item.watch is watch]
+            if why := "; ".join(fault for fault in faults if fault):
+                verdict = Verdict.OUT_OF_RANGE
+        return Judged(verdict, watch.name, why)
+
+    def _forget(self) -> None:
+        self._newest_ns = 0
+        for item in self._quantities.values():
+            item.stamp_ns = None
+        for watch in self._watches.values():
+            watch.forget()
+
+    def _quantity(self, name: str, rule: QuantityRule) -> _Quantity:
+        field = name.replace(" ", "_")
+        watch = self._watch(rule.message, f"{field}.message")
+        signals = [watch.signal(signal, f"{field}.signals") for signal in rule.signals]
+        if rule.negative_while is None:
+            return _Quantity(name, rule, watch, signals, None)
+        where = f"{field}.negative_while"
+        sign_watch = self._watch(rule.negative_while.message, f"{where}.message")
+        sign_watch.signal(rule.negative_while.signal, f"{where}.signal")
+        return _Quantity(name, rule, watch, signals, sign_watch)
+
+    def _watch(self, name: str, field: str) -> _Watch:
+        if name not in self._by_name:
+            raise ValueError(f"{field}: the DBC has no message {name!r}")
+        if name not in self._watches:
+            self._watches[name] = _Watch(self._by_name[name], self._rules.get(name, MessageRule()))
+        return self._watches[name]
+
+
+class _Watch:
+    """One message: whether its frames count, and what the last one that counted said."""
+
+    def __init__(self, message: Message, rule: MessageRule) -> None:
+        self._message, self._rule = message, rule
+        self.name = message.name
+        self.frame_id = (message.frame_id, message.is_extended_frame)
+        self._lengths = range(message.length, _padded_length(message.length) + 1)
+        self._limit_ns = AGE_PERIODS * period_ns(message, rule)
+        self._checksum_byte = 0 if rule.checksum is None else checksum_byte(message, rule.checksum)
+        self._modulus = 0 if rule.counter is None else counter_modulus(message, rule.counter)
+        self.forget()
+
+    def forget(self) -> None:
+        """As if no frame had come."""
+        self.values: dict[str, float] = {}
+        self.stamp_ns: int | None = None
+        self.seen = False
+        self._last_ns: int | None = None
+        self._counter: int | None = None
+        self._refused = ""
+
+    def signal(self, name: str, field: str) -> Signal:
+        """A signal by name."""
+        return signal_of(self._message, name, field)
+
+    def judge(self, data: bytes, stamp_ns: int) -> tuple[Verdict, str]:
+        """Whether a frame counts, else why not."""
+        verdict, why = self._check(data, stamp_ns)
+        self.seen = True
+        self._refused = why
+        if verdict is Verdict.COUNTED:
+            self.stamp_ns = stamp_ns
+        return verdict, why
+
+    def expiry_of(self, stamp_ns: int | None) -> int | None:
+        """When what a frame of this stamp said is too old."""
+        return None if stamp_ns is None else stamp_ns + self._limit_ns
+
+    def silence(self, stamp_ns: int | None, now_ns: int) -> str:
+        """Why there is no word younger than ten periods; empty if there is."""
+        if stamp_ns is not None and now_ns - stamp_ns < self._limit_ns:
+            return ""
+        good = "good " if self._refused else ""
+        since = "yet" if stamp_ns is None else f"for {s_from_ns(now_ns - stamp_ns):.2f} s"
+        return f"no {good}{self.name} {since}" + (f" ({self._refused})" if self._refused else "")
+
+    def _check(self, data: bytes, stamp_ns: int) -> tuple[Verdict, str]:
+        if len(data) not in self._lengths:
+            return Verdict.WRONG_LENGTH, f"wrong length: {len(data)} bytes, expected {self._message.length}"
+        if self._last_ns is not None and stamp_ns < self._last_ns:
+            return Verdict.LATE, f"late: {s_from_ns(self._last_ns - stamp_ns):.3f} s older than the one before"
+        data = data[: self._message.length]
+        if why := self._checksum_fault(data):
+            return Verdict.WRONG_CHECKSUM, why
+        try:
+            values = _decoded(self._message, data)
+        except DecodeError as error:
+            return Verdict.UNDECODABLE, f"undecodable: {error}"
+        verdict, why = self._check_counter(values, stamp_ns)
+        self._last_ns = stamp_ns
+        if verdict is Verdict.COUNTED:
+            self.values = values
+        return verdict, why
+
+    def _checksum_fault(self, data: bytes) -> str:
+        rule = self._rule.checksum
+        if rule is None:
+            return ""
+        found, wanted = data[self._checksum_byte], checksum_of(rule, data, self._checksum_byte)
+        return "" if found == wanted else f"wrong checksum: {found:#04x}, expected {wanted:#04x}"
+
+    def _check_counter(self, values: dict[str, float], stamp_ns: int) -> tuple[Verdict, str]:
+        rule = self._rule.counter
+        if rule is None:
+            return Verdict.COUNTED, ""
+        last, self._counter = self._counter, int(values[rule.signal])
+        silent = self._last_ns is None or stamp_ns - self._last_ns >= self._limit_ns
+        if last is None or silent:
+            # nothing to measure against: a sender that stands still must not count once for each silence
+            return Verdict.FIRST, "first of its counter"
+        step = counter_step(last, self._counter, self._modulus)
+        if step == 0:
+            return Verdict.WRONG_COUNTER, f"counter stands at {self._counter}"
+        if step > rule.max_step:
+            return Verdict.WRONG_COUNTER, f"counter jumped from {last} to {self._counter}"
+        return Verdict.COUNTED, ""
+
+
+class _Quantity:
+    """Speed, yaw rate or steering as last said within its range."""
+
+    def __init__(
+        self, name: str, rule: QuantityRule, watch: _Watch, signals: list[Signal], sign_watch: _Watch | None
+    ) -> None:
+        self._name, self._rule, self.watch = name, rule, watch
+        self._signals, self._sign_watch = signals, sign_watch
+        self.value = 0.0
+        self.stamp_ns: int | None = None
+        self._fault = ""
+
+    def take(self, stamp_ns: int) -> str:
+        """Take the value from the frame that has just counted; returns what is wrong with it."""
+        self._fault = self._read(stamp_ns)
+        return self._fault
+
+    def trouble(self, now_ns: int) -> str:
+        """Why the value cannot be used at `now_ns`; empty if it can."""
+        # the message may go on without this signal (multiplexed), so its own stamp counts too
+        why = self.watch.silence(self.watch.stamp_ns, now_ns) or self._fault
+        why = why or self.watch.silence(self.stamp_ns, now_ns)
+        if not why and self._sign_watch is not None:
+            why = self._sign_watch.silence(self._sign_watch.stamp_ns, now_ns)
+        return f"{self._name}: {why}" if why else ""
+
+    def expiry_ns(self) -> int | None:
+        """When the value is too old."""
+        times_ns = [self.watch.expiry_of(self.stamp_ns)]
+        if self._sign_watch is not None:
+            times_ns.append(self._sign_watch.expiry_of(self._sign_watch.stamp_ns))
+        known_ns = [time_ns for time_ns in times_ns if time_ns is not None]
+        return min(known_ns) if len(known_ns) == len(times_ns) else None
+
+    def _read(self, stamp_ns: int) -> str:
+        values = []
+        for signal in self._signals:
+            # a multiplexed signal is not in every frame
+            if (value := self.watch.values.get(signal.name)) is None:
+                return self._fault
+            if fault := _range_fault(signal, value):
+                return fault
+            values.append(float(value))
+        value = self._rule.to_si(values, self._is_negative())
+        if not self._rule.low <= value <= self._rule.high:
+            names = ", ".join(self._rule.signals)
+            return f"{names} gives {value:g}, outside the mapping's {self._rule.low:g}..{self._rule.high:g}"
+        self.value, self.stamp_ns = value, stamp_ns
+        return ""
+
+    def _is_negative(self) -> bool:
+        rule = self._rule.negative_while
+        return rule is not None and self._sign_watch is not None and bool(self._sign_watch.values.get(rule.signal))
+
+
+class StateReporter:
+    """Says the state at the rate of the speed message; where it is not valid, also when nothing comes."""
+
+    def __init__(self, decoder: CanDecoder, start_ns: int) -> None:
+        self.decoder = decoder
+        self._due_ns = start_ns
+        self._said_ns = start_ns - INVALID_INTERVAL_NS
+        self._was_valid = False
+
+    def frame(self, judged: Judged, stamp_ns: int) -> VehicleState | None:
+        """The state if the frame just judged was a speed message that counts."""
+        is_speed = judged.message == self.decoder.speed_message
+        if not is_speed or judged.verdict not in (Verdict.COUNTED, Verdict.OUT_OF_RANGE):
+            return None
+        return self._say(self.decoder.state(stamp_ns))
+
+    def tick(self, now_ns: int, trouble: str = "") -> VehicleState | None:
+        """The state if it is due; `trouble` of the bus itself makes it invalid."""
+        if now_ns < self.due_ns(trouble):
+            return None
+        state = self.decoder.state(now_ns)
+        if trouble:
+            state = msgspec.structs.replace(state, valid=False, reason=trouble[:_REASON_LIMIT])
+        if state.valid and self._was_valid:
+            # younger frames of the other messages have come meanwhile
+            self._arm(state)
+            return None
+        return self._say(state)
+
+    def due_ns(self, trouble: str = "") -> int:
+        """When `tick` has something to say: at the moment the state expires, then again and again."""
+        return min(self._due_ns, self._said_ns + INVALID_INTERVAL_NS) if trouble else self._due_ns
+
+    def _say(self, state: VehicleState) -> VehicleState:
+        self._said_ns, self._was_valid = state.stamp_ns, state.valid
+        self._arm(state)
+        return state
+
+    def _arm(self, state: VehicleState) -> None:
+        expiry_ns = self.decoder.expiry_ns() if state.valid else None
+        self._due_ns = state.stamp_ns + INVALID_INTERVAL_NS if expiry_ns is None else expiry_ns
+
+
+class StampMapper:
+    """Maps stamps of another clock onto the bus clock: the fastest of the last seconds' frames took no time.
+
+    Delays only add, so the least difference between arrival and stamp is the offset between the clocks. It is taken
+    over one to two windows: clocks that drift or are set are followed within two seconds.
+    """
+
+    def __init__(self, window_ns: int = 1_000_000_000) -> None:
+        self._window_ns = window_ns
+        self._least_ns: deque[int] = deque(maxlen=2)
+        self._window_end_ns: int | None = None
+
+    def map(self, stamp_ns: int, arrival_ns: int) -> int:
+        """The stamp on the clock of `arrival_ns`, never later than that."""
+        difference_ns = arrival_ns - stamp_ns
+        if self._window_end_ns is None or arrival_ns >= self._window_end_ns:
+            self._window_end_ns = arrival_ns + self._window_ns
+            self._least_ns.append(difference_ns)
+        self._least_ns[-1] = min(self._least_ns[-1], difference_ns)
+        return stamp_ns + min(self._least_ns)
+
+
+def _padded_length(length: int) -> int:
+    return next((padded for padded in _FD_LENGTHS if padded >= length), length) if length > 8 else length
+
+
+def _decoded(message: Message, data: bytes) -> dict[str, float]:
+    # numbers only: named values are not asked for, and a message of a DBC is no container
+    return cast("dict[str, float]", message.decode(data, decode_choices=False))
+
+
+def _range_fault(signal: Signal, value: float) -> str:
+    low = -math.inf if signal.minimum is None else float(signal.minimum)
+    high = math.inf if signal.maximum is None else float(signal.maximum)
+    # limits are written in decimals, values are multiples of the scale: half a step apart they are the same
+    slack = 0.5 * abs(float(signal.scale))
+    if low - slack <= value <= high + slack and math.isfinite(value):
+        return ""
+    unit = f" {signal.unit}" if signal.unit else ""
+    return f"{signal.name} = {value:g}{unit} is outside the DBC's {low:g}..{high:g}"

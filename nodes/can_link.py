@@ -1,0 +1,276 @@
+"""CAN at the door: a bus that is opened again whenever it fails, logs of any kind, a car's DBC and mapping."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import can
+import cantools
+import msgspec
+from cantools.database import Database
+
+from models.vehicle.can_state import CanDecoder, Judged, Verdict
+from models.vehicle.mapping import CanMapping
+from msgs.units import ns_from_s
+from nodes.launch_file import read_yaml_mapping
+from nodes.validation import convert_at
+
+_LOG = logging.getLogger(__name__)
+
+#: Files named in launch files are looked for here when they are not in the working directory.
+CHECKOUT = Path(__file__).resolve().parents[1]
+RETRY_S, MAX_RETRY_S = 0.2, 5.0
+#: A frame that cannot be read is no broken bus; this many without a good one between them are.
+MAX_UNREADABLE = 3
+#: Most frames taken in one go, so that heartbeats and a stop come between.
+BURST = 256
+_CAN_ERROR_BUS_OFF = 0x40
+_NO_STAMP_NS = -1
+
+
+class BusParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which CAN bus to open, in python-can's words."""
+
+    #: socketcan, udp_multicast (between processes), virtual (within one process) or a maker's name.
+    interface: str = "socketcan"
+    channel: str = "can0"
+    bitrate: int | None = None
+    #: What else the interface takes, such as `port` and `hop_limit` of udp_multicast.
+    options: dict[str, Any] = {}
+
+    def __post_init__(self) -> None:
+        if self.interface not in can.VALID_INTERFACES:
+            raise ValueError(f"interface must be one of {', '.join(sorted(can.VALID_INTERFACES))}: {self.interface!r}")
+
+    @property
+    def name(self) -> str:
+        """The bus as people call it."""
+        return f"{self.interface} {self.channel}"
+
+
+def open_bus(params: BusParams) -> can.BusABC:
+    """The bus of `params`, and of nothing else: files and variables of the machine are not read."""
+    bitrate = {} if params.bitrate is None else {"bitrate": params.bitrate}
+    options = {**bitrate, **params.options}
+    return can.Bus(channel=params.channel, interface=params.interface, ignore_config=True, **options)
+
+
+class CanLink:
+    """A CAN bus that may fail: what it does wrong becomes `trouble`, and it is opened again after a growing delay.
+
+    python-can's Notifier is not used because its thread ends with the first error of a bus.
+    """
+
+    def __init__(self, params: BusParams, opener: Callable[[BusParams], can.BusABC] = open_bus) -> None:
+        self._params, self._opener = params, opener
+        self._bus: can.BusABC | None = None
+        self._retry_ns: int | None = None
+        self._retry_s = RETRY_S
+        self._in_a_row = 0
+        #: Why nothing comes; empty while the bus is well.
+        self.trouble = ""
+        #: Frames that the interface could not read, since the start.
+        self.unreadable = 0
+
+    def receive(self, now_ns: int) -> list[can.Message]:
+        """Frames that wait, without waiting for any."""
+        frames: list[can.Message] = []
+        error = self._attempt(lambda bus: _drain(bus, frames), now_ns)
+        for frame in frames:
+            self._note(frame)
+        self._judge(error, now_ns)
+        return frames
+
+    def send(self, frame: can.Message, now_ns: int) -> bool:
+        """Send a frame; False if the bus did not take it."""
+        error = self._attempt(lambda bus: bus.send(frame), now_ns)
+        if error is None and self._bus is not None:
+            self._is_well()
+            return True
+        self._judge(error, now_ns)
+        return False
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except (can.CanError, OSError) as error:
+                _LOG.debug("%s: %s while closing", self._params.name, error)
+
+    def _is_open(self, now_ns: int) -> bool:
+        if self._bus is not None:
+            return True
+        if self._retry_ns is not None and now_ns < self._retry_ns:
+            return False
+        try:
+            self._bus = self._opener(self._params)
+        except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+            self._fail(f"cannot be opened: {error}", now_ns)
+            return False
+        return True
+
+    def _attempt(self, action: Callable[[can.BusABC], None], now_ns: int) -> Exception | None:
+        """Do something with the bus, if it is open; what it raises is returned."""
+        if not self._is_open(now_ns):
+            return None
+        assert self._bus is not None
+        try:
+            action(self._bus)
+        except (can.CanError, OSError, ValueError) as error:
+            return error
+        return None
+
+    def _judge(self, error: Exception | None, now_ns: int) -> None:
+        """Give the bus up, or let a single unreadable frame pass."""
+        if error is None:
+            if self._bus is not None and _is_off(self._bus):
+                self._say("bus-off")
+            return
+        self.unreadable += 1
+        self._in_a_row += 1
+        # an error of the system has a number; without one it may be a single frame
+        is_numbered = getattr(error, "error_code", None) is not None or getattr(error, "errno", None) is not None
+        if is_numbered or self._in_a_row >= MAX_UNREADABLE:
+            self._fail(str(error) or type(error).__name__, now_ns)
+
+    def _note(self, frame: can.Message) -> None:
+        if frame.is_error_frame:
+            if frame.arbitration_id & _CAN_ERROR_BUS_OFF:
+                self._say("bus-off")
+        else:
+            self._is_well()
+
+    def _is_well(self) -> None:
+        self._in_a_row, self._retry_s = 0, RETRY_S
+        if self.trouble:
+            _LOG.info("%s: frames again", self._params.name)
+        self.trouble = ""
+
+    def _fail(self, why: str, now_ns: int) -> None:
+        self.close()
+        self._in_a_row = 0
+        self._retry_ns = now_ns + ns_from_s(self._retry_s)
+        self._retry_s = min(MAX_RETRY_S, 2.0 * self._retry_s)
+        self._say(why)
+
+    def _say(self, why: str) -> None:
+        text = " ".join(f"{self._params.name}: {why}".split())
+        if text != self.trouble:
+            _LOG.warning("%s", text)
+        self.trouble = text
+
+
+def _is_off(bus: can.BusABC) -> bool:
+    try:
+        return bus.state is can.BusState.ERROR
+    except (can.CanError, NotImplementedError):
+        # not every interface knows
+        return False
+
+
+def _drain(bus: can.BusABC, frames: list[can.Message]) -> None:
+    """Frames that wait in the interface; those read before it fails are kept."""
+    while len(frames) < BURST and (frame := bus.recv(0.0)) is not None:
+        frames.append(frame)
+
+
+def decode_frame(decoder: CanDecoder, frame: can.Message, stamp_ns: int) -> Judged:
+    """One frame of python-can into the decoder."""
+    if frame.is_error_frame:
+        return decoder.skip(Verdict.ERROR_FRAME)
+    if frame.is_remote_frame:
+        return decoder.skip(Verdict.REMOTE_FRAME)
+    return decoder.add(frame.arbitration_id, bytes(frame.data), stamp_ns, frame.is_extended_id)
+
+
+def frame_stamp_ns(frame: can.Message) -> int:
+    """The frame's own stamp; negative, which no decoder takes, where it has none that is a time."""
+    return ns_from_s(frame.timestamp) if math.isfinite(frame.timestamp) else _NO_STAMP_NS
+
+
+class LogFrame(NamedTuple):
+    """A recorded frame and its own stamp."""
+
+    frame: can.Message
+    stamp_ns: int
+
+
+def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
+    """Frames of a candump (.log), ASC, BLF, CSV or TRC log, of one channel if one is named.
+
+    Raises `ValueError` naming the file and the frame where it cannot be read on; `OSError` if it cannot be opened.
+    """
+    # ASC is read as seconds since the first frame unless told otherwise; all others keep the time of day
+    options = {"relative_timestamp": False} if path.suffix.lower() == ".asc" else {}
+    count = 0
+    stamp_ns = 0
+    try:
+        with can.LogReader(path, **options) as reader:
+            for frame in reader:
+                count += 1
+                stamp_ns = _log_stamp_ns(reader, frame, stamp_ns)
+                if channel is None or str(frame.channel) == channel:
+                    yield LogFrame(frame, stamp_ns)
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001 - readers of foreign formats fail in whatever way the damage makes them
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise ValueError(f"{path}: cannot be read after {count} frames: {reason}") from None
+
+
+def _log_stamp_ns(reader: Any, frame: can.Message, last_ns: int) -> int:
+    """An ASC log whose header says "relative" counts each stamp from the frame before; python-can takes it as is."""
+    if getattr(reader, "timestamps_format", None) != "relative" or not math.isfinite(frame.timestamp):
+        return frame_stamp_ns(frame)
+    start_ns = ns_from_s(reader.start_time)
+    return (last_ns or start_ns) + frame_stamp_ns(frame) - start_ns
+
+
+def checkout_path(name: str) -> Path:
+    """A file as named, or where that does not exist, as named from the checkout."""
+    path = Path(name)
+    return path if path.exists() else CHECKOUT / path
+
+
+def load_dbc(path: Path) -> Database:
+    """A car's DBC; one that breaks rules of the format is read all the same, with a warning.
+
+    Raises `ValueError` naming the file if it is no DBC at all, `OSError` if it cannot be read.
+    """
+    try:
+        return _load_database(path, strict=True)
+    except (cantools.Error, ValueError) as error:
+        reason = " ".join(str(error).split())
+        try:
+            database = _load_database(path, strict=False)
+        except (cantools.Error, ValueError):
+            raise ValueError(f"{path}: no DBC: {reason}") from None
+        _LOG.warning("%s: not a clean DBC, read all the same: %s", path, reason)
+        return database
+
+
+def _load_database(path: Path, strict: bool) -> Database:
+    database = cantools.database.load_file(path, database_format="dbc", strict=strict)
+    assert isinstance(database, Database)
+    return database
+
+
+def load_mapping(path: Path) -> CanMapping:
+    """A car's mapping from YAML; `ValueError` names file and field."""
+    return convert_at(read_yaml_mapping(path), CanMapping, f"{path}: ")
+
+
+def load_decoder(dbc: Path, mapping: Path) -> CanDecoder:
+    """A decoder for one car; `ValueError` names the mapping's file and the field that the DBC does not match."""
+    database = load_dbc(dbc)
+    rules = load_mapping(mapping)
+    try:
+        return CanDecoder(database, rules)
+    except ValueError as error:
+        raise ValueError(f"{mapping}: {error}") from None

@@ -1,0 +1,93 @@
+"""A simulated car on a real CAN bus: it says how it moves, and nothing else of the graph talks to it."""
+
+from __future__ import annotations
+
+import math
+
+import can
+import msgspec
+
+from msgs.bus import Outgoing, Received
+from msgs.diagnostics import NodeState
+from msgs.units import NANOSECONDS_PER_SECOND
+from msgs.vehicle import VehicleState
+from nodes.can_link import BusParams, CanLink, checkout_path, load_dbc, load_mapping
+from nodes.node import Node
+from sim_player.car import CarFrame, CarShape, SimulatedCar
+from sim_player.scene import load_scene
+
+
+class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """On which bus the car is, and how it moves."""
+
+    dbc: str = "launch/can/mirrorwave.dbc"
+    mapping: str = "launch/can/mirrorwave.yaml"
+    #: The car moves as the ego vehicle of this scene.
+    scene: str | None = None
+    #: Motion without a scene; where given, it overrides the scene's.
+    speed_mps: float | None = None
+    yaw_rate_rps: float | None = None
+    shape: CarShape = CarShape()
+
+
+class CarSim(Node):
+    """Constant motion -> CAN frames at the periods of the mapping."""
+
+    def __init__(self, link: CanLink, car: SimulatedCar, motion: VehicleState) -> None:
+        super().__init__()
+        self._link, self._car, self._motion = link, car, motion
+        self.sent = self.refused = 0
+
+    def due_ns(self, now_ns: int) -> int:
+        """When the next frame is to be sent."""
+        return self._car.due_ns()
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """Send the frames whose time has come."""
+        for frame in self._car.frames(msgspec.structs.replace(self._motion, stamp_ns=now_ns)):
+            if self._link.send(_message(frame, now_ns), now_ns):
+                self.sent += 1
+            else:
+                self.refused += 1
+        return []
+
+    def health(self) -> tuple[NodeState, str]:
+        """DEGRADED while the bus takes no frames."""
+        if self._link.trouble:
+            return NodeState.DEGRADED, f"{self._link.trouble}; {self.refused} frames not sent"
+        return NodeState.READY, ""
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._link.close()
+
+
+def _message(frame: CarFrame, now_ns: int) -> can.Message:
+    # most interfaces stamp what they send themselves; those that keep this one stay on the bus clock
+    return can.Message(
+        timestamp=now_ns / NANOSECONDS_PER_SECOND,
+        arbitration_id=frame.arbitration_id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+    )
+
+
+def motion_of(params: Params) -> VehicleState:
+    """Speed, yaw rate and the steering that goes with them."""
+    speed_mps, yaw_rate_rps = params.speed_mps, params.yaw_rate_rps
+    if params.scene is not None:
+        ego = load_scene(checkout_path(params.scene)).ego
+        speed_mps = ego.speed_mps if speed_mps is None else speed_mps
+        yaw_rate_rps = math.radians(ego.yaw_rate_dps) if yaw_rate_rps is None else yaw_rate_rps
+    speed_mps, yaw_rate_rps = speed_mps or 0.0, yaw_rate_rps or 0.0
+    steering_rad = params.shape.steering_rad(speed_mps, yaw_rate_rps)
+    return VehicleState(stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, steering_rad=steering_rad)
+
+
+def create(params: Params) -> CarSim:
+    """The node; `ValueError` for files that do not fit or a motion that the DBC's bits cannot hold."""
+    database, mapping = load_dbc(checkout_path(params.dbc)), load_mapping(checkout_path(params.mapping))
+    motion = motion_of(params)
+    # a motion that does not fit is found here, not on the road
+    SimulatedCar(database, mapping).frames(motion)
+    return CarSim(CanLink(params), SimulatedCar(database, mapping), motion)

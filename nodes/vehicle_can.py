@@ -1,0 +1,242 @@
+"""The car's CAN bus, or a log of it, as the vehicle's state.
+
+Stamps: frames of a live bus are mapped from the interface's clock onto the bus clock; those of a log keep their
+distances and start when it starts to play, or at `log_start_ns`. Ages are measured on stamps alone.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+import can
+
+from models.vehicle.can_state import CanDecoder, StampMapper, StateReporter
+from msgs.bus import Outgoing, Received
+from msgs.diagnostics import NodeState
+from msgs.vehicle import VehicleState
+from nodes.can_link import (
+    BURST,
+    BusParams,
+    CanLink,
+    LogFrame,
+    checkout_path,
+    decode_frame,
+    frame_stamp_ns,
+    load_decoder,
+    read_log,
+)
+from nodes.node import Node
+
+_LOG = logging.getLogger(__name__)
+
+#: How often a live bus is read: a quarter of the shortest period that cars use.
+POLL_NS = 5_000_000
+
+
+class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which bus or log, and what its frames mean."""
+
+    dbc: str = "launch/can/mirrorwave.dbc"
+    mapping: str = "launch/can/mirrorwave.yaml"
+    #: A candump (.log), ASC, BLF, CSV or TRC log that is played instead of the bus.
+    log: str | None = None
+    #: Only frames of this channel of the log.
+    log_channel: str | None = None
+    #: Speed of play; 1 is real time.
+    rate: float = 1.0
+    #: Stamp that the log's first frame is given; None: the time at which it starts to play.
+    log_start_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0.0 < self.rate < float("inf"):
+            raise ValueError(f"rate must be finite and positive, got {self.rate!r}")
+
+
+class FrameSource(Protocol):
+    """Where frames come from: a bus or a log."""
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing comes; empty while all is well."""
+
+    @property
+    def ended(self) -> bool:
+        """True when nothing will ever come again."""
+
+    def stamp_ns(self, now_ns: int) -> int:
+        """The bus clock's time on the clock of the stamps."""
+
+    def due_ns(self, now_ns: int, stamp_ns: int) -> int:
+        """Bus time of the next look for frames, or of `stamp_ns` on the clock of the stamps if that is earlier."""
+
+    def frames(self, now_ns: int) -> list[LogFrame]:
+        """Frames up to now, with their stamps."""
+
+    def close(self) -> None:
+        """Let go of bus or file."""
+
+
+class LiveSource:
+    """Frames of a bus; their stamps are on the bus clock."""
+
+    ended = False
+
+    def __init__(self, link: CanLink) -> None:
+        self._link = link
+        self._stamps = StampMapper()
+        self._next_ns: int | None = None
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the bus."""
+        return self._link.trouble
+
+    def stamp_ns(self, now_ns: int) -> int:
+        """The same clock."""
+        return now_ns
+
+    def due_ns(self, now_ns: int, stamp_ns: int) -> int:
+        """The next poll, or earlier."""
+        return min(stamp_ns, now_ns if self._next_ns is None else self._next_ns)
+
+    def frames(self, now_ns: int) -> list[LogFrame]:
+        """What waits in the interface."""
+        self._next_ns = now_ns + POLL_NS
+        return [LogFrame(frame, self._bus_stamp_ns(frame, now_ns)) for frame in self._link.receive(now_ns)]
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._link.close()
+
+    def _bus_stamp_ns(self, frame: can.Message, now_ns: int) -> int:
+        stamp_ns = frame_stamp_ns(frame)
+        # an interface without a clock stamps with zero
+        return self._stamps.map(stamp_ns, now_ns) if stamp_ns > 0 else now_ns
+
+
+class LogSource:
+    """Frames of a log, each when its time has come; a log that cannot be read on has ended."""
+
+    def __init__(self, frames: Iterator[LogFrame], rate: float = 1.0, start_ns: int | None = None) -> None:
+        # a frame without a time cannot be played
+        self._frames = (frame for frame in frames if frame.stamp_ns >= 0)
+        self._rate, self._start_ns = rate, start_ns
+        self._next = next(self._frames, None)
+        self._first_ns = 0 if self._next is None else self._next.stamp_ns
+        self._play_ns: int | None = None
+        self.trouble = ""
+
+    @property
+    def ended(self) -> bool:
+        """True after the last frame."""
+        return self._next is None
+
+    def stamp_ns(self, now_ns: int) -> int:
+        """Time of the log; it starts to play with the first call."""
+        if self._play_ns is None:
+            self._play_ns = now_ns
+        start_ns = self._play_ns if self._start_ns is None else self._start_ns
+        return start_ns + round((now_ns - self._play_ns) * self._rate)
+
+    def due_ns(self, now_ns: int, stamp_ns: int) -> int:
+        """When the next frame is due, or earlier."""
+        if self._next is not None:
+            stamp_ns = min(stamp_ns, self._restamped(self._next).stamp_ns)
+        ahead_ns = stamp_ns - self.stamp_ns(now_ns)
+        # rounded up: a step that comes a nanosecond early would find nothing to do
+        return now_ns if ahead_ns <= 0 else now_ns + int(ahead_ns / self._rate) + 1
+
+    def frames(self, now_ns: int) -> list[LogFrame]:
+        """Frames whose time has come."""
+        until_ns = self.stamp_ns(now_ns)
+        due: list[LogFrame] = []
+        while len(due) < BURST and self._next is not None:
+            frame = self._restamped(self._next)
+            if frame.stamp_ns > until_ns:
+                break
+            due.append(frame)
+            self._advance()
+        return due
+
+    def close(self) -> None:
+        """The file is closed with its reader."""
+        self._next = None
+        self._frames.close()
+
+    def _restamped(self, frame: LogFrame) -> LogFrame:
+        start_ns = self._start_ns if self._start_ns is not None else self._play_ns or 0
+        return frame._replace(stamp_ns=start_ns + frame.stamp_ns - self._first_ns)
+
+    def _advance(self) -> None:
+        try:
+            self._next = next(self._frames, None)
+        except (ValueError, OSError) as error:
+            self._next, self.trouble = None, str(error)
+            _LOG.error("%s", error)
+
+
+class VehicleCanNode(Node):
+    """CAN -> vehicle/state at the rate of the speed message; not valid, with the reason, when it fails."""
+
+    outputs = ("vehicle/state",)
+
+    def __init__(self, decoder: CanDecoder, source: FrameSource) -> None:
+        super().__init__()
+        self._decoder, self._source = decoder, source
+        self._reporter: StateReporter | None = None
+        self._last: VehicleState | None = None
+
+    def due_ns(self, now_ns: int) -> int:
+        """When frames are to be looked for or a state is due."""
+        if self._reporter is None:
+            return now_ns
+        return self._source.due_ns(now_ns, self._reporter.due_ns(self._source.trouble))
+
+    def finished(self) -> bool:
+        """True after the last frame of a log."""
+        return self._source.ended
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """States of all frames that came, and the one that is due without any."""
+        if self._reporter is None:
+            self._reporter = StateReporter(self._decoder, self._source.stamp_ns(now_ns))
+        states: list[VehicleState | None] = []
+        with self.stages("frames"):
+            for frame, stamp_ns in self._source.frames(now_ns):
+                states.append(self._reporter.frame(decode_frame(self._decoder, frame, stamp_ns), stamp_ns))
+        states.append(self._reporter.tick(self._source.stamp_ns(now_ns), self._source.trouble))
+        return [Outgoing("vehicle/state", self._noted(state)) for state in states if state is not None]
+
+    def health(self) -> tuple[NodeState, str]:
+        """DEGRADED with the reason of the last state."""
+        if self._last is not None and not self._last.valid:
+            return NodeState.DEGRADED, self._last.reason
+        return NodeState.READY, ""
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._source.close()
+
+    def _noted(self, state: VehicleState) -> VehicleState:
+        was_valid = self._last is not None and self._last.valid
+        if was_valid and not state.valid:
+            _LOG.warning("vehicle state is not valid: %s", state.reason)
+        elif state.valid and not was_valid:
+            _LOG.info("vehicle state is valid")
+        self._last = state
+        return state
+
+
+def create(params: Params) -> VehicleCanNode:
+    """The node; `ValueError` for a DBC, mapping or log that cannot be read. A bus that is not there may come later."""
+    decoder = load_decoder(checkout_path(params.dbc), checkout_path(params.mapping))
+    if params.log is None:
+        return VehicleCanNode(decoder, LiveSource(CanLink(params)))
+    source = LogSource(read_log(Path(params.log), params.log_channel), params.rate, params.log_start_ns)
+    if source.ended:
+        raise ValueError(f"{params.log}: holds no frames" + (f" of {params.log_channel}" if params.log_channel else ""))
+    return VehicleCanNode(decoder, source)

@@ -1,0 +1,130 @@
+"""A simulated car: what its CAN bus says while it moves."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import msgspec
+
+from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus
+from models.vehicle.mapping import CanMapping, MessageRule, period_ns
+from msgs.arrays import require_positive
+from msgs.vehicle import VehicleState
+
+if TYPE_CHECKING:
+    from cantools.database import Database
+    from cantools.database.can import Message
+
+
+class CarShape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What turns a yaw rate into an angle of the steering wheel."""
+
+    wheelbase_m: float = 2.7
+    #: Angle of the steering wheel by angle of the front wheels.
+    steering_ratio: float = 15.0
+    #: The steering wheel's stop.
+    max_steering_rad: float = 9.0
+
+    def __post_init__(self) -> None:
+        for name in ("wheelbase_m", "steering_ratio", "max_steering_rad"):
+            require_positive(name, getattr(self, name))
+
+    def steering_rad(self, speed_mps: float, yaw_rate_rps: float) -> float:
+        """Angle of the steering wheel of a car that rolls without slip, left positive; straight at standstill."""
+        if speed_mps == 0.0:
+            return 0.0
+        angle_rad = self.steering_ratio * math.atan(self.wheelbase_m * yaw_rate_rps / speed_mps)
+        return max(-self.max_steering_rad, min(self.max_steering_rad, angle_rad))
+
+
+class CarFrame(NamedTuple):
+    """One frame on the car's bus."""
+
+    arbitration_id: int
+    data: bytes
+    extended: bool
+
+
+class SimulatedCar:
+    """Sends every message of a mapping at its period, counters and checksums as the mapping has them.
+
+    Raises `ValueError` naming the field where mapping and DBC do not meet.
+    """
+
+    def __init__(self, database: Database, mapping: CanMapping, start_ns: int = 0) -> None:
+        by_name = {message.name: message for message in database.messages}
+        names = dict.fromkeys(_message_names(mapping))
+        for name in names:
+            if name not in by_name:
+                raise ValueError(f"messages.{name}: the DBC has no message {name!r}")
+        rules = mapping.messages
+        self._mapping = mapping
+        self._senders = [_Sender(by_name[name], rules.get(name, MessageRule()), start_ns) for name in names]
+
+    def due_ns(self) -> int:
+        """When the next frame is to be sent."""
+        return min(sender.due_ns for sender in self._senders)
+
+    def frames(self, state: VehicleState) -> list[CarFrame]:
+        """The frames whose time has come at the state's stamp.
+
+        Raises `ValueError` for a state that the DBC's bits cannot hold.
+        """
+        due = [sender for sender in self._senders if sender.due_ns <= state.stamp_ns]
+        values = self._values(state) if due else {}
+        return [sender.frame(values, state.stamp_ns) for sender in due]
+
+    def _values(self, state: VehicleState) -> dict[tuple[str, str], float]:
+        """What each signal of the mapping says, by message and signal."""
+        si = {"speed": state.speed_mps, "yaw rate": state.yaw_rate_rps, "steering": state.steering_rad}
+        values: dict[tuple[str, str], float] = {}
+        for name, rule in self._mapping.quantities.items():
+            value, negative = rule.from_si(si[name])
+            values.update({(rule.message, signal): value for signal in rule.signals})
+            if rule.negative_while is not None:
+                values[rule.negative_while.message, rule.negative_while.signal] = float(negative)
+        return values
+
+
+class _Sender:
+    """One message: when it is due, and its counter."""
+
+    def __init__(self, message: Message, rule: MessageRule, start_ns: int) -> None:
+        self._message, self._rule = message, rule
+        self._period_ns = period_ns(message, rule)
+        self._counter = 0
+        self.due_ns = start_ns
+
+    def frame(self, values: dict[tuple[str, str], float], now_ns: int) -> CarFrame:
+        """The frame at `now_ns`; what was missed before is not made up for."""
+        on_time_ns = self.due_ns + self._period_ns
+        self.due_ns = on_time_ns if on_time_ns > now_ns else now_ns + self._period_ns
+        return CarFrame(self._message.frame_id, self._data(values), self._message.is_extended_frame)
+
+    def _data(self, values: dict[tuple[str, str], float]) -> bytes:
+        name, rule = self._message.name, self._rule
+        # raw zero where nothing else is said
+        signals: dict[str, Any] = {
+            signal.name: values.get((name, signal.name), signal.conversion.raw_to_scaled(0, decode_choices=False))
+            for signal in self._message.signals
+        }
+        if rule.counter is not None:
+            signals[rule.counter.signal] = self._counter
+            self._counter = (self._counter + 1) % counter_modulus(self._message, rule.counter)
+        try:
+            data = bytearray(self._message.encode(signals, strict=False))
+        except OverflowError as error:
+            said = ", ".join(f"{signal} = {value:g}" for signal, value in signals.items())
+            raise ValueError(f"{name} cannot hold {said}: {error}") from None
+        if rule.checksum is not None:
+            position = checksum_byte(self._message, rule.checksum)
+            data[position] = checksum_of(rule.checksum, bytes(data), position)
+        return bytes(data)
+
+
+def _message_names(mapping: CanMapping) -> list[str]:
+    """Messages of a mapping in the order in which it names them."""
+    rules = mapping.quantities.values()
+    signs = [rule.negative_while.message for rule in rules if rule.negative_while is not None]
+    return [rule.message for rule in rules] + signs

@@ -1,0 +1,150 @@
+"""`mirrorwave can`: what it prints, and the exit codes scripts rely on."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from pathlib import Path
+
+import can
+import msgspec
+import pytest
+
+from mirrorwave.cli import main
+from msgs.vehicle import VehicleState
+from nodes.can_link import load_dbc, load_mapping
+from sim_player.car import SimulatedCar
+
+DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
+DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
+REAL = DATA / "can_motec_subaru"
+
+
+def write_drive(path: Path, seconds: int = 3) -> Path:
+    """A car at 9 m/s; from 1.0 to 1.4 s its speed frames are corrupt, at 2.0 s one is out of range."""
+    car = SimulatedCar(load_dbc(DBC), load_mapping(MAPPING))
+    with can.Logger(path) as logger:
+        for now_ns in range(0, seconds * 10**9, 20_000_000):
+            state = VehicleState(stamp_ns=now_ns, speed_mps=99.0 if now_ns == 2 * 10**9 else 9.0, yaw_rate_rps=0.1)
+            for frame in car.frames(state):
+                data = bytearray(frame.data)
+                if frame.arbitration_id == 0x100 and 10**9 <= now_ns < 14 * 10**8:
+                    data[4] ^= 0xFF
+                logger(
+                    can.Message(
+                        timestamp=1e-9 * now_ns + 1.7e9, arbitration_id=frame.arbitration_id, data=data, channel="can0",
+                        is_extended_id=False,
+                    )
+                )  # fmt: skip
+    return path
+
+
+def run_json(capsys: pytest.CaptureFixture, *arguments: str) -> tuple[int, dict]:
+    code = main(["can", "decode", *arguments, "--json"])
+    return code, json.loads(capsys.readouterr().out)
+
+
+def test_decode_flags_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    code, report = run_json(capsys, str(write_drive(tmp_path / "drive.log")), "--every", "0.5")
+    assert code == 0
+    assert (report["frames"], report["loss"]) == (300, None)
+    assert report["frames_by_verdict"]["wrong checksum"] == 20
+    # one state each half second; that at 2.0 s is out of range, that after 1.0 s comes as the last good one expires
+    assert [round(row["time_s"], 2) for row in report["states"]] == [0.0, 0.5, 1.18, 1.5, 2.0, 2.5]
+    assert [row["valid"] for row in report["states"]] == [False, True, False, True, False, True]
+    events = [(event["event"], round(event["from_s"], 2), event["count"]) for event in report["events"]]
+    assert ("wrong checksum", 1.0, 20) in events
+    assert ("out of range", 2.0, 1) in events
+    # the last good speed came at 0.98 s and holds for ten periods
+    assert any(name == "state not valid" and at_s == 1.18 for name, at_s, _ in events)
+    assert all(row["speed_mps"] == 9.0 for row in report["states"] if row["valid"])
+
+
+def test_decode_prints_tables(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    assert main(["can", "decode", str(write_drive(tmp_path / "drive.blf"))]) == 0
+    text = capsys.readouterr().out
+    for part in (
+        "SPEED_MPS",
+        "wrong checksum",
+        "SPEED gives 99, outside the mapping's -80..80",
+        "300 frames in 2.98 s",
+    ):
+        assert part in text
+
+
+def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    path = write_drive(tmp_path / "drive.log")
+    # a log that breaks off: done with loss
+    broken = tmp_path / "broken.log"
+    broken.write_text(path.read_text() + "(1700000009.0) can0 nonsense\n")
+    code, report = run_json(capsys, str(broken))
+    assert (code, report["frames"]) == (3, 300)
+    assert "broken.log: cannot be read after 300 frames" in report["loss"]
+    # frames, but not of this car: failed
+    other = tmp_path / "other.log"
+    other.write_text("".join(f"({1700000000 + 0.01 * step:.6f}) can0 2B0#0011\n" for step in range(200)))
+    code, report = run_json(capsys, str(other))
+    assert (code, report["valid_state_count"]) == (1, 0)
+    assert "wrong DBC?" in report["states"][-1]["reason"]
+    # wrong usage or bad input
+    assert main(["can", "decode", str(tmp_path / "gone.log")]) == 2
+    assert main(["can", "decode", str(path), "--mapping", str(DBC)]) == 2
+    assert main(["can", "decode", str(path), "--channel", "can9"]) == 2
+    assert main(["can", "monitor", "--interface", "nothing"]) == 2
+    assert main(["can", "monitor", "-i", "virtual", "--option", "port"]) == 2
+    errors = capsys.readouterr().err.splitlines()
+    assert len(errors) == 5
+    assert "gone.log" in errors[0]
+    assert "holds no frames of channel can9" in errors[2]
+
+
+def test_monitor_shows_a_live_bus(capsys: pytest.CaptureFixture) -> None:
+    """A car speaks on a virtual bus from another thread while the monitor listens."""
+    stop = threading.Event()
+
+    def speak() -> None:
+        car = SimulatedCar(load_dbc(DBC), load_mapping(MAPPING), time.monotonic_ns())
+        motion = VehicleState(stamp_ns=0, speed_mps=5.5)
+        with can.Bus(interface="virtual", channel="monitor", ignore_config=True) as bus:
+            while not stop.wait(0.005):
+                for frame in car.frames(msgspec.structs.replace(motion, stamp_ns=time.monotonic_ns())):
+                    bus.send(can.Message(arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False))
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    try:
+        arguments = ["can", "monitor", "-i", "virtual", "-c", "monitor", "--duration", "1.0", "--every", "0.2"]
+        assert main([*arguments, "--json"]) == 0
+    finally:
+        stop.set()
+        thread.join()
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert {row["speed_mps"] for row in rows if row["valid"]} == {5.5}
+
+
+def test_monitor_of_a_silent_bus_fails(capsys: pytest.CaptureFixture) -> None:
+    arguments = ["can", "monitor", "-i", "virtual", "-c", "silent", "-o", "rx_queue_size=10"]
+    assert main([*arguments, "--duration", "0.4", "--every", "0.1"]) == 1
+    assert "NOT VALID: speed: no MW_SPEED yet" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(not REAL.is_dir(), reason="the recorded drive (can_motec_subaru) is not here")
+def test_decode_a_real_drive(capsys: pytest.CaptureFixture) -> None:
+    code, report = run_json(
+        capsys,
+        str(REAL / "can_sample.log"),
+        "--dbc",
+        str(REAL / "sample_can_spec.dbc"),
+        "--mapping",
+        "launch/can/motec_sample.yaml",
+        "--every",
+        "0",
+    )
+    assert code == 0
+    assert report["frames"] == 82558
+    assert report["duration_s"] == pytest.approx(90.28, abs=0.01)
+    assert max(row["speed_mps"] for row in report["states"]) == pytest.approx(36.0, abs=0.02)
+    flagged = [event for event in report["events"] if event["event"] == "out of range"]
+    assert [(event["message"], event["count"]) for event in flagged] == [("ID_D0", 71)]
