@@ -37,8 +37,8 @@ lint: setup-dev  ## style, types, house laws
 	$(BIN)/python -m pytest -q tests/test_house.py
 
 bench: setup-dev  ## the committed benchmarks, printed
-	$(BIN)/python benchmarks/ra_forming.py
-	$(BIN)/python benchmarks/live_graph.py --duration 60
+	$(BIN)/python -m benchmarks.ra_forming
+	$(BIN)/python -m benchmarks.live_graph --duration 60
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

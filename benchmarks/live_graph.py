@@ -1,7 +1,7 @@
 """The whole graph at the radar's real rate, one process a node: losses, latency, CPU and memory.
 
 Latency counts from the nominal end of the last beam (its start plus its time on air) to the arrival of the view at a
-subscriber outside the graph. Usage: python benchmarks/live_graph.py [--launch FILE] [--duration S] [--json]
+subscriber outside the graph. Usage: python -m benchmarks.live_graph [--launch FILE] [--duration S] [--viewer] [--json]
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ def last_beam_ns() -> int:
     return (len(setup.beams) - 1) * setup.beam_interval_ns + ns_from_s(setup.radar.beam_duration_s)
 
 
-def run(launch: Path, duration_s: float, overrides: list[str]) -> dict:
+def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool) -> dict:
     domain = f"bench{os.getpid()}"
     command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--duration", str(duration_s)]
-    command += ["--headless", "--domain", domain] + [part for item in overrides for part in ("-p", item)]
+    command += ["--domain", domain] + [part for item in overrides for part in ("-p", item)]
+    command += [] if viewer else ["--headless"]
     bus = ZmqBus("benchmark", run_dir(domain))
     for topic in ("perception/hidden_objects", "diagnostics/node"):
         bus.subscribe(topic)
@@ -104,9 +105,10 @@ def main() -> None:
     parser.add_argument("--launch", type=Path, default=ROOT / "launch" / "corner.yaml")
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("-p", dest="overrides", action="append", default=[])
+    parser.add_argument("--viewer", action="store_true", help="start the launch file's viewers too")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    result = run(arguments.launch, arguments.duration, arguments.overrides)
+    result = run(arguments.launch, arguments.duration, arguments.overrides, arguments.viewer)
     print(json.dumps(result) if arguments.json else json.dumps(result, indent=2))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,19 +16,25 @@ if TYPE_CHECKING:
     from msgs.perception import BevFrame
     from msgs.radar import RangeAzimuthMap
 
+#: Where nobody looks (headless, or no terminal) this says it all; who looks gets time to.
+UNWATCHED_S, WATCHED_S = 12.0, 120.0
 DEMO_LAUNCH = Path(__file__).resolve().parents[1] / "launch" / "demo.yaml"
 
 
 def demo(
     headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
-    duration: Annotated[float, typer.Option(metavar="S", min=1.0, help="Seconds to run.")] = 12.0,
+    duration: Annotated[
+        float | None, typer.Option(metavar="S", min=1.0, help="Seconds to run [12, on a terminal 120].")
+    ] = None,
     out: Annotated[Path, typer.Option(help="Folder of the picture.")] = Path("out/demo"),
 ) -> None:
-    """Run the demo scene live, print what it sees beside the truth, and draw the last view."""
+    """Run the demo scene live in the browser, print what it sees beside the truth, and draw the last view."""
     from mirrorwave.launch import run_graph
     from msgs.zmq_bus import run_dir
     from nodes.launch_file import read_launch_file
 
+    if duration is None:
+        duration = WATCHED_S if sys.stdout.isatty() and not headless else UNWATCHED_S
     # a domain of its own: the demo neither disturbs a running graph nor hears it
     domain = "demo"
     watcher = Watcher(run_dir(domain))

@@ -1,0 +1,78 @@
+"""The node `bev_viewer`: shows the newest view of the graph in a browser on this machine.
+
+The server runs in a thread of its own; a step only hands the newest messages over, and nothing is rendered while nobody
+looks. A slow page misses scans; the graph never waits for it.
+"""
+
+from __future__ import annotations
+
+import logging
+import webbrowser
+
+import msgspec
+
+from msgs.bus import Outgoing, Received
+from msgs.diagnostics import NodeState
+from nodes.node import Node
+from nodes.viewer.assembly import TOPICS_SHOWN, Assembly
+from nodes.viewer.board import Board
+from nodes.viewer.server import ViewerServer
+
+_LOG = logging.getLogger(__name__)
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where to serve the page; the host is always 127.0.0.1 (from elsewhere: `ssh -L 8765:127.0.0.1:8765`)."""
+
+    #: 0, and a port that is taken: a free one.
+    port: int = 8765
+    #: Open the page in the default browser of this machine.
+    open_browser: bool = False
+    max_clients: int = 16
+    title: str = "live"
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.port <= 65535:
+            raise ValueError(f"port must be 0..65535, got {self.port!r}")
+        if not 1 <= self.max_clients <= 256:
+            raise ValueError(f"max_clients must be 1..256, got {self.max_clients!r}")
+
+
+class BevViewer(Node):
+    """Hands the newest of `TOPICS_SHOWN` to the pages that look."""
+
+    inputs = TOPICS_SHOWN
+
+    def __init__(self, params: Params) -> None:
+        super().__init__()
+        board = Board()
+        self._assembly = Assembly(board)
+        self.server = ViewerServer(board, title=params.title, port=params.port, max_clients=params.max_clients)
+        _LOG.info("open %s", self.server.url)
+        if params.open_browser and not webbrowser.open(self.server.url):
+            _LOG.warning("no browser could be opened here")
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """The node table is due twice a second, whether anybody speaks or not: silence is news."""
+        return self._assembly.table_due_ns(now_ns)
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """Hand over what came in."""
+        for received in inputs:
+            self._assembly.take(received.message, now_ns)
+        if now_ns >= self._assembly.table_due_ns(now_ns):
+            self._assembly.post_table(now_ns)
+        return []
+
+    def health(self) -> tuple[NodeState, str]:
+        """DEGRADED once pages are no longer served."""
+        return (NodeState.READY, "") if self.server.alive else (NodeState.DEGRADED, "the page is no longer served")
+
+    def close(self) -> None:
+        """End the server."""
+        self.server.close()
+
+
+def create(params: Params) -> BevViewer:
+    """The node, its page being served; raises `OSError` where no port can be had."""
+    return BevViewer(params)

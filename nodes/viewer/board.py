@@ -1,0 +1,67 @@
+"""The board between the graph and its viewers: the newest of each kind, rendered once, when somebody looks."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import msgspec
+
+#: One websocket message: text (JSON) or a binary tile.
+WireMessage = str | bytes
+Render = Callable[[], tuple[WireMessage, ...]]
+
+
+class Posted(NamedTuple):
+    """What hangs on the board of one kind."""
+
+    #: Counts up from 1 with every post of this kind.
+    version: int
+    #: `time.monotonic_ns` of the post.
+    at_ns: int
+    render: Render
+
+
+class Board:
+    """Newest post of each kind. Posting costs nothing but a swap; any thread may post and read.
+
+    No queue stands behind it: who reads late finds the newest, and sees from the version how many it missed.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._posted: dict[str, Posted] = {}
+        self._rendered: dict[str, tuple[int, tuple[WireMessage, ...]]] = {}
+        #: Called after each post, from the posting thread.
+        self.on_post: Callable[[], None] = _nobody
+
+    def post(self, kind: str, render: Render) -> None:
+        """Hang up the newest of `kind`; `render` is called later, at most once, from a reader's thread."""
+        with self._lock:
+            before = self._posted.get(kind)
+            self._posted[kind] = Posted(before.version + 1 if before else 1, time.monotonic_ns(), render)
+        self.on_post()
+
+    def newer(self, seen: Mapping[str, int]) -> dict[str, Posted]:
+        """What hangs there that a reader who saw the versions `seen` does not know, in the order of first posts."""
+        with self._lock:
+            return {kind: post for kind, post in self._posted.items() if post.version > seen.get(kind, 0)}
+
+    def messages(self, kind: str, posted: Posted) -> tuple[WireMessage, ...]:
+        """The post as websocket messages; rendered once for all readers. For the readers' one thread."""
+        version, messages = self._rendered.get(kind, (0, ()))
+        if version != posted.version:
+            messages = posted.render()
+            self._rendered[kind] = posted.version, messages
+        return messages
+
+
+def _nobody() -> None:
+    """Nobody looks at the board."""
+
+
+def json_text(value: Any) -> str:
+    """Compact JSON; numbers that JSON lacks become null."""
+    return msgspec.json.encode(value).decode()

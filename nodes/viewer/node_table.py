@@ -1,0 +1,99 @@
+"""Health of the graph as a table: rates, stage times, losses and state of every node from its heartbeats."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple
+
+from msgs.diagnostics import NodeState, NodeStatus, StageTime
+from msgs.topics import TOPICS
+from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
+
+#: Rates are taken over this: two heartbeats a second against 3.3 scans would make them jump.
+WINDOW_NS = 10 * NANOSECONDS_PER_SECOND
+#: A node whose last heartbeat is older is shown as silent.
+SILENT_NS = 3 * NANOSECONDS_PER_SECOND
+#: Nodes that ended, or never were (any name may stand on the bus), must not fill the page.
+MAX_NODES = 64
+#: What nodes say about themselves has no rate worth showing.
+_SELF_TALK = ("diagnostics/node", "log")
+
+
+class _Heard(NamedTuple):
+    """A heartbeat and when it came."""
+
+    at_ns: int
+    status: NodeStatus
+
+
+class NodeTable:
+    """Remembers the heartbeats of the last seconds of each node."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, deque[_Heard]] = {}
+        self._stages: dict[str, tuple[StageTime, ...]] = {}
+
+    def add(self, status: NodeStatus, now_ns: int) -> None:
+        """Take in a heartbeat; a new process under the same name starts afresh."""
+        heard = self._heard.setdefault(status.node, deque())
+        if heard and heard[-1].status.pid != status.pid:
+            heard.clear()
+        heard.append(_Heard(now_ns, status))
+        while len(heard) > 2 and now_ns - heard[0].at_ns > WINDOW_NS:
+            heard.popleft()
+        if status.stages:
+            self._stages[status.node] = status.stages
+        self._forget_oldest()
+
+    def rows(self, now_ns: int) -> list[dict[str, Any]]:
+        """One row a node, in the order of the stream: sources first, who publishes nothing last."""
+        names = sorted(self._heard, key=lambda name: (_place_in_stream(self._heard[name][-1].status), name))
+        return [self._row(name, now_ns) for name in names]
+
+    def _row(self, name: str, now_ns: int) -> dict[str, Any]:
+        first, last = self._heard[name][0], self._heard[name][-1]
+        status = last.status
+        age_ns = now_ns - last.at_ns
+        is_silent = age_ns > SILENT_NS and status.state is not NodeState.STOPPING
+        return {
+            "node": name,
+            "state": "silent" if is_silent else str(status.state),
+            "reason": f"no heartbeat for {s_from_ns(age_ns):.0f} s" if is_silent else status.reason,
+            "cpu": round(_rate(first.status.cpu_s, status.cpu_s, first, last), 2),
+            "memory_mib": round(status.resident_bytes / (1 << 20)),
+            "lost": sum(count.lost for count in status.received),
+            "rejected": sum(count.rejected for count in status.received),
+            "stages": [
+                {"name": one.name, "mean_ms": round(one.mean_ms, 1), "max_ms": round(one.max_ms, 1)}
+                for one in self._stages.get(name, ())
+            ],
+            "rates": _rates(first, last),
+        }
+
+    def _forget_oldest(self) -> None:
+        while len(self._heard) > MAX_NODES:
+            oldest = min(self._heard, key=lambda name: self._heard[name][-1].at_ns)
+            del self._heard[oldest]
+            self._stages.pop(oldest, None)
+
+
+def _place_in_stream(status: NodeStatus) -> int:
+    """Place of the first topic that a node publishes in the table of topics."""
+    published = {count.topic for count in status.published}
+    return next((place for place, topic in enumerate(TOPICS) if topic in published - set(_SELF_TALK)), len(TOPICS))
+
+
+def _rates(first: _Heard, last: _Heard) -> list[dict[str, Any]]:
+    """Messages a second of each topic that a node publishes."""
+    before = {count.topic: count.messages for count in first.status.published}
+    return [
+        {"topic": count.topic, "hz": round(_rate(before.get(count.topic, 0), count.messages, first, last), 1)}
+        for count in last.status.published
+        if count.topic not in _SELF_TALK and TOPICS[count.topic].rate_hz > 0.0
+    ]
+
+
+def _rate(before: float, after: float, first: _Heard, last: _Heard) -> float:
+    """Increase a second by the node's own clock, on which both figures were taken; 0 after one heartbeat only."""
+    elapsed_s = last.status.uptime_s - first.status.uptime_s
+    return (after - before) / elapsed_s if elapsed_s > 0.0 else 0.0

@@ -1,0 +1,1066 @@
+// The page of the viewer: takes updates from the websocket, holds the newest, draws it. No library, nothing from outside.
+"use strict";
+
+const byId = (id) => document.getElementById(id);
+const TILE_HEADER_BYTES = 16;
+const TILE_MAP = 1;
+const TILE_MASK = 2;
+const DYNAMIC_RANGE_DB = 55;
+const LEAST_TOP_DB = 40;
+const STALE_MS = 2000;
+const ANNOUNCE_MS = 4000;
+const RECONNECT_MS = [500, 1000, 2000, 4000, 8000];
+
+const LAYERS = [
+  { key: "mask", name: "observable", on: true, swatch: drawMaskSwatch, hint: "blue: in direct sight; sand: in a mirror; bare: unknown" },
+  { key: "walls", name: "walls", on: true, swatch: drawWallSwatch },
+  { key: "los", name: "direct returns", on: true, swatch: (c) => drawDot(c, 11, 8, 3.5) },
+  { key: "images", name: "mirror images", on: true, swatch: (c) => drawDiamond(c, 11, 8, 5) },
+  { key: "objects", name: "recovered", on: true, swatch: drawObjectSwatch },
+  { key: "truth", name: "truth", on: true, swatch: drawTruthSwatch },
+  { key: "map", name: "radar map beneath", on: false, swatch: drawMapSwatch },
+  { key: "grid", name: "grid", on: true, swatch: drawGridSwatch },
+];
+
+const COLOUR_NAMES = [
+  "text", "unknown", "direct", "mirrored", "grid", "axis", "wall", "los", "los-edge", "image", "place", "object", "object-fill",
+  "sigma", "truth", "truth-seen", "surface", "ego", "label", "track",
+];
+
+const state = {
+  connection: "waiting", title: "", recording: false, colours: [],
+  paused: false, missed: 0, number: null, updates: 0, announced: "",
+  // what is shown, and what came while paused
+  view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], timeline: null,
+  held: { view: null, map: null },
+  layers: Object.fromEntries(LAYERS.map((layer) => [layer.key, layer.on])),
+  form: "cartesian", reach: 50, theme: null,
+};
+const camera = { x: 15, y: 0, scale: 10, fitted: null, free: false };
+const arrivals = [];
+let colours = {};
+let ramp = null;
+let dirty = { bev: true, map: true };
+// CSS pixels of the map's canvas, from range and azimuth, in the form that is drawn
+let mapToCanvas = null;
+
+// --- the websocket ---------------------------------------------------------------------------------------------------
+
+let socket = null;
+let attempts = 0;
+let update = null;
+
+function connect() {
+  const address = new URL("ws", location.href);
+  address.protocol = "ws:";
+  socket = new WebSocket(address);
+  socket.binaryType = "arraybuffer";
+  socket.onmessage = (event) => receive(event.data);
+  socket.onclose = (event) => {
+    setConnection(event.code === 1013 ? "full" : "lost");
+    setTimeout(connect, RECONNECT_MS[Math.min(attempts++, RECONNECT_MS.length - 1)]);
+  };
+}
+
+function send(message) {
+  if (socket && socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+}
+
+// An update is announced with the number of its messages; when all have come it is shown and acknowledged.
+function receive(data) {
+  if (update === null) {
+    const message = JSON.parse(data);
+    if (message.type === "hello") return greet(message);
+    update = { ...message, got: [] };
+  } else {
+    update.got.push(data);
+  }
+  if (update.got.length < update.messages) return;
+  const complete = update;
+  update = null;
+  try {
+    take(complete);
+  } finally {
+    send({ type: "ack", number: complete.number });
+  }
+}
+
+function greet(message) {
+  attempts = 0;
+  update = null;
+  Object.assign(state, { title: message.title, recording: message.recording, colours: message.colours });
+  ramp = colourRamp(message.colours);
+  byId("title").textContent = message.title;
+  document.title = `mirrorwave ${message.title}`;
+  byId("timeline").hidden = !message.recording;
+  document.body.toggleAttribute("data-recording", message.recording);
+  byId("pause").hidden = message.recording;
+  setConnection("live");
+  for (const layer of LAYERS) drawSwatch(layer);
+}
+
+function take({ kinds, got }) {
+  state.updates += 1;
+  for (let at = 0; at < got.length; at += 1) {
+    const message = JSON.parse(got[at]);
+    const tile = got[at + 1] instanceof ArrayBuffer ? readTile(got[(at += 1)]) : null;
+    const news = kinds[message.type];
+    if (message.type === "view") takeView({ message, mask: tile, at: performance.now() - news.held_ms });
+    else if (message.type === "map") takeMap({ message, tile });
+    else if (message.type === "nodes") { state.nodes = message.nodes; showNodes(); }
+    else if (message.type === "timeline") { state.timeline = message; showTimeline(); }
+  }
+}
+
+function takeView(news) {
+  // the same view may come again with its truth; after a restart numbers begin anew
+  const passed = news.message.number - (state.number ?? news.message.number - 1);
+  state.number = news.message.number;
+  if (passed !== 0) arrivals.push(news.at);
+  if (!state.recording) state.missed += Math.max(state.paused ? passed : passed - 1, 0);
+  if (!state.paused) return showView(news);
+  state.held.view = news;
+  return showFigures();
+}
+
+function takeMap(news) {
+  if (state.paused) state.held.map = news;
+  else showMap(news);
+}
+
+function readTile(buffer) {
+  const head = new DataView(buffer, 0, TILE_HEADER_BYTES);
+  const tile = {
+    kind: head.getUint8(3), scan: head.getUint32(4, true), rows: head.getUint16(8, true), columns: head.getUint16(10, true),
+    floor: head.getInt16(12, true) / 100, step: head.getUint16(14, true) / 1000,
+  };
+  const bytes = new Uint8Array(buffer, TILE_HEADER_BYTES);
+  tile.cells = tile.kind === TILE_MASK ? unpackQuads(bytes, tile.rows * tile.columns) : bytes;
+  return tile;
+}
+
+function unpackQuads(bytes, count) {
+  const cells = new Uint8Array(count);
+  for (let i = 0; i < count; i += 1) cells[i] = (bytes[i >> 2] >> (2 * (i & 3))) & 3;
+  return cells;
+}
+
+// --- what the page says ----------------------------------------------------------------------------------------------
+
+function setConnection(connection) {
+  state.connection = connection;
+  if (connection !== "live") update = null;
+  showFigures();
+}
+
+function showView({ message, mask, at }) {
+  Object.assign(state, { view: message, mask, viewAt: at, maskImage: null });
+  byId("summary").textContent = message.summary;
+  byId("flags").textContent = message.flags.map((flag) => flag.replace("_", " ")).join(", ");
+  byId("bev").setAttribute("aria-label", `Bird’s-eye view, scan ${message.scan_id}: ${message.summary}`);
+  showObjects();
+  announce(message);
+  if (!camera.free) fit(false);
+  dirty.bev = true;
+  showFigures();
+}
+
+function showMap({ message, tile }) {
+  Object.assign(state, { map: message, tile, planeImage: null, polarImage: null });
+  const conditions = [
+    message.mode === "coherent" ? "" : `${message.mode} mode`,
+    message.incoherent_share > 0 ? `${(100 * message.incoherent_share).toFixed(0)} % of ranges incoherent` : "",
+    message.missing_beams.length ? `beams ${message.missing_beams.join(", ")} missing` : "",
+    message.saturated_share > 0 ? `${(100 * message.saturated_share).toFixed(1)} % saturated` : "",
+    message.ego_compensated ? "ego motion taken out" : "",
+  ].filter(Boolean);
+  byId("map-note").textContent = [`scan ${message.scan_id}`, `peak ${message.peak_db.toFixed(0)} dB${message.reference === "noise" ? " over noise" : ""}`, ...conditions].join(" · ");
+  byId("map").setAttribute("aria-label", `Range-azimuth map of scan ${message.scan_id}, peak ${message.peak_db.toFixed(0)} dB over noise`);
+  dirty.map = true;
+  if (state.layers.map) dirty.bev = true;
+}
+
+// Screen readers hear of a new count at once, of a move beyond 1 m, and never more often than they can speak.
+let announcedAt = -Infinity;
+let announcedPlaces = "";
+function announce(view) {
+  const places = view.objects.map((one) => one.at.map(Math.round).join()).join(" ");
+  if (places === announcedPlaces || performance.now() - announcedAt < ANNOUNCE_MS) return;
+  Object.assign(state, { announced: view.summary });
+  announcedPlaces = places;
+  announcedAt = performance.now();
+  byId("announce").textContent = view.summary;
+}
+
+function showFigures() {
+  const now = performance.now();
+  while (arrivals.length && arrivals[0] < now - 5000) arrivals.shift();
+  const { view, timeline } = state;
+  const quiet = arrivals.length ? now - arrivals[arrivals.length - 1] : Infinity;
+  const [name, text] = linkState(quiet);
+  byId("link").dataset.state = name;
+  if (byId("link").textContent !== text) byId("link").textContent = text;
+  byId("scan").textContent = view ? view.scan_id : "–";
+  const span = arrivals.length > 1 ? (arrivals[arrivals.length - 1] - arrivals[0]) / 1000 : 0;
+  byId("rate").textContent = span > 0 ? `${((arrivals.length - 1) / span).toFixed(1)} Hz` : "–";
+  const age = view && !timeline ? (view.latency_ms || 0) + now - state.viewAt : null;
+  byId("age").textContent = age === null ? "–" : `${(age / 1000).toFixed(1)} s`;
+  byId("latency").textContent = view && view.latency_ms !== null ? `${view.latency_ms.toFixed(0)} ms` : "–";
+  byId("missed").textContent = state.missed;
+}
+
+function linkState(quiet) {
+  if (state.connection === "full") return ["lost", "too many pages look at once"];
+  if (state.connection === "lost") return ["lost", "no connection: has the graph ended?"];
+  if (state.connection === "waiting") return ["waiting", "connecting"];
+  if (state.recording) return ["live", "recording"];
+  if (state.paused) return ["waiting", "paused"];
+  if (!state.view) return ["waiting", "waiting for the first view"];
+  return quiet > STALE_MS ? ["waiting", `no new view for ${(quiet / 1000).toFixed(0)} s`] : ["live", "live"];
+}
+
+function cell(text, className) {
+  const td = document.createElement("td");
+  td.textContent = text;
+  if (className) td.className = className;
+  return td;
+}
+
+function row(...cells) {
+  const tr = document.createElement("tr");
+  tr.append(...cells);
+  return tr;
+}
+
+function noRow(columns, text) {
+  const td = cell(text, "none");
+  td.colSpan = columns;
+  return row(td);
+}
+
+function showObjects() {
+  const { view } = state;
+  const rows = view.objects.map((one) => {
+    const truth = nearestTruth(one);
+    return row(
+      cell(`#${one.id}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),
+      cell(one.score.toFixed(2)), cell(truth ? truth.object.class : "–"), cell(truth ? `${truth.distance.toFixed(1)} m` : "–"),
+    );
+  });
+  byId("objects").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(6, "none seen")]));
+}
+
+// The hidden truth nearest to a recovered object, by its centre or its outline: the radar sees faces, not centres.
+function nearestTruth(one) {
+  const candidates = ((state.view.truth || {}).objects || []).filter((object) => object.hidden);
+  let best = null;
+  for (const object of candidates) {
+    const distance = distanceToTruth(one.at, object);
+    if (best === null || distance < best.distance) best = { object, distance };
+  }
+  return best;
+}
+
+function distanceToTruth([x, y], { at, size, yaw }) {
+  const [dx, dy] = [x - at[0], y - at[1]];
+  const along = Math.abs(dx * Math.cos(yaw) + dy * Math.sin(yaw)) - size[0] / 2;
+  const across = Math.abs(dy * Math.cos(yaw) - dx * Math.sin(yaw)) - size[1] / 2;
+  const outline = along < 0 && across < 0 ? Math.min(-along, -across) : Math.hypot(Math.max(along, 0), Math.max(across, 0));
+  return Math.min(outline, Math.hypot(dx, dy));
+}
+
+function showNodes() {
+  const rows = [];
+  for (const node of state.nodes) {
+    const badge = document.createElement("span");
+    Object.assign(badge, { className: "state", textContent: node.state });
+    badge.dataset.state = node.state;
+    const stateCell = document.createElement("td");
+    stateCell.append(badge);
+    const lost = node.lost + node.rejected;
+    rows.push(row(
+      cell(node.node), stateCell, lines(node.rates.map((rate) => `${rate.topic.split("/").pop()} ${rate.hz.toFixed(1)} Hz`)),
+      lines(node.stages.map((stage) => `${stage.name}: ${ms(stage.mean_ms)}, ${ms(stage.max_ms)}`)),
+      cell(lost, lost ? "lossy" : ""), cell(`${(100 * node.cpu).toFixed(0)}%`), cell(node.memory_mib),
+    ));
+    if (node.reason) {
+      const why = cell(node.reason);
+      why.colSpan = 7;
+      const tr = row(why);
+      tr.className = "reason";
+      rows.push(tr);
+    }
+  }
+  byId("nodes").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(7, "no heartbeat yet")]));
+}
+
+const ms = (value) => (value < 10 ? value.toFixed(1) : value.toFixed(0));
+
+function lines(texts) {
+  const td = cell("");
+  texts.forEach((text) => { const div = document.createElement("div"); div.textContent = text; td.append(div); });
+  return td;
+}
+
+function showTimeline() {
+  const { index, count, time_s: time, duration_s: duration, playing, loss } = state.timeline;
+  const seek = byId("seek");
+  seek.max = count - 1;
+  if (document.activeElement !== seek || playing) seek.value = index;
+  seek.setAttribute("aria-valuetext", `scan ${index + 1} of ${count}`);
+  byId("clock").textContent = `${time.toFixed(1)} / ${duration.toFixed(1)} s · ${index + 1} of ${count}${loss ? " · incomplete" : ""}`;
+  byId("clock").title = loss || "";
+  setLabel("play", "space", playing ? "Pause" : "Play");
+}
+
+function setLabel(id, key, text) {
+  const kbd = document.createElement("kbd");
+  kbd.textContent = key;
+  byId(id).replaceChildren(kbd, ` ${text}`);
+}
+
+// --- the bird's-eye view ---------------------------------------------------------------------------------------------
+// x forward is up, y left is to the left. Positions are CSS pixels of the canvas.
+
+const bev = byId("bev");
+
+function toCanvas(x, y) {
+  return [bev.clientWidth / 2 - camera.scale * (y - camera.y), bev.clientHeight / 2 - camera.scale * (x - camera.x)];
+}
+
+function toWorld(px, py) {
+  return [camera.x - (py - bev.clientHeight / 2) / camera.scale, camera.y - (px - bev.clientWidth / 2) / camera.scale];
+}
+
+function fit(always) {
+  const limits = limitsOf(state.view);
+  const old = camera.fitted;
+  // small changes must not make the picture jump
+  const same = old && limits.every((value, i) => Math.abs(value - old[i]) < 6);
+  if (same && !always) return;
+  camera.fitted = limits;
+  const [front, left, right, back] = limits;
+  camera.x = (front + back) / 2;
+  camera.y = (left + right) / 2;
+  camera.scale = Math.min(bev.clientHeight / (front - back), bev.clientWidth / (left - right));
+  camera.free = false;
+  dirty.bev = true;
+}
+
+function limitsOf(view) {
+  const xs = [0, 20];
+  const ys = [10, -10];
+  const add = (x, y) => { xs.push(x); ys.push(y); };
+  if (view) {
+    for (let i = 0; i < view.los.length; i += 2) add(view.los[i], view.los[i + 1]);
+    for (const [x, y, ix, iy] of view.points) { add(x, y); add(ix, iy); }
+    for (const { ends } of view.walls) { add(ends[0], ends[1]); add(ends[2], ends[3]); }
+    for (const { line } of (view.truth || { surfaces: [] }).surfaces) for (let i = 0; i < line.length; i += 2) add(line[i], line[i + 1]);
+  }
+  return [Math.min(quantile(xs, 0.98) + 4, 115), quantile(ys, 0.98) + 4, quantile(ys, 0.02) - 4, -4];
+}
+
+function quantile(values, share) {
+  const sorted = [...values].sort((a, b) => a - b);
+  return sorted[Math.round(share * (sorted.length - 1))];
+}
+
+function prepare(canvas) {
+  const ratio = window.devicePixelRatio || 1;
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight];
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const context = canvas.getContext("2d");
+  context.setTransform(ratio, 0, 0, ratio, 0, 0);
+  context.clearRect(0, 0, width, height);
+  context.font = "12px system-ui, 'Segoe UI', 'Noto Sans', 'DejaVu Sans', sans-serif";
+  return context;
+}
+
+// Upon the map, which is dark, everything is drawn as in the dark.
+function drawBev() {
+  const page = colours;
+  bev.dataset.theme = state.layers.map ? "dark" : state.theme;
+  colours = coloursOf(bev);
+  paintBev(prepare(bev));
+  colours = page;
+}
+
+function paintBev(c) {
+  c.fillStyle = colours.unknown;
+  c.fillRect(0, 0, bev.clientWidth, bev.clientHeight);
+  const { view, layers } = state;
+  if (view && layers.mask && state.mask) drawMask(c, view.mask);
+  if (layers.map && state.tile) drawMapBeneath(c);
+  if (layers.grid) drawGrid(c);
+  if (view) {
+    if (layers.truth && view.truth) drawTruth(c, view.truth);
+    if (layers.walls) view.walls.forEach(({ ends }) => stroke(c, ends, colours.wall, 4));
+    if (layers.images) drawImages(c, view.points);
+    if (layers.los) for (let i = 0; i < view.los.length; i += 2) drawDot(c, ...toCanvas(view.los[i], view.los[i + 1]), 3);
+    if (layers.objects) drawObjects(c, view);
+  }
+  drawEgo(c, view && view.vehicle);
+  drawScaleBar(c);
+}
+
+function drawMask(c, grid) {
+  if (!state.maskImage) state.maskImage = maskImage(state.mask);
+  drawInWorld(c, state.maskImage, grid.x_min, grid.y_min, grid.cell, grid.cell, false);
+}
+
+function maskImage({ rows, columns, cells }) {
+  const image = new OffscreenCanvas(columns, rows);
+  const context = image.getContext("2d");
+  const pixels = context.createImageData(columns, rows);
+  const shades = [[0, 0, 0, 0], rgba(colours.direct), rgba(colours.mirrored), [0, 0, 0, 0]];
+  for (let i = 0; i < cells.length; i += 1) pixels.data.set(shades[cells[i]], 4 * i);
+  context.putImageData(pixels, 0, 0);
+  return image;
+}
+
+// Draws an image whose columns run along x and rows along y, from their minimum.
+function drawInWorld(c, image, x, y, cellX, cellY, smooth) {
+  const ratio = window.devicePixelRatio || 1;
+  const [px, py] = toCanvas(x, y);
+  c.save();
+  c.imageSmoothingEnabled = smooth;
+  c.setTransform(0, -camera.scale * cellX * ratio, -camera.scale * cellY * ratio, 0, px * ratio, py * ratio);
+  c.drawImage(image, 0, 0);
+  c.restore();
+}
+
+function niceStep(minimum) {
+  const power = 10 ** Math.floor(Math.log10(minimum));
+  return [1, 2, 5, 10].map((factor) => factor * power).find((step) => step >= minimum);
+}
+
+function drawGrid(c) {
+  const step = niceStep(60 / camera.scale);
+  const [xMax, yMax] = toWorld(0, 0);
+  const [xMin, yMin] = toWorld(bev.clientWidth, bev.clientHeight);
+  c.strokeStyle = colours.grid;
+  c.lineWidth = 1;
+  c.beginPath();
+  for (let x = Math.ceil(xMin / step) * step; x <= xMax; x += step) line(c, [...toCanvas(x, yMax)], [...toCanvas(x, yMin)]);
+  for (let y = Math.ceil(yMin / step) * step; y <= yMax; y += step) line(c, [...toCanvas(xMin, y)], [...toCanvas(xMax, y)]);
+  c.stroke();
+  c.fillStyle = colours.axis;
+  c.textAlign = "left";
+  for (let x = Math.ceil(xMin / step) * step; x <= xMax; x += step) {
+    const py = toCanvas(x, 0)[1];
+    if (py > 24 && py < bev.clientHeight - 24) caption(c, `${Number(x.toFixed(3))}`, 6, py + 4);
+  }
+  c.textAlign = "center";
+  for (let y = Math.ceil(yMin / step) * step; y <= yMax; y += step) {
+    const px = toCanvas(0, y)[0];
+    if (px > 40 && px < bev.clientWidth - 90) caption(c, `${Number(y.toFixed(3))}`, px, bev.clientHeight - 6);
+  }
+  c.textAlign = "left";
+  caption(c, "x forward [m]", 6, 14);
+  c.textAlign = "right";
+  caption(c, "y left [m]", bev.clientWidth - 8, bev.clientHeight - 6);
+}
+
+// Text that stays legible upon lines and shades.
+function caption(c, text, px, py) {
+  Object.assign(c, { strokeStyle: colours.label, lineWidth: 3, lineJoin: "round" });
+  c.strokeText(text, px, py);
+  c.fillText(text, px, py);
+}
+
+function line(c, from, to) {
+  c.moveTo(Math.round(from[0]) + 0.5, Math.round(from[1]) + 0.5);
+  c.lineTo(Math.round(to[0]) + 0.5, Math.round(to[1]) + 0.5);
+}
+
+function stroke(c, flat, colour, width, dash = []) {
+  c.beginPath();
+  for (let i = 0; i < flat.length; i += 2) c.lineTo(...toCanvas(flat[i], flat[i + 1]));
+  Object.assign(c, { strokeStyle: colour, lineWidth: width, lineCap: "round", lineJoin: "round" });
+  c.setLineDash(dash);
+  c.stroke();
+  c.setLineDash([]);
+}
+
+function box(c, { at, size, yaw }) {
+  const [cos, sin] = [Math.cos(yaw), Math.sin(yaw)];
+  c.beginPath();
+  for (const [u, v] of [[1, 1], [-1, 1], [-1, -1], [1, -1]]) {
+    const [dx, dy] = [(u * size[0]) / 2, (v * size[1]) / 2];
+    c.lineTo(...toCanvas(at[0] + cos * dx - sin * dy, at[1] + sin * dx + cos * dy));
+  }
+  c.closePath();
+}
+
+function drawDot(c, px, py, radius) {
+  c.beginPath();
+  c.arc(px, py, radius, 0, 2 * Math.PI);
+  Object.assign(c, { fillStyle: colours.los, strokeStyle: colours["los-edge"], lineWidth: 1 });
+  c.fill();
+  c.stroke();
+}
+
+function drawDiamond(c, px, py, radius, fill = true) {
+  c.beginPath();
+  for (const [dx, dy] of [[0, -1], [1, 0], [0, 1], [-1, 0]]) c.lineTo(px + radius * dx, py + radius * dy);
+  c.closePath();
+  Object.assign(c, { fillStyle: colours.unknown, strokeStyle: colours.image, lineWidth: 1.8 });
+  if (fill) c.fill();
+  c.stroke();
+}
+
+function drawImages(c, points) {
+  c.globalAlpha = 0.75;
+  for (const [x, y, ix, iy] of points) stroke(c, [ix, iy, x, y], colours.image, 1);
+  c.globalAlpha = 1;
+  for (const [x, y, ix, iy] of points) {
+    drawDiamond(c, ...toCanvas(ix, iy), 5);
+    const [px, py] = toCanvas(x, y);
+    c.beginPath();
+    c.moveTo(px - 4, py - 4); c.lineTo(px + 4, py + 4); c.moveTo(px - 4, py + 4); c.lineTo(px + 4, py - 4);
+    Object.assign(c, { strokeStyle: colours.place, lineWidth: 1.6 });
+    c.stroke();
+  }
+}
+
+function drawObjects(c, view) {
+  for (const track of view.tracks) {
+    const [x, y] = track.at;
+    stroke(c, [x, y, x + 2 * track.velocity[0], y + 2 * track.velocity[1]], colours.track, 2);
+  }
+  for (const one of view.objects) {
+    box(c, one);
+    Object.assign(c, { fillStyle: colours["object-fill"], strokeStyle: colours.object, lineWidth: 2.4 });
+    c.fill();
+    c.stroke();
+    drawEllipse(c, one);
+  }
+  const placed = [];
+  for (const one of view.objects) drawLabel(c, one, placed);
+}
+
+function drawEllipse(c, { at, ellipse: [major, minor, angle] }) {
+  const points = [];
+  for (let i = 0; i <= 48; i += 1) {
+    const t = (2 * Math.PI * i) / 48;
+    const [u, v] = [major * Math.cos(t), minor * Math.sin(t)];
+    points.push(at[0] + u * Math.cos(angle) - v * Math.sin(angle), at[1] + u * Math.sin(angle) + v * Math.cos(angle));
+  }
+  stroke(c, points, colours.sigma, 1.2, [4, 3]);
+}
+
+function drawLabel(c, one, placed) {
+  const text = `#${one.id}  ${one.score.toFixed(2)}`;
+  const width = c.measureText(text).width + 12;
+  const [px, py] = toCanvas(...one.at);
+  const reach = camera.scale * Math.hypot(...one.size) * 0.5;
+  const spots = [[0.7, -0.7], [0.7, 0.7], [-0.7, -0.7], [-0.7, 0.7], [1.6, -1.2]].map(([u, v]) => ({
+    x: px + u * reach + (u > 0 ? 8 : -8 - width), y: py + v * reach + (v > 0 ? 4 : -24), width, height: 20,
+  }));
+  const spot = spots.find((a) => placed.every((b) => a.x > b.x + b.width || b.x > a.x + a.width || a.y > b.y + b.height || b.y > a.y + a.height)) || spots[0];
+  placed.push(spot);
+  c.beginPath();
+  c.roundRect(spot.x, spot.y, spot.width, spot.height, 4);
+  Object.assign(c, { fillStyle: colours.label, strokeStyle: colours.object, lineWidth: 1, textAlign: "left" });
+  c.fill();
+  c.stroke();
+  c.fillStyle = colours.text;
+  c.fillText(text, spot.x + 6, spot.y + 14);
+}
+
+function drawTruth(c, truth) {
+  for (const { line: flat, role } of truth.surfaces) stroke(c, flat, colours.surface, 1.5, role === "ground" ? [2, 4] : []);
+  for (const one of truth.objects) {
+    box(c, one);
+    Object.assign(c, { strokeStyle: one.hidden ? colours.truth : colours["truth-seen"], lineWidth: 2 });
+    c.stroke();
+    const [vx, vy] = one.velocity;
+    if (Math.hypot(vx, vy) > 0.1) stroke(c, [...one.at, one.at[0] + vx, one.at[1] + vy], colours.truth, 1.5);
+  }
+}
+
+// The radar, and where its vehicle will be in two seconds if it goes on as it does.
+function drawEgo(c, vehicle) {
+  if (vehicle && vehicle.valid && Math.abs(vehicle.speed_mps) > 0.05) {
+    const points = [];
+    for (let i = 0; i <= 20; i += 1) {
+      const yaw = (vehicle.yaw_rate_rps * i) / 10;
+      const chord = ((vehicle.speed_mps * i) / 10) * (Math.abs(yaw) > 1e-9 ? Math.sin(yaw / 2) / (yaw / 2) : 1);
+      points.push(chord * Math.cos(yaw / 2), chord * Math.sin(yaw / 2));
+    }
+    stroke(c, points, colours.ego, 2, [6, 4]);
+  }
+  const [px, py] = toCanvas(0, 0);
+  c.beginPath();
+  c.moveTo(px, py - 9); c.lineTo(px + 8, py + 7); c.lineTo(px, py + 3); c.lineTo(px - 8, py + 7);
+  c.closePath();
+  c.fillStyle = colours.ego;
+  c.fill();
+  c.textAlign = "left";
+  const words = !vehicle ? "radar" : !vehicle.valid ? `radar, motion unknown: ${vehicle.reason}`
+    : `radar, ${vehicle.speed_mps.toFixed(1)} m/s${Math.abs(vehicle.yaw_rate_rps) > 1e-3 ? `, ${((vehicle.yaw_rate_rps * 180) / Math.PI).toFixed(0)}°/s` : ""}`;
+  caption(c, words, px + 13, py + 6);
+}
+
+function drawScaleBar(c) {
+  const metres = niceStep(80 / camera.scale);
+  const width = metres * camera.scale;
+  const [right, y] = [bev.clientWidth - 16, 22];
+  Object.assign(c, { strokeStyle: colours.text, lineWidth: 2, fillStyle: colours.text, textAlign: "center", lineCap: "butt" });
+  c.beginPath();
+  c.moveTo(right - width, y - 4); c.lineTo(right - width, y); c.lineTo(right, y); c.lineTo(right, y - 4);
+  c.stroke();
+  caption(c, `${metres} m`, right - width / 2, y - 7);
+}
+
+// --- the range-azimuth map -------------------------------------------------------------------------------------------
+
+function colourRamp(anchors) {
+  const stops = anchors.map(rgba);
+  const table = new Uint8ClampedArray(4 * 256);
+  for (let i = 0; i < 256; i += 1) {
+    const at = (i / 255) * (stops.length - 1);
+    const low = Math.min(Math.floor(at), stops.length - 2);
+    for (let k = 0; k < 3; k += 1) table[4 * i + k] = stops[low][k] + (at - low) * (stops[low + 1][k] - stops[low][k]);
+    table[4 * i + 3] = 255;
+  }
+  return table;
+}
+
+function rgba(hex) {
+  const digits = hex.trim().slice(1);
+  return [0, 2, 4, 6].map((at) => (at < digits.length ? parseInt(digits.slice(at, at + 2), 16) : 255));
+}
+
+// Levels from the lowest to the highest colour. Noise alone must look like noise: dark.
+function levelWindow() {
+  if (state.map.reference !== "noise") return [-DYNAMIC_RANGE_DB, 0];
+  const top = Math.max(Math.ceil(state.map.peak_db / 5) * 5, LEAST_TOP_DB);
+  return [Math.max(top - DYNAMIC_RANGE_DB, 0), top];
+}
+
+// Colour of each code of a tile within the window of levels.
+function codeColours({ floor, step }) {
+  const [low, high] = levelWindow();
+  const table = new Uint8ClampedArray(4 * 256);
+  for (let code = 0; code < 256; code += 1) {
+    const share = Math.min(Math.max((floor + step * code - low) / (high - low), 0), 1);
+    const at = 4 * Math.round(255 * share);
+    table.set(ramp.subarray(at, at + 4), 4 * code);
+  }
+  return table;
+}
+
+// Level of the tile at a range and an azimuth, interpolated between its cells; null outside the sector.
+function sampler(map, tile) {
+  const limit = (map.azimuth_limit_deg * Math.PI) / 180;
+  const azimuthStep = (2 * limit) / (map.azimuth_bins - 1);
+  const [poolRows, poolColumns] = map.pool;
+  const { rows, columns, cells } = tile;
+  return (range, azimuth) => {
+    if (Math.abs(azimuth) > limit) return null;
+    const r = (range / map.range_bin_m - (poolRows - 1) / 2) / poolRows;
+    if (r > rows - 0.5) return null;
+    const a = ((azimuth + limit) / azimuthStep - (poolColumns - 1) / 2) / poolColumns;
+    const r0 = Math.min(Math.max(Math.floor(r), 0), rows - 1);
+    const a0 = Math.min(Math.max(Math.floor(a), 0), columns - 1);
+    const r1 = Math.min(r0 + 1, rows - 1);
+    const a1 = Math.min(a0 + 1, columns - 1);
+    const fr = Math.min(Math.max(r - r0, 0), 1);
+    const fa = Math.min(Math.max(a - a0, 0), 1);
+    const near = cells[r0 * columns + a0] * (1 - fa) + cells[r0 * columns + a1] * fa;
+    const far = cells[r1 * columns + a0] * (1 - fa) + cells[r1 * columns + a1] * fa;
+    return near * (1 - fr) + far * fr;
+  };
+}
+
+function paint(width, height, levelAt) {
+  const image = new OffscreenCanvas(width, height);
+  const context = image.getContext("2d");
+  const pixels = context.createImageData(width, height);
+  const table = codeColours(state.tile);
+  for (let v = 0, at = 0; v < height; v += 1) {
+    for (let u = 0; u < width; u += 1, at += 4) {
+      const level = levelAt(u, v);
+      if (level !== null) pixels.data.set(table.subarray(4 * Math.round(level), 4 * Math.round(level) + 4), at);
+    }
+  }
+  context.putImageData(pixels, 0, 0);
+  return image;
+}
+
+// The map in the plane: columns run along x, rows along y, so many along x.
+const PLANE_CELLS = 400;
+function planeImage() {
+  if (!state.planeImage || state.planeReach !== state.reach) {
+    const level = sampler(state.map, state.tile);
+    const side = state.reach * Math.sin((state.map.azimuth_limit_deg * Math.PI) / 180);
+    const cell = state.reach / PLANE_CELLS;
+    const [width, height] = [PLANE_CELLS, 2 * Math.ceil(side / cell)];
+    state.planeImage = paint(width, height, (u, v) => {
+      const x = (u + 0.5) * cell;
+      const y = (v + 0.5 - height / 2) * cell;
+      const range = Math.hypot(x, y);
+      return range > state.reach ? null : level(range, Math.atan2(y, x));
+    });
+    state.planeReach = state.reach;
+    state.planeCell = cell;
+    state.planeSide = (height / 2) * cell;
+  }
+  return state.planeImage;
+}
+
+function drawMapBeneath(c) {
+  const image = planeImage();
+  c.globalAlpha = 0.85;
+  drawInWorld(c, image, 0, -state.planeSide, state.planeCell, state.planeCell, true);
+  c.globalAlpha = 1;
+}
+
+function drawMap() {
+  const canvas = byId("map");
+  const c = prepare(canvas);
+  if (!state.map || !state.tile) return;
+  const area = { x: 30, y: 8, width: canvas.clientWidth - 30 - 76, height: canvas.clientHeight - 8 - 24 };
+  if (state.form === "polar") drawPolar(c, area);
+  else drawPlane(c, area);
+  drawColourBar(c, canvas.clientWidth - 58, 8, 12, canvas.clientHeight - 40);
+}
+
+function drawPolar(c, area) {
+  const { map, tile, reach } = state;
+  const limit = map.azimuth_limit_deg;
+  const level = sampler(map, tile);
+  const [width, height] = [Math.round(area.width), Math.round(area.height)];
+  if (!state.polarImage || state.polarReach !== reach) {
+    state.polarImage = paint(width, height, (u, v) =>
+      level(reach * (1 - (v + 0.5) / height), ((1 - (2 * (u + 0.5)) / width) * limit * Math.PI) / 180));
+    state.polarReach = reach;
+  }
+  c.fillStyle = state.colours[0];
+  c.fillRect(area.x, area.y, area.width, area.height);
+  c.drawImage(state.polarImage, area.x, area.y, area.width, area.height);
+  mapToCanvas = (range, azimuth) => [
+    area.x + area.width * (0.5 - (azimuth * 180) / Math.PI / limit / 2), area.y + area.height * (1 - range / reach),
+  ];
+  drawPeaks(c);
+  drawTicks(c, area, [-60, -30, 0, 30, 60].filter((value) => Math.abs(value) <= limit), (value) => mapToCanvas(0, (value * Math.PI) / 180)[0], "°", (value) => mapToCanvas(value, 0)[1]);
+}
+
+function drawPlane(c, area) {
+  const { reach, map } = state;
+  const side = reach * Math.sin((map.azimuth_limit_deg * Math.PI) / 180);
+  const scale = Math.min(area.width / (2 * side), area.height / reach);
+  const [cx, cy] = [area.x + area.width / 2, area.y + area.height];
+  const image = planeImage();
+  const ratio = window.devicePixelRatio || 1;
+  c.save();
+  c.setTransform(0, -scale * state.planeCell * ratio, -scale * state.planeCell * ratio, 0, (cx + scale * state.planeSide) * ratio, cy * ratio);
+  c.drawImage(image, 0, 0);
+  c.restore();
+  mapToCanvas = (range, azimuth) => [cx - scale * range * Math.sin(azimuth), cy - scale * range * Math.cos(azimuth)];
+  drawPeaks(c);
+  const step = reach / 2;
+  drawTicks(c, area, [-1, 0, 1].map((k) => k * step).filter((y) => Math.abs(y) <= side), (y) => cx - scale * y, "", (x) => cy - scale * x);
+}
+
+function drawPeaks(c) {
+  for (const [range, azimuth, mirrored] of state.map.peaks || []) {
+    if (range > state.reach) continue;
+    const [px, py] = mapToCanvas(range, azimuth);
+    if (mirrored) {
+      c.strokeStyle = "#ffb000";
+      c.lineWidth = 1.6;
+      c.beginPath();
+      for (const [dx, dy] of [[0, -5], [5, 0], [0, 5], [-5, 0]]) c.lineTo(px + dx, py + dy);
+      c.closePath();
+    } else {
+      c.strokeStyle = "#7fd0ff";
+      c.lineWidth = 1.4;
+      c.beginPath();
+      c.arc(px, py, 4, 0, 2 * Math.PI);
+    }
+    c.stroke();
+  }
+}
+
+function drawTicks(c, area, across, acrossAt, unit, upAt) {
+  c.fillStyle = colours.axis;
+  c.textAlign = "center";
+  for (const value of across) c.fillText(`${Math.round(value)}${unit}`, acrossAt(value), area.y + area.height + 16);
+  c.textAlign = "right";
+  for (const share of [0, 0.5, 1]) {
+    c.fillText(`${Math.round(share * state.reach)}`, area.x - 6, Math.max(upAt(share * state.reach), area.y + 8) + (share ? 4 : 0));
+  }
+  c.textAlign = "left";
+  c.fillText("m", 2, area.y + area.height + 16);
+}
+
+function drawColourBar(c, x, y, width, height) {
+  const [low, high] = levelWindow();
+  for (let i = 0; i < height; i += 1) {
+    const at = 4 * Math.round(255 * (1 - i / (height - 1)));
+    c.fillStyle = `rgb(${ramp[at]}, ${ramp[at + 1]}, ${ramp[at + 2]})`;
+    c.fillRect(x, y + i, width, 1.5);
+  }
+  c.fillStyle = colours.axis;
+  c.textAlign = "left";
+  for (let level = Math.ceil(low / 10) * 10; level <= high; level += 10) {
+    c.fillText(`${level}`, x + width + 5, Math.min(Math.max(y + height * (1 - (level - low) / (high - low)), y + 6), y + height - 2) + 4);
+  }
+  c.save();
+  c.translate(x + width + 38, y + height / 2);
+  c.rotate(-Math.PI / 2);
+  c.textAlign = "center";
+  c.fillText(state.map.reference === "noise" ? "dB over noise" : "dB below peak", 0, 0);
+  c.restore();
+}
+
+// --- swatches --------------------------------------------------------------------------------------------------------
+
+function drawSwatch(layer) {
+  const canvas = byId(`swatch-${layer.key}`);
+  canvas.width = 44;
+  canvas.height = 32;
+  const c = canvas.getContext("2d");
+  c.setTransform(2, 0, 0, 2, 0, 0);
+  c.clearRect(0, 0, 22, 16);
+  layer.swatch(c);
+}
+
+function plain(c, colour, width, points) {
+  c.beginPath();
+  for (let i = 0; i < points.length; i += 2) c.lineTo(points[i], points[i + 1]);
+  Object.assign(c, { strokeStyle: colour, lineWidth: width });
+  c.stroke();
+}
+
+function drawMaskSwatch(c) {
+  c.fillStyle = colours.direct;
+  c.fillRect(1, 2, 10, 12);
+  c.fillStyle = colours.mirrored;
+  c.fillRect(11, 2, 10, 12);
+  Object.assign(c, { strokeStyle: colours.surface, lineWidth: 0.75 });
+  c.strokeRect(1, 2, 20, 12);
+}
+
+function drawWallSwatch(c) { plain(c, colours.wall, 4, [2, 8, 20, 8]); }
+
+function drawObjectSwatch(c) {
+  Object.assign(c, { fillStyle: colours["object-fill"], strokeStyle: colours.object, lineWidth: 2 });
+  c.fillRect(2, 3, 18, 10);
+  c.strokeRect(2, 3, 18, 10);
+}
+
+function drawTruthSwatch(c) {
+  Object.assign(c, { strokeStyle: colours.truth, lineWidth: 2 });
+  c.strokeRect(2, 3, 18, 10);
+}
+
+function drawMapSwatch(c) {
+  const gradient = c.createLinearGradient(1, 0, 21, 0);
+  (state.colours.length ? state.colours : ["#00224e", "#fee838"]).forEach((colour, i, all) => gradient.addColorStop(i / (all.length - 1), colour));
+  c.fillStyle = gradient;
+  c.fillRect(1, 2, 20, 12);
+}
+
+function drawGridSwatch(c) {
+  for (const at of [4, 9, 14, 19]) plain(c, colours.axis, 0.75, [at, 1, at, 15]);
+  for (const at of [3, 8, 13]) plain(c, colours.axis, 0.75, [1, at, 21, at]);
+}
+
+// --- what people do --------------------------------------------------------------------------------------------------
+
+function setPaused(paused) {
+  state.paused = paused;
+  byId("pause").setAttribute("aria-pressed", paused);
+  setLabel("pause", "space", paused ? "Resume" : "Pause");
+  if (!paused) {
+    if (state.held.view) showView(state.held.view);
+    if (state.held.map) showMap(state.held.map);
+    state.held = { view: null, map: null };
+  } else {
+    state.missed = 0;
+  }
+  showFigures();
+}
+
+function togglePlay() {
+  if (!state.recording) return setPaused(!state.paused);
+  const playing = state.timeline && state.timeline.playing;
+  send({ type: "play", speed: playing ? 0 : Number(byId("speed").value) });
+}
+
+function stepBy(by) {
+  if (state.recording) send({ type: "step", by });
+}
+
+function setLayer(key, on) {
+  state.layers[key] = on;
+  byId(`layer-${key}`).checked = on;
+  remember("layers", JSON.stringify(state.layers));
+  if (key === "map") state.maskImage = null;
+  dirty.bev = true;
+}
+
+function setForm(form) {
+  state.form = form;
+  byId("form-cartesian").setAttribute("aria-pressed", form === "cartesian");
+  byId("form-polar").setAttribute("aria-pressed", form === "polar");
+  state.polarImage = null;
+  dirty.map = true;
+}
+
+function setTheme(theme) {
+  state.theme = theme;
+  document.documentElement.dataset.theme = theme;
+  byId("theme-name").textContent = theme === "dark" ? "Light" : "Dark";
+  colours = coloursOf(document.documentElement);
+  state.maskImage = null;
+  for (const layer of LAYERS) drawSwatch(layer);
+  dirty = { bev: true, map: true };
+}
+
+function coloursOf(element) {
+  const style = getComputedStyle(element);
+  return Object.fromEntries(COLOUR_NAMES.map((name) => [name, style.getPropertyValue(`--${name}`).trim()]));
+}
+
+function zoom(factor, px = bev.clientWidth / 2, py = bev.clientHeight / 2) {
+  const before = toWorld(px, py);
+  camera.scale = Math.min(Math.max(camera.scale * factor, 1), 400);
+  const after = toWorld(px, py);
+  move(before[0] - after[0], before[1] - after[1]);
+}
+
+function move(dx, dy) {
+  camera.x += dx;
+  camera.y += dy;
+  camera.free = true;
+  dirty.bev = true;
+}
+
+// Layout is kept for this page's origin; where storage is refused the page works without.
+function remember(key, value) {
+  try { localStorage.setItem(`mirrorwave.${key}`, value); } catch { /* private window */ }
+}
+
+function recall(key) {
+  try { return localStorage.getItem(`mirrorwave.${key}`); } catch { return null; }
+}
+
+const ARROWS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRight: [0, -1] };
+const KEYS = {
+  " ": togglePlay, f: () => fit(true), t: toggleTheme, "?": () => byId("help").showModal(),
+  r: () => setForm(state.form === "polar" ? "cartesian" : "polar"),
+  ",": () => stepBy(-1), ".": () => stepBy(1), "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(0.8),
+};
+
+function toggleTheme() {
+  setTheme(state.theme === "dark" ? "light" : "dark");
+  remember("theme", state.theme);
+}
+
+function onKey(event) {
+  const { target, key } = event;
+  if (event.ctrlKey || event.altKey || event.metaKey || byId("help").open) return;
+  // space and arrows belong to the control that has the focus
+  const control = target instanceof Element && target.closest("button, input, select, a");
+  if (control && (key === " " || key in ARROWS || key === "Enter")) return;
+  if (control && control.tagName === "SELECT") return;
+  const layer = LAYERS[Number(key) - 1];
+  if (/^[1-9]$/.test(key) && layer) setLayer(layer.key, !state.layers[layer.key]);
+  else if (key in KEYS) KEYS[key]();
+  else if (key in ARROWS && target === bev) move(...ARROWS[key].map((part) => (part * 60) / camera.scale));
+  else return;
+  event.preventDefault();
+}
+
+function listenToPointer() {
+  let from = null;
+  bev.addEventListener("pointerdown", (event) => {
+    from = [event.clientX, event.clientY];
+    bev.setPointerCapture(event.pointerId);
+    bev.classList.add("dragging");
+  });
+  bev.addEventListener("pointermove", (event) => {
+    if (!from) return;
+    move((event.clientY - from[1]) / camera.scale, (event.clientX - from[0]) / camera.scale);
+    from = [event.clientX, event.clientY];
+  });
+  for (const end of ["pointerup", "pointercancel"]) {
+    bev.addEventListener(end, () => { from = null; bev.classList.remove("dragging"); });
+  }
+  bev.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
+  }, { passive: false });
+}
+
+function buildLayers() {
+  const kept = JSON.parse(recall("layers") || "{}");
+  LAYERS.forEach((layer, index) => {
+    if (typeof kept[layer.key] === "boolean") state.layers[layer.key] = kept[layer.key];
+    const label = document.createElement("label");
+    const input = Object.assign(document.createElement("input"), { type: "checkbox", id: `layer-${layer.key}`, checked: state.layers[layer.key] });
+    const swatch = Object.assign(document.createElement("canvas"), { id: `swatch-${layer.key}` });
+    swatch.setAttribute("aria-hidden", "true");
+    const kbd = Object.assign(document.createElement("kbd"), { textContent: index + 1 });
+    label.title = layer.hint || "";
+    label.append(input, kbd, swatch, layer.name);
+    input.addEventListener("change", () => setLayer(layer.key, input.checked));
+    byId("layers").append(label);
+  });
+}
+
+function turn() {
+  if (dirty.bev) { dirty.bev = false; drawBev(); }
+  if (dirty.map) { dirty.map = false; drawMap(); }
+  requestAnimationFrame(turn);
+}
+
+function start() {
+  buildLayers();
+  const darkWanted = matchMedia("(prefers-color-scheme: dark)");
+  const theme = () => recall("theme") || (darkWanted.matches ? "dark" : "light");
+  setTheme(theme());
+  darkWanted.addEventListener("change", () => setTheme(theme()));
+  listenToPointer();
+  document.addEventListener("keydown", onKey);
+  byId("pause").addEventListener("click", () => setPaused(!state.paused));
+  byId("fit").addEventListener("click", () => fit(true));
+  byId("theme").addEventListener("click", toggleTheme);
+  byId("help-open").addEventListener("click", () => byId("help").showModal());
+  byId("form-cartesian").addEventListener("click", () => setForm("cartesian"));
+  byId("form-polar").addEventListener("click", () => setForm("polar"));
+  byId("reach").addEventListener("change", (event) => {
+    state.reach = Number(event.target.value);
+    state.planeImage = null;
+    dirty = { bev: true, map: true };
+  });
+  byId("play").addEventListener("click", togglePlay);
+  byId("back").addEventListener("click", () => stepBy(-1));
+  byId("forward").addEventListener("click", () => stepBy(1));
+  byId("seek").addEventListener("input", (event) => send({ type: "seek", index: Number(event.target.value) }));
+  byId("speed").addEventListener("change", () => {
+    if (state.timeline && state.timeline.playing) send({ type: "play", speed: Number(byId("speed").value) });
+  });
+  const sized = new ResizeObserver(() => {
+    if (!camera.free && state.view) fit(true);
+    state.polarImage = null;
+    dirty = { bev: true, map: true };
+  });
+  sized.observe(bev);
+  sized.observe(byId("map"));
+  setInterval(showFigures, 200);
+  requestAnimationFrame(turn);
+  connect();
+}
+
+// For tests and for whoever opens the console: what is shown, and the canvas's own scale.
+window.mirrorwave = { state, camera, toCanvas, toWorld, mapToCanvas: (range, azimuth) => mapToCanvas(range, azimuth), setPaused, setLayer, setForm, setTheme, fit };
+
+start();

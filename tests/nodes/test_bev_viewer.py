@@ -1,0 +1,493 @@
+"""The viewer's server: who is let in, newest only, and nothing that a client does reaches the graph."""
+
+from __future__ import annotations
+
+import contextlib
+import http.client
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from msgs.diagnostics import NodeState
+from msgs.local_bus import LocalNetwork
+from msgs.perception import BevFrame, BevGrid, SceneTruth
+from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.vehicle import VehicleState
+from nodes.bev_viewer import BevViewer, Params, create
+from nodes.node import InProcessGraph, Node
+from nodes.viewer import server as server_module
+from nodes.viewer.assembly import Assembly
+from nodes.viewer.board import Board, json_text
+from nodes.viewer.server import MAX_CLIENT_MESSAGE_BYTES, MAX_CLIENT_MESSAGES_PER_S, Play, Seek, ViewerServer
+
+PATIENCE_S = 10.0
+
+
+@pytest.fixture
+def board() -> Board:
+    return Board()
+
+
+@pytest.fixture
+def server(board: Board) -> Iterator[ViewerServer]:
+    with ViewerServer(board, title="test", port=0, max_clients=12) as server:
+        yield server
+
+
+def frame(scan_id: int) -> BevFrame:
+    grid = BevGrid(rows=4, columns=4)
+    return BevFrame(
+        stamp_ns=scan_id,
+        scan_id=scan_id,
+        grid=grid,
+        visibility=np.zeros((4, 4), np.uint8),
+        los_points_m=np.zeros((0, 2), np.float32),
+    )
+
+
+def ra_map(scan_id: int) -> RangeAzimuthMap:
+    grid = RangeAzimuthGrid(range_bins=512, azimuth_bins=256)
+    return RangeAzimuthMap(
+        stamp_ns=scan_id, scan_id=scan_id, grid=grid, values=np.ones(grid.shape, np.complex64),
+        azimuth_stamp_ns=np.zeros(256, np.int64), noise_power_mw=1.0, incoherent=np.zeros(512, bool),
+    )  # fmt: skip
+
+
+def truth(scan_id: int) -> SceneTruth:
+    empty = np.zeros((0, 3), np.float32)
+    return SceneTruth(
+        stamp_ns=scan_id, scan_id=scan_id, los_points_m=empty, mirrored_points_m=empty, hidden_points_m=empty,
+        hidden_object=np.zeros(0, np.int32),
+    )  # fmt: skip
+
+
+def text_post(board: Board, number: int, kind: str = "view") -> None:
+    board.post(kind, lambda: (json_text({"type": kind, "scan_id": number}),))
+
+
+def client(server: ViewerServer, **changes: Any) -> ClientConnection:
+    origin = server.url.split("/")[2]
+    options = {"origin": f"http://{origin}", "max_size": 1 << 20, "compression": None, "close_timeout": 1, **changes}
+    return connect(server.url.replace("http:", "ws:") + "ws", **options)
+
+
+def update(page: ClientConnection, acknowledge: bool = True) -> tuple[dict[str, Any], list[Any]]:
+    """The next update and its messages, JSON decoded."""
+    head = json.loads(page.recv(PATIENCE_S))
+    assert head["type"] == "update"
+    messages = [page.recv(PATIENCE_S) for _ in range(head["messages"])]
+    if acknowledge:
+        page.send(json.dumps({"type": "ack", "number": head["number"]}))
+    return head, [json.loads(message) if isinstance(message, str) else message for message in messages]
+
+
+def the_end(page: ClientConnection) -> ConnectionClosed:
+    """Reads until the server closes the connection; what was on its way may come before."""
+    try:
+        while True:
+            page.recv(PATIENCE_S)
+    except ConnectionClosed as closed:
+        return closed
+
+
+def until(condition: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.005)
+
+
+def get(server: ViewerServer, path: str, **headers: str) -> http.client.HTTPResponse:
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
+    connection.request("GET", path, headers={key.replace("_", "-"): value for key, value in headers.items()})
+    response = connection.getresponse()
+    response.body = response.read()  # type: ignore[attr-defined]
+    connection.close()
+    return response
+
+
+def token_path(server: ViewerServer) -> str:
+    return f"/{server.url.split('/')[3]}/"
+
+
+# who is let in
+
+
+@pytest.mark.parametrize(("name", "kind"), [("", "text/html"), ("viewer.js", "javascript"), ("viewer.css", "text/css")])
+def test_the_page_comes_with_the_token_and_safe_headers(server: ViewerServer, name: str, kind: str) -> None:
+    response = get(server, token_path(server) + name)
+    assert response.status == 200
+    assert kind in response.headers["content-type"]
+    policy = response.headers["content-security-policy"]
+    assert "default-src 'none'" in policy
+    assert "unsafe" not in policy
+    assert response.headers["x-content-type-options"] == "nosniff"
+    assert response.headers["referrer-policy"] == "no-referrer"
+    assert response.headers["cache-control"] == "no-store"
+
+
+def test_the_page_needs_nothing_from_outside(server: ViewerServer) -> None:
+    for name in ("", "viewer.js", "viewer.css"):
+        body = get(server, token_path(server) + name).body.decode()  # type: ignore[attr-defined]
+        assert "http:" not in body.replace("http://www.w3.org", "")
+        assert "https:" not in body
+
+
+@pytest.mark.parametrize("path", ["/", "/wrong/", "/wrong/viewer.js", "/%F0%9F%92%A9/", "//", "/x" * 100])
+def test_without_the_token_there_is_no_page(server: ViewerServer, path: str) -> None:
+    response = get(server, path)
+    assert response.status == 403
+    assert server.url.split("/")[3] not in response.body.decode()  # type: ignore[attr-defined]
+    assert response.headers["x-content-type-options"] == "nosniff"
+
+
+def test_a_token_is_its_own_and_long() -> None:
+    with ViewerServer(Board(), title="a") as one, ViewerServer(Board(), title="b") as other:
+        assert one.url.split("/")[3] != other.url.split("/")[3]
+        assert len(one.url.split("/")[3]) >= 32
+
+
+@pytest.mark.parametrize("host", ["evil.example", "evil.example:8765", "127.0.0.1.evil.example", "[::1]", ""])
+def test_another_host_name_is_refused(server: ViewerServer, host: str) -> None:
+    assert get(server, token_path(server), Host=host).status == 403
+
+
+@pytest.mark.parametrize("host", ["localhost", "localhost:8765", "127.0.0.1:9"])
+def test_a_tunnel_may_have_another_port(server: ViewerServer, host: str) -> None:
+    assert get(server, token_path(server), Host=host).status == 200
+
+
+def test_another_origin_is_refused(server: ViewerServer) -> None:
+    assert get(server, token_path(server), Origin="http://evil.example").status == 403
+    assert get(server, token_path(server), Origin="null").status == 403
+
+
+@pytest.mark.parametrize("path", ["../server.py", "index.html", "x", "viewer.js/", "static/viewer.js"])
+def test_nothing_else_is_served(server: ViewerServer, path: str) -> None:
+    assert get(server, token_path(server) + path).status == 404
+    assert get(server, token_path(server) + "ws").status == 426
+
+
+@pytest.mark.parametrize("origin", [None, "http://evil.example", "null", "https://127.0.0.1", "http://127.0.0.1:1"])
+def test_the_websocket_is_for_this_page_alone(server: ViewerServer, origin: str | None) -> None:
+    with pytest.raises(InvalidStatus) as refused:
+        client(server, origin=origin)
+    assert refused.value.response.status_code == 403
+
+
+def test_the_websocket_needs_token_and_host(server: ViewerServer) -> None:
+    origin = f"http://127.0.0.1:{server.port}"
+    with pytest.raises(InvalidStatus):
+        connect(f"ws://127.0.0.1:{server.port}/wrong/ws", origin=origin)
+    stream = socket.create_connection(("127.0.0.1", server.port))
+    with pytest.raises(InvalidStatus):
+        connect(f"ws://evil.example{token_path(server)}ws", origin="http://evil.example", sock=stream)
+
+
+def test_one_page_too_many_is_told_so(board: Board) -> None:
+    with ViewerServer(board, title="full", max_clients=1) as server, client(server) as page:
+        page.recv(PATIENCE_S)
+        with client(server) as other, pytest.raises(ConnectionClosed) as closed:
+            other.recv(PATIENCE_S)
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == 1013
+        until(lambda: server.clients == 1)
+
+
+# newest only
+
+
+def test_a_page_is_greeted_and_gets_what_hangs_on_the_board(board: Board, server: ViewerServer) -> None:
+    text_post(board, 5)
+    with client(server) as page:
+        hello = json.loads(page.recv(PATIENCE_S))
+        assert (hello["type"], hello["title"], hello["recording"]) == ("hello", "test", False)
+        head, messages = update(page)
+    assert messages == [{"type": "view", "scan_id": 5}]
+    assert head["kinds"]["view"]["version"] == 1
+    assert head["kinds"]["view"]["skipped"] == 0
+
+
+def test_a_slow_page_gets_the_newest_and_the_number_it_missed(board: Board, server: ViewerServer) -> None:
+    with client(server) as page:
+        page.recv(PATIENCE_S)
+        text_post(board, 0)
+        head, _ = update(page, acknowledge=False)
+        for number in range(1, 100):
+            text_post(board, number)
+        page.send(json.dumps({"type": "ack", "number": head["number"]}))
+        head, messages = update(page)
+        assert messages == [{"type": "view", "scan_id": 99}]
+        assert head["kinds"]["view"]["skipped"] == 98
+        text_post(board, 100)
+        assert update(page)[0]["kinds"]["view"]["skipped"] == 0
+
+
+def test_what_did_not_change_is_not_sent_again(board: Board, server: ViewerServer) -> None:
+    text_post(board, 0, "map")
+    with client(server) as page:
+        page.recv(PATIENCE_S)
+        assert list(update(page)[0]["kinds"]) == ["map"]
+        text_post(board, 0, "view")
+        assert list(update(page)[0]["kinds"]) == ["view"]
+
+
+def test_a_post_is_rendered_once_for_all_and_never_for_nobody(board: Board, server: ViewerServer) -> None:
+    rendered: list[int] = []
+
+    def render(number: int) -> tuple[str, ...]:
+        rendered.append(number)
+        return (json_text({"type": "view"}),)
+
+    for number in range(50):
+        board.post("view", lambda number=number: render(number))  # type: ignore[misc]
+    assert rendered == []
+    for _ in range(10):
+        with client(server) as page:
+            page.recv(PATIENCE_S)
+            update(page)
+    assert rendered == [49]
+
+
+def test_ten_pages_all_see_the_newest(board: Board, server: ViewerServer) -> None:
+    with contextlib.ExitStack() as stack:
+        pages = [stack.enter_context(client(server)) for _ in range(10)]
+        for page in pages:
+            page.recv(PATIENCE_S)
+        until(lambda: server.clients == 10)
+        for number in range(5):
+            text_post(board, number)
+            for page in pages:
+                assert update(page)[1] == [{"type": "view", "scan_id": number}]
+    until(lambda: server.clients == 0)
+
+
+def test_a_page_that_never_reads_holds_nobody_up(board: Board, server: ViewerServer) -> None:
+    """The dead page is owed one update of 64 KiB a tile; 200 more posts leave no trace of it but that one."""
+    assembly = Assembly(board)
+    with client(server, max_queue=1) as dead, client(server) as alive:
+        alive.recv(PATIENCE_S)
+        until(lambda: server.clients == 2)
+        for scan in range(200):
+            assembly.take(ra_map(scan), scan)
+            assembly.take(frame(scan), scan)
+        seen = -1
+        while seen < 199:
+            _, messages = update(alive)
+            seen = max([seen, *(one["scan_id"] for one in messages if isinstance(one, dict))])
+        (held,) = [one for one in server._clients if one._number == 1 and not one._acknowledged.is_set()]
+        assert len(held._seen) <= 2
+        assert dead.protocol.state.name == "OPEN"
+    until(lambda: server.clients == 0)
+
+
+def test_a_page_that_never_answers_is_let_go(
+    board: Board, server: ViewerServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server_module, "ACKNOWLEDGE_S", 0.05)
+    text_post(board, 0)
+    with client(server) as page:
+        page.recv(PATIENCE_S)
+        update(page, acknowledge=False)
+        with pytest.raises(ConnectionClosed):
+            page.recv(PATIENCE_S)
+    until(lambda: server.clients == 0)
+
+
+# garbage
+
+
+GARBAGE = (
+    "", "x", "{}", "[]", "null", '{"type": "ack"}', '{"type": "ack", "number": "1"}', '{"type": "ack", "number": 99}',
+    '{"type": "ack", "number": 1e400}', '{"type": "nope"}', '{"type": "ack", "number": 1, "more": 1}', "[" * 1000,
+    '{"type": "seek", "index": 1}', '{"type": "step", "by": 1}', '{"type": "play", "speed": 1}', b"",
+    b"\x00\xff", b"x" * 500, "x" * (MAX_CLIENT_MESSAGE_BYTES + 1), "x" * 200_000,
+)  # fmt: skip
+
+
+def test_garbage_closes_its_sender_alone(board: Board, server: ViewerServer) -> None:
+    with client(server) as good:
+        good.recv(PATIENCE_S)
+        for index, junk in enumerate(GARBAGE):
+            text_post(board, index)
+            with client(server) as bad:
+                bad.recv(PATIENCE_S)
+                bad.send(junk)
+                end = the_end(bad)
+            assert end.rcvd is None or end.rcvd.code in (1008, 1009), junk
+            assert update(good)[1] == [{"type": "view", "scan_id": index}]
+    until(lambda: server.clients == 0)
+
+
+def test_bytes_that_are_no_protocol_close_their_connection_alone(board: Board, server: ViewerServer) -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as raw:
+            raw.sendall(rng.bytes(200) + b"\r\n\r\n")
+            assert b"200 OK" not in raw.recv(4096)
+    assert get(server, token_path(server)).status == 200
+
+
+def test_a_flood_is_cut_off(board: Board) -> None:
+    taken: list[object] = []
+    with ViewerServer(board, title="recording", commands=taken.append) as server, client(server) as page:
+        page.recv(PATIENCE_S)
+        with contextlib.suppress(ConnectionClosed):
+            for _ in range(100 * MAX_CLIENT_MESSAGES_PER_S):
+                page.send('{"type": "seek", "index": 1}')
+        the_end(page)
+        until(lambda: server.clients == 0)
+    assert len(taken) < 100 * MAX_CLIENT_MESSAGES_PER_S
+
+
+def test_commands_reach_who_asked_for_them(board: Board) -> None:
+    taken: list[object] = []
+    with ViewerServer(board, title="recording", commands=taken.append) as server, client(server) as page:
+        assert json.loads(page.recv(PATIENCE_S))["recording"] is True
+        page.send('{"type": "seek", "index": 3}')
+        page.send('{"type": "play", "speed": 0.5}')
+        until(lambda: len(taken) == 2)
+    assert taken == [Seek(3), Play(0.5)]
+
+
+# what comes and goes
+
+
+def test_nothing_is_left_when_pages_come_and_go(board: Board, server: ViewerServer) -> None:
+    def tasks() -> int:
+        return len(server._server.server_state.tasks) + len(server._server.server_state.connections)
+
+    for number in range(30):
+        text_post(board, number)
+        with client(server) as page:
+            page.recv(PATIENCE_S)
+            if number % 3:
+                update(page, acknowledge=number % 3 == 1)
+    until(lambda: server.clients == 0 and tasks() == 0)
+
+
+def test_closing_says_goodbye_and_frees_the_port(board: Board) -> None:
+    before = threading.active_count()
+    server = ViewerServer(board, title="end")
+    with client(server) as page:
+        page.recv(PATIENCE_S)
+        server.close()
+        with pytest.raises(ConnectionClosed):
+            page.recv(PATIENCE_S)
+    until(lambda: threading.active_count() == before)
+    text_post(board, 1)
+    with ViewerServer(board, title="again", port=server.port) as again:
+        assert again.port == server.port
+
+
+def test_a_taken_port_gives_way(board: Board) -> None:
+    with ViewerServer(board, title="a") as first, ViewerServer(board, title="b", port=first.port) as second:
+        assert second.port != first.port
+        assert get(second, token_path(second)).status == 200
+
+
+# the node
+
+
+class Source(Node):
+    """Publishes five scans, the truth after the view."""
+
+    outputs = ("perception/hidden_objects", "sim/truth", "radar/ra_map", "vehicle/state")
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.scan = 0
+
+    def due_ns(self, now_ns: int) -> int | None:
+        return self.scan * 300_000_000 if self.scan < 5 else None
+
+    def step(self, inputs: list[Any], now_ns: int) -> list[Any]:
+        scan, self.scan = self.scan, self.scan + 1
+        state = VehicleState(stamp_ns=now_ns, speed_mps=float(scan))
+        return [
+            ("radar/ra_map", ra_map(scan)), ("vehicle/state", state), ("perception/hidden_objects", frame(scan)),
+            ("sim/truth", truth(scan)),
+        ]  # fmt: skip
+
+
+@pytest.fixture
+def viewer() -> Iterator[BevViewer]:
+    node = create(Params(port=0))
+    yield node
+    node.close()
+
+
+def test_the_node_hands_over_view_map_truth_and_table(viewer: BevViewer) -> None:
+    graph = InProcessGraph(LocalNetwork(), {"source": Source(), "viewer": viewer})
+    graph.run(until_ns=2_000_000_000)
+    with client(viewer.server) as page:
+        page.recv(PATIENCE_S)
+        head, messages = update(page)
+    told = {one["type"]: one for one in messages if isinstance(one, dict)}
+    assert set(told) == {"view", "map", "nodes"}
+    assert (told["view"]["scan_id"], told["map"]["scan_id"]) == (4, 4)
+    assert told["view"]["truth"] is not None
+    assert told["view"]["vehicle"]["speed_mps"] == 4.0
+    assert sum(isinstance(one, bytes) for one in messages) == 2
+    # five views, each once more with its truth
+    assert told["view"]["number"] == 5
+    assert head["kinds"]["view"]["version"] == 10
+
+
+def test_the_node_says_when_its_page_has_ended(viewer: BevViewer) -> None:
+    assert viewer.health()[0] is NodeState.READY
+    viewer.server.close()
+    assert viewer.health() == (NodeState.DEGRADED, "the page is no longer served")
+
+
+def test_what_cannot_be_rendered_is_logged_and_lets_its_page_go(
+    board: Board, server: ViewerServer, caplog: pytest.LogCaptureFixture
+) -> None:
+    board.post("view", lambda: (json_text(1 // 0),))
+    with client(server) as page:
+        assert the_end(page).rcvd is not None
+    assert "ZeroDivisionError" in caplog.text
+    text_post(board, 1)
+    with client(server) as page:
+        page.recv(PATIENCE_S)
+        assert update(page)[1] == [{"type": "view", "scan_id": 1}]
+
+
+def test_a_map_waits_for_its_view_but_not_for_ever(board: Board) -> None:
+    assembly = Assembly(board)
+    assembly.take(ra_map(0), 0)
+    assert board.newer({}) == {}
+    assembly.take(ra_map(1), 0)
+    assert set(board.newer({})) == {"map"}
+    seen = {kind: posted.version for kind, posted in board.newer({}).items()}
+    assembly.take(frame(1), 0)
+    assert set(board.newer(seen)) == {"view", "map"}
+
+
+def test_age_is_only_known_on_one_clock(board: Board) -> None:
+    assembly = Assembly(board)
+    for now_ns, latency_ms in ((2_500_000, 2.5), (10**18, None)):
+        assembly.take(frame(0), now_ns)
+        text, _ = board.messages("view", board.newer({})["view"])
+        assert json.loads(text)["latency_ms"] == latency_ms
+
+
+def test_numbers_that_json_lacks_are_null() -> None:
+    assert json_text({"a": float("nan"), "b": float("inf")}) == '{"a":null,"b":null}'
+
+
+@pytest.mark.parametrize(("field", "value"), [("port", -1), ("port", 65536), ("max_clients", 0), ("max_clients", 257)])
+def test_wrong_parameters_are_named(field: str, value: int) -> None:
+    with pytest.raises(msgspec.ValidationError, match=field):
+        msgspec.convert({field: value}, Params)
+    with pytest.raises(msgspec.ValidationError, match="host"):
+        msgspec.convert({"host": "0.0.0.0"}, Params)
