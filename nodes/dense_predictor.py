@@ -9,6 +9,7 @@ import msgspec
 
 from models.perception.cfar import CfarParams
 from models.perception.detectors import CfarDetector, Detector, NetworkDetector
+from models.perception.named import NamedParams
 from models.perception.onnx_model import DEFAULT_MODEL
 from models.perception.peaks import PeakParams
 from msgs.bus import Outgoing, Received
@@ -23,6 +24,9 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported network with its card beside it; None: the committed one.
     model: str | None = None
     threads: int = 1
+    #: Peaks on the ridges of the map that the heatmap names; False: the published local maxima of the heatmap.
+    refine: bool = True
+    named: NamedParams = NamedParams()
     peaks: PeakParams = PeakParams()
     cfar: CfarParams = CfarParams()
 
@@ -55,7 +59,8 @@ class DensePredictorNode(Node):
         if self._params.method == "cfar":
             return CfarDetector(setup, self._params.cfar)
         model = DEFAULT_MODEL if self._params.model is None else Path(self._params.model)
-        return NetworkDetector(setup, model, self._params.threads, self._params.peaks)
+        own = self._params
+        return NetworkDetector(setup, model, own.threads, own.peaks, own.named, own.refine)
 
 
 def create(params: Params) -> DensePredictorNode:

@@ -8,11 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 
+from models.perception.ra_forming import RaFormer
 from msgs.bus import Envelope, Received
 from msgs.perception import BevFrame, Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
 from msgs.vehicle import VehicleState
 from nodes import dense_predictor, geometry
+from nodes.player import Params, scene_player
 
 
 def received(message: msgspec.Struct, topic: str) -> Received:
@@ -38,6 +40,20 @@ def test_noise_becomes_an_empty_view_of_the_same_scan(method: str) -> None:
     (view,) = geometry.create(geometry.Params()).step([received(peaks.message, "perception/peaks")], 0)
     assert isinstance(view.message, BevFrame)
     assert (view.message.stamp_ns, view.message.scan_id, view.message.objects) == (7, 3, ())
+
+
+def test_the_published_peaks_stand_beside_ours() -> None:
+    """One scene, both ways: the same kind of answer, other places."""
+    player = scene_player(Params(scene="launch/scenes/corner.yaml", chirps_per_beam=16))
+    former = RaFormer(player.setup)
+    (ra_map,) = [ra_map for index in range(25) for ra_map in former.add(player.beam(0, index))]
+    ours, published = (
+        dense_predictor.create(dense_predictor.Params(refine=refine)).step([received(ra_map, "radar/ra_map")], 0)
+        for refine in (True, False)
+    )
+    assert len(ours[0].message) > 0
+    assert len(published[0].message) > 0
+    assert ours[0].message.azimuth_rad.tolist() != published[0].message.azimuth_rad.tolist()
 
 
 def test_a_missing_model_ends_the_node_at_start(tmp_path: Path) -> None:
