@@ -21,6 +21,11 @@ from msgs.units import (
 FULL_SCALE_CODE = 32768
 
 
+def amplitude_per_code(full_scale_dbm: float) -> float:
+    """Amplitude [sqrt(mW)] of one int16 code, where a complex tone of amplitude 32768 has `full_scale_dbm`."""
+    return math.sqrt(ratio_from_db(full_scale_dbm)) / FULL_SCALE_CODE
+
+
 class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
     """Waveform, timing and receiver of an FMCW radar; defaults are Table 1 and section 2.1.1 (X-band)."""
 
@@ -226,7 +231,7 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     @property
     def milliwatt_per_code_squared(self) -> float:
         """Power in milliwatt of a complex tone of amplitude one code."""
-        return ratio_from_db(self.full_scale_dbm) / FULL_SCALE_CODE**2
+        return amplitude_per_code(self.full_scale_dbm) ** 2
 
 
 class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -37,7 +37,6 @@ class RaFormerNode(Node):
         RaFormer(RadarSetup(), params)
         self._former: RaFormer | None = None
         self._states = StateHistory()
-        self._scan: tuple[int, int] | None = None
         self._give_up_ns: int | None = None
         self._refused = 0
         self._trouble = ""
@@ -85,12 +84,8 @@ class RaFormerNode(Node):
         return [Outgoing("radar/ra_map", ra_map) for ra_map in maps]
 
     def _state_for(self, beam: RadarBeam) -> VehicleState | None:
-        """The newest valid state not younger than the scan's first beam: the same one, however late messages come."""
-        if not self._params.ego_compensation:
-            return None
-        if self._scan is None or self._scan[0] != beam.scan_id:
-            self._scan = (beam.scan_id, beam.stamp_ns)
-        state = self._states.at(self._scan[1])
+        """The newest valid state not younger than the beam; the former keeps that of a scan's first beam for all."""
+        state = self._states.at(beam.stamp_ns) if self._params.ego_compensation else None
         return state if state is not None and state.valid else None
 
     def _say(self, trouble: str) -> None:

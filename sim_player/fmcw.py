@@ -17,8 +17,8 @@ from scipy.signal.windows import dpss
 
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad
-from msgs.radar import FULL_SCALE_CODE, RadarParams, RadarSetup
-from msgs.units import SPEED_OF_LIGHT_MPS, ratio_from_db
+from msgs.radar import RadarParams, RadarSetup, amplitude_per_code
+from msgs.units import SPEED_OF_LIGHT_MPS
 from sim_player.ray_tracing import Paths
 
 #: Gridding kernel: width in grid steps and oversampling. 12 at 2 is exact to about 1e-10 of the strongest tone.
@@ -148,7 +148,7 @@ def beam_codes(
     chirp reads its own stretch of the bank, turned by its own phase: `seed` names the beam.
     """
     radar = setup.radar
-    per_milliwatt = FULL_SCALE_CODE / math.sqrt(ratio_from_db(setup.full_scale_dbm))
+    per_milliwatt = 1.0 / amplitude_per_code(setup.full_scale_dbm)
     rng = np.random.default_rng(seed)
     slots = bank.shape[1] // radar.samples_per_chirp - 1
     start = rng.permutation(slots)[: radar.chirps_per_beam] * radar.samples_per_chirp

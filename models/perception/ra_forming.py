@@ -20,7 +20,7 @@ from models.perception.folding import fold_chirps, group_edges
 from models.physics.waveform import WINDOW_TAPS
 from msgs.arrays import require_array, require_positive
 from msgs.frames import Pose2
-from msgs.radar import FULL_SCALE_CODE, RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, amplitude_per_code
 from msgs.units import SPEED_OF_LIGHT_MPS, ns_from_s, ratio_from_db, s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
 
@@ -175,7 +175,7 @@ class BeamFolder:
         """Square root of milliwatt per code, over all that was summed."""
         radar = self.setup.radar
         summed = radar.samples_per_chirp * radar.chirps_per_beam
-        return float(np.sqrt(ratio_from_db(full_scale_dbm))) / FULL_SCALE_CODE / summed
+        return amplitude_per_code(full_scale_dbm) / summed
 
     def _coherent(self, spectra: np.ndarray, group_phase: np.ndarray | None) -> tuple[np.ndarray, float]:
         """Strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
