@@ -9,12 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mirrorwave.console import print_line, require_new_file
+from mirrorwave.sim_material import material
 
 if TYPE_CHECKING:
     from msgs.bus import Outgoing
     from msgs.radar import RadarSetup
 
-app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures and labelled datasets.")
+app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
+app.command()(material)
 
 
 @app.command()

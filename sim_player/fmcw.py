@@ -1,8 +1,9 @@
 """From paths to beats: tones summed on a grid, slow time of moving paths in a few terms, noise, int16 codes.
 
 Beats follow the recorded convention m(t) = sum conj(W) exp{+j(2 pi S tau t + 2 pi f_c tau - pi S tau^2)}.
-Left out by this first signal chain: range migration within one beam (a path moves under 1/10 of a range bin in 0.7 ms
-at 30 m/s), overlap of back-to-back chirps, wideband squint, mutual coupling, flicker noise, I/Q imbalance.
+Left out by this plain signal chain: range migration within one beam (a path moves under 1/10 of a range bin in 0.7 ms
+at 30 m/s), overlap of back-to-back chirps, wideband squint, mutual coupling, flicker noise, I/Q imbalance: those are in
+`sim_player.signal_levels`, which is built from the parts here.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad
 from msgs.radar import RadarParams, RadarSetup, amplitude_per_code
 from msgs.units import SPEED_OF_LIGHT_MPS
-from sim_player.ray_tracing import Paths
+from sim_player.paths import Paths
 
 #: Gridding kernel: width in grid steps and oversampling. 12 at 2 is exact to about 1e-10 of the strongest tone.
 KERNEL_WIDTH, OVERSAMPLING = 12, 2
@@ -31,8 +32,17 @@ SLOW_TIME_TOLERANCE = 1e-5
 
 def beam_weights(setup: RadarSetup, paths: Paths, beams: slice = slice(None)) -> np.ndarray:
     """Recorded weights conj(W) of all paths, antenna included, in sqrt(mW); complex128 [beams, paths]."""
-    pattern = two_way_pattern(setup, setup_weights(setup)[beams], paths.azimuth_rad, paths.elevation_rad)
+    there = departure(paths)
+    pattern = two_way_pattern(setup, setup_weights(setup)[beams], paths.azimuth_rad, paths.elevation_rad, *there)
     return np.conj(paths.amplitude * pattern)
+
+
+def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Azimuth and elevation of departure; (None, None) where all paths return the way they went (half the work)."""
+    azimuth_rad, elevation_rad = paths.departure_azimuth_rad, paths.departure_elevation_rad
+    if np.array_equal(azimuth_rad, paths.azimuth_rad) and np.array_equal(elevation_rad, paths.elevation_rad):
+        return None, None
+    return azimuth_rad, elevation_rad
 
 
 def chirp_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray) -> np.ndarray:
@@ -48,10 +58,7 @@ def sum_tones(cycles_per_sample: np.ndarray, weights: np.ndarray, count: int) ->
     Kaiser-Bessel kernel, whose own transform is divided out afterwards. Cost does not grow with paths x samples.
     """
     grid_size = OVERSAMPLING * count
-    position = (np.asarray(cycles_per_sample, np.float64) % 1.0) * grid_size
-    first = np.floor(position).astype(np.int64) - KERNEL_WIDTH // 2 + 1
-    steps = first[:, None] + np.arange(KERNEL_WIDTH)
-    kernel = _kaiser_bessel(position[:, None] - steps)
+    steps, kernel = grid_spread((np.asarray(cycles_per_sample, np.float64) % 1.0) * grid_size)
     # centred samples keep the kernel's transform symmetric and far from its zeros
     centred = weights * np.exp(2j * np.pi * ((cycles_per_sample * (count // 2)) % 1.0))
     spectrum = np.empty((len(weights), grid_size), np.complex128)
@@ -63,7 +70,14 @@ def sum_tones(cycles_per_sample: np.ndarray, weights: np.ndarray, count: int) ->
     samples = fft.ifft(spectrum, axis=1, norm="forward", overwrite_x=True)
     half = count // 2
     ordered = np.concatenate([samples[:, grid_size - half :], samples[:, : count - half]], axis=1)
-    return ordered / _kernel_transform(count)
+    return ordered / kernel_transform(count)
+
+
+def grid_spread(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The grid steps next to each position, and the kernel's value there; [tones, KERNEL_WIDTH] each."""
+    first = np.floor(position).astype(np.int64) - KERNEL_WIDTH // 2 + 1
+    steps = first[:, None] + np.arange(KERNEL_WIDTH)
+    return steps, _kaiser_bessel(position[:, None] - steps)
 
 
 def _kernel_shape() -> float:
@@ -78,7 +92,7 @@ def _kaiser_bessel(offset: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=8)
-def _kernel_transform(count: int) -> np.ndarray:
+def kernel_transform(count: int) -> np.ndarray:
     """Transform of the kernel at the centred samples, [count]."""
     turns = np.pi * KERNEL_WIDTH * (np.arange(count) - count // 2) / (OVERSAMPLING * count)
     argument = np.sqrt(_kernel_shape() ** 2 - turns**2)
@@ -139,6 +153,15 @@ def noise_bank(radar: RadarParams, seed: int) -> np.ndarray:
     return rng.standard_normal((2, size), np.float32) * np.float32(math.sqrt(0.5 * radar.noise_power_mw))
 
 
+def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Where in the bank each chirp of a beam reads its noise, int64 [chirps], and the phasor that turns it [chirps]."""
+    rng = np.random.default_rng(seed)
+    slots = bank.shape[1] // radar.samples_per_chirp - 1
+    start = rng.permutation(slots)[: radar.chirps_per_beam] * radar.samples_per_chirp
+    start += rng.integers(radar.samples_per_chirp)
+    return start, np.exp(2j * np.pi * rng.random(radar.chirps_per_beam))
+
+
 def beam_codes(
     setup: RadarSetup, beats: np.ndarray, carrier: np.ndarray, basis: np.ndarray, bank: np.ndarray, seed: list[int]
 ) -> np.ndarray:
@@ -149,11 +172,7 @@ def beam_codes(
     """
     radar = setup.radar
     per_milliwatt = 1.0 / amplitude_per_code(setup.full_scale_dbm)
-    rng = np.random.default_rng(seed)
-    slots = bank.shape[1] // radar.samples_per_chirp - 1
-    start = rng.permutation(slots)[: radar.chirps_per_beam] * radar.samples_per_chirp
-    start += rng.integers(radar.samples_per_chirp)
-    turn = np.exp(2j * np.pi * rng.random(radar.chirps_per_beam))
+    start, turn = noise_reads(radar, bank, seed)
     codes = np.empty((radar.chirps_per_beam, radar.samples_per_chirp, 2), np.int16)
     sign = float(setup.beat_sign)
     _fill_codes(

@@ -30,13 +30,15 @@ class ScatteringCentres:
 
     #: [K, 3] in metres.
     position_m: np.ndarray
-    #: Outward normals of the one or two faces each belongs to, [K, 2, 2].
+    #: Outward normals of the one or two faces each belongs to, [K, 2, 3].
     normals: np.ndarray
     #: RCS seen along the normal [m^2], and the phase in radians.
     peak_rcs_m2: np.ndarray
     phase_rad: np.ndarray
     #: Exponent of the lobe; 0 for centres without one.
     lobe_exponent: np.ndarray
+    #: Share of the peak that is seen from everywhere in front.
+    lobe_floor: float = LOBE_FLOOR
 
 
 def scattering_centres(object_class: str, seed: int, index: int) -> ScatteringCentres:
@@ -47,26 +49,30 @@ def scattering_centres(object_class: str, seed: int, index: int) -> ScatteringCe
     height = rng.uniform(*CENTRE_HEIGHT_M, len(position))
     centres = ScatteringCentres(
         position_m=np.column_stack([position, height]),
-        normals=normals,
+        normals=np.concatenate([normals, np.zeros((len(normals), 2, 1))], axis=2),
         peak_rcs_m2=gain * rng.exponential(1.0, len(position)),
         phase_rad=rng.uniform(0.0, 2.0 * np.pi, len(position)),
         lobe_exponent=exponent,
     )
     scale = ratio_from_db(kind.mean_rcs_dbsm) / mean_rcs_m2(centres)
     return ScatteringCentres(
-        centres.position_m, normals, centres.peak_rcs_m2 * scale, centres.phase_rad, centres.lobe_exponent
+        centres.position_m, centres.normals, centres.peak_rcs_m2 * scale, centres.phase_rad, centres.lobe_exponent
     )
 
 
 def seen_rcs_m2(
-    peak_rcs_m2: np.ndarray, normals: np.ndarray, lobe_exponent: np.ndarray, direction: np.ndarray
+    peak_rcs_m2: np.ndarray,
+    normals: np.ndarray,
+    lobe_exponent: np.ndarray,
+    direction: np.ndarray,
+    lobe_floor: np.ndarray | float = LOBE_FLOOR,
 ) -> np.ndarray:
-    """RCS towards plane unit vectors `direction` [..., K, 2] from the centres to the radar; 0 if turned away."""
-    cosine = np.maximum(
-        direction[..., 0] * normals[:, 0, 0] + direction[..., 1] * normals[:, 0, 1],
-        direction[..., 0] * normals[:, 1, 0] + direction[..., 1] * normals[:, 1, 1],
-    )
-    lobe = LOBE_FLOOR + (1.0 - LOBE_FLOOR) * np.maximum(cosine, 0.0) ** lobe_exponent
+    """RCS towards unit vectors `direction` [..., K, 3] (or [..., K, 2], level) from the centres; 0 if turned away."""
+    axes = direction.shape[-1]
+    first = np.einsum("...ki,ki->...k", direction, normals[:, 0, :axes])
+    second = np.einsum("...ki,ki->...k", direction, normals[:, 1, :axes])
+    cosine = np.maximum(first, second)
+    lobe = lobe_floor + (1.0 - lobe_floor) * np.maximum(cosine, 0.0) ** lobe_exponent
     return np.where(cosine > 0.0, peak_rcs_m2 * lobe, 0.0)
 
 

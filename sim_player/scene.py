@@ -6,8 +6,11 @@ file, field, value, rule.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
+from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,9 +18,13 @@ import msgspec
 import numpy as np
 import yaml
 
-from models.physics.materials import permittivity
+from models.physics.curved_mirror import arc_points
+from models.physics.materials import is_volume, permittivity, wall_layers
 from models.physics.mirror import SHORTEST_WALL_M, crosses
 from msgs.radar import ArrayParams, RadarParams, RadarSetup
+from msgs.units import db_from_ratio
+from sim_player.front_end import FrontEnd
+from sim_player.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
 
 #: Radar presets of a scene. The 77 GHz one has the aperture of section 2.1.1, a single row of 57.
 PRESETS: dict[str, RadarSetup] = {
@@ -26,9 +33,21 @@ PRESETS: dict[str, RadarSetup] = {
 }
 #: The radar stands at least this far from every wall.
 RADAR_CLEARANCE_M = 0.1
+#: Straight pieces that stand for an arc in checks leave it by at most this.
+ARC_ERROR_M = 1e-3
+#: A mesh without thickness counts as this thick in plan.
+THINNEST_M = 0.01
+#: Weather that some place on Earth has had, with room to spare.
+WEATHER_RANGES: dict[str, tuple[float, float]] = {
+    "rain_mm_per_h": (0.0, 200.0),
+    "temperature_c": (-60.0, 60.0),
+    "pressure_hpa": (500.0, 1100.0),
+    "water_vapour_g_per_m3": (0.0, 50.0),
+}
 
 Point = tuple[float, float]
 ObjectClass = Literal["car", "van", "truck", "bus", "bicycle", "pedestrian"]
+Primitive = Literal["box", "plate", "dihedral", "trihedral", "cylinder", "sphere"]
 
 
 class ObjectKind(msgspec.Struct, frozen=True):
@@ -59,6 +78,9 @@ class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     preset: Literal["xband", "77ghz"] = "xband"
     height_m: float = 1.0
+    #: Distance between the transmitting and the receiving array, along y; the radar stands in the middle.
+    separation_m: float = 0.0
+    front_end: FrontEnd = FrontEnd()
 
 
 class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -71,21 +93,53 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     #: None: so thick that its back is never seen.
     thickness_mm: float | None = None
     roughness_mm: float = 0.0
+    #: Distance along the wall over which its heights stay alike.
+    correlation_mm: float = 30.0
+    #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the way it runs.
+    curvature_per_m: float = 0.0
 
 
-class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """An object by its class, its centre on the ground, heading, and speed along the heading."""
+class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """An object by its class, a mesh file or a primitive; its centre on the ground, heading, speed along the heading.
 
-    class_: ObjectClass = msgspec.field(name="class")
+    Exactly one of `class`, `mesh`, `primitive` is given; the fields after it belong to meshes and primitives alone.
+    """
+
+    class_: ObjectClass | None = msgspec.field(name="class", default=None)
+    #: File, relative to the scene's; `sim_player.meshes.load_mesh` says what is read.
+    mesh: str | None = None
+    unit: Unit = "m"
+    #: None: what the format says, else z.
+    up: UpAxis | None = None
+    #: Sizes that `sim_player.meshes.PRIMITIVES` lists for it.
+    primitive: Primitive | None = None
+    size_m: tuple[float, ...] = ()
+    material: str = "metal"
+    #: Height of its lowest point over the ground.
+    z_m: float = 0.0
     x_m: float
     y_m: float
     yaw_deg: float = 0.0
     speed_mps: float = 0.0
 
     @property
+    def object_class(self) -> str:
+        """Its class; of a mesh the file's stem, of a primitive its name."""
+        return self.class_ or self.primitive or Path(self.mesh or "").stem
+
+    @property
     def kind(self) -> ObjectKind:
-        """Size and RCS of its class."""
-        return OBJECT_KINDS[self.class_]
+        """Size and RCS of its class; of a mesh those of its box, in metal: RCS a quarter of its surface."""
+        return OBJECT_KINDS[self.class_] if self.class_ else _kind_of(self._key())
+
+    @property
+    def shape(self) -> Mesh | None:
+        """Its mesh in its own frame, lifted to `z_m`; None for a class. ValueError where it cannot be had."""
+        return None if self.class_ else _shape_of(self._key())
+
+    def _key(self) -> SceneObject:
+        """The same shape standing still at the origin: what its mesh depends on, and nothing else."""
+        return msgspec.structs.replace(self, x_m=0.0, y_m=0.0, yaw_deg=0.0, speed_mps=0.0)
 
     def corners_m(self) -> np.ndarray:
         """Corners of the box in the plane at start, counter-clockwise from front left, [4, 2]."""
@@ -105,11 +159,38 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return (np.abs(own) <= 0.5 * np.array([self.kind.length_m, self.kind.width_m])).all(axis=-1)
 
 
+@lru_cache(maxsize=16)
+def _shape_of(thing: SceneObject) -> Mesh:
+    """Mesh of a mesh or primitive object, read once."""
+    if thing.primitive:
+        mesh = primitive_mesh(thing.primitive, thing.size_m, thing.material)
+    else:
+        mesh = load_mesh(Path(thing.mesh or ""), thing.unit, thing.material, thing.up)
+    return dataclasses.replace(mesh, vertices_m=mesh.vertices_m + np.array([0.0, 0.0, thing.z_m]))
+
+
+@lru_cache(maxsize=256)
+def _kind_of(thing: SceneObject) -> ObjectKind:
+    """Box and mean RCS of a mesh or primitive object."""
+    length, width, height = np.maximum(_shape_of(thing).extent_m, THINNEST_M).tolist()
+    surface = 2.0 * (length * width + width * height + height * length)
+    return ObjectKind(length, width, thing.z_m + height, db_from_ratio(surface / 4.0))
+
+
 class Ego(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Constant motion of the vehicle that carries the radar."""
 
     speed_mps: float = 0.0
     yaw_rate_dps: float = 0.0
+
+
+class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Air between everything: ITU-R P.676 (gases) and P.838 (rain)."""
+
+    rain_mm_per_h: float = 0.0
+    temperature_c: float = 15.0
+    pressure_hpa: float = 1013.25
+    water_vapour_g_per_m3: float = 7.5
 
 
 class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -120,6 +201,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     surfaces: tuple[Surface, ...] = ()
     objects: tuple[SceneObject, ...] = ()
     ego: Ego = Ego()
+    weather: Weather = Weather()
 
     @property
     def moves(self) -> bool:
@@ -135,24 +217,28 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def load_scene(path: Path) -> Scene:
     """Read and check a scene file; ValueError in one line that names file, field, value and rule."""
     try:
-        return scene_from_yaml(path.read_text(encoding="utf-8"))
+        return scene_from_yaml(path.read_text(encoding="utf-8"), path.parent)
     except FileNotFoundError:
         raise ValueError(f"{path}: no such scene file") from None
     except (OSError, UnicodeDecodeError, ValueError) as error:
         raise ValueError(f"{path}: {error}") from None
 
 
-def scene_from_yaml(text: str) -> Scene:
-    """A checked scene from YAML text; ValueError in one line."""
+def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
+    """A checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
         raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
-    _refuse_meshes(content)
     try:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:
         raise ValueError(_field_first(str(error))) from None
+    things = tuple(
+        msgspec.structs.replace(thing, mesh=str(folder / thing.mesh)) if thing.mesh else thing
+        for thing in scene.objects
+    )
+    scene = msgspec.structs.replace(scene, objects=things)
     check_scene(scene)
     return scene
 
@@ -169,50 +255,117 @@ def check_scene(scene: Scene) -> None:
     for field, value in _numbers(msgspec.to_builtins(scene), ""):
         if not math.isfinite(value):
             raise ValueError(f"{field}: must be finite, got {value!r}")
-    if not scene.radar.height_m > 0.0:
-        raise ValueError(f"radar.height_m: must be positive, got {scene.radar.height_m!r}")
+    _check_radar(scene.radar)
+    for field, (least, most) in WEATHER_RANGES.items():
+        if not least <= getattr(scene.weather, field) <= most:
+            raise ValueError(f"weather.{field}: must lie in {least:g}..{most:g}, got {getattr(scene.weather, field)!r}")
     for index, surface in enumerate(scene.surfaces):
         _check_surface(f"surfaces[{index}]", surface, scene.setup.radar.carrier_hz)
     for index, thing in enumerate(scene.objects):
         _check_object(f"objects[{index}]", thing, scene)
 
 
+def _check_radar(radar: SceneRadar) -> None:
+    """Mounting, and faults that a front end can have."""
+    front_end = radar.front_end
+    if not radar.height_m > 0.0:
+        raise ValueError(f"radar.height_m: must be positive, got {radar.height_m!r}")
+    if not 0.0 <= radar.separation_m < 1.0:
+        raise ValueError(f"radar.separation_m: must be at least 0 and below 1 m, got {radar.separation_m!r}")
+    if not 4 <= front_end.adc_bits <= 16:
+        raise ValueError(f"radar.front_end.adc_bits: must be 4..16, got {front_end.adc_bits!r}")
+    if front_end.coupling_db is not None and not front_end.coupling_db < 0.0:
+        raise ValueError(f"radar.front_end.coupling_db: must be negative, got {front_end.coupling_db!r}")
+    if front_end.flicker_corner_hz < 0.0:
+        raise ValueError(
+            f"radar.front_end.flicker_corner_hz: must not be negative, got {front_end.flicker_corner_hz!r}"
+        )
+
+
 def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
     """Material, sizes, polyline, and the radar's distance of one surface."""
-    try:
-        permittivity(surface.material, carrier_hz)
-    except ValueError as error:
-        raise ValueError(f"{field}.material: {error}") from None
     if surface.thickness_mm is not None and not surface.thickness_mm > 0.0:
         raise ValueError(f"{field}.thickness_mm: must be positive, got {surface.thickness_mm!r}")
+    _check_material(field, surface, carrier_hz)
     if surface.roughness_mm < 0.0:
         raise ValueError(f"{field}.roughness_mm: must not be negative, got {surface.roughness_mm!r}")
+    if not surface.correlation_mm > 0.0:
+        raise ValueError(f"{field}.correlation_mm: must be positive, got {surface.correlation_mm!r}")
     if surface.role == "ground":
         return
     if not surface.height_m > 0.0:
         raise ValueError(f"{field}.height_m: must be positive, got {surface.height_m!r}")
     if len(surface.polyline_m) < 2:
         raise ValueError(f"{field}.polyline_m: needs two points or more, got {len(surface.polyline_m)}")
-    for index, (a, b) in enumerate(_segments(surface)):
-        if not math.dist(a, b) > SHORTEST_WALL_M:
-            raise ValueError(f"{field}.polyline_m[{index + 1}]: a piece of wall must have a length, got {a} to {b}")
-        if _distance_to_origin(np.array(a), np.array(b)) < RADAR_CLEARANCE_M:
-            raise ValueError(
-                f"{field}.polyline_m[{index}]: the radar at (0, 0) must stand {RADAR_CLEARANCE_M} m off every wall, "
-                f"got {a} to {b}"
-            )
+    for index, (a, b) in enumerate(pairwise(surface.polyline_m)):
+        _check_piece(field, index, surface.curvature_per_m, a, b)
+
+
+def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
+    """A build that is known at the carrier; foliage stands upright, it is no ground."""
+    thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
+    try:
+        if not is_volume(surface.material):
+            wall_layers(surface.material, thickness_m, carrier_hz)
+        elif surface.role == "ground":
+            raise ValueError(f"a ground must be a surface, got {surface.material!r}")
+    except ValueError as error:
+        raise ValueError(f"{field}.material: {error}") from None
+
+
+def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Point) -> None:
+    """Length of one piece of wall, its arc, and the radar's distance from it."""
+    chord = math.dist(a, b)
+    if not chord > SHORTEST_WALL_M:
+        raise ValueError(f"{field}.polyline_m[{index + 1}]: a piece of wall must have a length, got {a} to {b}")
+    if not abs(curvature_per_m) * chord < 2.0:
+        raise ValueError(
+            f"{field}.curvature_per_m: |curvature| times the length of a piece must be below 2, the arc of a "
+            f"half circle, got {curvature_per_m!r} for polyline_m[{index}] to [{index + 1}] of {chord:g} m"
+        )
+    pieces = _arc_pieces(a, b, curvature_per_m)
+    if min(_distance_to_origin(np.array(one), np.array(other)) for one, other in pieces) < RADAR_CLEARANCE_M:
+        raise ValueError(
+            f"{field}.polyline_m[{index}]: the radar at (0, 0) must stand {RADAR_CLEARANCE_M} m off every wall, "
+            f"got {a} to {b}" + (f" with curvature {curvature_per_m!r}" if curvature_per_m else "")
+        )
 
 
 def _check_object(field: str, thing: SceneObject, scene: Scene) -> None:
-    """The radar outside the object, and the object clear of all walls."""
+    """One form, a mesh that can be had, the radar outside the object, the object clear of all walls."""
+    _check_form(field, thing, scene.setup.radar.carrier_hz)
     if thing.contains(np.zeros((1, 2)))[0]:
-        raise ValueError(f"{field}.x_m: the radar at (0, 0) must stand outside, got a {thing.class_} around it")
+        raise ValueError(f"{field}.x_m: the radar at (0, 0) must stand outside, got a {thing.object_class} around it")
     index = wall_inside(thing, scene.surfaces)
     if index is not None:
         raise ValueError(
             f"{field}.x_m: must stand clear of surfaces[{index}], "
-            f"got a {thing.class_} at ({thing.x_m:g}, {thing.y_m:g}) in its wall"
+            f"got a {thing.object_class} at ({thing.x_m:g}, {thing.y_m:g}) in its wall"
         )
+
+
+def _check_form(field: str, thing: SceneObject, carrier_hz: float) -> None:
+    """Class, mesh or primitive, with the fields that belong to it; its material and shape."""
+    given = [name for name in ("class", "mesh", "primitive") if getattr(thing, "class_" if name == "class" else name)]
+    if len(given) != 1:
+        raise ValueError(f"{field}: must have one of class, mesh, primitive, got {' and '.join(given) or 'none'}")
+    allowed = {"class": (), "mesh": ("unit", "up", "material", "z_m"), "primitive": ("size_m", "material", "z_m")}
+    plain = SceneObject(x_m=0.0, y_m=0.0)
+    for name in ("unit", "up", "size_m", "material", "z_m"):
+        if name not in allowed[given[0]] and getattr(thing, name) != getattr(plain, name):
+            raise ValueError(f"{field}.{name}: does not belong to a {given[0]}, got {getattr(thing, name)!r}")
+    if thing.z_m < 0.0:
+        raise ValueError(f"{field}.z_m: must not be negative, got {thing.z_m!r}")
+    if thing.class_:
+        return
+    try:
+        permittivity(thing.material, carrier_hz)
+    except ValueError as error:
+        raise ValueError(f"{field}.material: {error}") from None
+    try:
+        _ = thing.shape
+    except ValueError as error:
+        raise ValueError(f"{field}.mesh: {error}" if thing.mesh else f"{field}.{error}") from None
 
 
 def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
@@ -228,10 +381,22 @@ def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None
 
 
 def _segments(surface: Surface) -> list[tuple[Point, Point]]:
-    """The straight pieces of a wall; none for the ground."""
+    """The straight pieces of a wall, or those that stand for its arcs; none for the ground."""
     if surface.role == "ground":
         return []
-    return list(zip(surface.polyline_m[:-1], surface.polyline_m[1:], strict=True))
+    ends = pairwise(surface.polyline_m)
+    return [piece for a, b in ends for piece in _arc_pieces(a, b, surface.curvature_per_m)]
+
+
+def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point, Point]]:
+    """Straight pieces that follow an arc to `ARC_ERROR_M`; the chord itself where the wall is straight."""
+    if not curvature_per_m:
+        return [(a, b)]
+    half_angle = math.asin(0.5 * math.dist(a, b) * abs(curvature_per_m))
+    step = math.acos(max(1.0 - ARC_ERROR_M * abs(curvature_per_m), 0.0))
+    share = np.linspace(0.0, 1.0, max(math.ceil(half_angle / max(step, 1e-6)), 1) + 1)
+    points = [(float(x), float(y)) for x, y in arc_points(np.array(a), np.array(b), curvature_per_m, share)]
+    return list(pairwise(points))
 
 
 def _distance_to_origin(a: np.ndarray, b: np.ndarray) -> float:
@@ -259,14 +424,3 @@ def _field_first(message: str) -> str:
     field = path.rstrip("`").lstrip(".")
     text = text[0].lower() + text[1:]
     return f"{field}: {text}" if field else text
-
-
-def _refuse_meshes(content: Any) -> None:
-    """Say plainly that meshes are not simulated, rather than "unknown field"."""
-    objects = content.get("objects") if isinstance(content, dict) else None
-    for index, thing in enumerate(objects if isinstance(objects, list) else ()):
-        if isinstance(thing, dict) and "mesh" in thing:
-            raise ValueError(
-                f"objects[{index}].mesh: meshes are not simulated, give a class of {', '.join(OBJECT_KINDS)}, "
-                f"got {thing['mesh']!r}"
-            )

@@ -35,37 +35,89 @@ def steering_weights(array: ArrayParams, wavelength_m: float, steer_azimuth_rad:
 
 
 def column_response(
-    array: ArrayParams, wavelength_m: float, azimuth_rad: np.ndarray, elevation_rad: np.ndarray
+    array: ArrayParams,
+    wavelength_m: float,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    frequency_ratio: float | np.ndarray = 1.0,
 ) -> np.ndarray:
-    """Phase of each column for plane waves from given directions; complex128 [directions, columns]."""
+    """Phase of each column for plane waves from given directions; complex128 [directions, columns].
+
+    `frequency_ratio` f / f_c, one or one per direction: spacings in metres stay, so phases scale with the frequency.
+    """
     step = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m)
     position = np.arange(array.columns) - (array.columns - 1) / 2.0
-    return np.exp(1j * step * np.multiply.outer(np.sin(azimuth_rad) * np.cos(elevation_rad), position))
+    sine = frequency_ratio * (np.sin(azimuth_rad) * np.cos(elevation_rad))
+    return np.exp(1j * step * np.multiply.outer(sine, position))
 
 
-def row_field(array: ArrayParams, wavelength_m: float, elevation_rad: np.ndarray) -> np.ndarray:
+def row_field(
+    array: ArrayParams, wavelength_m: float, elevation_rad: np.ndarray, frequency_ratio: float | np.ndarray = 1.0
+) -> np.ndarray:
     """Field factor of the rows, steered to the horizon, power normalised; float64 [directions]."""
     step = 2.0 * np.pi / wavelength_m * array.row_spacing(wavelength_m)
     position = np.arange(array.rows) - (array.rows - 1) / 2.0
-    phases = step * np.multiply.outer(np.sin(elevation_rad), position)
+    phases = step * np.multiply.outer(frequency_ratio * np.sin(elevation_rad), position)
     return np.cos(phases).sum(axis=-1) / np.sqrt(array.rows)
 
 
+def coupling_matrix(columns: int, coupling_db: float, coupling_phase_rad: float = 0.0) -> np.ndarray:
+    """Mutual coupling of the columns, Toeplitz and symmetric; complex128 [columns, columns].
+
+    Column m passes (10^(dB/20) e^{j phase})^|m - n| of its field to column n; its own stays 1. Reciprocal: transmit
+    and receive share it.
+    """
+    per_column = 10.0 ** (coupling_db / 20.0) * np.exp(1j * coupling_phase_rad)
+    index = np.arange(columns)
+    return per_column ** np.abs(index[:, None] - index)
+
+
+def one_way_pattern(
+    setup: RadarSetup,
+    weights: np.ndarray,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    frequency_ratio: float | np.ndarray = 1.0,
+    coupling: np.ndarray | None = None,
+) -> np.ndarray:
+    """Field pattern of the whole array one way, element gain included; complex128 [beams, directions].
+
+    At f = `frequency_ratio` f_c (one, or one per direction) the physical phases of columns and rows scale while the
+    phase shifters' do not: the beam squints to sin(a) = sin(a_s) / ratio. `coupling` [columns, columns] mixes the
+    weights.
+    """
+    radar, array = setup.radar, setup.array
+    response = column_response(array, radar.wavelength_m, azimuth_rad, elevation_rad, frequency_ratio)
+    excitation = weights if coupling is None else weights @ coupling
+    one_way = excitation @ response.T / np.sqrt(array.columns)
+    directional = element_field(setup.element, azimuth_rad, elevation_rad) * row_field(
+        array, radar.wavelength_m, elevation_rad, frequency_ratio
+    )
+    return one_way * directional
+
+
 def two_way_pattern(
-    setup: RadarSetup, weights: np.ndarray, azimuth_rad: np.ndarray, elevation_rad: np.ndarray
+    setup: RadarSetup,
+    weights: np.ndarray,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    departure_azimuth_rad: np.ndarray | None = None,
+    departure_elevation_rad: np.ndarray | None = None,
+    frequency_ratio: float | np.ndarray = 1.0,
+    coupling: np.ndarray | None = None,
 ) -> np.ndarray:
     """Physical B_t B_r of Eq. (1) with element gain, power normalised; complex128 [beams, directions].
 
-    `weights` [beams, columns] steer transmit and receive alike. At boresight the power gain |B_t B_r|^2 of the
-    default array is (32 elements x 4.1 dBi) squared.
+    `weights` [beams, columns] steer transmit and receive alike. Directions are those of arrival; those of departure
+    are the same unless given. At boresight the power gain |B_t B_r|^2 of the default array is
+    (32 elements x 4.1 dBi) squared.
     """
-    radar, array = setup.radar, setup.array
-    response = column_response(array, radar.wavelength_m, azimuth_rad, elevation_rad)
-    one_way = weights @ response.T / np.sqrt(array.columns)
-    directional = element_field(setup.element, azimuth_rad, elevation_rad) * row_field(
-        array, radar.wavelength_m, elevation_rad
-    )
-    return (one_way * directional) ** 2
+    receive = one_way_pattern(setup, weights, azimuth_rad, elevation_rad, frequency_ratio, coupling)
+    if departure_azimuth_rad is None and departure_elevation_rad is None:
+        return receive**2
+    azimuth_out = azimuth_rad if departure_azimuth_rad is None else departure_azimuth_rad
+    elevation_out = elevation_rad if departure_elevation_rad is None else departure_elevation_rad
+    return receive * one_way_pattern(setup, weights, azimuth_out, elevation_out, frequency_ratio, coupling)
 
 
 def setup_weights(setup: RadarSetup) -> np.ndarray:

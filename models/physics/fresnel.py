@@ -1,4 +1,4 @@
-"""Reflection of plane waves by flat walls: half-space, slab, and what roughness leaves of the mirror.
+"""Reflection of plane waves by flat walls: half-space, slab, stack of layers, and what roughness leaves of the mirror.
 
 Time convention e^{+jwt}: passive media have Im(eps) <= 0, waves inside decay as e^{-jqz} with Im(q) <= 0.
 TE: electric field along the wall's vertical when the ray is horizontal, so vertical polarisation at an upright wall;
@@ -7,6 +7,7 @@ it is the default everywhere. The sign of TM is that of Eq. (13): opposite to TE
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -74,12 +75,99 @@ def slab_transmission(
     return np.where(denominator == 0.0, 0.0, (1.0 - r**2) * once / np.where(denominator == 0.0, 1.0, denominator))
 
 
+def stack_reflection(
+    permittivities: Sequence[complex] | np.ndarray,
+    thicknesses_m: Sequence[float] | np.ndarray,
+    cos_theta: np.ndarray,
+    wavelength_m: float,
+    polarisation: Polarisation = "te",
+) -> np.ndarray:
+    """Complex field reflection of a stack of layers in air, the first one facing the wave (shape of `cos_theta`).
+
+    `permittivities` [layers], `thicknesses_m` [layers]; the last thickness may be infinite (a half-space behind).
+    From the back, r = (rho + r' p) / (1 + rho r' p) with p = exp(-2j k q d): exponentials only decay, so an opaque
+    layer needs no care and equals the stack cut there. Raises ValueError for an empty stack, lengths that differ, an
+    active medium, a negative thickness, or an infinite one that is not the last.
+    """
+    layers, cos_theta = _checked_stack(permittivities, thicknesses_m, cos_theta)
+    return _walk(layers, cos_theta, wavelength_m, polarisation)[0]
+
+
+def stack_transmission(
+    permittivities: Sequence[complex] | np.ndarray,
+    thicknesses_m: Sequence[float] | np.ndarray,
+    cos_theta: np.ndarray,
+    wavelength_m: float,
+    polarisation: Polarisation = "te",
+) -> np.ndarray:
+    """Complex field transmission through a stack into the air behind, as `stack_reflection`; 0 into a half-space."""
+    layers, cos_theta = _checked_stack(permittivities, thicknesses_m, cos_theta)
+    return _walk(layers, cos_theta, wavelength_m, polarisation)[1]
+
+
 def coherent_power(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
     """Power share of the mirror left by one bounce at a rough wall, exp(-(4 pi s cos / lambda)^2).
 
     The field takes its square root. Gaussian heights, Kirchhoff regime.
     """
     return np.exp(-np.square(4.0 * np.pi * np.asarray(roughness_m) * cos_theta / wavelength_m))
+
+
+def _walk(
+    layers: list[tuple[np.ndarray, float]], cos_theta: np.ndarray, wavelength_m: float, polarisation: Polarisation
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reflection and transmission of a stack, interface by interface from the back to the front."""
+    air = np.asarray(1.0 + 0.0j)
+    reflected, transmitted = np.zeros(cos_theta.shape, np.complex128), np.ones(cos_theta.shape, np.complex128)
+    behind = air
+    for medium, thickness_m in reversed(layers):
+        rho, tau = _interface(medium, behind, cos_theta, polarisation)
+        reflected, transmitted = _add_interface(rho, tau, reflected, transmitted)
+        once = _round_trip(medium, cos_theta, np.asarray(thickness_m), wavelength_m, 1.0)
+        reflected, transmitted = reflected * once**2, transmitted * once
+        behind = medium
+    rho, tau = _interface(air, behind, cos_theta, polarisation)
+    return _add_interface(rho, tau, reflected, transmitted)
+
+
+def _add_interface(
+    rho: np.ndarray, tau: np.ndarray, reflected: np.ndarray, transmitted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What a stack becomes with one more interface in front of it; `reflected` is seen from that interface."""
+    denominator = 1.0 + rho * reflected
+    # 0/0 as rho -> -1 meets a wave that comes back whole (grazing): there the interface alone is the limit
+    empty = denominator == 0.0
+    safe = np.where(empty, 1.0, denominator)
+    return np.where(empty, rho, (rho + reflected) / safe), np.where(empty, 0.0, tau * transmitted / safe)
+
+
+def _interface(
+    front: np.ndarray, behind: np.ndarray, cos_theta: np.ndarray, polarisation: Polarisation
+) -> tuple[np.ndarray, np.ndarray]:
+    """Reflection and transmission (TE: of E; TM: of H, the sign of Eq. (13)) where two media meet."""
+    outer, inner = _inner_cosine(front, cos_theta), _inner_cosine(behind, cos_theta)
+    if polarisation == "tm":
+        outer, inner = behind * outer, front * inner
+    total = outer + inner
+    # two media alike at grazing: nothing is there to reflect
+    empty = total == 0.0
+    safe = np.where(empty, 1.0, total)
+    return np.where(empty, 0.0, (outer - inner) / safe), np.where(empty, 1.0, 2.0 * outer / safe)
+
+
+def _checked_stack(
+    permittivities: Sequence[complex] | np.ndarray, thicknesses_m: Sequence[float] | np.ndarray, cos_theta: np.ndarray
+) -> tuple[list[tuple[np.ndarray, float]], np.ndarray]:
+    """Layers as (permittivity, thickness_m) and the cosines; ValueError as `stack_reflection` says."""
+    media, cos_theta = _checked(np.asarray(permittivities), cos_theta)
+    thicknesses = np.asarray(thicknesses_m, np.float64)
+    if media.ndim != 1 or media.size == 0 or media.shape != thicknesses.shape:
+        raise ValueError(
+            f"a stack needs one thickness for each of at least one layer, got {media.shape} and {thicknesses.shape}"
+        )
+    if np.isinf(thicknesses[:-1]).any():
+        raise ValueError(f"only the last layer of a stack may be endless, got thicknesses_m {thicknesses.tolist()}")
+    return [(medium, float(thickness)) for medium, thickness in zip(media, thicknesses, strict=True)], cos_theta
 
 
 def _round_trip(

@@ -1,7 +1,8 @@
-"""Materials of walls and grounds: complex permittivity by ITU-R P.2040, Table 3.
+"""Materials of walls and grounds: complex permittivity by ITU-R P.2040, Table 3, and walls built of several layers.
 
 eps = a f^b - j sigma / (2 pi f eps0), sigma = c f^d, f in GHz. Each row says where it was measured; beyond that it is
-refused unless extrapolation is asked for.
+refused unless extrapolation is asked for, and `extrapolation_note` then says so. A name stands for a material (one
+layer of any thickness), a construction (layers of its own) or a volume (foliage: it weakens waves and mirrors none).
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ VACUUM_PERMITTIVITY_F_PER_M = 8.854_187_812_8e-12
 
 @dataclass(frozen=True)
 class MaterialRow:
-    """One row of the table: coefficients a, b (permittivity), c, d (conductivity, S/m), validity in GHz."""
+    """One row of the table: coefficients a, b (permittivity), c, d (conductivity, S/m), validity in GHz, source."""
 
     a: float
     b: float
@@ -22,6 +23,15 @@ class MaterialRow:
     d: float
     least_ghz: float
     most_ghz: float
+    source: str = "ITU-R P.2040"
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer of a construction."""
+
+    material: str
+    thickness_m: float
 
 
 #: Some materials have a second row for a higher band.
@@ -50,6 +60,38 @@ TABLE: dict[str, tuple[MaterialRow, ...]] = {
     "very_dry_ground": (MaterialRow(3.0, 0.0, 0.00015, 2.52, 1.0, 10.0),),
     "medium_dry_ground": (MaterialRow(15.0, -0.1, 0.035, 1.63, 1.0, 10.0),),
     "wet_ground": (MaterialRow(30.0, -0.4, 0.15, 1.30, 1.0, 10.0),),
+    # Not in P.2040. Dry pavement: eps 5.0 to 5.3 was measured at 7..17 GHz (Olkkonen 2016), 12 to 14 cm and 4 cm of
+    # penetration at 8 and 30 GHz (an NCHRP study of density sensors), which a loss tangent of 0.02 gives.
+    "asphalt": (MaterialRow(5.0, 0.0, 0.00556, 1.0, 7.0, 30.0, "engineering choice"),),
+}
+
+#: Walls of several layers, the one that faces the radar first. The thicknesses are engineering choices.
+CONSTRUCTIONS: dict[str, tuple[Layer, ...]] = {
+    "window": (Layer("glass", 6e-3),),
+    "double_glazing": (Layer("glass", 4e-3), Layer("vacuum", 16e-3), Layer("glass", 4e-3)),
+    # cladding, ventilated gap, sheathing, mineral wool (nearly air, taken as air), inner board
+    "insulated_wall": (
+        Layer("wood", 20e-3),
+        Layer("vacuum", 30e-3),
+        Layer("plasterboard", 12.5e-3),
+        Layer("vacuum", 160e-3),
+        Layer("plasterboard", 12.5e-3),
+    ),
+    "container": (Layer("metal", 2e-3),),
+    "sound_barrier": (Layer("concrete", 120e-3),),
+}
+
+#: What fills space and mirrors nothing; `models.physics.attenuation.vegetation_db` says what it takes.
+VOLUMES = ("vegetation",)
+
+#: Usual rms height [mm], from least to most: textbook-level working values, not measured here and not to be quoted.
+TYPICAL_ROUGHNESS_MM: dict[str, tuple[float, float]] = {
+    "glass": (0.01, 0.05),
+    "metal": (0.01, 0.05),
+    "plasterboard": (0.05, 0.2),
+    "concrete": (0.2, 0.5),
+    "brick": (0.5, 1.5),
+    "asphalt": (0.3, 1.5),
 }
 
 ALIASES: dict[str, str] = {
@@ -65,14 +107,97 @@ ALIASES: dict[str, str] = {
     "ground": "medium_dry_ground",
 }
 
+_WALL_ALIASES: dict[str, str] = {
+    "hedge": "vegetation",
+    "tree": "vegetation",
+    "trees": "vegetation",
+    "foliage": "vegetation",
+    "noise_barrier": "sound_barrier",
+    "double_glazed_window": "double_glazing",
+}
+
 
 def material_name(name: str) -> str:
     """The table's name of a material or alias ("Very dry ground", "steel"); ValueError lists the known ones."""
-    key = name.strip().lower().replace(" ", "_").replace("-", "_")
+    key = _key(name)
     key = ALIASES.get(key, key)
     if key not in TABLE:
         raise ValueError(f"unknown material {name!r}, known are {', '.join(TABLE)}")
     return key
+
+
+def wall_name(name: str) -> str:
+    """The name of a construction, volume or material; ValueError lists the known ones.
+
+    Constructions come first: "window" is a pane here, while to `material_name` it is another word for glass.
+    """
+    key = _WALL_ALIASES.get(_key(name), _key(name))
+    if key in CONSTRUCTIONS or key in VOLUMES:
+        return key
+    key = ALIASES.get(key, key)
+    if key not in TABLE:
+        raise ValueError(f"unknown material {name!r}, known are {', '.join(wall_names())}")
+    return key
+
+
+def wall_names() -> tuple[str, ...]:
+    """All materials, constructions and volumes."""
+    return (*TABLE, *CONSTRUCTIONS, *VOLUMES)
+
+
+def is_volume(material: str) -> bool:
+    """Whether a name stands for a volume, which has no layers and mirrors nothing; ValueError if it is unknown."""
+    return wall_name(material) in VOLUMES
+
+
+def wall_layers(
+    material: str, thickness_m: float | None, frequency_hz: float, extrapolate: bool = False
+) -> tuple[tuple[complex, float], ...]:
+    """Layers (permittivity, thickness_m) of a wall, the one that faces the radar first, for `fresnel.stack_reflection`.
+
+    A material is one layer, endless (inf) where `thickness_m` is None. ValueError for an unknown name, a volume, a
+    thickness that is not positive, one given to a construction (which has its own), and as `permittivity`.
+    """
+    name = wall_name(material)
+    if name in VOLUMES:
+        raise ValueError(f"{name} is a volume: it has no layers and mirrors nothing")
+    if thickness_m is not None and not thickness_m > 0.0:
+        raise ValueError(f"thickness_m must be positive, got {thickness_m!r}")
+    if name not in CONSTRUCTIONS:
+        return ((permittivity(name, frequency_hz, extrapolate), math.inf if thickness_m is None else thickness_m),)
+    if thickness_m is not None:
+        raise ValueError(
+            f"{name} has the thicknesses of its layers; thickness_m must not be given, got {thickness_m!r}"
+        )
+    return tuple(
+        (permittivity(layer.material, frequency_hz, extrapolate), layer.thickness_m) for layer in CONSTRUCTIONS[name]
+    )
+
+
+def validity_ghz(material: str) -> tuple[tuple[float, float], ...]:
+    """Ranges [GHz] in which a wall's materials are all known (ends included); of a volume, its law's range."""
+    name = wall_name(material)
+    if name in VOLUMES:
+        return ((0.23, 95.0),)
+    parts = [layer.material for layer in CONSTRUCTIONS[name]] if name in CONSTRUCTIONS else [name]
+    common = [(0.0, math.inf)]
+    for part in parts:
+        common = [(max(least, row.least_ghz), min(most, row.most_ghz)) for least, most in common for row in TABLE[part]]
+    return tuple((least, most) for least, most in common if least <= most)
+
+
+def extrapolation_note(material: str, frequency_hz: float) -> str:
+    """ "extrapolated beyond 1..40 GHz" where a frequency lies outside what is known of a wall; empty inside."""
+    known = validity_ghz(material)
+    if any(least <= frequency_hz / 1e9 <= most for least, most in known):
+        return ""
+    return "extrapolated beyond " + " and ".join(f"{least:g}..{most:g}" for least, most in known) + " GHz"
+
+
+def typical_roughness_mm(material: str) -> tuple[float, float] | None:
+    """Usual rms height [mm] of a wall's face, least and most; None where no value is at hand."""
+    name = wall_name(material)
+    return TYPICAL_ROUGHNESS_MM.get(CONSTRUCTIONS[name][0].material if name in CONSTRUCTIONS else name)
 
 
 def permittivity(name: str, frequency_hz: float, extrapolate: bool = False) -> complex:
@@ -91,6 +216,10 @@ def permittivity(name: str, frequency_hz: float, extrapolate: bool = False) -> c
     conductivity = row.c * frequency_ghz**row.d
     loss = conductivity / (2.0 * math.pi * frequency_hz * VACUUM_PERMITTIVITY_F_PER_M)
     return complex(row.a * frequency_ghz**row.b, -loss)
+
+
+def _key(name: str) -> str:
+    return name.strip().lower().replace(" ", "_").replace("-", "_")
 
 
 def _outside(row: MaterialRow, frequency_ghz: float) -> float:

@@ -40,20 +40,31 @@ def beat_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
     return np.exp(1j * (2.0 * np.pi * turns + beat_phase_rad(radar, length_m)[..., None]))
 
 
-def range_profile(radar: RadarParams, length_m: np.ndarray, range_bins: int, window: str = "hann") -> np.ndarray:
-    """FFT of `beat_samples` over the first bins, divided by its length, in closed form; complex128 [paths, bins].
+def range_profile(
+    radar: RadarParams, length_m: np.ndarray, range_bins: int, window: str = "hann", first_bin: int = 0
+) -> np.ndarray:
+    """FFT of `beat_samples` over bins from `first_bin`, divided by its length, closed form; complex128 [paths, bins].
+
+    `tone_profile` at the beat's frequency, turned by the beat's phase.
+    """
+    tone_bin = beat_frequency_hz(radar, length_m) * radar.chirp_period_s
+    profile = tone_profile(radar.samples_per_chirp, tone_bin, range_bins, window, first_bin)
+    return profile * np.exp(1j * beat_phase_rad(radar, length_m))[..., None]
+
+
+def tone_profile(
+    samples: int, tone_bin: np.ndarray, range_bins: int, window: str = "hann", first_bin: int = 0
+) -> np.ndarray:
+    """Windowed FFT of exp(2 pi j q n / N) over N samples, divided by N, in closed form; complex128 [tones, bins].
 
     The sum of a geometric series: bin i of a tone at fractional bin q is
     exp(j pi (N-1)/N (q-i)) sin(pi (q-i)) / (N sin(pi (q-i)/N)); the window is applied as taps on neighbouring bins.
     """
-    count = radar.samples_per_chirp
     taps = WINDOW_TAPS[window]
     reach = len(taps) // 2
-    tone_bin = beat_frequency_hz(radar, length_m) * radar.chirp_period_s
-    offset = np.asarray(tone_bin)[..., None] - np.arange(-reach, range_bins + reach)
-    dirichlet = _periodic_sinc(offset, count) * np.exp(1j * np.pi * (count - 1) / count * offset)
-    profile = sum(tap * dirichlet[..., i : i + range_bins] for i, tap in enumerate(taps))
-    return profile * np.exp(1j * beat_phase_rad(radar, length_m))[..., None]
+    offset = np.asarray(tone_bin)[..., None] - np.arange(first_bin - reach, first_bin + range_bins + reach)
+    dirichlet = _periodic_sinc(offset, samples) * np.exp(1j * np.pi * (samples - 1) / samples * offset)
+    return sum(tap * dirichlet[..., i : i + range_bins] for i, tap in enumerate(taps))
 
 
 def _periodic_sinc(offset_bins: np.ndarray, count: int) -> np.ndarray:

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import csv
+import math
 from pathlib import Path
 
 import pytest
 
-from models.physics.materials import TABLE, VACUUM_PERMITTIVITY_F_PER_M, material_name, permittivity
+from models.physics.materials import (
+    CONSTRUCTIONS,
+    TABLE,
+    VACUUM_PERMITTIVITY_F_PER_M,
+    extrapolation_note,
+    is_volume,
+    material_name,
+    permittivity,
+    typical_roughness_mm,
+    validity_ghz,
+    wall_layers,
+    wall_name,
+    wall_names,
+)
 
 SHARED_TABLE = Path(__file__).parents[2].parent / "shared" / "data" / "itu_p2040" / "itu_p2040_table3.csv"
 
@@ -54,7 +68,7 @@ def test_out_of_range_only_on_request() -> None:
 def test_names_are_forgiving_and_unknown_ones_listed() -> None:
     assert material_name("Very dry-ground") == "very_dry_ground"
     assert material_name("steel") == "metal"
-    with pytest.raises(ValueError, match="unknown material 'cheese', known are vacuum, concrete"):
+    with pytest.raises(ValueError, match=r"unknown material 'cheese', known are vacuum, concrete"):
         material_name("cheese")
 
 
@@ -62,3 +76,68 @@ def test_names_are_forgiving_and_unknown_ones_listed() -> None:
 def test_impossible_frequencies_are_refused(frequency_hz: float) -> None:
     with pytest.raises(ValueError, match="frequency_hz must be finite and positive"):
         permittivity("glass", frequency_hz)
+
+
+def test_asphalt_is_as_measured() -> None:
+    """eps 5.0, tan 0.02: penetration lambda sqrt(eps') / (2 pi eps'') of 12..14 cm at 8 GHz, about 4 cm at 30 GHz."""
+    for frequency_hz, least_m, most_m in ((8e9, 0.12, 0.14), (30e9, 0.03, 0.04)):
+        medium = permittivity("asphalt", frequency_hz)
+        depth_m = 299_792_458.0 / frequency_hz * math.sqrt(medium.real) / (2.0 * math.pi * -medium.imag)
+        assert least_m <= depth_m <= most_m
+    with pytest.raises(ValueError, match=r"asphalt is known for 7\.\.30 GHz, got 77 GHz"):
+        permittivity("asphalt", 77e9)
+
+
+def test_a_material_is_one_layer() -> None:
+    assert wall_layers("concrete", 0.4, 10e9) == ((permittivity("concrete", 10e9), 0.4),)
+    assert wall_layers("concrete", None, 10e9) == ((permittivity("concrete", 10e9), math.inf),)
+
+
+def test_constructions_have_their_layers() -> None:
+    glass = permittivity("glass", 77e9)
+    assert wall_layers("Double glazing", None, 77e9) == ((glass, 4e-3), (1.0 + 0.0j, 16e-3), (glass, 4e-3))
+    assert wall_layers("window", None, 77e9) == ((glass, 6e-3),)
+    for name in CONSTRUCTIONS:
+        for frequency_hz in (10e9, 77e9):
+            assert all(medium.imag <= 0.0 for medium, _ in wall_layers(name, None, frequency_hz))
+
+
+def test_a_window_is_a_pane_to_walls_and_glass_to_tables() -> None:
+    assert wall_name("window") == "window"
+    assert material_name("window") == "glass"
+
+
+def test_walls_refuse_what_makes_no_sense() -> None:
+    with pytest.raises(ValueError, match="double_glazing has the thicknesses of its layers"):
+        wall_layers("double_glazing", 0.1, 10e9)
+    for thickness_m in (0.0, -0.1, math.nan):
+        with pytest.raises(ValueError, match="thickness_m must be positive"):
+            wall_layers("concrete", thickness_m, 10e9)
+    with pytest.raises(ValueError, match="vegetation is a volume"):
+        wall_layers("hedge", None, 10e9)
+    with pytest.raises(ValueError, match=r"unknown material 'cheese', known are .*asphalt, window.*vegetation"):
+        wall_layers("cheese", None, 10e9)
+    with pytest.raises(ValueError, match="brick is known for"):
+        wall_layers("brick", 0.1, 77e9)
+
+
+def test_extrapolation_is_said() -> None:
+    assert wall_layers("brick", None, 77e9, extrapolate=True) == ((permittivity("brick", 77e9, True), math.inf),)
+    assert extrapolation_note("brick", 77e9) == "extrapolated beyond 1..40 and 110..330 GHz"
+    assert extrapolation_note("brick", 40e9) == ""
+    # a construction is known where all its materials are
+    assert validity_ghz("double_glazing") == ((0.1, 100.0),)
+    assert extrapolation_note("double_glazing", 120e9) == "extrapolated beyond 0.1..100 GHz"
+
+
+def test_only_foliage_is_a_volume() -> None:
+    assert [name for name in wall_names() if is_volume(name)] == ["vegetation"]
+    assert is_volume("hedge")
+
+
+def test_usual_roughness_belongs_to_the_face() -> None:
+    assert typical_roughness_mm("double_glazing") == typical_roughness_mm("glass") == (0.01, 0.05)
+    assert typical_roughness_mm("wood") is None
+    for name in wall_names():
+        found = typical_roughness_mm(name)
+        assert found is None or 0.0 < found[0] < found[1]

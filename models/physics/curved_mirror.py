@@ -1,0 +1,637 @@
+"""Curved upright walls as mirrors: every Fermat point of an arc, how it focuses, and its field near the caustic.
+
+A wall is an upright cylinder. In plan it is an arc from `a` to `b` of signed curvature [1/m]: positive where its
+centre lies to the left of the way a -> b runs; always less than a half circle, so |curvature| times the chord is
+below 2. A point of it is named by its `share` of the arc's length, 0 at `a` and 1 at `b`.
+
+Heights unfold. For a fixed point of the arc the shortest way p -> w -> q over all heights of w runs at one slope, is
+sqrt((l1 + l2)^2 + dz^2) long (l1 and l2 the legs in plan, dz the height between p and q) and meets the wall at
+z_p + dz l1 / (l1 + l2). It grows with l1 + l2, so the Fermat points of the plan are those of space.
+
+Stationary phase over wall height and arc gives the field of one bounce, e^{-jkL} / L times `focusing`; the divergence
+it has where Fermat points merge is replaced by the integral along the arc itself, `bounces`. Time runs as e^{+jwt}.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from models.physics.mirror import SHORTEST_WALL_M
+
+#: A Fermat point; one near its caustic or several merged; none any more, but the caustic's field reaches here.
+RAY, CAUSTIC, FADING = 0, 1, 2
+#: First correction of the ray's field (relative) above which the arc is integrated instead.
+RAY_ERROR = 0.01
+#: Fermat points whose paths differ by less than this phase act as one path.
+MERGE_RAD = 3.0 * np.pi
+#: Airy argument at which the field beyond a caustic is dropped: 38 dB below its maximum one way.
+FADED_AIRY = 3.0
+
+_MOST_POINTS = 16
+_MOST_INTERVALS = 20000
+#: Legs of the integration path leave the real axis at this angle: phases of second to fourth order all decay on it.
+_LEG = np.exp(1j * np.pi / 6.0)
+_DECAY_NEPER = 10.0
+_LEAST_DECAY_NEPER = 4.0
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
+
+
+@dataclass(frozen=True)
+class CurvedBounces:
+    """M bounces at one arc, one way; field at the target = `gain` e^{-jkL} / L times the wall's reflection."""
+
+    #: Which target, share of the arc, and RAY, CAUSTIC or FADING; int64, float64, uint8 [M].
+    target: np.ndarray
+    share: np.ndarray
+    kind: np.ndarray
+    #: Point of the wall in plan, and its unit normal towards both legs; [M, 2].
+    point_m: np.ndarray
+    normal: np.ndarray
+    #: Legs in plan: origin to wall, wall to target.
+    out_m: np.ndarray
+    on_m: np.ndarray
+    #: Whole length in space, one way.
+    length_m: np.ndarray
+    #: Cosine of the angle of incidence in plan; times (out_m + on_m) / length_m it is the cosine in space.
+    cos_incidence: np.ndarray
+    #: Field over that of a flat mirror with the same length, complex [M].
+    gain: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.target)
+
+
+def arc_from_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple[np.ndarray, float, float, float]:
+    """Centre [2], radius [m] and the angles [rad] of `a` and `b` seen from the centre, less than pi apart.
+
+    Raises ValueError for a flat wall, which has no centre.
+    """
+    middle, along, half_m = _frame(a, b, curvature_per_m)
+    if curvature_per_m == 0.0:
+        raise ValueError("an arc with a centre needs a curvature other than 0 1/m, got 0")
+    radius_m = 1.0 / abs(curvature_per_m)
+    half_rad = curvature_per_m * half_m
+    left = np.array([-along[1], along[0]])
+    centre = middle + left * (np.cos(half_rad) / curvature_per_m)
+    out = np.arctan2(-left[1] * np.sign(curvature_per_m), -left[0] * np.sign(curvature_per_m))
+    return centre, radius_m, float(out - half_rad), float(out + half_rad)
+
+
+def arc_points(a: np.ndarray, b: np.ndarray, curvature_per_m: float, share: np.ndarray) -> np.ndarray:
+    """Points [..., 2] of the arc at `share` [...]; smooth through curvature 0, where they lie on the chord."""
+    middle, along, half_m = _frame(a, b, curvature_per_m)
+    s = half_m * (2.0 * np.asarray(share, np.float64) - 1.0)
+    x, y = _arc_xy(s, half_m, curvature_per_m)
+    return middle + x[..., None] * along + y[..., None] * np.array([-along[1], along[0]])
+
+
+def arc_normals(
+    a: np.ndarray, b: np.ndarray, curvature_per_m: float, share: np.ndarray, towards: np.ndarray | None = None
+) -> np.ndarray:
+    """Unit normals [..., 2] of the arc at `share` [...], to the side of `towards` [2] (None: left of a -> b)."""
+    _, along, half_m = _frame(a, b, curvature_per_m)
+    turn = curvature_per_m * half_m * (2.0 * np.asarray(share, np.float64) - 1.0)
+    left = np.array([-along[1], along[0]])
+    normal = np.cos(turn)[..., None] * left - np.sin(turn)[..., None] * along
+    if towards is None:
+        return normal
+    side = np.sum((towards - arc_points(a, b, curvature_per_m, share)) * normal, axis=-1)
+    return np.where(side[..., None] < 0.0, -normal, normal)
+
+
+def arc_length_m(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> float:
+    """Length of the arc."""
+    return 2.0 * _frame(a, b, curvature_per_m)[2]
+
+
+def arc_crosses(
+    origin: np.ndarray,
+    targets: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    curvature_per_m: float,
+    clearance_m: float = 1e-6,
+) -> np.ndarray:
+    """Which rays origin -> target the arc cuts; bool [N]. Ends and clearance as in `mirror.crosses`.
+
+    `origin` [2] or [N, 2], `targets` [N, 2].
+    """
+    middle, along, half_m = _frame(a, b, curvature_per_m)
+    targets = _local(targets, middle, along)
+    start = np.broadcast_to(_local(origin, middle, along), targets.shape)
+    ray = targets - start
+    half_rad = curvature_per_m * half_m
+    reach_m = half_m * np.sinc(half_rad / np.pi)
+    # the circle: curvature/2 (x^2 + y^2) - y cos(half) - curvature/2 reach^2 = 0
+    second = 0.5 * curvature_per_m * np.sum(ray**2, axis=-1)
+    first = curvature_per_m * np.sum(start * ray, axis=-1) - ray[:, 1] * np.cos(half_rad)
+    zeroth = 0.5 * curvature_per_m * (np.sum(start**2, axis=-1) - reach_m**2) - start[:, 1] * np.cos(half_rad)
+    root = first**2 - 4.0 * second * zeroth
+    larger = -0.5 * (first + np.copysign(np.sqrt(np.maximum(root, 0.0)), first))
+    length_m = np.hypot(ray[:, 0], ray[:, 1])
+    edge = clearance_m / np.maximum(length_m, clearance_m)
+    cut = np.zeros(len(targets), bool)
+    for above, below in ((larger, second), (zeroth, larger)):
+        meets = (root >= 0.0) & (below != 0.0) & (length_m > 0.0)
+        way = np.divide(
+            above, below, out=np.full(len(targets), -1.0), where=meets & (np.abs(below) * 1e9 > np.abs(above))
+        )
+        point = start + way[:, None] * ray
+        on_arc = (np.abs(point[:, 0]) <= reach_m + clearance_m) & (point[:, 1] * curvature_per_m <= clearance_m)
+        cut |= (way > edge) & (way < 1.0 - edge) & on_arc
+    return cut
+
+
+def focusing(
+    out_m: np.ndarray, on_m: np.ndarray, cos_incidence: np.ndarray, curvature_towards_per_m: np.ndarray
+) -> np.ndarray:
+    """Field of one bounce over that of a flat mirror of the same length, by geometrical optics; complex.
+
+    F = 1 / sqrt(D), D = 1 - 2 kappa l1 l2 / ((l1 + l2) cos): the second derivative of the path along the arc is
+    cos^2 (1/l1 + 1/l2) D, and stationary phase divides by its root; D = 0 is the mirror equation
+    1/l1 + 1/l2 = 2 kappa / cos. Legs and cosine in plan, also for paths with slope: the heights cancel.
+    `curvature_towards_per_m` is positive where the wall is hollow towards the legs. Behind a caustic (D < 0) the
+    phase is +pi/2 (e^{+jwt}); on it the factor is infinite. Source: stationary phase, as above; it is the spreading
+    factor of Kouyoumjian and Pathak (1974) for a cylinder.
+    """
+    spread = 1.0 - 2.0 * np.asarray(curvature_towards_per_m) * out_m * on_m / (
+        (np.asarray(out_m) + on_m) * cos_incidence
+    )
+    size = np.full(np.shape(spread), np.inf)
+    np.divide(1.0, np.sqrt(np.abs(spread)), out=size, where=spread != 0.0)
+    factor = np.zeros(np.shape(spread), np.complex128)
+    factor.real, factor.imag = np.where(spread < 0.0, 0.0, size), np.where(spread < 0.0, size, 0.0)
+    return factor
+
+
+def fermat_points(
+    origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, curvature_per_m: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All points of the arc that mirror targets towards the origin: (target index, share, longest); each [M].
+
+    `longest` (bool) marks points where the path is a maximum along the arc: behind their caustic. Either face may
+    reflect, both legs on one side of the tangent and neither cut by the arc itself. Found by interval subdivision with
+    bounds on the derivatives, so none is lost; share exact to rounding (near a caustic to its square root).
+    """
+    found = _search(origin, targets, a, b, curvature_per_m, np.inf)
+    return found[0], found[1], found[2] == _LONGEST
+
+
+def bounces(
+    origin: np.ndarray,
+    targets: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    curvature_per_m: float,
+    wavelength_m: float,
+) -> CurvedBounces:
+    """Every bounce origin -> arc -> target with its bounded field factor.
+
+    `origin` [2] or [3] and `targets` [N, 2] or [N, 3] in metres. Far from a caustic a bounce is a Fermat point with the
+    factor of `focusing`. Where that is wrong by more than `RAY_ERROR`, the integral along the arc (physical optics,
+    stationary in height) is evaluated around the points whose phases lie within `MERGE_RAD`, and they become one
+    bounce at their middle. On the dark side it lasts to `FADED_AIRY`. The arc is continued analytically beyond its
+    ends, so edges do not diffract, unless points merge across an end: then the integral stops there.
+    """
+    if not (np.isfinite(wavelength_m) and wavelength_m > 0.0):
+        raise ValueError(f"wavelength must be positive and finite, got {wavelength_m} m")
+    target, share, kind, gain = _search(origin, targets, a, b, curvature_per_m, 2.0 * np.pi / wavelength_m)
+    origin, targets = np.asarray(origin, np.float64), np.asarray(targets, np.float64)
+    point = arc_points(a, b, curvature_per_m, share)
+    normal = arc_normals(a, b, curvature_per_m, share, origin[:2])
+    to_origin, to_target = origin[:2] - point, targets[target, :2] - point
+    out_m, on_m = np.hypot(*to_origin.T), np.hypot(*to_target.T)
+    cosines = np.sum(normal * to_origin, axis=1) / out_m, np.sum(normal * to_target, axis=1) / on_m
+    rise_m = _heights(targets)[target] - _heights(origin)
+    return CurvedBounces(
+        target,
+        share,
+        kind,
+        point,
+        normal,
+        out_m,
+        on_m,
+        np.hypot(out_m + on_m, rise_m),
+        0.5 * (cosines[0] + cosines[1]),
+        gain,
+    )
+
+
+def one_way_field(
+    origin: np.ndarray,
+    targets: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    curvature_per_m: float,
+    wavelength_m: float,
+    reflection: complex | Callable[[np.ndarray], np.ndarray] = 1.0,
+) -> tuple[CurvedBounces, np.ndarray]:
+    """The bounces and the complex field [M] of each at its target, for a unit point source (e^{-jkr} / r).
+
+    `reflection` is the wall's coefficient, or a function of the cosine of incidence in space.
+    """
+    found = bounces(origin, targets, a, b, curvature_per_m, wavelength_m)
+    cosine = found.cos_incidence * (found.out_m + found.on_m) / found.length_m
+    factor = reflection(cosine) if callable(reflection) else reflection
+    phase_rad = 2.0 * np.pi / wavelength_m * found.length_m
+    return found, factor * found.gain * np.exp(-1j * phase_rad) / found.length_m
+
+
+# --- the arc in its own frame: x along the chord from its middle, y to the left, s along the arc from its top
+
+
+def _frame(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Middle of the chord, its unit vector and half the arc's length, the door of the module."""
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
+    chord_m = float(np.hypot(*(b - a)))
+    if not (np.isfinite(chord_m) and chord_m > SHORTEST_WALL_M):
+        raise ValueError(f"wall must be longer than {SHORTEST_WALL_M:g} m, got ends {a.tolist()} and {b.tolist()}")
+    half_turn = 0.5 * curvature_per_m * chord_m
+    if not abs(half_turn) < 1.0:
+        raise ValueError(f"|curvature| times chord must be below 2 (less than a half circle), got {2.0 * half_turn:g}")
+    stretch = np.arcsin(half_turn) / half_turn if half_turn != 0.0 else 1.0
+    return 0.5 * (a + b), (b - a) / chord_m, float(0.5 * chord_m * stretch)
+
+
+def _local(points: np.ndarray, middle: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """Plan points [..., 2] in the arc's frame."""
+    away = np.asarray(points, np.float64)[..., :2] - middle
+    return np.stack([away @ along, away @ np.array([-along[1], along[0]])], axis=-1)
+
+
+def _heights(points: np.ndarray) -> np.ndarray:
+    """Third coordinate [...] of points, 0 where they have none."""
+    points = np.asarray(points, np.float64)
+    return points[..., 2] if points.shape[-1] == 3 else np.zeros(points.shape[:-1])
+
+
+def _arc_xy(s: np.ndarray, half_m: float, curvature: float) -> tuple[np.ndarray, np.ndarray]:
+    """Arc points in the arc's frame by their sagitta: no division by the curvature."""
+    before, after = half_m + s, half_m - s
+    shrink = np.sinc(0.5 * curvature * before / np.pi) * np.sinc(0.5 * curvature * after / np.pi)
+    return s * np.sinc(curvature * s / np.pi), -0.5 * curvature * before * after * shrink
+
+
+def _search(
+    origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, curvature: float, wavenumber: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Target index, share, kind and gain of what `_one_target` finds for every target."""
+    middle, along, half_m = _frame(a, b, curvature)
+    if np.ndim(targets) != 2 or np.shape(targets)[1] not in (2, 3):
+        raise ValueError(f"targets must have shape [N, 2] or [N, 3], got {list(np.shape(targets))}")
+    start, ends = _local(origin, middle, along), _local(targets, middle, along)
+    rise_m = np.broadcast_to(_heights(targets) - _heights(origin), len(ends)).astype(np.float64)
+    if not (np.isfinite(start).all() and np.isfinite(ends).all() and np.isfinite(rise_m).all()):
+        raise ValueError("origin and targets must be finite, got NaN or infinity among them")
+    counts = np.zeros(len(ends), np.int64)
+    s = np.empty((len(ends), _MOST_POINTS))
+    kind = np.empty((len(ends), _MOST_POINTS), np.uint8)
+    gain = np.empty((len(ends), _MOST_POINTS), np.complex128)
+    _all_targets(start, ends, rise_m, half_m, float(curvature), wavenumber, counts, s, kind, gain)
+    filled = np.arange(_MOST_POINTS) < counts[:, None]
+    share = np.clip(0.5 + 0.5 * s[filled] / half_m, 0.0, 1.0)
+    return np.repeat(np.arange(len(ends)), counts), share, kind[filled], gain[filled]
+
+
+_SHORTEST, _LONGEST, _INFLECTION = 0, 1, 2
+
+
+@njit(cache=True, nogil=True)
+def _all_targets(start, ends, rise, half, curvature, wavenumber, counts, s, kind, gain):  # type: ignore[no-untyped-def]
+    """Loop of `_stationary` and, for a finite wavenumber, `_gather` over all targets."""
+    for i in range(len(ends)):
+        scene = (start[0], start[1], ends[i, 0], ends[i, 1], half, curvature)
+        slope = 1.0 / np.sqrt(1.0 + (rise[i] / max(_plan(scene), 1e-9)) ** 2)
+        counts[i] = _stationary(scene, wavenumber * slope, s[i], kind[i])
+        if np.isfinite(wavenumber):
+            counts[i] = _gather(scene, rise[i], wavenumber, counts[i], s[i], kind[i], gain[i])
+
+
+@njit(cache=True, nogil=True)
+def _plan(scene):  # type: ignore[no-untyped-def]
+    """Length of the path over the middle of the arc: what the slope of a path is estimated from."""
+    return _leg(0.0, scene[0], scene[1], scene[4], scene[5])[0] + _leg(0.0, scene[2], scene[3], scene[4], scene[5])[0]
+
+
+@njit(cache=True, nogil=True)
+def _sinc(t):  # type: ignore[no-untyped-def]
+    """sin(t) / t, also for complex t."""
+    return np.sin(t) / t if t != 0.0 else 1.0 + 0.0 * t
+
+
+@njit(cache=True, nogil=True)
+def _leg(s, px, py, half, curvature):  # type: ignore[no-untyped-def]
+    """Distance of p from the arc at s, and the tangential and normal component of the way there; s real or complex."""
+    turn = curvature * s
+    sagitta = _sinc(0.5 * curvature * (half + s)) * _sinc(0.5 * curvature * (half - s))
+    dx = px - s * _sinc(turn)
+    dy = py + 0.5 * curvature * (half + s) * (half - s) * sagitta
+    distance = np.sqrt(dx * dx + dy * dy)
+    if distance == 0.0:
+        return distance, 0.0 * distance, 0.0 * distance
+    cosine, sine = np.cos(turn), np.sin(turn)
+    return distance, (cosine * dx + sine * dy) / distance, (cosine * dy - sine * dx) / distance
+
+
+@njit(cache=True, nogil=True)
+def _slope(s, scene):  # type: ignore[no-untyped-def]
+    """Minus the first and second derivative of the plan length l1 + l2 along the arc."""
+    px, py, qx, qy, half, curvature = scene
+    r1, t1, n1 = _leg(s, px, py, half, curvature)
+    r2, t2, n2 = _leg(s, qx, qy, half, curvature)
+    second = 0.0
+    if r1 > 0.0 and r2 > 0.0:
+        second = n1 * (curvature - n1 / r1) + n2 * (curvature - n2 / r2)
+    return t1 + t2, second
+
+
+@njit(cache=True, nogil=True)
+def _derivatives(s, scene):  # type: ignore[no-untyped-def]
+    """Second, third and fourth derivative of l1 + l2 along the arc (with u = normal component over distance)."""
+    px, py, qx, qy, half, k = scene
+    second, third, fourth = 0.0, 0.0, 0.0
+    for x, y in ((px, py), (qx, qy)):
+        r, t, n = _leg(s, x, y, half, k)
+        u = n / r
+        bend = 3.0 * u * u - 3.0 * k * u + k * k
+        second += n * (u - k)
+        third += t * bend
+        fourth += n * (k - u) * bend + 3.0 * t * t * (2.0 * u - k) ** 2 / r
+    return second, third, fourth
+
+
+@njit(cache=True, nogil=True)
+def _bounds(r1, r2, k):  # type: ignore[no-untyped-def]
+    """Upper bounds of the third and fourth derivative where the legs are at least r1 and r2 long."""
+    k = abs(k)
+    third, fourth = 0.0, 0.0
+    for r in (r1, r2):
+        bend = 3.0 / (r * r) + 3.0 * k / r + k * k
+        third += bend
+        fourth += (k + 1.0 / r) * bend + 3.0 * (2.0 / r + k) ** 2 / r
+    return third, fourth
+
+
+@njit(cache=True, nogil=True)
+def _zero(low, high, scene, order):  # type: ignore[no-untyped-def]
+    """Zero of the first (order 0) or second (1) derivative in a bracket: Newton inside bisection."""
+    rising = _slope(high, scene)[order] >= 0.0
+    s = 0.5 * (low + high)
+    for _ in range(200):
+        value, derivative = _slope(s, scene)
+        if order == 1:
+            value, derivative = derivative, 0.0
+        if (value >= 0.0) == rising:
+            high = s
+        else:
+            low = s
+        new = s - value / derivative if derivative != 0.0 else low
+        if not low < new < high:
+            new = 0.5 * (low + high)
+        if abs(new - s) <= 2e-16 * abs(s) or high - low <= 1e-15 * scene[4]:
+            return new
+        s = new
+    return s
+
+
+@njit(cache=True, nogil=True)
+def _changes(low, high, scene, order):  # type: ignore[no-untyped-def]
+    """Whether the derivative changes its sign; zero counts as positive, so neighbours never both claim a root."""
+    return (_slope(low, scene)[order] >= 0.0) != (_slope(high, scene)[order] >= 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _lit(s, scene):  # type: ignore[no-untyped-def]
+    """Whether both ends see the same face at s, with no other part of the arc between."""
+    px, py, qx, qy, half, curvature = scene
+    r1, t1, n1 = _leg(s, px, py, half, curvature)
+    r2, t2, n2 = _leg(s, qx, qy, half, curvature)
+    if min(r1, r2) < SHORTEST_WALL_M or n1 * n2 <= 0.0:
+        return False
+    return not (_cut(s, r1, t1, n1, half, curvature) or _cut(s, r2, t2, n2, half, curvature))
+
+
+@njit(cache=True, nogil=True)
+def _cut(s, distance, tangential, normal, half, curvature):  # type: ignore[no-untyped-def]
+    """Whether a leg that leaves the hollow face meets the arc again: the chord of the circle ends before the leg."""
+    if curvature * normal <= 0.0 or distance * abs(curvature) <= 2.0 * abs(normal):
+        return False
+    turn = 2.0 * np.arctan2(abs(normal), abs(tangential))
+    again = s + np.copysign(turn / abs(curvature), tangential)
+    return abs(again) <= half
+
+
+@njit(cache=True, nogil=True)
+def _stationary(scene, wavenumber, found, kind):  # type: ignore[no-untyped-def]
+    """All lit stationary points (and, for a finite wavenumber, inflections not yet dark) in order of s; their number.
+
+    Each interval is dropped, proven monotone, proven bent one way, or halved. A path of constant length (both ends at
+    the centre) uses up the intervals: the middle then stands for the whole arc.
+    """
+    half, curvature = scene[4], scene[5]
+    reach = half * (1.0 + 1e-12)
+    stack = np.empty((128, 2))
+    stack[0, 0], stack[0, 1] = -reach, reach
+    depth, count, visits = 1, 0, 0
+    dim = FADED_AIRY * wavenumber ** (-2.0 / 3.0) if np.isfinite(wavenumber) else 0.0
+    while depth > 0:
+        depth -= 1
+        low, high = stack[depth]
+        visits += 1
+        if visits > _MOST_INTERVALS:
+            if _lit(0.0, scene):
+                found[0], kind[0] = 0.0, _INFLECTION
+                return 1
+            return 0
+        middle, width = 0.5 * (low + high), 0.5 * (high - low)
+        tiny = width < 1e-10 * half
+        r1 = _leg(middle, scene[0], scene[1], half, curvature)[0] - width
+        r2 = _leg(middle, scene[2], scene[3], half, curvature)[0] - width
+        clear = min(r1, r2) > 0.0
+        if clear and not tiny:
+            third, fourth = _bounds(r1, r2, curvature)
+            value, derivative = _slope(middle, scene)
+            bend = _derivatives(middle, scene)[1]
+            third = min(third, abs(bend) + width * fourth)
+            faded = dim * (0.5 * third) ** (1.0 / 3.0)
+            if abs(value) - faded > width * abs(derivative) + 0.5 * width * width * third:
+                continue
+            if abs(derivative) > width * third:
+                count = _claim(low, high, scene, found, kind, count)
+                continue
+            if abs(bend) > width * fourth:
+                count = _bent(low, high, scene, dim, found, kind, count)
+                continue
+        if tiny:
+            count = _claim(low, high, scene, found, kind, count)
+            continue
+        stack[depth, 0], stack[depth, 1] = middle, high
+        stack[depth + 1, 0], stack[depth + 1, 1] = low, middle
+        depth += 2
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _claim(low, high, scene, found, kind, count):  # type: ignore[no-untyped-def]
+    """Add the root of a monotone interval, if it has one and it is lit."""
+    if count < _MOST_POINTS and _changes(low, high, scene, 0):
+        s = _zero(low, high, scene, 0)
+        if _lit(s, scene):
+            found[count] = s
+            kind[count] = _LONGEST if _slope(s, scene)[1] > 0.0 else _SHORTEST
+            return count + 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _bent(low, high, scene, dim, found, kind, count):  # type: ignore[no-untyped-def]
+    """Add the roots of an interval that bends one way: two, one, or none but an inflection that is not yet dark."""
+    if not _changes(low, high, scene, 1):
+        return _claim(low, high, scene, found, kind, count)
+    turning = _zero(low, high, scene, 1)
+    before = count
+    rooted = _changes(low, turning, scene, 0) or _changes(turning, high, scene, 0)
+    count = _claim(low, turning, scene, found, kind, count)
+    count = _claim(turning, high, scene, found, kind, count)
+    if not rooted and before < _MOST_POINTS and dim > 0.0 and _lit(turning, scene):
+        third = abs(_derivatives(turning, scene)[1])
+        if abs(_slope(turning, scene)[0]) < dim * (0.5 * third) ** (1.0 / 3.0):
+            found[count], kind[count] = turning, _INFLECTION
+            count += 1
+    return count
+
+
+# --- fields: rays where they hold, the integral along the arc where they do not
+
+
+@njit(cache=True, nogil=True)
+def _gather(scene, rise, wavenumber, count, s, kind, gain):  # type: ignore[no-untyped-def]
+    """Merge points of nearly one phase, in place; kinds become RAY, CAUSTIC or FADING. The number of bounces."""
+    bounces, first = 0, 0
+    while first < count:
+        last = first
+        while last + 1 < count and _apart(s[last], s[last + 1], scene, rise, wavenumber) < MERGE_RAD:
+            last += 1
+        here = 0.5 * (s[first] + s[last])
+        if last == first and kind[first] != _INFLECTION and _ray_error(here, scene, rise, wavenumber) < RAY_ERROR:
+            gain[bounces], new = _ray(here, scene), RAY
+        else:
+            field = _arc_integral(s[first : last + 1], first > 0, last < count - 1, scene, rise, wavenumber)
+            length = _length(here, scene, rise).real
+            gain[bounces] = field * length * np.exp(1j * wavenumber * length)
+            new = FADING if last == first and kind[first] == _INFLECTION else CAUSTIC
+        s[bounces], kind[bounces] = here, new
+        bounces += 1
+        first = last + 1
+    return bounces
+
+
+@njit(cache=True, nogil=True)
+def _length(s, scene, rise):  # type: ignore[no-untyped-def]
+    """Length in space over the arc at s."""
+    plan = _leg(s, scene[0], scene[1], scene[4], scene[5])[0] + _leg(s, scene[2], scene[3], scene[4], scene[5])[0]
+    return np.sqrt(plan * plan + rise * rise)
+
+
+@njit(cache=True, nogil=True)
+def _apart(s1, s2, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
+    """Phase between the paths over two points."""
+    return wavenumber * abs(_length(s1, scene, rise) - _length(s2, scene, rise))
+
+
+@njit(cache=True, nogil=True)
+def _ray_error(s, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
+    """First relative correction to the stationary-phase value: 5 L3^2 / (24 k L2^3) and L4 / (8 k L2^2), as a sum."""
+    second, third, fourth = _derivatives(s, scene)
+    length = _length(s, scene, rise)
+    wavenumber *= np.sqrt(max(length * length - rise * rise, 0.0)) / length
+    second = max(abs(second), 1e-30)
+    return (5.0 * third**2 / (24.0 * second) + 0.125 * abs(fourth)) / (wavenumber * second * second)
+
+
+@njit(cache=True, nogil=True)
+def _ray(s, scene):  # type: ignore[no-untyped-def]
+    """The factor of `focusing` at a Fermat point."""
+    l1, _, n1 = _leg(s, scene[0], scene[1], scene[4], scene[5])
+    l2, _, n2 = _leg(s, scene[2], scene[3], scene[4], scene[5])
+    spread = 1.0 - 2.0 * scene[5] * l1 * l2 / ((l1 + l2) * (0.5 * (n1 + n2)))
+    return (1.0 if spread > 0.0 else 1j) / np.sqrt(abs(spread)) + 0j
+
+
+@njit(cache=True, nogil=True)
+def _integrand(s, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
+    """Kirchhoff's integrand along the arc, heights done by stationary phase; s may be complex.
+
+    sqrt(k / 2 pi) e^{j pi/4} (c1 + c2)/2 (l1 + l2) / (R^1.5 sqrt(l1 l2)) e^{-jkR}: an endless flat wall gives
+    e^{-jkR} / R.
+    """
+    l1, _, n1 = _leg(s, scene[0], scene[1], scene[4], scene[5])
+    l2, _, n2 = _leg(s, scene[2], scene[3], scene[4], scene[5])
+    length = np.sqrt((l1 + l2) ** 2 + rise * rise)
+    obliquity = 0.5 * side * (n1 + n2) * (l1 + l2) / (length * np.sqrt(length * l1 * l2))
+    return np.sqrt(wavenumber / (2.0 * np.pi)) * np.exp(0.25j * np.pi - 1j * wavenumber * length) * obliquity
+
+
+@njit(cache=True, nogil=True)
+def _straight(start, end, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
+    """Integral along a straight piece of the complex s plane: Gauss-Legendre, two nodes a radian."""
+    panels = 1 + int(wavenumber * abs(_length(end, scene, rise) - _length(start, scene, rise)) / 6.0)
+    step = (end - start) / panels
+    total = 0.0j
+    for panel in range(min(panels, 1000)):
+        for node in range(len(_NODES)):
+            s = start + step * (panel + 0.5 + 0.5 * _NODES[node])
+            total += _WEIGHTS[node] * _integrand(s, side, scene, rise, wavenumber)
+    return 0.5 * step * total
+
+
+@njit(cache=True, nogil=True)
+def _descent(s, direction, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
+    """End of the leg that leaves the real axis at s, outwards, and the decay [neper] reached there.
+
+    It leans to the side on which the integrand decays and ends when that is enough, or where it would grow again.
+    """
+    shorter = min(
+        _leg(s.real, scene[0], scene[1], scene[4], scene[5])[0], _leg(s.real, scene[2], scene[3], scene[4], scene[5])[0]
+    )
+    best_end, best = s, 0.0
+    for lean in (_LEG, np.conj(_LEG)):
+        reach = 0.02 * np.sqrt(2.0 * np.pi * shorter / wavenumber)
+        end, decay = s, 0.0
+        for _ in range(60):
+            new_end = s + direction * reach * lean
+            new = -wavenumber * _length(new_end, scene, rise).imag
+            if new <= decay:
+                break
+            end, decay = new_end, new
+            if decay >= _DECAY_NEPER:
+                break
+            reach *= 1.3
+        if decay > best:
+            best_end, best = end, decay
+    return best_end, best
+
+
+@njit(cache=True, nogil=True)
+def _arc_integral(points, more_left, more_right, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
+    """Field of a group of merged points: along the real axis between them, outwards by steepest descent.
+
+    An outer leg that finds no descent has a partner beyond the arc's end in its way (no other point lies between): it
+    runs to the end instead.
+    """
+    first, last = points[0] + 0j, points[-1] + 0j
+    half = scene[4]
+    side = 1.0 if _leg(points[0], scene[0], scene[1], half, scene[5])[2] > 0.0 else -1.0
+    total = _straight(first, last, side, scene, rise, wavenumber)
+    left, decay = _descent(first, -1.0, scene, rise, wavenumber)
+    if decay < _LEAST_DECAY_NEPER and not more_left:
+        left = -half + 0j
+    total += _straight(left, first, side, scene, rise, wavenumber)
+    right, decay = _descent(last, 1.0, scene, rise, wavenumber)
+    if decay < _LEAST_DECAY_NEPER and not more_right:
+        right = half + 0j
+    return total + _straight(last, right, side, scene, rise, wavenumber)

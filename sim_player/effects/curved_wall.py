@@ -1,0 +1,114 @@
+"""Curved walls as mirrors: every Fermat point of an arc, its focusing, its bounded field at the caustic.
+
+Skipped, a curved piece of wall mirrors like its chord. Also the radar's own image in an arc.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.physics.curved_mirror import CurvedBounces, bounces
+from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
+from sim_player.effects.los_surfaces import flash_weight
+from sim_player.effect_names import bit
+from sim_player.effects.tracing import Tracing
+from sim_player.legs import in_series, passage
+from sim_player.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes
+from sim_player.world import Snapshot, World
+
+NAME = "curved_wall"
+ABOUT = "objects and the radar seen in curved walls"
+
+
+def absent(world: World) -> str | None:
+    """Only bent walls."""
+    return None if world.is_curved.any() else "every wall is straight"
+
+
+def apply(tracing: Tracing) -> Echoes:
+    """Centres and the radar itself in all arcs."""
+    view = tracing.view
+    tracing.routes[NAME] = arc_routes(view, view.centre, tracing.owner)
+    objects = object_echoes(view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
+    return join_echoes([objects, _flashes(view)])
+
+
+def as_chords(tracing: Tracing) -> Echoes:
+    """What is traced instead where the effect is skipped: every arc as the mirror its chord would be.
+
+    Their legs are not stopped by the arc itself, which the chord is not on.
+    """
+    view = tracing.view
+    parts = []
+    for wall in np.flatnonzero(view.world.is_curved):
+        only = np.arange(len(view.world.wall_a)) == wall
+        routes, legs = mirror_routes(view, view.centre, only, tracing.owner, ignore_wall=int(wall))
+        parts.append(routes.take(legs.free))
+    routes = join_routes(parts) if parts else no_routes()
+    tracing.routes["specular_relay"] = join_routes([tracing.routes.get("specular_relay", no_routes()), routes])
+    return object_echoes(view, routes, cofocal(routes))
+
+
+def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
+    """Free routes by any arc to points [N, 3]."""
+    parts = [_by_arc(view, wall, point_m, owner) for wall in np.flatnonzero(view.world.is_curved)]
+    return join_routes(parts) if parts else no_routes()
+
+
+def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -> Routes:
+    """Free routes by one arc."""
+    world = view.world
+    found = bounces(
+        view.antenna,
+        point_m,
+        world.wall_a[wall],
+        world.wall_b[wall],
+        float(world.wall_curvature_per_m[wall]),
+        world.radar.wavelength_m,
+    )
+    end = point_m[found.target]
+    share = found.out_m / (found.out_m + found.on_m)
+    height = view.antenna[2] + share * (end[:, 2] - view.antenna[2])
+    point = np.column_stack([found.point_m, height])
+    legs = in_series(
+        passage(view.antenna, point, view.blockers), passage(point, end, view.blockers, owner[found.target])
+    )
+    routes = make_routes(
+        found.target,
+        found.length_m,
+        _direction(point - view.antenna),
+        _direction(end - point),
+        legs,
+        bit("specular_relay") | bit(NAME),
+        wall=np.full(len(found), wall),
+        other=found.gain,
+        **_reflection(world, wall, found),
+    )
+    return routes.take(legs.free & (height < world.wall_height_m[wall]))
+
+
+def _reflection(world: World, wall: int, found: CurvedBounces) -> dict[str, np.ndarray]:
+    """Factors of one bounce as `make_routes` names them."""
+    cosine = found.cos_incidence * (found.out_m + found.on_m) / found.length_m
+    whole, front, rough = world.reflection(np.full(len(found), wall), np.abs(cosine))
+    return {"whole": whole, "front": front, "rough": rough}
+
+
+def _flashes(view: Snapshot) -> Echoes:
+    """The radar's own images in all arcs: one bounce on a round trip."""
+    routes = arc_routes(view, view.antenna[None], np.array([-1], np.int32))
+    point = view.antenna + routes.depart * 0.5 * routes.length_m[:, None]
+    echoes = surface_echoes(view, routes, flash_weight(view, routes.length_m), point, routes.wall, bit("los_surfaces"))
+    values = {name: getattr(echoes, name) for name in Echoes.__dataclass_fields__}
+    half = 0.5 * routes.length_m
+    once = {name: getattr(routes, name) for name in ("whole", "front", "rough", "foliage")}
+    weight = flash_weight(view, routes.length_m) * routes.other
+    towards = -routes.arrive
+    rate = -0.5 * dot(routes.depart[:, :2] + towards[:, :2], view.radar_velocity)
+    kind = np.zeros(len(routes), np.uint8)
+    changed = {"weight": weight, "out_m": half, "back_m": half, "arrive": towards, "rate_mps": rate, "kind": kind}
+    return Echoes(**{**values, **once, **changed})
+
+
+def _direction(ray: np.ndarray) -> np.ndarray:
+    return np.asarray(ray / np.linalg.norm(ray, axis=1, keepdims=True))

@@ -1,0 +1,50 @@
+"""What roughness takes from the mirror comes back from everywhere: |r|^2 (1 - rho) in a Lambert lobe.
+
+RCS per area 4 |r|^2 (1 - rho) cos^2 over the height that the antenna lights; patches of random phase along the wall.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_player.echoes import Echoes, echo_amplitude, surface_echoes
+from sim_player.effect_names import bit
+from sim_player.effects.tracing import Tracing
+from sim_player.routes import dot, straight_routes
+from sim_player.world import World
+
+NAME = "diffuse_scattering"
+ABOUT = "diffuse return of rough walls in direct sight"
+#: Two-way elevation beamwidth of four rows: how much of a wall's height a patch stands for.
+LIT_ELEVATION_RAD = 0.3
+
+
+def absent(world: World) -> str | None:
+    """Smooth walls scatter nothing."""
+    rough = world.is_mirror & (world.wall_roughness_m > 0.0)
+    return None if rough.any() else "no wall is rough"
+
+
+def apply(tracing: Tracing) -> Echoes:
+    """Patches of all rough walls in direct sight."""
+    view, world = tracing.view, tracing.view.world
+    wall = world.speck_wall
+    lit = (world.speck_length_m > 0.0) & (world.wall_roughness_m[wall] > 0.0)
+    which = np.flatnonzero(lit & (world.wall_height_m[wall] > view.antenna[2]) & world.is_mirror[wall])
+    point = np.column_stack([world.speck_m[which], np.full(len(which), view.antenna[2])])
+    routes, legs = straight_routes(view, point)
+    which, routes, point = which[legs.free], routes.take(legs.free), point[legs.free]
+    wall = wall[which]
+    cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[which])), 1.0)
+    whole, front, rough = world.reflection(wall, cosine)
+    lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * routes.length_m)
+    rcs = 4.0 * (1.0 - rough**2) * cosine**2 * lit_height * world.speck_length_m[which]
+    weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[which]
+    echoes = surface_echoes(view, routes, weight, point, wall, bit(NAME))
+    return _with_reflection(echoes, np.abs(whole), np.abs(front))
+
+
+def _with_reflection(echoes: Echoes, whole: np.ndarray, front: np.ndarray) -> Echoes:
+    """The share that the wall reflects at all belongs to the patch, not to its route."""
+    values = {name: getattr(echoes, name) for name in Echoes.__dataclass_fields__}
+    return Echoes(**{**values, "whole": echoes.whole * whole, "front": echoes.front * front})

@@ -1,0 +1,34 @@
+"""Out by one way, back by another: direct and mirrored, two walls, two points of a curved wall; arrays set apart.
+
+Every object that the radar reaches by two ways echoes by their mixture too, twice as strong in field for either may
+come first. Where transmitter and receiver stand apart, their lengths to an image differ from the radar's own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_player.echoes import Echoes, object_echoes, same_target
+from sim_player.effect_names import bit
+from sim_player.effects.tracing import Tracing
+from sim_player.world import World
+
+NAME = "non_cofocal"
+ABOUT = "echoes that return by another way than they went"
+
+
+def absent(world: World) -> str | None:
+    """Something to reach, and a mirror for the second way."""
+    if world.scene.radar.separation_m > 0.0:
+        return None
+    if not len(world.centre_m):
+        return "the scene holds no object"
+    return None if world.is_mirror.any() else "the scene holds no wall: there is one way only"
+
+
+def apply(tracing: Tracing) -> Echoes:
+    """All mixtures of two clear ways to the same centre."""
+    routes = tracing.clear_routes("los_objects", "specular_relay", "curved_wall", "second_relay")
+    out, back = same_target(routes.target, routes.target)
+    mixed = np.flatnonzero(out < back)
+    return object_echoes(tracing.view, routes, (out[mixed], back[mixed]), bit(NAME))

@@ -1,0 +1,31 @@
+"""One instant under trace: what the path effects share and add to, in the order of `PATH_EFFECTS`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sim_player.echoes import Echoes
+from sim_player.routes import Routes, join_routes, no_routes
+from sim_player.world import Snapshot
+
+
+@dataclass
+class Tracing:
+    """A snapshot, the one-way routes to scattering centres that effects have found so far, and their echoes."""
+
+    view: Snapshot
+    effects: frozenset[str]
+    routes: dict[str, Routes] = field(default_factory=dict)
+    echoes: dict[str, Echoes] = field(default_factory=dict)
+
+    def clear_routes(self, *names: str) -> Routes:
+        """Routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
+        found = [self.routes[name] for name in names if name in self.routes]
+        return join_routes(found) if found else no_routes()
+
+    @property
+    def owner(self) -> np.ndarray:
+        """The object of every centre, int32 [K]."""
+        return self.view.world.centre_object.astype(np.int32)

@@ -1,0 +1,46 @@
+"""Straight and mirrored ways that lead through walls: glass and wood let 10 GHz pass, 40 cm of concrete does not."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes
+from sim_player.effect_names import bit
+from sim_player.effects.tracing import Tracing
+from sim_player.legs import Passage
+from sim_player.routes import Routes, mirror_routes, straight_routes
+from sim_player.world import World
+
+NAME = "wall_transmission"
+ABOUT = "objects seen through walls"
+
+
+def absent(world: World) -> str | None:
+    """Something behind, and a wall with a back."""
+    if not len(world.centre_m):
+        return "the scene holds no object"
+    if not world.is_mirror.any():
+        return "the scene holds no wall"
+    clear = np.abs(world.passing[world.is_mirror]).max()
+    return None if clear > 0.0 else "every wall is too thick to have a back"
+
+
+def apply(tracing: Tracing) -> Echoes:
+    """Ways to centres that cross walls and no body, out and back; the walls' factors squared."""
+    view = tracing.view
+    direct = _behind(*straight_routes(view, view.centre, tracing.owner))
+    mirrors = view.world.is_mirror & ~view.world.is_curved
+    mirrored = _behind(*mirror_routes(view, view.centre, mirrors, tracing.owner))
+    return join_echoes(
+        [
+            object_echoes(view, direct, cofocal(direct), bit(NAME) | bit("los_objects")),
+            object_echoes(view, mirrored, cofocal(mirrored), bit(NAME)),
+        ]
+    )
+
+
+def _behind(routes: Routes, legs: Passage) -> Routes:
+    """The routes that walls stand in, weakened by them."""
+    values = {name: getattr(routes, name) for name in Routes.__dataclass_fields__}
+    weakened = Routes(**{**values, "other": routes.other * legs.through})
+    return weakened.take(~legs.free & (legs.through != 0.0))

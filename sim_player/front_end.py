@@ -1,0 +1,33 @@
+"""What a real front end does to the signal: faults that a scene may give its radar, all absent unless stated.
+
+Perception is never told these values; each is the parameter of one effect in `sim_player/effects/`.
+"""
+
+from __future__ import annotations
+
+import msgspec
+
+
+class Spur(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A tone of the electronics in every beam: beat frequency and power at the receiver's input."""
+
+    frequency_hz: float
+    power_dbm: float
+
+
+class FrontEnd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Faults of array and receiver."""
+
+    #: Field that a column couples into its neighbour, relative to its own; falls by as much again per column.
+    coupling_db: float | None = None
+    coupling_phase_deg: float = 0.0
+    #: Receiver's gain and phase difference between I and Q.
+    iq_gain_db: float = 0.0
+    iq_phase_deg: float = 0.0
+    #: 1/f noise: frequency below which it exceeds the white noise; 0: none.
+    flicker_corner_hz: float = 0.0
+    #: Transmitter straight into the receiver (a beat at nearly zero range): power at the receiver's input.
+    leakage_dbm: float | None = None
+    #: Bits of the converter; the codes stay int16, its lower bits stay empty.
+    adc_bits: int = 16
+    spurs: tuple[Spur, ...] = ()

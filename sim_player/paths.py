@@ -1,0 +1,56 @@
+"""What the tracer finds: echoes of one instant, each with its length, directions and complex weight."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Paths:
+    """P paths of one instant; points in the radar's frame (z above the antenna) in metres."""
+
+    #: `PathClass` values, uint8 [P].
+    kind: np.ndarray
+    #: Round trip, and half its rate of change (the radial speed of the virtual point).
+    length_m: np.ndarray
+    radial_speed_mps: np.ndarray
+    #: Direction of arrival at the radar.
+    azimuth_rad: np.ndarray
+    elevation_rad: np.ndarray
+    #: Direction in which it left; differs from the arrival where the way back is another than the way out.
+    departure_azimuth_rad: np.ndarray
+    departure_elevation_rad: np.ndarray
+    #: Complex field weight without the antenna, transmit power included, in sqrt(mW).
+    amplitude: np.ndarray
+    #: Bounces at walls on the way out and the way back, the larger of the two; uint8.
+    order: np.ndarray
+    #: Bit of every effect without which the path would not be there (`sim_player.effects`), uint32.
+    needs: np.ndarray
+    #: Piece of wall that returned or first mirrored it (index into `World.wall_a`), -1 for none; int32.
+    surface: np.ndarray
+    #: Object it comes from, -1 for none; int32.
+    thing: np.ndarray
+    #: Where the scatterer is, and where it seems to be: [P, 3].
+    point_m: np.ndarray
+    virtual_m: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.length_m)
+
+    def take(self, which: np.ndarray) -> Paths:
+        """The paths of an index or mask."""
+        return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+    def scaled(self, factor: np.ndarray) -> Paths:
+        """The same paths with their weights multiplied."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Paths(**{**values, "amplitude": self.amplitude * factor})
+
+
+def join(parts: list[Paths]) -> Paths:
+    """All paths of one or more sets, in order."""
+    return Paths(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Paths)}
+    )

@@ -1,0 +1,94 @@
+"""Laws of roughness against their limits, their definitions as averages over heights, and the criteria."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from models.physics.roughness import (
+    coherent_power,
+    coherent_power_miller_brown,
+    diffuse_share,
+    fraunhofer_criterion_m,
+    phase_deviation_rad,
+    rayleigh_criterion_m,
+    specular_gain,
+)
+
+WAVELENGTH_M = 299_792_458.0 / 10e9
+
+
+def roughness_of(phase_rad: float) -> float:
+    return phase_rad * WAVELENGTH_M / (4.0 * np.pi)
+
+
+@pytest.mark.parametrize("phase_rad", [0.1, 0.5, 1.0, 2.0])
+def test_gaussian_law_is_the_mean_phasor_of_gaussian_heights(phase_rad: float) -> None:
+    """|<e^{jgz}>|^2 over a standard normal z, by quadrature (Gauss-Hermite, 60 points: exact to rounding here)."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
+    mean = np.sum(weights * np.exp(1j * phase_rad * nodes)) / np.sqrt(2.0 * np.pi)
+    assert coherent_power(roughness_of(phase_rad), 1.0, WAVELENGTH_M) == pytest.approx(abs(mean) ** 2, rel=1e-9)
+
+
+@pytest.mark.parametrize("phase_rad", [0.1, 0.5, 1.0, 2.0, 5.0])
+def test_miller_brown_is_the_mean_phasor_of_random_sinusoids(phase_rad: float) -> None:
+    """Heights H sin(phi), phi even, H normal of variance 2 (so the rms is 1): <e^{jgz}> = <exp(-g^2 sin^2 phi)>_phi.
+
+    Mean over 4,096 even phases, exact to rounding for a periodic integrand.
+    """
+    phi = 2.0 * np.pi * np.arange(4096) / 4096
+    mean = np.mean(np.exp(-np.square(phase_rad * np.sin(phi))))
+    found = coherent_power_miller_brown(roughness_of(phase_rad), 1.0, WAVELENGTH_M)
+    assert found == pytest.approx(mean**2, rel=1e-12)
+
+
+def test_both_laws_agree_where_smooth_and_part_where_rough() -> None:
+    """First difference is g^4 / 8 of the field; at g = 0.1 that is 1.25e-5, squared 2.5e-5. Rough: 1 / (pi g^2)."""
+    both = [law(roughness_of(0.1), 1.0, WAVELENGTH_M) for law in (coherent_power, coherent_power_miller_brown)]
+    assert both[1] / both[0] - 1.0 == pytest.approx(0.1**4 / 8.0, rel=0.01)
+    rough = coherent_power_miller_brown(roughness_of(100.0), 1.0, WAVELENGTH_M)
+    assert rough == pytest.approx(1.0 / (np.pi * 1e4), rel=1e-3)
+    phases = np.linspace(0.01, 20.0, 400)
+    heights = phases * WAVELENGTH_M / (4.0 * np.pi)
+    assert np.all(coherent_power_miller_brown(heights, 1.0, WAVELENGTH_M) > coherent_power(heights, 1.0, WAVELENGTH_M))
+
+
+def test_boithias_formula_approximates_miller_brown() -> None:
+    """The rational form 1 / sqrt(3.2 x - 2 + sqrt((3.2 x)^2 - 7 x + 9)), x = g^2 / 2, of the field: within 0.3 dB."""
+    phases = np.linspace(0.01, 10.0, 500)
+    x = phases**2 / 2.0
+    boithias = 1.0 / (3.2 * x - 2.0 + np.sqrt(np.square(3.2 * x) - 7.0 * x + 9.0))
+    ours = coherent_power_miller_brown(phases * WAVELENGTH_M / (4.0 * np.pi), 1.0, WAVELENGTH_M)
+    assert np.abs(10.0 * np.log10(ours / boithias)).max() < 0.3
+
+
+def test_criteria_are_phases_of_a_right_angle_and_its_quarter() -> None:
+    """g = pi / 2 at lambda / (8 cos), pi / 8 at lambda / (32 cos), where the mirror loses 0.67 dB."""
+    cosine = np.cos(np.radians([0.0, 45.0, 80.0]))
+    for criterion, phase_rad in ((rayleigh_criterion_m, np.pi / 2.0), (fraunhofer_criterion_m, np.pi / 8.0)):
+        limit_m = criterion(cosine, WAVELENGTH_M)
+        np.testing.assert_allclose(phase_deviation_rad(limit_m, cosine, WAVELENGTH_M), phase_rad, rtol=1e-14)
+    loss_db = 10.0 * np.log10(coherent_power(fraunhofer_criterion_m(1.0, WAVELENGTH_M), 1.0, WAVELENGTH_M))
+    assert loss_db == pytest.approx(-0.67, abs=0.005)
+    assert rayleigh_criterion_m(0.0, WAVELENGTH_M) == np.inf
+
+
+def test_coherent_and_diffuse_share_the_power() -> None:
+    """They sum to one, and a nearly smooth wall's diffuse share is g^2 = 1e-16 and not the 0 of 1 - exp(-g^2)."""
+    heights = np.linspace(0.0, 10e-3, 50)
+    total = coherent_power(heights, 0.7, WAVELENGTH_M) + diffuse_share(heights, 0.7, WAVELENGTH_M)
+    np.testing.assert_allclose(total, 1.0, atol=1e-15)
+    assert diffuse_share(roughness_of(1e-8), 1.0, WAVELENGTH_M) == pytest.approx(1e-16, rel=1e-9)
+
+
+def test_specular_gain_is_a_power_ratio() -> None:
+    gain = specular_gain(np.array([0.6j, -0.5]), roughness_of(1.0), 1.0, WAVELENGTH_M)
+    np.testing.assert_allclose(gain, np.array([0.36, 0.25]) * np.exp(-1.0), rtol=1e-12)
+
+
+@pytest.mark.parametrize("roughness_m", [-1e-3, np.nan, np.inf])
+def test_impossible_walls_are_refused(roughness_m: float) -> None:
+    with pytest.raises(ValueError, match="roughness_m must be finite and not negative"):
+        coherent_power_miller_brown(roughness_m, 1.0, WAVELENGTH_M)
+    with pytest.raises(ValueError, match=r"cos_theta must lie in 0\.\.1"):
+        diffuse_share(1e-3, 1.5, WAVELENGTH_M)
