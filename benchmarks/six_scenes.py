@@ -2,7 +2,7 @@
 
 Cases: at rest over noise seeds (the seed also draws the speckle of walls and vehicles), hidden objects moving, the
 radar moving, beams with random phases. A moving object is compared with where it was when its beams were measured.
-Usage: python -m benchmarks.six_scenes [--method network|cfar] [--seeds 10] [--scans 1] [--json]
+Usage: python -m benchmarks.six_scenes [--method network|cfar] [--seeds 10] [--scans 1] [--effects basic] [--json]
 """
 
 from __future__ import annotations
@@ -62,10 +62,10 @@ def views(player: ScenePlayer, method: str, scans: int) -> Iterator[tuple[BevFra
                 yield frame, player.truth(scan)
 
 
-def run(scene: Path, case: str, method: str, seeds: int, scans: int) -> Row:
+def run(scene: Path, case: str, method: str, seeds: int, scans: int, effects: str) -> Row:
     row = Row(case=case, scene=scene.stem)
     for seed in range(seeds):
-        player = scene_player(Params(scene=str(scene), seed=seed, **CASES[case]))  # type: ignore[arg-type]
+        player = scene_player(Params(scene=str(scene), seed=seed, effects=effects, **CASES[case]))  # type: ignore[arg-type]
         for frame, truth in views(player, method, scans):
             match = match_objects(frame.objects, truth)
             row.scans += 1
@@ -91,13 +91,14 @@ def main() -> None:
     parser.add_argument("--method", choices=("network", "cfar"), default="network")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--scans", type=int, default=1)
+    parser.add_argument("--effects", default="basic")
     parser.add_argument("--cases", nargs="*", choices=list(CASES), default=list(CASES))
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     rows = []
     for case in arguments.cases:
         for scene in SCENES:
-            row = run(scene, case, arguments.method, arguments.seeds, arguments.scans)
+            row = run(scene, case, arguments.method, arguments.seeds, arguments.scans, arguments.effects)
             rows.append(row)
             if not arguments.json:
                 print(line(row), flush=True)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mirrorwave.console import print_line, require_new_file
+from mirrorwave.sim_effects import Budget, Effects, effects, paths
 from mirrorwave.sim_material import material
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
 app.command()(material)
+app.command()(effects)
+app.command()(paths)
 
 
 @app.command()
@@ -29,6 +32,8 @@ def run(
     object_speed_mps: Annotated[float | None, typer.Option(help="Speed of every object along its heading.")] = None,
     ego_speed_mps: Annotated[float | None, typer.Option(help="Speed of the radar.")] = None,
     phase_jitter_rad: Annotated[float, typer.Option(help="Standard deviation of a random phase per beam.")] = 0.0,
+    choice: Effects = "auto",
+    budget_db: Budget = -20.0,
 ) -> None:
     """Record what the radar would measure, with the truth."""
     from rich.progress import Progress
@@ -44,6 +49,8 @@ def run(
         object_speed_mps=object_speed_mps,
         ego_speed_mps=ego_speed_mps,
         phase_jitter_rad=phase_jitter_rad,
+        effects=choice,
+        budget_db=budget_db,
     )
     source = player.scene_player(params)
     total = scans * (2 * len(source.setup.beams) + 1)

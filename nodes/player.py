@@ -42,6 +42,9 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Speed of every object along its heading, and of the radar; None: as the scene says.
     object_speed_mps: float | None = None
     ego_speed_mps: float | None = None
+    #: Effects to simulate: basic, auto (what the scene calls for under the budget), all, or names between commas.
+    effects: str = "basic"
+    budget_db: float = -20.0
     #: False where a car on a CAN bus says how the vehicle moves.
     publish_vehicle_state: bool = True
 
@@ -211,6 +214,8 @@ def scene_player(params: Params) -> ScenePlayer:
         seed=params.seed,
         phase_jitter_rad=params.phase_jitter_rad,
         chirps_per_beam=params.chirps_per_beam,
+        effects=params.effects,
+        budget_db=params.budget_db,
     )
 
 

@@ -246,7 +246,11 @@ def literal_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray,
     return np.tile(mixed, (chirps, 1))
 
 
+def chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
+    """Phase of Eq. (6) in turns, f_c t + S t^2 / 2; to be reduced to a fraction before it becomes an angle."""
+    return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
+
+
 def _chirp(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
     """Eq. (6): g(t) = exp(j(2 pi f_c t + pi S t^2)), phase reduced before the exponential."""
-    turns = radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
-    return np.exp(2j * np.pi * (turns % 1.0))
+    return np.exp(2j * np.pi * (chirp_turns(radar, time_s) % 1.0))

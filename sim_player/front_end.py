@@ -31,3 +31,7 @@ class FrontEnd(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     #: Bits of the converter; the codes stay int16, its lower bits stay empty.
     adc_bits: int = 16
     spurs: tuple[Spur, ...] = ()
+
+
+#: A front end without faults.
+NO_FAULTS = FrontEnd()

@@ -51,19 +51,44 @@ class Passage:
     #: Field factor of all foliage crossed.
     foliage: np.ndarray
 
+    def take(self, which: np.ndarray) -> Passage:
+        """The legs of an index or mask."""
+        return Passage(self.free[which], self.through[which], self.foliage[which])
+
+
+def passing_factor(passing: np.ndarray, which: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all pieces."""
+    position = np.clip(cosine, 0.0, 1.0) * TABLE_STEPS
+    step = np.minimum(position.astype(np.int64), TABLE_STEPS - 1)
+    share = position - step
+    return np.asarray((1.0 - share) * passing[which, step] + share * passing[which, step + 1])
+
 
 def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
     """Follow legs from `start` to `end` ([N, 3], or one point for all, heights above ground) past the blockers.
 
     `owner` [N] names the thing at a leg's end whose own body does not count.
     """
-    end = np.ascontiguousarray(end, np.float64)
-    start = np.ascontiguousarray(np.broadcast_to(np.asarray(start, np.float64), end.shape))
-    owners = np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), len(end)))
+    return _passage((start, end), blockers, owner, False)
+
+
+def free_passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
+    """Legs from point to point in series, for those who ask for free ones only: a chain is given up where it is blocked.
+
+    `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to its leg. Of chains that are
+    not free, `through` is 0 and `foliage` what was met so far.
+    """
+    return _passage(points, blockers, owner, True)
+
+
+def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int, give_up: bool) -> Passage:
+    count = len(points[-1])
+    chain = np.empty((len(points), count, 3))
+    for index, point in enumerate(points):
+        chain[index] = point
     free, through, foliage = _follow(
-        start,
-        end,
-        owners,
+        chain,
+        np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count)),
         blockers.a,
         blockers.b,
         blockers.height_m,
@@ -71,6 +96,7 @@ def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.nd
         blockers.kind,
         blockers.owner,
         blockers.passing,
+        give_up,
     )
     return Passage(free, through, foliage)
 
@@ -90,24 +116,61 @@ def in_series(*legs: Passage) -> Passage:
     return Passage(free, through, foliage)
 
 
-@njit(cache=True, nogil=True)
-def _follow(start, end, owners, a, b, height, curvature, kind, owner, passing):  # type: ignore[no-untyped-def]
-    count, pieces = len(end), len(a)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_up):  # type: ignore[no-untyped-def]
+    stops, count, pieces = chain.shape[0], chain.shape[1], len(a)
     free = np.ones(count, np.bool_)
     through = np.ones(count, np.complex128)
     foliage = np.ones(count, np.float64)
+    # per piece: start, way to its end, length, share of it that `CLEARANCE_M` is
+    line = np.empty((pieces, 6))
+    bent = np.empty(pieces, np.bool_)
+    for m in range(pieces):
+        wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
+        wall = math.hypot(wx, wy)
+        bent[m] = abs(curvature[m]) * wall >= STRAIGHT
+        line[m] = a[m, 0], a[m, 1], wx, wy, wall, CLEARANCE_M / max(wall, CLEARANCE_M)
     for n in range(count):
-        for m in range(pieces):
-            if owner[m] >= 0 and owner[m] == owners[n]:
-                continue
-            if abs(curvature[m]) * math.hypot(b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]) < STRAIGHT:
-                _straight(n, m, start, end, a, b, height, kind, passing, free, through, foliage)
-            else:
-                _arc(n, m, start, end, a, b, height, curvature, kind, passing, free, through, foliage)
+        for leg in range(stops - 1):
+            sx, sy, sz = chain[leg, n]
+            rx, ry, rise = chain[leg + 1, n, 0] - sx, chain[leg + 1, n, 1] - sy, chain[leg + 1, n, 2] - sz
+            lowest = sz + min(rise, 0.0)
+            ray = math.hypot(rx, ry)
+            own = owners[n] if leg == stops - 2 else -1
+            for m in range(pieces):
+                if bent[m]:
+                    if lowest < height[m] and (owner[m] < 0 or owner[m] != own):
+                        _arc(n, m, chain[leg, n], chain[leg + 1, n], a, b, height, curvature, kind, passing,
+                             free, through, foliage)
+                else:
+                    # shares along leg and piece times `turn`: most pieces are passed by without a division
+                    wx, wy = line[m, 2], line[m, 3]
+                    turn = rx * wy - ry * wx
+                    ox, oy = line[m, 0] - sx, line[m, 1] - sy
+                    across = ox * wy - oy * wx
+                    along = ox * ry - oy * rx
+                    if turn < 0.0:
+                        turn, across, along = -turn, -across, -along
+                    wider = line[m, 5] * turn
+                    # parallel: they meet nowhere, or the leg sees the wall's edge, of no width
+                    if across <= 0.0 or across >= turn or along < -wider or along > turn + wider:
+                        continue
+                    if turn <= 1e-12 * ray * line[m, 4] or lowest >= height[m] or (owner[m] >= 0 and owner[m] == own):
+                        continue
+                    along_ray = across / turn
+                    margin = CLEARANCE_M / max(ray, CLEARANCE_M)
+                    if margin < along_ray < 1.0 - margin and sz + rise * along_ray < height[m]:
+                        cosine = turn / (line[m, 4] * math.sqrt(ray * ray + rise * rise))
+                        _meet(n, m, cosine, kind, passing, free, through, foliage)
+                if give_up and not free[n]:
+                    break
+            if give_up and not free[n]:
+                through[n] = 0.0
+                break
     return free, through, foliage
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _meet(n, m, cosine, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
     """One crossing at a cosine of incidence."""
     position = min(max(cosine, 0.0), 1.0) * TABLE_STEPS
@@ -121,39 +184,26 @@ def _meet(n, m, cosine, kind, passing, free, through, foliage):  # type: ignore[
         through[n] *= factor
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _straight(n, m, start, end, a, b, height, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
-    rx, ry = end[n, 0] - start[n, 0], end[n, 1] - start[n, 1]
-    wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
-    turn = rx * wy - ry * wx
-    ray, wall = math.hypot(rx, ry), math.hypot(wx, wy)
-    # parallel: they meet nowhere, or the leg sees the wall's edge, of no width
-    if abs(turn) <= 1e-12 * ray * wall:
-        return
-    ox, oy = a[m, 0] - start[n, 0], a[m, 1] - start[n, 1]
-    along_ray = (ox * wy - oy * wx) / turn
-    along_wall = (ox * ry - oy * rx) / turn
-    margin = CLEARANCE_M / max(ray, CLEARANCE_M)
-    wider = CLEARANCE_M / max(wall, CLEARANCE_M)
-    if not (margin < along_ray < 1.0 - margin and -wider <= along_wall <= 1.0 + wider):
-        return
-    rise = end[n, 2] - start[n, 2]
-    if start[n, 2] + rise * along_ray < height[m]:
-        cosine = abs(turn) / (wall * math.sqrt(ray * ray + rise * rise))
-        _meet(n, m, cosine, kind, passing, free, through, foliage)
-
-
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _arc(n, m, start, end, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
     wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
     chord = math.hypot(wx, wy)
+    # an arc less than a half circle keeps within half its chord of it: most legs pass it by
+    reach = 0.5 * chord + ARC_CLEARANCE_M
+    if (
+        max(start[0], end[0]) < min(a[m, 0], b[m, 0]) - reach
+        or min(start[0], end[0]) > max(a[m, 0], b[m, 0]) + reach
+        or max(start[1], end[1]) < min(a[m, 1], b[m, 1]) - reach
+        or min(start[1], end[1]) > max(a[m, 1], b[m, 1]) + reach
+    ):
+        return
     radius = 1.0 / curvature[m]
     # centre to the left of a -> b for positive curvature
-    reach = math.copysign(math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0)), radius)
-    cx = 0.5 * (a[m, 0] + b[m, 0]) - reach * wy / chord
-    cy = 0.5 * (a[m, 1] + b[m, 1]) + reach * wx / chord
-    rx, ry, rise = end[n, 0] - start[n, 0], end[n, 1] - start[n, 1], end[n, 2] - start[n, 2]
-    fx, fy = start[n, 0] - cx, start[n, 1] - cy
+    apothem = math.copysign(math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0)), radius)
+    cx = 0.5 * (a[m, 0] + b[m, 0]) - apothem * wy / chord
+    cy = 0.5 * (a[m, 1] + b[m, 1]) + apothem * wx / chord
+    rx, ry, rise = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    fx, fy = start[0] - cx, start[1] - cy
     square = rx * rx + ry * ry
     half = fx * rx + fy * ry
     rest = half * half - square * (fx * fx + fy * fy - radius * radius)
@@ -164,11 +214,13 @@ def _arc(n, m, start, end, a, b, height, curvature, kind, passing, free, through
         along = (-half + sign * math.sqrt(rest)) / square
         if not margin < along < 1.0 - margin:
             continue
-        px, py = start[n, 0] + along * rx, start[n, 1] + along * ry
-        # the arc is the part of the circle on the far side of its chord from the centre
+        px, py = start[0] + along * rx, start[1] + along * ry
+        # the arc is the part of the circle beside its chord, on the far side from the centre
+        place = (px - a[m, 0]) * wx + (py - a[m, 1]) * wy
         side = (px - a[m, 0]) * wy - (py - a[m, 1]) * wx
-        if side * radius < -ARC_CLEARANCE_M * chord * abs(radius):
+        wider = ARC_CLEARANCE_M * chord
+        if not -wider <= place <= chord * chord + wider or side * radius < -wider * abs(radius):
             continue
-        if start[n, 2] + rise * along < height[m]:
+        if start[2] + rise * along < height[m]:
             cosine = abs((px - cx) * rx + (py - cy) * ry) / (abs(radius) * math.sqrt(square + rise * rise))
             _meet(n, m, cosine, kind, passing, free, through, foliage)

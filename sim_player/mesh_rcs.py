@@ -73,7 +73,7 @@ def patches(mesh: Mesh, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> P
 
     Pieces of one cell of space and alike in normal become one patch. Faces of an open mesh count on both sides; what
     nothing outside can see (interiors) is left out and its area told. Raises ValueError for a size that is not
-    positive or `most` below 1.
+    positive, or for fewer patches than the faces have directions.
     """
     if not (math.isfinite(patch_m) and patch_m > 0.0):
         raise ValueError(f"patch_m must be finite and positive, got {patch_m!r}")
@@ -84,6 +84,10 @@ def patches(mesh: Mesh, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> P
     pieces, normal, unseen_area_m2 = _outside(mesh, patch_m)
     middle = mesh.vertices_m.mean(axis=0)
     while (label := _cells(pieces, normal, middle, patch_m)).max() >= most:
+        if patch_m > 2.0 * mesh.extent_m.max():
+            raise ValueError(
+                f"most: the faces of {mesh.name} point {label.max() + 1} ways, got {most!r} patches for them"
+            )
         patch_m *= 1.1
     found = _gather(pieces, normal, label)
     return Patches(
@@ -124,6 +128,9 @@ def mesh_centres(mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, most
     flat patch peaks at 4 pi A^2 |r|^2 / lambda^2, one that is curved over many Fresnel zones at the mirror's
     pi R1 R2 |r|^2. The exponent keeps the energy: 2 pi / (q + 1) is the solid angle; the half-power width of a flat
     square is then 6 % wider than that of its sinc.
+
+    Bias: few points stand for a smooth body, so where several of their lobes overlap (curved sides; flat ones from
+    within 2 patch^2 / lambda) their coherent sum swings as speckle around the right mean.
     """
     pieces = patches(mesh, patch_m, most)
     energy = math.pi * pieces.area_m2 * _normal_reflectance(mesh.material, wavelength_m)

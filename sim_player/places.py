@@ -397,7 +397,7 @@ def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
     return tuple(
         thing
         if index < crowd.parked
-        else replace(thing, speed_mps=float(rng.uniform(0.0, MOST_SPEED_MPS[thing.class_])))
+        else replace(thing, speed_mps=float(rng.uniform(0.0, MOST_SPEED_MPS[str(thing.class_)])))
         for index, thing in enumerate(crowd.things)
     )
 

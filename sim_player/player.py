@@ -11,9 +11,12 @@ from msgs.perception import SceneTruth
 from msgs.radar import RadarBeam, RadarSetup
 from msgs.units import ns_from_s, s_from_ns
 from msgs.vehicle import VehicleState
-from sim_player.fmcw import beam_codes, beam_weights, chirp_beats, noise_bank, slow_time_terms
+from sim_player.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
+from sim_player.planner import BUDGET_DB, Plan, choose
 from sim_player.ray_tracing import Paths, prepare, trace
 from sim_player.scene import Scene
+from sim_player.signal_effects import PLAIN, SignalEffects
+from sim_player.signal_levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
 from sim_player.truth import scene_truth
 
 
@@ -23,6 +26,10 @@ class ScenePlayer:
     `setup` replaces the scene's preset; `chirps_per_beam` shortens the beams; `phase_jitter_rad` turns each beam by
     a random phase of this standard deviation (a radar that loses coherence between beams). Scans count from
     `start_ns`, beams are spread evenly over the scan period. Raises ValueError for a scene that cannot be simulated.
+
+    `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where things move), "auto"
+    (what the scene calls for under `budget_db`, asked anew for every scan where things move), "all", or names with
+    commas between them.
     """
 
     def __init__(
@@ -33,6 +40,8 @@ class ScenePlayer:
         start_ns: int = 0,
         phase_jitter_rad: float = 0.0,
         chirps_per_beam: int | None = None,
+        effects: str = "basic",
+        budget_db: float = BUDGET_DB,
     ) -> None:
         setup = scene.setup if setup is None else setup
         if chirps_per_beam is not None:
@@ -46,21 +55,35 @@ class ScenePlayer:
         self._phase_jitter_rad = phase_jitter_rad
         self._world = prepare(scene, seed, setup)
         self._bank = noise_bank(setup.radar, seed)
-        self._still_beats = None if scene.moves else self._all_beats(self.paths(0.0))
+        self._effects, self._budget_db = effects, budget_db
+        self._plans: dict[int, Plan | None] = {}
+        self.plan(0)
+        self._still_beats = None if scene.moves else self._all_beats()
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
         """When a beam starts."""
         period_ns = ns_from_s(self.setup.radar.scan_period_s)
         return self.setup.stamp_ns + scan * period_ns + beam * self.setup.beam_interval_ns
 
-    def paths(self, time_s: float) -> Paths:
-        """All paths at a time after start."""
-        return trace(self._world, time_s)
+    def plan(self, scan: int) -> Plan | None:
+        """The effects of a scan as planned at its start; None: the basic ones, unasked."""
+        scan = scan if self.scene.moves else 0
+        if scan not in self._plans:
+            time_s = self._elapsed_s(self.stamp_ns(scan))
+            # only the last one is kept: scans come in order
+            self._plans = {scan: choose(self._world, self.setup, self._effects, self._budget_db, time_s, worth_asking=0)}
+        return self._plans[scan]
+
+    def paths(self, time_s: float, scan: int = 0) -> Paths:
+        """All paths at a time after start, under the effects of a scan."""
+        plan = self.plan(scan)
+        return trace(self._world, time_s) if plan is None else trace(self._world, time_s, plan.used)
 
     def beam(self, scan: int, index: int) -> RadarBeam:
         """One steering angle's raw samples, as measured at its time."""
-        stamp_ns = self.stamp_ns(scan, index)
-        beats, carrier, basis = self._beats(stamp_ns, index)
+        stamp_ns, seed = self.stamp_ns(scan, index), [self._seed, 5, scan, index]
+        signal, front_end = self._signal(scan), self.scene.radar.front_end
+        beats, carrier, basis = with_electronics(self.setup, self._echoes(scan, index), signal, front_end, seed)
         if self._phase_jitter_rad:
             rng = np.random.default_rng([self._seed, 4, scan, index])
             carrier = carrier * np.exp(1j * self._phase_jitter_rad * rng.standard_normal())
@@ -70,7 +93,7 @@ class ScenePlayer:
             beam_index=index,
             beam_count=len(self.setup.beams),
             azimuth_rad=float(self.setup.beams.azimuth_rad[index]),
-            samples=beam_codes(self.setup, beats, carrier, basis, self._bank, [self._seed, 5, scan, index]),
+            samples=record_beam(self.setup, (beats, carrier, basis), self._bank, seed, signal, front_end),
             full_scale_dbm=self.setup.full_scale_dbm,
         )
 
@@ -78,7 +101,7 @@ class ScenePlayer:
         """What is there when a scan starts."""
         stamp_ns = self.stamp_ns(scan)
         time_s = self._elapsed_s(stamp_ns)
-        return scene_truth(self._world, self.setup, self.paths(time_s), time_s, stamp_ns, scan)
+        return scene_truth(self._world, self.setup, self.paths(time_s, scan), time_s, stamp_ns, scan)
 
     def vehicle_state(self, stamp_ns: int) -> VehicleState:
         """The vehicle's constant motion, as its bus would report it."""
@@ -88,18 +111,30 @@ class ScenePlayer:
     def _elapsed_s(self, stamp_ns: int) -> float:
         return s_from_ns(stamp_ns - self.setup.stamp_ns)
 
-    def _all_beats(self, paths: Paths) -> np.ndarray:
-        """Beats of every beam of a scene at rest, complex128 [beams, samples]."""
-        return chirp_beats(self.setup.radar, paths.length_m, beam_weights(self.setup, paths))
+    def _signal(self, scan: int) -> SignalEffects:
+        """Antenna, waveform and receiver of a scan."""
+        plan = self.plan(scan)
+        return PLAIN if plan is None else plan.signal
 
-    def _beats(self, stamp_ns: int, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Terms of one beam: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
+    def _all_beats(self) -> np.ndarray:
+        """Echoes of every beam of a scene at rest, complex128 [beams, samples]."""
+        plan, front_end = self.plan(0), self.scene.radar.front_end
+        if plan is None:
+            paths = self.paths(0.0)
+            return chirp_beats(self.setup.radar, paths.length_m, beam_weights(self.setup, paths))
+        return np.sum([beam_beats(self.setup, paths, flags, front_end) for paths, flags in plan.groups()], axis=0)
+
+    def _echoes(self, scan: int, index: int) -> Terms:
+        """Terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
         radar = self.setup.radar
         if self._still_beats is not None:
             ones = np.ones(radar.chirps_per_beam)
             return self._still_beats[index : index + 1], ones, ones[None]
         # slow time counts from the middle of the beam, so the scene is frozen there
-        paths = self.paths(self._elapsed_s(stamp_ns) + 0.5 * (radar.beam_duration_s - radar.chirp_period_s))
+        middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
+        paths = self.paths(self._elapsed_s(self.stamp_ns(scan, index)) + middle_s, scan)
+        if self.plan(scan) is not None:
+            return echo_terms(self.setup, paths, self._signal(scan), self.scene.radar.front_end, index)
         carrier, basis, share = slow_time_terms(radar, paths.radial_speed_mps)
         weights = beam_weights(self.setup, paths, slice(index, index + 1))
         return chirp_beats(radar, paths.length_m, share * weights), carrier, basis

@@ -196,11 +196,6 @@ def mirror_routes(
     return routes, legs
 
 
-def keep_passage(legs: Passage, which: np.ndarray) -> Passage:
-    """The legs of an index or mask."""
-    return Passage(legs.free[which], legs.through[which], legs.foliage[which])
-
-
 def _take(bounces: Bounces, which: np.ndarray) -> Bounces:
     return Bounces(**{field.name: getattr(bounces, field.name)[which] for field in fields(bounces)})
 

@@ -80,11 +80,15 @@ def sweep_ratio(radar: RadarParams, since_sent_s: np.ndarray) -> np.ndarray:
 
 
 def overlap_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Samples at the start of a chirp in which an echo is still the previous chirp's: those with t < tau; int64."""
+    """Samples at the start of a chirp in which an echo is still the previous chirp's: those with t < tau; int64.
+
+    ValueError for an echo later than a chirp. tau is that of the beam's middle: at 30 m/s it moves by a tenth of a
+    sample within a beam, so at most one sample of a chirp falls on the wrong side.
+    """
     samples = np.ceil(np.asarray(length_m, np.float64) / SPEED_OF_LIGHT_MPS * radar.sample_rate_hz).astype(np.int64)
     if samples.max(initial=0) >= radar.samples_per_chirp:
-        longest = radar.chirp_period_s * SPEED_OF_LIGHT_MPS
-        raise ValueError(f"length_m must be under one chirp ({longest:.1f} m) for overlap, got {np.max(length_m)!r}")
+        limit_m, longest_m = radar.chirp_period_s * SPEED_OF_LIGHT_MPS, float(np.max(length_m))
+        raise ValueError(f"length_m must be under one chirp ({limit_m:.1f} m) for overlap, got {longest_m!r}")
     return samples
 
 

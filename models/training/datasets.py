@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from models.perception.coarray import AzimuthInterpolator
@@ -125,7 +126,20 @@ def read_scans(directory: Path, grid: RangeAzimuthGrid) -> list[BeamScan]:
     paths = sorted(directory.glob("shard-*.npz"))
     if not paths:
         raise ValueError(f"{directory} must hold shards (shard-*.npz), found none")
+    _check_radar(directory / "series.json")
     return [scan for path in paths for scan in _shard_scans(path, grid)]
+
+
+def _check_radar(series: Path) -> None:
+    """ValueError where a data set says that it was simulated with another radar than the one maps are formed for."""
+    if not series.exists():
+        return
+    try:
+        preset = msgspec.json.decode(series.read_bytes(), type=dict).get("preset", "xband")
+    except msgspec.DecodeError as error:
+        raise ValueError(f"{series}: {error}") from None
+    if preset != "xband":
+        raise ValueError(f"{series}: preset must be xband to train on, got {preset!r}")
 
 
 def _shard_scans(path: Path, grid: RangeAzimuthGrid) -> Iterator[BeamScan]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from sim_player.echoes import Echoes
+from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS, bit, check_effects
 from sim_player.effects import (
     curved_wall,
     diffuse_scattering,
@@ -22,7 +23,6 @@ from sim_player.effects import (
     specular_relay,
     wall_transmission,
 )
-from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS, bit, check_effects
 from sim_player.effects.tracing import Tracing
 from sim_player.world import World
 

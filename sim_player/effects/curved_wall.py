@@ -9,10 +9,10 @@ import numpy as np
 
 from models.physics.curved_mirror import CurvedBounces, bounces
 from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
-from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effect_names import bit
+from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.tracing import Tracing
-from sim_player.legs import in_series, passage
+from sim_player.legs import free_passage
 from sim_player.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes
 from sim_player.world import Snapshot, World
 
@@ -70,9 +70,7 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
     share = found.out_m / (found.out_m + found.on_m)
     height = view.antenna[2] + share * (end[:, 2] - view.antenna[2])
     point = np.column_stack([found.point_m, height])
-    legs = in_series(
-        passage(view.antenna, point, view.blockers), passage(point, end, view.blockers, owner[found.target])
-    )
+    legs = free_passage((view.antenna, point, end), view.blockers, owner[found.target])
     routes = make_routes(
         found.target,
         found.length_m,

@@ -1,22 +1,22 @@
 """Walls' ends and corners bend what passes them: shadows get soft borders, and weak echoes reach behind the corner.
 
-Upright edges by the uniform theory (`models.physics.diffraction`): a free end is a half plane, a corner that points at
-the radar a wedge. One bend on one or both ways, by the same edge. Left out: the walls' top edges, corners that open
-towards the radar, bends before or after a mirror, edges of vehicles.
+Upright edges by the uniform theory (`models.physics.diffraction`): a free end is a half plane that lets through and
+reflects what its wall does, a corner that points at the radar a wedge. One bend on one or both ways, by the same edge.
+Left out: the walls' top edges, joints of materials in one plane, corners that open towards the radar and places where
+more than two walls meet, bends before or after a mirror, the faces' roughness, edges of vehicles.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from models.physics.diffraction import edge_field, wedge_coefficient
-from models.physics.fresnel import half_space_reflection
-from sim_player.echoes import Echoes, join_echoes, object_echoes, cofocal, same_target
+from models.physics.diffraction import edge_field, wedge_terms
+from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.effect_names import bit
 from sim_player.effects.tracing import Tracing
-from sim_player.legs import in_series, passage
+from sim_player.legs import Passage, free_passage, passing_factor
 from sim_player.routes import Routes, join_routes, make_routes, norm
 from sim_player.world import Snapshot, World
 
@@ -26,23 +26,31 @@ ABOUT = "echoes bent around walls' ends and corners"
 LEAST_TURN_RAD = 0.05
 #: Points nearer than this to an edge's faces or to the edge itself are on the wall, not beside it.
 NEAREST_EDGE_M = 0.05
+#: Ends of walls nearer than this are one edge.
+SAME_END_M = 1e-6
 
 
 @dataclass(frozen=True)
 class Edges:
     """E upright edges."""
 
-    #: Place in the plane, [E, 2], and the piece of wall of the first face.
+    #: Place in the plane, [E, 2], and the pieces of wall of the first and the last face (a free end: the same), [E].
     point: np.ndarray
-    wall: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
     #: Direction of the first face from the edge [rad], sense in which the air is turned through (+1: left), [E].
     face_rad: np.ndarray
     sense: np.ndarray
     #: Exterior angle / pi.
     n: np.ndarray
     height_m: np.ndarray
-    #: Permittivity of the front of both faces' material.
-    permittivity: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.n)
+
+    def take(self, which: np.ndarray) -> Edges:
+        """The edges of an index or mask."""
+        return Edges(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 def absent(world: World) -> str | None:
@@ -66,38 +74,56 @@ def apply(tracing: Tracing) -> Echoes:
 
 def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Routes antenna -> edge -> points [N, 3] whose legs are free and on the edge's open side."""
-    edges = edges_of(view)
-    edge, target = (
-        grid.ravel() for grid in np.meshgrid(np.arange(len(edges.n)), np.arange(len(point_m)), indexing="ij")
-    )
-    end = point_m[target]
+    edges = _in_sight(view, edges_of(view), point_m)
+    edge, target = (grid.ravel() for grid in np.meshgrid(np.arange(len(edges)), np.arange(len(point_m)), indexing="ij"))
+    source_plan = norm(edges.point - view.origin)[edge]
+    target_plan = norm(point_m[target, :2] - edges.point[edge])
     # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
-    source_plan = norm(edges.point[edge] - view.origin)
-    target_plan = norm(end[:, :2] - edges.point[edge])
     share = source_plan / (source_plan + target_plan)
-    height = view.antenna[2] + share * (end[:, 2] - view.antenna[2])
-    to_source, to_target = _angle(edges, edge, view.origin[None]), _angle(edges, edge, end[:, :2])
+    height = view.antenna[2] + share * (point_m[target, 2] - view.antenna[2])
     wide = edges.n[edge] * np.pi
+    to_source, to_target = _angle(edges, view.origin[None])[edge], _angle(edges.take(edge), point_m[target, :2])
     open_side = (to_source < wide) & (to_target < wide) & (height < edges.height_m[edge])
     keep = np.flatnonzero(open_side & (source_plan > NEAREST_EDGE_M) & (target_plan > NEAREST_EDGE_M))
-    edge, target, end = edge[keep], target[keep], end[keep]
+    edge, target = edge[keep], target[keep]
     bend = np.column_stack([edges.point[edge], height[keep]])
-    legs = in_series(passage(view.antenna, bend, view.blockers), passage(bend, end, view.blockers, owner[target]))
+    legs = free_passage((view.antenna, bend, point_m[target]), view.blockers, owner[target])
     free = np.flatnonzero(legs.free)
-    return _bent(view, edges, edge, target, end, bend, to_source[keep], to_target[keep], legs).take(free)
+    keep, edge, target = keep[free], edge[free], target[free]
+    angles = to_source[keep], to_target[keep]
+    return _bent(view, edges.take(edge), edge, target, (bend[free], point_m[target]), angles, legs.take(free))
 
 
-def _bent(view, edges, edge, target, end, bend, to_source, to_target, legs) -> Routes:  # type: ignore[no-untyped-def]
-    """Routes by known points of edges with their uniform field."""
+def _in_sight(view: Snapshot, edges: Edges, point_m: np.ndarray) -> Edges:
+    """The edges that the antenna sees at the greatest height at which a ray to any point may meet them."""
+    top = np.full(len(edges), max(view.antenna[2], point_m[:, 2].max(initial=0.0)))
+    return edges.take(free_passage((view.antenna, np.column_stack([edges.point, top])), view.blockers).free)
+
+
+def _bent(
+    view: Snapshot,
+    edges: Edges,
+    edge: np.ndarray,
+    target: np.ndarray,
+    points: tuple[np.ndarray, np.ndarray],
+    angles: tuple[np.ndarray, np.ndarray],
+    legs: Passage,
+) -> Routes:
+    """Routes by known points of edges (one a route) with their uniform field."""
+    (bend, end), (to_source, to_target) = points, angles
     out, on = bend - view.antenna, end - bend
     source_m, target_m = norm(out), norm(on)
     skew = norm(out[:, :2]) / source_m
     distance = source_m * target_m * skew**2 / (source_m + target_m)
-    first = half_space_reflection(edges.permittivity[edge], np.abs(np.sin(to_source)))
-    last = half_space_reflection(edges.permittivity[edge], np.abs(np.sin(edges.n[edge] * np.pi - to_source)))
-    coefficient = wedge_coefficient(
-        edges.n[edge], to_source, to_target, distance, view.world.radar.wavelength_m, skew, first, last
-    )
+    incident, *faces = wedge_terms(edges.n, to_source, to_target, distance, view.world.radar.wavelength_m, skew)
+    wide = edges.n * np.pi
+    # the more grazing of both rays: the mirror's own angle at its border, no field along a face, alike both ways
+    cosine = [np.minimum(*np.abs(np.sin([turn - to_source, turn - to_target]))) * skew for turn in (0.0, wide)]
+    passed = np.where(edges.first == edges.last, passing_factor(view.world.passing, edges.first, cosine[0]), 0.0)
+    built, front = ((1.0 - passed) * incident for _ in range(2))
+    for wall, angle, face in zip((edges.first, edges.last), cosine, faces, strict=True):
+        of_wall, of_front, _ = view.world.reflection(wall, angle)
+        built, front = built + of_wall * face, front + of_front * face
     return make_routes(
         target,
         source_m + target_m,
@@ -106,56 +132,50 @@ def _bent(view, edges, edge, target, end, bend, to_source, to_target, legs) -> R
         legs,
         bit(NAME),
         edge=edge,
-        other=edge_field(coefficient, source_m, target_m),
+        whole=edge_field(built, source_m, target_m),
+        front=edge_field(front, source_m, target_m),
     )
 
 
 def edges_of(view: Snapshot) -> Edges:
-    """Free ends of walls, and corners whose open side is wider than a half turn and faces the radar."""
+    """Free ends of walls, and corners of two walls whose open side is wider than a half turn and faces the radar."""
     world = view.world
-    found = []
-    for surface in np.unique(world.wall_surface[world.is_mirror]):
-        walls = np.flatnonzero(world.wall_surface == surface)
-        chain = np.concatenate([world.wall_a[walls], world.wall_b[walls[-1:]]])
-        closed = bool(np.hypot(*(chain[0] - chain[-1])) < 1e-9)
-        for index, wall in enumerate(walls):
-            before = walls[index - 1] if index or closed else None
-            found.append(_edge(view, chain[index], chain[index + 1], wall, world, before))
-        if not closed:
-            found.append(_edge(view, chain[-1], chain[-2], walls[-1], world, None))
-    known = [edge for edge in found if edge is not None]
-    columns = list(zip(*known, strict=True)) if known else [()] * 7
+    wall = np.tile(np.flatnonzero(world.is_mirror), 2)
+    point, face = _ends(world)
+    same = norm(point[:, None] - point[None]) < SAME_END_M
+    alone = np.flatnonzero(same.sum(axis=1) == 1)
+    one, two = np.nonzero(np.triu(same, 1) & (same.sum(axis=1) == 2)[:, None])
+    towards = np.arctan2(*(view.origin - point[one]).T[::-1])
+    left = (face[two] - face[one]) % (2.0 * np.pi)
+    # the radar stands on one side of the corner: the air is the turn that holds it
+    is_left = (towards - face[one]) % (2.0 * np.pi) < left
+    turn = np.where(is_left, left, 2.0 * np.pi - left)
+    corner = turn > np.pi + LEAST_TURN_RAD
+    one, two, turn, is_left = one[corner], two[corner], turn[corner], is_left[corner]
+    first, last = np.concatenate([alone, one]), np.concatenate([alone, two])
     return Edges(
-        point=np.array(columns[0], np.float64).reshape(-1, 2),
-        wall=np.array(columns[1], np.int32),
-        face_rad=np.array(columns[2], np.float64),
-        sense=np.array(columns[3], np.float64),
-        n=np.array(columns[4], np.float64),
-        height_m=np.array(columns[5], np.float64),
-        permittivity=np.array(columns[6], np.complex128),
+        point=point[first],
+        first=wall[first],
+        last=wall[last],
+        face_rad=face[first],
+        sense=np.concatenate([np.ones(len(alone)), np.where(is_left, 1.0, -1.0)]),
+        n=np.concatenate([np.full(len(alone), 2.0), turn / np.pi]),
+        height_m=np.minimum(world.wall_height_m[wall[first]], world.wall_height_m[wall[last]]),
     )
 
 
-def _edge(view, point, along, wall, world, before):  # type: ignore[no-untyped-def]
-    """One edge as a row of `Edges`, None where it is none; `along` is the next point of its first face."""
-    face = np.arctan2(along[1] - point[1], along[0] - point[0])
-    front = world.stacks[world.wall_stack[wall]][0][0]
-    row = (point, wall, face, 1.0, 2.0, world.wall_height_m[wall], front)
-    if before is None:
-        return row
-    other = world.wall_a[before] if before != wall else world.wall_b[before]
-    last = np.arctan2(other[1] - point[1], other[0] - point[0])
-    towards = np.arctan2(view.origin[1] - point[1], view.origin[0] - point[0])
-    left = (last - face) % (2.0 * np.pi)
-    # the radar stands on one side of the corner: the air is the turn that holds it
-    sense, turn = (1.0, left) if (towards - face) % (2.0 * np.pi) < left else (-1.0, 2.0 * np.pi - left)
-    if turn < np.pi + LEAST_TURN_RAD:
-        return None
-    return (point, wall, face, sense, turn / np.pi, world.wall_height_m[wall], front)
+def _ends(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """Both ends of all walls, starts first: places [2 W, 2] and the direction [rad] in which the wall leaves them."""
+    a, b = world.wall_a[world.is_mirror], world.wall_b[world.is_mirror]
+    chord = b - a
+    along = np.arctan2(chord[:, 1], chord[:, 0])
+    # an arc leaves its chord by half its turn
+    bend = np.arcsin(0.5 * world.wall_curvature_per_m[world.is_mirror] * np.hypot(*chord.T))
+    return np.concatenate([a, b]), np.concatenate([along - bend, along + np.pi + bend])
 
 
-def _angle(edges: Edges, edge: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Angle of points around edges from the first face through the air, 0..2 pi."""
-    offset = point - edges.point[edge]
-    turn = edges.sense[edge] * (np.arctan2(offset[:, 1], offset[:, 0]) - edges.face_rad[edge])
+def _angle(edges: Edges, point: np.ndarray) -> np.ndarray:
+    """Angle of points around edges (one each) from the first face through the air, 0..2 pi."""
+    offset = point - edges.point
+    turn = edges.sense * (np.arctan2(offset[:, 1], offset[:, 0]) - edges.face_rad)
     return np.asarray(turn % (2.0 * np.pi))

@@ -13,7 +13,7 @@ from models.physics.materials import permittivity
 from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.effect_names import bit
 from sim_player.effects.tracing import Tracing
-from sim_player.legs import Passage, in_series, passage
+from sim_player.legs import Passage, free_passage
 from sim_player.routes import Routes, dot, join_routes, make_routes, norm, plane_bounces
 from sim_player.scene import Surface
 from sim_player.world import Snapshot, World
@@ -50,7 +50,7 @@ def _straight(view: Snapshot, owner: np.ndarray) -> Routes:
     share = view.antenna[2] / (view.antenna[2] + end[:, 2])
     plan = view.origin + share[:, None] * (end[:, :2] - view.origin)
     bounce = np.column_stack([plan, np.zeros(len(end))])
-    legs = in_series(passage(view.antenna, bounce, view.blockers), passage(bounce, end, view.blockers, owner))
+    legs = free_passage((view.antenna, bounce, end), view.blockers, owner)
     ray = end * [1.0, 1.0, -1.0] - view.antenna
     return _finish(view, np.arange(len(end)), ray, ray, legs, 0).take(legs.free)
 
@@ -72,11 +72,7 @@ def _mirrored(view: Snapshot, owner: np.ndarray) -> Routes:
     ground_point = np.column_stack([real, np.zeros(len(real))])
     early = (at_ground < at_wall)[:, None]
     one, two = np.where(early, ground_point, wall_point), np.where(early, wall_point, ground_point)
-    legs = in_series(
-        passage(view.antenna, one, view.blockers),
-        passage(one, two, view.blockers),
-        passage(two, end, view.blockers, owner[found.target]),
-    )
+    legs = free_passage((view.antenna, one, two, end), view.blockers, owner[found.target])
     below_top = wall_point[:, 2] < world.wall_height_m[found.wall]
     ray = image - view.antenna
     arrive = ray.copy()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from sim_player.echoes import Echoes, cofocal, object_echoes
 from sim_player.effect_names import bit
 from sim_player.effects.tracing import Tracing
-from sim_player.routes import straight_routes
 from sim_player.world import World
 
 NAME = "los_objects"
@@ -19,6 +18,6 @@ def absent(world: World) -> str | None:
 
 def apply(tracing: Tracing) -> Echoes:
     """Scattering centres whose straight leg is free, out and back."""
-    routes, legs = straight_routes(tracing.view, tracing.view.centre, tracing.owner)
+    routes, legs = tracing.straight
     tracing.routes[NAME] = routes.take(legs.free)
     return object_echoes(tracing.view, tracing.routes[NAME], cofocal(tracing.routes[NAME]), bit(NAME))

@@ -13,8 +13,8 @@ import numpy as np
 from sim_player.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
 from sim_player.effect_names import bit
 from sim_player.effects.tracing import Tracing
-from sim_player.routes import NEAREST_M, dot, make_routes, straight_routes
 from sim_player.legs import passage
+from sim_player.routes import NEAREST_M, dot, make_routes, straight_routes
 from sim_player.world import Snapshot, World
 
 NAME = "los_surfaces"

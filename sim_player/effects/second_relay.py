@@ -1,29 +1,38 @@
 """Two walls in a row: corners send an object's image on, split a wide beam, and return the radar itself.
 
 Routes antenna -> first wall -> second wall -> centre, straight pieces of wall, by the image method taken twice; the
-radar's own image in a corner (both ways round); and the structure of one wall seen in another. Third order is left out.
+radar's own image in two walls (both ways round); and the structure of one wall seen in another. Third order is left
+out. In a right-angled corner the way to the radar's own image meets the apex: each way round has half of its wave.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from numba import njit
+from scipy.special import fresnel
 
 from models.physics.mirror import reflect
 from sim_player.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
-from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effect_names import bit
+from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.tracing import Tracing
-from sim_player.legs import in_series, passage
-from sim_player.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes, norm, plane_bounces
+from sim_player.legs import free_passage
+from sim_player.routes import Routes, dot, join_routes, make_routes, mirror_routes, norm, unit
 from sim_player.world import Snapshot, World
 
 NAME = "second_relay"
 ABOUT = "objects, the radar and walls seen by way of two walls"
+#: Ends of walls nearer than this are one corner.
+SAME_END_M = 1e-6
+#: Least share of the wave for which a loop by a corner's apex is followed.
+DARKEST = 0.02
 
 
 def absent(world: World) -> str | None:
     """It takes two walls."""
-    count = int((world.is_mirror & ~world.is_curved).sum())
+    count = int(_mirrors(world).sum())
     return None if count >= 2 else f"{count} straight wall{'' if count == 1 else 's'}: none faces another"
 
 
@@ -32,103 +41,123 @@ def apply(tracing: Tracing) -> Echoes:
     view = tracing.view
     tracing.routes[NAME] = two_wall_routes(view, view.centre, tracing.owner)
     objects = object_echoes(view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
-    return join_echoes([objects, _corner_flashes(view), _mirrored_structure(view)])
+    return join_echoes([objects, _loops(view), _mirrored_structure(view)])
 
 
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by two straight walls to points [N, 3]."""
-    parts = [_by_first(view, wall, point_m, owner) for wall in np.flatnonzero(_mirrors(view.world))]
-    return join_routes(parts) if parts else no_routes()
-
-
-def _by_first(view: Snapshot, first: int, point_m: np.ndarray, owner: np.ndarray) -> Routes:
-    """Routes whose first wall is given: one bounce seen from the antenna's image in it."""
-    world = view.world
-    normal, offset = view.normal[first], float(view.offset[first])
-    image = reflect(view.antenna, normal, offset)
-    others = _mirrors(world)
-    others[first] = False
-    found = plane_bounces(view, image, point_m, others)
-    # the leg from the image must leave through the first wall, towards the antenna's side
-    height = dot(found.specular[:, :2], normal) + offset
-    reach = float(view.origin @ normal + offset)
-    share = reach / np.where(height > 1e-9, height + reach, np.inf)
-    through = image + share[:, None] * (found.specular - image)
-    along = world.wall_b[first] - world.wall_a[first]
-    place = (through[:, :2] - world.wall_a[first]) @ along / (along @ along)
-    good = (height > 1e-9) & (place >= 0.0) & (place <= 1.0) & (through[:, 2] < world.wall_height_m[first])
-    index = np.flatnonzero(good)
-    return _routes(
-        view,
-        first,
-        through[index],
-        found.specular[index],
-        found.wall[index],
-        found.target[index],
-        point_m,
-        owner,
-        norm(found.image[index] - image),
-    )
+    first, second, target = _candidates(view, point_m)
+    end = point_m[target]
+    image_1 = reflect(np.broadcast_to(view.antenna, end.shape), view.normal[first], view.offset[first])
+    image_2 = reflect(end, view.normal[second], view.offset[second])
+    # one straight line from image to image, cut by both walls
+    at_second = _cut(image_1, image_2, view.normal[second], view.offset[second])
+    at_first = _cut(image_1, at_second, view.normal[first], view.offset[first])
+    return _routes(view, (first, second), target, (at_first, at_second, end), owner[target])
 
 
 def _routes(
     view: Snapshot,
-    first: int,
-    at_first: np.ndarray,
-    at_second: np.ndarray,
-    second: np.ndarray,
+    walls: tuple[np.ndarray, np.ndarray],
     target: np.ndarray,
-    point_m: np.ndarray,
-    owner: np.ndarray,
-    length_m: np.ndarray,
+    points: tuple[np.ndarray, np.ndarray, np.ndarray],
+    owner: np.ndarray | int,
+    other: np.ndarray | float = 1.0,
 ) -> Routes:
-    """Routes through known points of both walls, as far as their three legs are free."""
-    world, end = view.world, point_m[target]
-    legs = in_series(
-        passage(view.antenna, at_first, view.blockers),
-        passage(at_first, at_second, view.blockers),
-        passage(at_second, end, view.blockers, owner[target]),
-    )
-    depart = (at_first - view.antenna) / norm(at_first - view.antenna)[:, None]
-    middle = reflect(depart, view.normal[first], 0.0)
-    one = world.reflection(np.full(len(second), first), np.abs(depart[:, :2] @ view.normal[first]))
-    two = world.reflection(second, np.abs(dot(middle[:, :2], view.normal[second])))
+    """Routes by points of two walls to their targets, as far as the walls are high enough and three legs are free."""
+    (first, second), (at_first, at_second, end), height = walls, points, view.world.wall_height_m
+    legs = free_passage((view.antenna, *points), view.blockers, owner)
+    depart, arrive = unit(at_first - view.antenna), unit(end - at_second)
+    one = view.world.reflection(first, np.abs(dot(depart[:, :2], view.normal[first])))
+    two = view.world.reflection(second, np.abs(dot(arrive[:, :2], view.normal[second])))
     routes = make_routes(
         target,
-        length_m,
+        norm(at_first - view.antenna) + norm(at_second - at_first) + norm(end - at_second),
         depart,
-        reflect(middle, view.normal[second], 0.0),
+        arrive,
         legs,
         bit("specular_relay") | bit(NAME),
-        wall=np.full(len(second), first),
+        wall=first,
         wall2=second,
         whole=one[0] * two[0],
         front=one[1] * two[1],
         rough=one[2] * two[2],
+        other=other,
     )
-    return routes.take(legs.free)
+    return routes.take(legs.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second]))
 
 
-def _corner_flashes(view: Snapshot) -> Echoes:
+def _loops(view: Snapshot) -> Echoes:
     """The radar's own image in two walls: out by one, back by the other, both ways round."""
     routes = two_wall_routes(view, view.antenna[None], np.array([-1], np.int32))
+    joined = _meeting(view.world, routes.wall, routes.wall2)[0]
+    routes = join_routes([routes.take(~joined), _corners(view)])
+    weight = flash_weight(view, routes.length_m)
     point = np.broadcast_to(view.antenna, (len(routes), 3)).copy()
-    echoes = surface_echoes(view, routes, flash_weight(view, routes.length_m), point, routes.wall, NO_NEED)
-    values = {name: getattr(echoes, name) for name in Echoes.__dataclass_fields__}
-    # the loop is one round trip, its two bounces are met once
-    return Echoes(
-        **{
-            **values,
-            "whole": routes.whole,
-            "front": routes.front,
-            "rough": routes.rough,
-            "foliage": routes.foliage,
-            "arrive": -routes.arrive,
-            "out_m": 0.5 * routes.length_m,
-            "back_m": 0.5 * routes.length_m,
-            "rate_mps": 0.5 * (echoes.rate_mps + dot(routes.arrive[:, :2], view.radar_velocity)),
-        }
+    echoes = surface_echoes(view, routes, weight, point, routes.wall, bit(NAME))
+    # the loop is one round trip: what is on it is met once
+    return replace(
+        echoes,
+        weight=weight * routes.other,
+        whole=routes.whole,
+        front=routes.front,
+        rough=routes.rough,
+        foliage=routes.foliage,
+        arrive=-routes.arrive,
+        out_m=0.5 * routes.length_m,
+        back_m=0.5 * routes.length_m,
+        rate_mps=0.5 * dot((routes.arrive - routes.depart)[:, :2], view.radar_velocity),
     )
+
+
+def _corners(view: Snapshot) -> Routes:
+    """Loops by two walls that share an end, with the share of the wave that the apex leaves to each way round.
+
+    The straight line between the radar's two images cuts both walls where they meet at less than 90 deg; at 90 deg it
+    goes by the apex (two halves of one image, which is exact), above that the apex throws back what is left. The share
+    is Fresnel's, its argument from the detour over the apex, cos(a) sqrt(8 d / (lambda (1 + sin a))).
+    """
+    first, second = (pair.ravel() for pair in np.meshgrid(*[np.flatnonzero(_mirrors(view.world))] * 2, indexing="ij"))
+    joined, apex, face_1, face_2 = _meeting(view.world, first, second)
+    towards = unit(view.origin - apex)
+    sine, cosine = _cross(face_1, face_2), dot(face_1, face_2)
+    inside = (_cross(towards, face_2) * sine > 0.0) & (_cross(face_1, towards) * sine > 0.0)
+    which = np.flatnonzero(joined & (first != second) & inside)
+    first, second, apex, cosine, sine = first[which], second[which], apex[which], cosine[which], np.abs(sine[which])
+    distance = norm(apex - view.origin)
+    wavelength_m = view.world.radar.wavelength_m
+    share = _share(cosine * np.sqrt(8.0 * distance / (wavelength_m * (1.0 + sine))))
+    # beyond 90 deg the way is by the apex, longer than the line that the share is told for
+    detour_m = 2.0 * distance * cosine**2 / (1.0 + sine)
+    share = share * np.exp(np.where(cosine < 0.0, 2j * np.pi / wavelength_m * detour_m, 0.0))
+    points, on = [], np.abs(share) > DARKEST
+    for wall, face, other in ((first, face_1[which], face_2[which]), (second, face_2[which], face_1[which])):
+        along = distance * np.maximum(cosine, 0.0) / np.maximum(dot(towards[which], other), 1e-9)
+        on &= along <= norm(view.world.wall_b[wall] - view.world.wall_a[wall])
+        points.append(np.column_stack([apex + along[:, None] * face, np.full(len(wall), view.antenna[2])]))
+    found = np.flatnonzero(on)
+    end = np.broadcast_to(view.antenna, (len(found), 3))
+    ways = (points[0][found], points[1][found], end)
+    return _routes(view, (first[found], second[found]), np.zeros(len(found), int), ways, -1, share[found])
+
+
+def _meeting(
+    world: World, first: np.ndarray, second: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Which pairs of walls [N] share an end, the nearest of their ends [N, 2], unit vectors from it along both."""
+    ends = np.stack([world.wall_a, world.wall_b], axis=1)
+    apart = norm(ends[first][:, :, None] - ends[second][:, None]).reshape(-1, 4)
+    nearest = np.argmin(apart, axis=1)
+    every = np.arange(len(first))
+    apex = ends[first, nearest // 2]
+    faces = unit(ends[first, 1 - nearest // 2] - apex), unit(ends[second, 1 - nearest % 2] - apex)
+    return apart[every, nearest] <= SAME_END_M, apex, *faces
+
+
+def _share(v: np.ndarray) -> np.ndarray:
+    """Share of a wave that passes an edge at Fresnel's argument v: 0 in the dark, 1/2 at the border, 1 in the clear."""
+    sine, cosine = fresnel(v)
+    return np.asarray(0.5 + 0.5 * (1.0 + 1j) * (cosine - 1j * sine))
 
 
 def _mirrored_structure(view: Snapshot) -> Echoes:
@@ -148,4 +177,94 @@ def _mirrors(world: World) -> np.ndarray:
     return world.is_mirror & ~world.is_curved
 
 
-NO_NEED = bit(NAME)
+def _cut(start: np.ndarray, end: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    """Where straight lines [N, 3] from one side of a wall's line to the other cut it: by the heights over it."""
+    over = dot(start[:, :2], normal) + offset
+    under = dot(end[:, :2], normal) + offset
+    return start + (over / (over - under))[:, None] * (end - start)
+
+
+def _cross(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    return np.asarray(left[:, 0] * right[:, 1] - left[:, 1] * right[:, 0])
+
+
+def _candidates(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First wall, second wall and target of all routes that the law of reflection allows, ends included."""
+    world = view.world
+    walls = np.flatnonzero(_mirrors(world))
+    a, b = world.wall_a[walls], world.wall_b[walls]
+    plan = np.ascontiguousarray(point_m[:, :2])
+    found = _search(view.origin, plan, a, b, view.normal[walls], view.offset[walls])
+    return walls[found[:, 0]], walls[found[:, 1]], found[:, 2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _search(origin, point, a, b, normal, offset):  # type: ignore[no-untyped-def]
+    found = np.empty((64, 3), np.int64)
+    count = 0
+    for first in range(len(a)):
+        nx, ny, d = normal[first, 0], normal[first, 1], offset[first]
+        reach = origin[0] * nx + origin[1] * ny + d
+        ix, iy = origin[0] - 2.0 * reach * nx, origin[1] - 2.0 * reach * ny
+        for second in range(len(a)):
+            if second == first or not _seen(ix, iy, reach, a, b, nx, ny, d, first, second):
+                continue
+            mx, my, e = normal[second, 0], normal[second, 1], offset[second]
+            source = ix * mx + iy * my + e
+            if abs(source) <= 1e-9:
+                continue
+            wx, wy = b[second, 0] - a[second, 0], b[second, 1] - a[second, 1]
+            square = wx * wx + wy * wy
+            source_share = ((ix - a[second, 0]) * wx + (iy - a[second, 1]) * wy) / square
+            for target in range(len(point)):
+                height = point[target, 0] * mx + point[target, 1] * my + e
+                if not (height * source > 0.0 and abs(height) > 1e-9):
+                    continue
+                place = ((point[target, 0] - a[second, 0]) * wx + (point[target, 1] - a[second, 1]) * wy) / square
+                # similar triangles: the feet of both, weighted by the other's height
+                share = (source_share * height + place * source) / (height + source)
+                if not 0.0 <= share <= 1.0:
+                    continue
+                # the leg from the image must leave through the first wall, towards the antenna's side
+                x, y = a[second, 0] + share * wx, a[second, 1] + share * wy
+                if not _leaves(ix, iy, reach, x, y, a, b, nx, ny, d, first):
+                    continue
+                if count == len(found):
+                    grown = np.empty((2 * count, 3), np.int64)
+                    grown[:count] = found
+                    found = grown
+                found[count] = first, second, target
+                count += 1
+    return found[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyped-def]
+    """Where on a wall, 0..1, the line from the image behind it to a point in front goes through."""
+    height = x * nx + y * ny + d
+    share = reach / (height + reach)
+    wx, wy = b[wall, 0] - a[wall, 0], b[wall, 1] - a[wall, 1]
+    px, py = ix + share * (x - ix) - a[wall, 0], iy + share * (y - iy) - a[wall, 1]
+    return (px * wx + py * wy) / (wx * wx + wy * wy)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _leaves(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyped-def]
+    """Whether a point in front is seen from the image through the wall."""
+    if x * nx + y * ny + d <= 1e-9:
+        return False
+    return 0.0 <= _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall) <= 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _seen(ix, iy, reach, a, b, nx, ny, d, first, second):  # type: ignore[no-untyped-def]
+    """False where no point of the second wall is seen from the image through the first; both ends tell."""
+    low = a[second, 0] * nx + a[second, 1] * ny + d
+    high = b[second, 0] * nx + b[second, 1] * ny + d
+    if low <= 1e-9 or high <= 1e-9:
+        # an end behind the first wall has no place on it: only if both are is the answer known
+        return low > 1e-9 or high > 1e-9
+    one = _place(ix, iy, reach, a[second, 0], a[second, 1], a, b, nx, ny, d, first)
+    two = _place(ix, iy, reach, b[second, 0], b[second, 1], a, b, nx, ny, d, first)
+    margin = 1e-9
+    return max(one, two) >= -margin and min(one, two) <= 1.0 + margin

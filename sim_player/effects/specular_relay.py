@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from sim_player.echoes import Echoes, cofocal, object_echoes
 from sim_player.effects.tracing import Tracing
-from sim_player.routes import mirror_routes
 from sim_player.world import World
 
 NAME = "specular_relay"
@@ -20,8 +19,6 @@ def absent(world: World) -> str | None:
 
 def apply(tracing: Tracing) -> Echoes:
     """Centres in every straight piece of wall, both legs free, out and back by the same point."""
-    view = tracing.view
-    mirrors = view.world.is_mirror & ~view.world.is_curved
-    routes, legs = mirror_routes(view, view.centre, mirrors, tracing.owner)
+    routes, legs = tracing.mirrored
     tracing.routes[NAME] = routes.take(legs.free)
-    return object_echoes(view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
+    return object_echoes(tracing.view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))

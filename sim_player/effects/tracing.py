@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from sim_player.echoes import Echoes
-from sim_player.routes import Routes, join_routes, no_routes
+from sim_player.legs import Passage
+from sim_player.routes import Routes, join_routes, mirror_routes, no_routes, straight_routes
 from sim_player.world import Snapshot
 
 
@@ -24,6 +26,17 @@ class Tracing:
         """Routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
         found = [self.routes[name] for name in names if name in self.routes]
         return join_routes(found) if found else no_routes()
+
+    @cached_property
+    def straight(self) -> tuple[Routes, Passage]:
+        """Straight to all centres, whatever stands between; and what stands between."""
+        return straight_routes(self.view, self.view.centre, self.owner)
+
+    @cached_property
+    def mirrored(self) -> tuple[Routes, Passage]:
+        """To all centres by every straight piece of wall, whatever stands between; and what stands between."""
+        mirrors = self.view.world.is_mirror & ~self.view.world.is_curved
+        return mirror_routes(self.view, self.view.centre, mirrors, self.owner)
 
     @property
     def owner(self) -> np.ndarray:

@@ -8,7 +8,7 @@ from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes
 from sim_player.effect_names import bit
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import Passage
-from sim_player.routes import Routes, mirror_routes, straight_routes
+from sim_player.routes import Routes
 from sim_player.world import World
 
 NAME = "wall_transmission"
@@ -28,9 +28,7 @@ def absent(world: World) -> str | None:
 def apply(tracing: Tracing) -> Echoes:
     """Ways to centres that cross walls and no body, out and back; the walls' factors squared."""
     view = tracing.view
-    direct = _behind(*straight_routes(view, view.centre, tracing.owner))
-    mirrors = view.world.is_mirror & ~view.world.is_curved
-    mirrored = _behind(*mirror_routes(view, view.centre, mirrors, tracing.owner))
+    direct, mirrored = _behind(*tracing.straight), _behind(*tracing.mirrored)
     return join_echoes(
         [
             object_echoes(view, direct, cofocal(direct), bit(NAME) | bit("los_objects")),

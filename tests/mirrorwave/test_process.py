@@ -22,6 +22,7 @@ CHIRPS = 4
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("capture") / "corner.mcap"
     command = ["sim", "run", SCENE, "--out", str(path), "--scans", "2", "--chirps-per-beam", str(CHIRPS)]
+    command += ["--effects", "basic"]
     assert main(command) == 0
     return path
 
@@ -60,6 +61,7 @@ def test_json_summary(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
 def test_sigmf_gives_the_same_objects(capture: Path, tmp_path: Path) -> None:
     sigmf = tmp_path / "corner.sigmf-meta"
     command = ["sim", "run", SCENE, "--out", str(sigmf), "--scans", "2", "--chirps-per-beam", str(CHIRPS)]
+    command += ["--effects", "basic"]
     assert main(command) == 0
     for path, name in ((sigmf, "a"), (capture, "b")):
         assert main(["process", str(path), "--out", str(tmp_path / name), "--profile", "cfar"]) == 0

@@ -8,7 +8,9 @@ import pytest
 from models.physics.antenna import (
     coarray_weights,
     column_response,
+    coupling_matrix,
     element_field,
+    one_way_pattern,
     row_field,
     setup_weights,
     steering_weights,
@@ -82,3 +84,63 @@ def test_two_way_pattern_lives_on_the_coarray() -> None:
     pattern = two_way_pattern(setup, weights, azimuth_rad, np.zeros(97))
     virtual = np.exp(1j * np.pi * np.multiply.outer(np.sin(azimuth_rad), np.arange(15) - 7))
     np.testing.assert_allclose(pattern, coarray_weights(weights) @ virtual.T * setup.array.rows / 8, atol=1e-9)
+
+
+def test_squint_points_the_beam_elsewhere() -> None:
+    """At f phase shifters point to sin(a) = sin(60) f_c / f: 56.8 and 63.8 deg at +-3.5 %; peak to 0.1 deg.
+
+    Columns and rows both stretch: at 10 deg elevation two rows' worth of phase grows with f as well.
+    """
+    array = ArrayParams(phase_bits=0)
+    weights = steering_weights(array, WAVELENGTH_M, np.radians([60.0]))
+    azimuth_rad = np.radians(np.linspace(50.0, 70.0, 2001))
+    for ratio, expected_deg in ((1.035, 56.80), (1.0, 60.0), (0.965, 63.82)):
+        response = column_response(array, WAVELENGTH_M, azimuth_rad, np.zeros(2001), ratio)
+        peak = np.abs(weights @ response.T)[0].argmax()
+        assert np.degrees(azimuth_rad[peak]) == pytest.approx(expected_deg, abs=0.1)
+    up_rad = np.radians([10.0])
+    phases = np.pi * 1.035 * np.sin(up_rad) * np.array([-1.5, -0.5, 0.5, 1.5])
+    assert row_field(array, WAVELENGTH_M, up_rad, 1.035)[0] == pytest.approx(np.cos(phases).sum() / 2.0, rel=1e-12)
+
+
+def test_a_ratio_for_every_direction() -> None:
+    """One call with ratios per direction equals one call per ratio."""
+    setup = RadarSetup()
+    azimuth_rad, ratios = np.radians([-40.0, 3.0, 57.0]), np.array([0.965, 1.0, 1.02])
+    together = one_way_pattern(setup, setup_weights(setup), azimuth_rad, np.full(3, 0.1), ratios)
+    for index, ratio in enumerate(ratios):
+        alone = one_way_pattern(setup, setup_weights(setup), azimuth_rad[index : index + 1], np.full(1, 0.1), ratio)
+        np.testing.assert_allclose(together[:, index], alone[:, 0], rtol=1e-12, atol=1e-12)
+
+
+def test_two_ways_take_two_patterns() -> None:
+    """Out at one direction, back at another: the product of both one-way patterns; the same ones: its square."""
+    setup = RadarSetup()
+    weights = setup_weights(setup)
+    back, out = (np.radians([20.0, -30.0]), np.radians([2.0, 0.0])), (np.radians([-25.0, 10.0]), np.radians([0.0, 5.0]))
+    product = one_way_pattern(setup, weights, *back) * one_way_pattern(setup, weights, *out)
+    np.testing.assert_allclose(two_way_pattern(setup, weights, *back, *out), product, rtol=1e-12)
+    swapped = two_way_pattern(setup, weights, *out, *back)
+    np.testing.assert_allclose(swapped, product, rtol=1e-12)
+    square = one_way_pattern(setup, weights, *back) ** 2
+    np.testing.assert_array_equal(two_way_pattern(setup, weights, *back), square)
+    np.testing.assert_allclose(two_way_pattern(setup, weights, *back, *back), square, rtol=1e-12)
+
+
+def test_coupling_spreads_each_column_over_its_neighbours() -> None:
+    """-20 dB at 90 deg: 0.1j to the next column, -0.01 to the one after; symmetric.
+
+    Closed form for two columns at broadside: both are fed 1 + c, so the one-way field grows by 1 + c; out of phase
+    (steered to 90 deg) it shrinks to 1 - c.
+    """
+    matrix = coupling_matrix(4, -20.0, np.pi / 2)
+    np.testing.assert_allclose(matrix[0], [1.0, 0.1j, -0.01, -0.001j], atol=1e-12)
+    np.testing.assert_array_equal(matrix, matrix.T)
+    setup = RadarSetup(array=ArrayParams(columns=2, rows=1, phase_bits=0))
+    pair = coupling_matrix(2, -20.0, np.pi / 2)
+    ahead = np.zeros(1)
+    for weights, factor in ((np.ones((1, 2)), 1.0 + 0.1j), (np.array([[1.0, -1.0]]), 1.0 - 0.1j)):
+        azimuth_rad = ahead if weights[0, 1] > 0 else np.array([1.5])
+        plain = one_way_pattern(setup, weights, azimuth_rad, ahead)
+        coupled = one_way_pattern(setup, weights, azimuth_rad, ahead, coupling=pair)
+        np.testing.assert_allclose(coupled, factor * plain, rtol=1e-12)

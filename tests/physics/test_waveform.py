@@ -15,6 +15,7 @@ from models.physics.waveform import (
     beat_phase_rad,
     beat_samples,
     range_profile,
+    tone_profile,
     window_noise_gain,
 )
 from msgs.radar import RadarParams
@@ -81,3 +82,14 @@ def test_window_noise_gain() -> None:
     """Hann of unit coherent gain: 1^2 + 2 (1/2)^2 = 1.5, i.e. 1.76 dB."""
     assert window_noise_gain("hann") == 1.5
     assert window_noise_gain("none") == 1.0
+
+
+@pytest.mark.parametrize("window", WINDOW_TAPS)
+def test_tone_profile_at_any_bin(window: str) -> None:
+    """Tones and bins of either sign, 200 samples, against the FFT; tolerance: rounding."""
+    tone_bin = np.array([-60.3, -1.0, 0.0, 17.25, 99.5])
+    time_window = {"none": np.ones(200), "hann": 1.0 - np.cos(2 * np.pi * np.arange(200) / 200)}[window]
+    tones = np.exp(2j * np.pi * np.multiply.outer(tone_bin, np.arange(200)) / 200)
+    spectrum = np.fft.fft(tones * time_window, axis=1) / 200
+    expected = np.concatenate([spectrum[:, -80:], spectrum[:, :90]], axis=1)
+    np.testing.assert_allclose(tone_profile(200, tone_bin, 170, window, first_bin=-80), expected, atol=1e-13)

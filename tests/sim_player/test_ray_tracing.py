@@ -7,14 +7,18 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
-from models.physics.fresnel import coherent_power, half_space_reflection
+from models.physics.attenuation import gas_db_per_m, rain_db_per_m, vegetation_db
+from models.physics.fresnel import coherent_power, half_space_reflection, slab_reflection, stack_reflection
 from models.physics.materials import permittivity
 from models.physics.mirror import reflect, specular_points
 from msgs.perception import PathClass
 from msgs.radar import RadarParams, RadarSetup
-from sim_player.ray_tracing import Paths, echo_amplitude, prepare, trace
-from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface
+from sim_player.echoes import Echoes, weights
+from sim_player.effects import ALL_EFFECTS, PATH_EFFECTS, bit
+from sim_player.ray_tracing import Paths, echo_amplitude, prepare, snapshot, trace, trace_each
+from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 
 RADAR = RadarParams()
 
@@ -266,3 +270,117 @@ def test_77_ghz_scene_uses_its_own_aperture() -> None:
     assert scene.setup.array.columns == 57
     flash = np.abs(trace(prepare(scene)).amplitude).max()
     assert flash == pytest.approx(math.sqrt(1.6) * scene.setup.radar.wavelength_m / (4.0 * math.pi * 20.0), rel=2e-3)
+
+
+def everything(ego: Ego) -> Scene:
+    """Corner, bulging wall, pane, screen, hedge, ground and two cars: every path effect has something to do."""
+    return Scene(
+        name="t",
+        surfaces=(
+            wall((26.0, -14.0), (26.0, 13.0), (-6.0, 13.0), material="concrete", roughness_mm=0.8, thickness_mm=200.0),
+            wall((-4.0, -16.0), (22.0, -16.0), material="brick", curvature_per_m=-0.01),
+            wall((9.0, 3.0), (9.0, 4.5), material="glass", thickness_mm=6.0, role="occluder"),
+            wall((7.0, -7.0), (7.0, -3.5), role="occluder"),
+            wall((14.0, 2.0), (14.0, 6.0), material="vegetation", thickness_mm=600.0),
+            Surface(role="ground", material="asphalt"),
+        ),
+        objects=(car(15.0, 8.0, yaw_deg=-80.0, speed_mps=12.0), car(13.0, -7.0, yaw_deg=30.0, speed_mps=6.0)),
+        ego=ego,
+    )
+
+
+def nearest(now: Echoes, then: Echoes) -> np.ndarray:
+    """Which echo of another instant each echo is (-1: none): same thing and wall, nearly the same lengths and ways."""
+
+    def place(echoes: Echoes) -> np.ndarray:
+        labels = [echoes.thing, echoes.surface, echoes.order]
+        lengths = [echoes.out_m, echoes.back_m]
+        return np.column_stack([100.0 * np.stack(labels, axis=1), *lengths, echoes.depart, echoes.arrive, echoes.point])
+
+    distance, index = cKDTree(place(then)).query(place(now))
+    return np.where(distance < 0.02, index, -1)
+
+
+@pytest.mark.parametrize(("speed_mps", "yaw_rate_dps"), [(0.0, 0.0), (9.0, 25.0)])
+def test_radial_speed_of_every_effect_is_the_rate_of_the_length(speed_mps: float, yaw_rate_dps: float) -> None:
+    """All effects: central difference over 2e-4 s; rounding 1e-14 / 2e-4 x 100 m, jerk below 1e-6 m/s; tolerance 2e-6.
+
+    Each effect is checked by itself; paths that begin or end within the step (at most 3 %) have no partner.
+    """
+    world = prepare(everything(Ego(speed_mps=speed_mps, yaw_rate_dps=yaw_rate_dps)))
+    steps = [trace_each(snapshot(world, 0.05 + shift_s), ALL_EFFECTS) for shift_s in (-1e-4, 0.0, 1e-4)]
+    assert set(steps[1]) == set(PATH_EFFECTS)
+    for name in PATH_EFFECTS:
+        before, now, after = (step[name] for step in steps)
+        assert len(now) > 0, name
+        early, late = nearest(now, before), nearest(now, after)
+        known = np.flatnonzero((early >= 0) & (late >= 0))
+        assert len(known) >= 0.97 * len(now), name
+        now, before, after = now.take(known), before.take(early[known]), after.take(late[known])
+        rate = 0.5 * (after.out_m + after.back_m - before.out_m - before.back_m) / 2e-4
+        np.testing.assert_allclose(now.rate_mps, rate, atol=2e-6, err_msg=name)
+
+
+def test_paths_say_which_effects_they_need() -> None:
+    """Every echo of an effect carries that effect's bit, or that of the effect it takes its way from."""
+    for name, echoes in trace_each(snapshot(prepare(everything(Ego()))), ALL_EFFECTS).items():
+        assert ((echoes.needs & bit(name)) != 0).all(), name
+
+
+def test_weights_of_foliage_and_air() -> None:
+    """Straight paths of 15 m through a hedge: its loss over the slant depth; gas and rain over both ways.
+
+    Field 10^(-dB/20): foliage met twice; closed forms of `models.physics.attenuation`; table steps of 1e-3: rel 1e-4.
+    """
+    scene = Scene(
+        name="t",
+        surfaces=(wall((6.0, -9.0), (6.0, 9.0), material="vegetation", thickness_mm=800.0),),
+        objects=(car(15.0, 4.0),),
+        weather=Weather(rain_mm_per_h=25.0),
+    )
+    world = prepare(scene)
+    view = snapshot(world)
+    echoes = trace_each(view, frozenset({"los_objects"}))["los_objects"]
+    bare = weights(echoes, world, frozenset())
+    thinned = weights(echoes, world, frozenset({"vegetation"}))
+    cosine = echoes.depart[:, 0]
+    depth_m = 0.8 / cosine
+    loss_db = vegetation_db(RADAR.carrier_hz, depth_m)
+    np.testing.assert_allclose(np.abs(thinned / bare), 10.0 ** (-2.0 * loss_db / 20.0), rtol=1e-4)
+    airy = weights(echoes, world, frozenset({"atmosphere"}))
+    per_m = gas_db_per_m(RADAR.carrier_hz, 15.0, 1013.25, 7.5) + rain_db_per_m(RADAR.carrier_hz, 25.0)
+    np.testing.assert_allclose(np.abs(airy / bare), 10.0 ** (-per_m * 2.0 * echoes.out_m / 20.0), rtol=1e-12)
+
+
+def test_planned_weights_switch_rough_and_slab() -> None:
+    """Mirrored by a rough pane: whole slab or front face by slab_resonance, sqrt(rho) per bounce by rough_wall_loss."""
+    relay = wall((20.0, -9.0), (20.0, 12.0), material="glass", thickness_mm=6.0, roughness_mm=0.8)
+    world = prepare(Scene(name="t", surfaces=(relay,), objects=(car(8.0, 8.0, yaw_deg=90.0),)))
+    echoes = trace_each(snapshot(world), frozenset({"specular_relay"}))["specular_relay"]
+    cosine = echoes.depart[:, 0]
+    eps = permittivity("glass", RADAR.carrier_hz)
+    front = half_space_reflection(eps, cosine)
+    slab = slab_reflection(eps, cosine, np.array(6e-3), RADAR.wavelength_m)
+    plain = weights(echoes, world, frozenset())
+    np.testing.assert_allclose(weights(echoes, world, frozenset({"slab_resonance"})) / plain, (slab / front) ** 2)
+    rho = coherent_power(0.8e-3, cosine, RADAR.wavelength_m)
+    np.testing.assert_allclose(weights(echoes, world, frozenset({"rough_wall_loss"})) / plain, rho)
+
+
+def test_builds_of_several_layers_reflect_as_stacks() -> None:
+    """Double glazing among single panes: each piece by its own build, `stack_reflection`; rounding."""
+    walls = [
+        wall((20.0, -9.0), (20.0, 12.0), material="glass", thickness_mm=4.0),
+        wall((22.0, -9.0), (22.0, 12.0), material="double_glazing"),
+        wall((24.0, -9.0), (24.0, 12.0), material="concrete"),
+    ]
+    world = prepare(Scene(name="t", surfaces=tuple(walls)))
+    cosine = np.linspace(0.05, 1.0, 30)
+    which = np.arange(30) % 3
+    whole, front, _ = world.reflection(which, cosine)
+    for index in range(3):
+        layers = world.stacks[world.wall_stack[index]]
+        here = which == index
+        expected = stack_reflection([e for e, _ in layers], [d for _, d in layers], cosine[here], RADAR.wavelength_m)
+        np.testing.assert_allclose(whole[here], expected, rtol=1e-12)
+        np.testing.assert_allclose(front[here], half_space_reflection(layers[0][0], cosine[here]), rtol=1e-12)

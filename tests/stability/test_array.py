@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from models.perception.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
+from models.physics.antenna import coupling_matrix, one_way_pattern, setup_weights, two_way_pattern
 from msgs.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid()
@@ -97,3 +98,23 @@ def test_quantised_to_one_bit_still_inverts() -> None:
     assert not incoherent.any()
     assert np.degrees(GRID.azimuth_rad[np.abs(values[0]).argmax()]) == pytest.approx(12.0, abs=0.5)
     assert abs(setup.beams.azimuth_deg[naive] - 12.0) >= 2.0
+
+
+@pytest.mark.parametrize("ratio", [1e-3, 0.5, 2.0, 20.0])
+def test_patterns_far_from_the_carrier_stay_bounded(ratio: float) -> None:
+    """Grating lobes or none: no direction takes more than all columns and rows in phase."""
+    setup = RadarSetup()
+    azimuth_rad = np.radians(np.linspace(-180.0, 180.0, 721))
+    pattern = two_way_pattern(setup, setup_weights(setup), azimuth_rad, np.full(721, 0.2), frequency_ratio=ratio)
+    assert np.isfinite(pattern).all()
+    assert np.abs(pattern).max() <= 32.0 * 10.0 ** (2 * 4.1 / 20.0) * (1.0 + 1e-12)
+
+
+def test_total_coupling_leaves_one_pattern() -> None:
+    """0 dB: every column is fed the sum of all; every beam is broadside's, scaled by its own sum; nothing blows up."""
+    setup = RadarSetup()
+    azimuth_rad = np.radians(np.linspace(-80.0, 80.0, 33))
+    weights = setup_weights(setup)
+    one_way = one_way_pattern(setup, weights, azimuth_rad, np.zeros(33), coupling=coupling_matrix(8, 0.0))
+    ahead = one_way_pattern(setup, np.ones((1, 8)), azimuth_rad, np.zeros(33))
+    np.testing.assert_allclose(one_way, weights.sum(axis=1)[:, None] * ahead, atol=1e-9)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from models.physics.curved_mirror import bounces
 from models.physics.mirror import crosses, crossing_parameters, reflect, specular_points, wall_from_ends
 
 
@@ -72,3 +73,62 @@ def test_shortest_walls_are_refused_and_the_next_are_not() -> None:
         wall_from_ends([5.0, 5.0], [5.0, 5.0 + 1e-7], [0.0, 0.0])
     normal, _ = wall_from_ends([5.0, 5.0], [5.0, 5.0 + 2e-6], [0.0, 0.0])
     np.testing.assert_allclose(normal, [-1.0, 0.0])
+
+
+#: Nearly a half circle of 20 m radius around (0, 0), hollow to the left of a -> b (which runs upwards).
+HOLLOW = np.array([1.0, -np.sqrt(399.0)]), np.array([1.0, np.sqrt(399.0)]), 1.0 / 20.0
+
+
+@pytest.mark.parametrize(
+    ("origin", "target"),
+    [
+        ((0.0, 0.0), (0.0, 0.0)),  # both at the centre: every point of the wall is a Fermat point
+        ((0.0, 0.0), (1e-9, 1e-9)),
+        ((0.0, 0.0), (3.0, 4.0)),
+        ((-5.0, 2.0), (-5.0, 2.0)),  # target = radar
+        ((5.0, 2.0), (20.0, 0.0)),  # target on the wall
+        ((20.0, 0.0), (5.0, 2.0)),  # radar on the wall
+        ((20.0, 0.0), (20.0, 0.0)),
+        ((5.0, 2.0), (1.0, np.sqrt(399.0))),  # target on the wall's end
+        ((-1e6, 0.0), (-1e6, 5.0)),
+        ((5.0, 2.0), (20.0 - 1e-7, 0.0)),
+        ((20.0 - 1e-4, 0.0), (19.0, 6.0)),
+    ],
+)
+def test_curved_mirror_survives_what_a_scene_should_not_hold(
+    origin: tuple[float, float], target: tuple[float, float]
+) -> None:
+    """No NaN, no infinity, no warning, and a field no larger than the whole wall in phase."""
+    found = bounces(np.array(origin), np.array([target]), *HOLLOW, 0.03)
+    for values in (found.share, found.point_m, found.normal, found.out_m, found.on_m, found.cos_incidence, found.gain):
+        assert np.isfinite(values).all()
+    assert ((found.share >= 0.0) & (found.share <= 1.0)).all()
+    # sqrt(k / 2 pi) times the arc's 60 m, times the spread of legs of at least a wavelength
+    assert (np.abs(found.gain) < 61.0 * np.sqrt(1.0 / 0.03) * np.sqrt(1.0 / 0.03)).all()
+
+
+def test_whole_arc_in_phase_is_one_bounce() -> None:
+    """Radar and target at the centre: field = sqrt(k / 2 pi) (2 r) / ((2 r)^1.5 r) times the arc, closed form."""
+    found = bounces(np.zeros(2), np.zeros((1, 2)), *HOLLOW, 0.03)
+    assert len(found) == 1
+    arc_m = 40.0 * np.arcsin(np.sqrt(399.0) / 20.0)
+    expected = np.sqrt(1.0 / 0.03) * arc_m / (np.sqrt(40.0) * 20.0) * 40.0
+    np.testing.assert_allclose(np.abs(found.gain), expected, rtol=1e-9)
+
+
+def test_nearly_flat_and_nearly_half_circles() -> None:
+    """Curvature 1e-12 1/m, and |curvature| x chord from 2 down to one rounding below it; at 2 the arc is refused."""
+    a, b = np.array([0.0, 0.0]), np.array([20.0, 0.0])
+    rng = np.random.default_rng([40, 9])
+    targets = rng.uniform(-30.0, 30.0, (200, 2))
+    for curvature in (1e-12, -1e-12, 5e-324, 0.1 * (1.0 - 1e-9), -np.nextafter(0.1, 0.0)):
+        found = bounces(np.array([4.0, 9.0]), targets, a, b, curvature, 0.03)
+        assert len(found) > 0
+        assert np.isfinite(found.gain).all()
+        assert np.isfinite(found.point_m).all()
+    with pytest.raises(ValueError, match="less than a half circle"):
+        bounces(np.array([4.0, 9.0]), targets, a, b, 0.1, 0.03)
+
+
+def test_no_targets_no_bounces() -> None:
+    assert len(bounces(np.zeros(2), np.zeros((0, 2)), *HOLLOW, 0.03)) == 0

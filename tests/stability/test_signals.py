@@ -11,6 +11,12 @@ from models.perception.ra_forming import FormingParams, RaFormer
 from models.physics.waveform import beat_samples, range_profile
 from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.vehicle import VehicleState
+from sim_player.fmcw import noise_bank
+from sim_player.front_end import FrontEnd, Spur
+from sim_player.literal import literal_echoes
+from sim_player.paths import Paths
+from sim_player.signal_effects import ALL, SignalEffects
+from sim_player.signal_levels import beam_beats, beat_terms, kernel_profiles, record_beam
 
 
 def _setup(chirps: int = 4, samples: int = 2048, beams: int = 25) -> RadarSetup:
@@ -140,3 +146,76 @@ def test_float32_fft_of_a_hundred_decibel_scene() -> None:
     weak = profile[160] / np.sqrt(setup.milliwatt_per_code_squared)
     exact = 0.3 * range_profile(radar, lengths_m[1:], 512)[0, 160]
     assert abs(weak - exact) <= 0.05
+
+
+def _echoes(length_m: np.ndarray, amplitude: float) -> Paths:
+    """Echoes straight ahead, all of one weight."""
+    count = len(length_m)
+    zeros, index = np.zeros(count), np.zeros(count, np.int32)
+    return Paths(
+        kind=index.astype(np.uint8),
+        length_m=length_m,
+        radial_speed_mps=zeros,
+        azimuth_rad=zeros,
+        elevation_rad=zeros,
+        departure_azimuth_rad=zeros,
+        departure_elevation_rad=zeros,
+        amplitude=np.full(count, amplitude, np.complex128),
+        order=index.astype(np.uint8),
+        needs=index.astype(np.uint32),
+        surface=index,
+        thing=index,
+        point_m=np.zeros((count, 3)),
+        virtual_m=np.zeros((count, 3)),
+    )
+
+
+STATIC = SignalEffects(mutual_coupling=True, squint=True, chirp_overlap=True, flicker=True, leakage=True)
+
+
+@pytest.mark.parametrize("scale", [1e-30, 1.0, 1e12])
+def test_levels_of_signal_scale(scale: float) -> None:
+    """Attowatts to gigawatts: the kernel level in double precision is linear, and agrees with the beats."""
+    setup = _setup(samples=512)
+    lengths_m = np.linspace(0.2, 10.0, 12)
+    reference = kernel_profiles(setup, _echoes(lengths_m, 1.0), STATIC, range_bins=64)
+    profiles = kernel_profiles(setup, _echoes(lengths_m, scale), STATIC, range_bins=64)
+    np.testing.assert_allclose(profiles / scale, reference, atol=1e-9 * np.abs(reference).max())
+
+
+@pytest.mark.parametrize("share", [0.0, 1e-9, 0.5, 0.999])
+def test_overlap_from_nothing_to_the_whole_chirp(share: float) -> None:
+    """An echo at no range, and one that is late by nearly the chirp (all of it is then the previous chirp's)."""
+    setup = _setup(samples=2048)
+    path = _echoes(np.array([share * setup.radar.chirp_period_s * 299_792_458.0]), 1.0)
+    beats = beam_beats(setup, path, STATIC, beams=slice(12, 13))
+    literal = literal_echoes(setup, path, STATIC, beam=12)
+    assert np.isfinite(beats).all()
+    assert np.linalg.norm(beats - literal) <= 1e-9 * np.linalg.norm(literal)
+
+
+@pytest.mark.parametrize(("samples", "chirps"), [(64, 1), (65, 1), (100, 3)])
+def test_kernel_level_of_tiny_chirps(samples: int, chirps: int) -> None:
+    """Fewer samples than range bins: the map wraps around like the FFT does."""
+    setup = _setup(chirps=chirps, samples=samples)
+    path = _echoes(np.array([4.0, 9.0]), 1.0)
+    count = np.arange(samples)
+    beats = beam_beats(setup, path) * (1.0 - np.cos(2.0 * np.pi * count / samples))
+    expected = np.fft.fft(beats, axis=1)[:, np.arange(100) % samples] / samples
+    np.testing.assert_allclose(kernel_profiles(setup, path, range_bins=100), expected, atol=1e-7)
+
+
+def test_receiver_of_nothing_but_faults() -> None:
+    """No echo, every fault at once, two bits: finite codes on the converter's four levels."""
+    setup = _setup(chirps=2, samples=256)
+    faults = FrontEnd(
+        iq_gain_db=3.0,
+        iq_phase_deg=20.0,
+        flicker_corner_hz=1e9,
+        leakage_dbm=30.0,
+        adc_bits=2,
+        spurs=(Spur(frequency_hz=0.0, power_dbm=-20.0), Spur(frequency_hz=-9e9, power_dbm=20.0)),
+    )
+    terms = beat_terms(setup, _echoes(np.zeros(0), 1.0), ALL, faults, 3)
+    codes = record_beam(setup, terms, noise_bank(setup.radar, 0), [1], ALL, faults)
+    assert set(np.unique(codes)) <= {-32768, -16384, 0, 16384}

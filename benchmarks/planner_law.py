@@ -1,0 +1,241 @@
+"""The planner's law over random places: no cell off by more than the budget, and what the planning saves.
+
+Every scene is simulated with all effects and as planned under each budget, same noise, at the kernel level. A cell is a
+range bin of a steering angle; the same is looked at on the 512 x 256 map that the co-array inversion makes of them.
+`--alone N` drops each used effect alone in the first N scenes: bound minus actual change. Times are processor times of
+this process: `all` is tracing and signal of everything, `auto` planning and signal of what is left.
+Usage: python -m benchmarks.planner_law [--scenes 500] [--alone 60] [--seed 3] [--preset xband] [--out FILE.json]
+                                        [--pictures DIR]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.progress import track
+
+from models.perception.coarray import AzimuthInterpolator
+from models.physics.waveform import WINDOW_TAPS
+from msgs.radar import RadarSetup
+from sim_player.effect_names import ALL_EFFECTS
+from sim_player.envelope import sure_floor
+from sim_player.places import random_place
+from sim_player.planner import Plan, chosen, clean_profiles, plan_world
+from sim_player.signal_levels import noise_density_mw, noise_profiles
+from sim_player.world import World, prepare
+
+BUDGETS_DB = (-10.0, -20.0, -30.0)
+
+
+def noise_rms(setup: RadarSetup, plan: Plan) -> np.ndarray:
+    front_end = plan.view.world.scene.radar.front_end
+    density = noise_density_mw(setup, np.arange(512), plan.signal, front_end)
+    return np.sqrt(density * np.sum(np.square(WINDOW_TAPS["hann"])))
+
+
+def whole(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:
+    """Profiles with noise."""
+    front_end = plan.view.world.scene.radar.front_end
+    return clean_profiles(plan, setup, seed) + noise_profiles(setup, seed, plan.signal, front_end)
+
+
+def off_db(everything: np.ndarray, planned: np.ndarray, rms: np.ndarray) -> float:
+    """The law's ratio, worst cell, in dB."""
+    ratio = np.abs(everything - planned) / sure_floor(everything, 0.0, rms, 0.0)
+    return float(20.0 * np.log10(max(ratio.max(), 1e-15)))
+
+
+def off_on_map_db(everything: np.ndarray, planned: np.ndarray, rms: np.ndarray, setup: RadarSetup) -> float:
+    """The same on the interpolated map: within one range bin and half a beamwidth (13 columns)."""
+    matrix = AzimuthInterpolator(setup)._inverse(()).coherent  # the linear part: [beams, azimuths]
+    maps = [profiles.T @ matrix for profiles in (everything, planned)]
+    level = np.outer(rms, np.linalg.norm(matrix, axis=0))
+    padded = np.pad(np.abs(maps[0]), ((1, 1), (13, 13)))
+    rows, columns = level.shape
+    near = np.max([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(0, 27)], axis=0)
+    ratio = np.abs(maps[0] - maps[1]) / np.maximum(near, level)
+    return float(20.0 * np.log10(max(ratio.max(), 1e-15)))
+
+
+def scene_rows(seed: int, index: int, preset: str, alone: bool) -> dict[str, Any]:
+    scene = random_place(seed, index, preset)
+    setup, world = scene.setup, prepare(scene, index)
+    start = time.process_time()
+    everything = chosen(world, setup)
+    clean = clean_profiles(everything, setup, index)
+    all_s = time.process_time() - start
+    reference = clean + noise_profiles(setup, index, everything.signal, scene.radar.front_end)
+    rms = noise_rms(setup, everything)
+    row: dict[str, Any] = {"scene": scene.name, "all_s": all_s, "paths": len(everything.echoes), "budgets": []}
+    for budget_db in BUDGETS_DB:
+        row["budgets"].append(_budget(world, setup, index, budget_db, reference, rms, all_s))
+    if alone:
+        row["alone"] = _alone(world, setup, index, everything, reference, rms)
+    return row
+
+
+def _budget(
+    world: World, setup: RadarSetup, index: int, budget_db: float, reference: np.ndarray, rms: np.ndarray, all_s: float
+) -> dict[str, Any]:
+    """One scene under one budget, planned quickly and thoroughly."""
+    start = time.process_time()
+    quick = plan_world(world, setup, budget_db)
+    clean_profiles(quick, setup, index)
+    auto_s = time.process_time() - start
+    thorough = plan_world(world, setup, budget_db, thorough=True)
+    planned = whole(thorough, setup, index)
+    return {
+        "budget_db": budget_db,
+        "actual_db": off_db(reference, planned, rms),
+        "actual_quick_db": off_db(reference, whole(quick, setup, index), rms),
+        "actual_on_map_db": off_on_map_db(reference, planned, rms, setup),
+        "bound_db": thorough.spent_db,
+        "auto_s": auto_s,
+        "ratio": all_s / auto_s,
+        "kept": len(quick.echoes),
+        "used": sorted(thorough.used),
+        "present": sorted(e.name for e in thorough.effects if e.bound_db is not None),
+    }
+
+
+def _alone(
+    world: World, setup: RadarSetup, index: int, everything: Plan, reference: np.ndarray, rms: np.ndarray
+) -> list[dict[str, Any]]:
+    """Every effect that the scene has, dropped alone: its bound and what it changed."""
+    plan = plan_world(world, setup, -300.0, thorough=True)
+    found = []
+    for effect in plan.effects:
+        # without noise rounding is not white, and the law has no floor
+        if effect.bound_db is None or effect.bound_db >= 200.0 or effect.name == "thermal_noise":
+            continue
+        without = chosen(world, setup, everything.used - {effect.name})
+        actual_db = off_db(reference, whole(without, setup, index), rms)
+        found.append({"effect": effect.name, "bound_db": effect.bound_db, "actual_db": actual_db})
+    return found
+
+
+def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+    out: dict[str, Any] = {"scenes": len(rows), "budgets": []}
+    for position, budget_db in enumerate(BUDGETS_DB):
+        mine = [row["budgets"][position] for row in rows]
+        used, present = Counter(), Counter()
+        for one in mine:
+            used.update(one["used"])
+            present.update(one["present"])
+        out["budgets"].append(
+            {
+                "budget_db": budget_db,
+                "violations": sum(one["actual_db"] > budget_db for one in mine),
+                "violations_quick": sum(one["actual_quick_db"] > budget_db for one in mine),
+                "violations_on_map": sum(one["actual_on_map_db"] > budget_db for one in mine),
+                "actual_median_db": _median(one["actual_db"] for one in mine),
+                "actual_worst_db": max(one["actual_db"] for one in mine),
+                "ratio_median": _median(one["ratio"] for one in mine),
+                "ratio_p10_p90": np.percentile([one["ratio"] for one in mine], [10, 90]).tolist(),
+                "kept_share": _median(one["kept"] / max(row["paths"], 1) for one, row in zip(mine, rows, strict=True)),
+                "used": {name: [used[name], present[name]] for name in sorted(present)},
+            }
+        )
+    alone = [one for row in rows for one in row.get("alone", [])]
+    slack = [one["bound_db"] - one["actual_db"] for one in alone]
+    out["bound_minus_actual_db"] = {
+        "median": float(np.median(slack)) if slack else None,
+        "least": float(np.min(slack)) if slack else None,
+        "count": len(slack),
+        "by_effect": {
+            name: _median(one["bound_db"] - one["actual_db"] for one in alone if one["effect"] == name)
+            for name in sorted({one["effect"] for one in alone})
+        },
+    }
+    return out
+
+
+def _median(values: Any) -> float:
+    return float(np.median(list(values)))
+
+
+def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, count: int = 10) -> None:
+    """The scenes nearest to their budget of -20 dB: map of all, and where the planned one is off."""
+    from matplotlib.figure import Figure
+
+    rank = sorted(range(len(rows)), key=lambda index: -rows[index]["budgets"][1]["actual_db"])[:count]
+    figure = Figure(figsize=(15.0, 3.0 * len(rank)), dpi=70)
+    axes = figure.subplots(len(rank), 3, squeeze=False)
+    for (first, second, third), index in zip(axes, rank, strict=True):
+        scene = random_place(seed, index, preset)
+        setup, world = scene.setup, prepare(scene, index)
+        plan = plan_world(world, setup, -20.0, thorough=True)
+        everything = chosen(world, setup)
+        reference, rms = whole(everything, setup, index), noise_rms(setup, everything)
+        ratio = np.abs(reference - whole(plan, setup, index)) / sure_floor(reference, 0.0, rms, 0.0)
+        from mirrorwave.scene_picture import draw_scene
+
+        draw_scene(first, scene)
+        first.set_title(f"{scene.name}: {rows[index]['budgets'][1]['actual_db']:.1f} dB off", fontsize=9)
+        extent = (0.0, 512 * setup.radar.range_bin_m, -0.5, len(setup.beams) - 0.5)
+        level_db = 20.0 * np.log10(np.abs(reference) / rms)
+        for axis, image, limits, name in (
+            (second, level_db, (0.0, 80.0), "all effects, dB over noise"),
+            (third, 20.0 * np.log10(np.maximum(ratio, 1e-6)), (-80.0, -20.0), "off, dB (budget -20)"),
+        ):
+            shown = axis.imshow(image, aspect="auto", extent=extent, origin="lower", vmin=limits[0], vmax=limits[1])
+            figure.colorbar(shown, ax=axis)
+            axis.set_title(name, fontsize=9)
+            axis.set_xlabel("range (m)", fontsize=7)
+            axis.set_ylabel("beam", fontsize=7)
+    figure.tight_layout()
+    out.mkdir(parents=True, exist_ok=True)
+    figure.savefig(out / "planner_worst.png")
+
+
+def report(found: dict[str, Any]) -> None:
+    for one in found["budgets"]:
+        print(
+            f"budget {one['budget_db']:5.0f} dB  violations {one['violations']} (quick {one['violations_quick']}, "
+            f"on the map {one['violations_on_map']}) of {found['scenes']}  actual median {one['actual_median_db']:.1f} "
+            f"worst {one['actual_worst_db']:.1f} dB  all/auto median {one['ratio_median']:.2f} "
+            f"(p10..p90 {one['ratio_p10_p90'][0]:.2f}..{one['ratio_p10_p90'][1]:.2f})  "
+            f"paths kept {100 * one['kept_share']:.0f} %"
+        )
+        print("   used of present: " + ", ".join(f"{k} {u}/{p}" for k, (u, p) in one["used"].items()))
+    slack = found["bound_minus_actual_db"]
+    if slack["count"]:
+        print(f"one effect dropped alone: bound minus actual, median {slack['median']:.1f} dB, least "
+              f"{slack['least']:.1f} dB, {slack['count']} cases")
+        print("   " + ", ".join(f"{name} {value:.1f}" for name, value in slack["by_effect"].items()))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenes", type=int, default=500)
+    parser.add_argument("--alone", type=int, default=60)
+    parser.add_argument("--seed", type=int, default=3)
+    parser.add_argument("--preset", choices=("xband", "77ghz"), default="xband")
+    parser.add_argument("--out", type=Path)
+    parser.add_argument("--pictures", type=Path)
+    arguments = parser.parse_args()
+    scene_rows(arguments.seed, 0, arguments.preset, False)  # compiles and fills the kernels
+    rows = [
+        scene_rows(arguments.seed, index, arguments.preset, index < arguments.alone)
+        for index in track(range(arguments.scenes), transient=True)
+    ]
+    found = summary(rows)
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
+    found |= {"machine": machine, "seed": arguments.seed, "preset": arguments.preset, "effects": sorted(ALL_EFFECTS)}
+    report(found)
+    if arguments.out:
+        arguments.out.write_text(json.dumps({"summary": found, "rows": rows}))
+    if arguments.pictures:
+        draw_worst(rows, arguments.seed, arguments.preset, arguments.pictures)
+
+
+if __name__ == "__main__":
+    main()

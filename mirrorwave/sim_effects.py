@@ -1,0 +1,154 @@
+"""`mirrorwave sim effects` and `sim paths`: what a scene calls for, and every way its echoes take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.console import AsJson, print_json, print_line, print_table
+
+if TYPE_CHECKING:
+    from sim_player.planner import Plan
+
+SceneFile = Annotated[Path, typer.Argument(help="Scene file (YAML).")]
+Budget = Annotated[
+    float, typer.Option("--budget-db", help="Most that any cell may be off, relative to noise or what stands there.")
+]
+Effects = Annotated[
+    str, typer.Option("--effects", help="auto (what the scene calls for), all, basic, or names with commas between.")
+]
+
+
+def effects(
+    scene: SceneFile,
+    budget_db: Budget = -20.0,
+    choice: Effects = "auto",
+    seed: int = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Which effects a scene calls for, what each could change, and why it is used or skipped."""
+    from sim_player.effect_names import ALL_EFFECTS
+    from sim_player.planner import choose, chosen, plan_world
+    from sim_player.ray_tracing import BASIC_EFFECTS, prepare
+    from sim_player.scene import load_scene
+
+    loaded = load_scene(scene)
+    world = prepare(loaded, seed)
+    if choice == "auto":
+        plan = plan_world(world, loaded.setup, budget_db, thorough=True)
+    else:
+        found = choose(world, loaded.setup, choice, budget_db)
+        plan = found or chosen(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
+    if as_json:
+        rows = [
+            {"name": e.name, "used": e.used, "bound_db": e.bound_db, "cost_s": e.cost_s, "reason": e.reason}
+            for e in plan.effects
+        ]
+        print_json({"budget_db": plan.budget_db, "effects": rows, "paths": len(plan.echoes), "traced": plan.traced})
+        return
+    _print_plan(plan, loaded.name)
+
+
+#: What the plain signal chain has.
+_PLAIN_SIGNAL = frozenset({"motion", "element_pattern", "quantised_phases", "thermal_noise", "adc"})
+
+
+def _print_plan(plan: Plan, name: str) -> None:
+    """One row an effect and a line of sums."""
+    rows = [(e.name, "used" if e.used else "skipped", _db(e.bound_db), f"{1e3 * e.cost_s:.1f}", e.reason)
+            for e in plan.effects]
+    print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
+    spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
+    print_line(
+        f"{name}: {sum(e.used for e in plan.effects)} of {len(plan.effects)} effects, {len(plan.echoes)} of "
+        f"{plan.traced} paths; what was left out changes {spent} at most (budget {plan.budget_db:g} dB)"
+    )
+
+
+def _db(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0f}"
+
+
+def paths(
+    scene: SceneFile,
+    budget_db: Budget = -20.0,
+    choice: Effects = "all",
+    seed: int = 0,
+    strongest: Annotated[int | None, typer.Option(min=1, help="Only so many, the strongest first.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the ways (PNG).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Every echo the tracer finds: its way, length, direction and weight."""
+    import numpy as np
+
+    from sim_player.planner import choose
+    from sim_player.ray_tracing import prepare, trace
+    from sim_player.scene import load_scene
+    from sim_player.truth import best_power_mw
+    from sim_player.ways import ways_out
+
+    loaded = load_scene(scene)
+    world = prepare(loaded, seed)
+    plan = choose(world, loaded.setup, choice, budget_db)
+    found = trace(world) if plan is None else plan.paths
+    power_mw = best_power_mw(loaded.setup, found)
+    order = np.argsort(-power_mw, kind="stable")
+    kept = order if strongest is None else order[:strongest]
+    found, power_mw = found.take(kept), power_mw[kept]
+    ways = ways_out(world, found)
+    if plot is not None:
+        from mirrorwave.scene_picture import draw_paths
+
+        draw_paths(plot, loaded, found, ways, power_mw)
+    if as_json:
+        print_json([_path_row(found, index, ways[index]) for index in range(len(found))])
+        return
+    rows = [_path_line(found, index, float(power_mw[index])) for index in range(min(len(found), 40))]
+    print_table(("kind", "order", "length m", "azimuth deg", "dBm", "object", "wall", "by way of"), rows)
+    more = f", the strongest {len(rows)} shown" if len(found) > len(rows) else ""
+    print_line(f"{loaded.name}: {len(found)} paths{more}{'' if plot is None else f'; picture: {plot}'}")
+
+
+def _path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
+    """One path as the contract has it (DESIGN section 4), with the effects it needs."""
+    weight = complex(found.amplitude[index])
+    return {
+        "kind": _kind(found, index),
+        "order": int(found.order[index]),
+        "points_m": way.tolist(),
+        "virtual_m": found.virtual_m[index].tolist(),
+        "length_m": float(found.length_m[index]),
+        "amplitude": [weight.real, weight.imag],
+        "surface": int(found.surface[index]),
+        "object": int(found.thing[index]),
+        "effects": _needs(found, index),
+    }
+
+
+def _path_line(found: Any, index: int, power_mw: float) -> tuple[object, ...]:
+    import math
+
+    return (
+        _kind(found, index),
+        int(found.order[index]),
+        f"{found.length_m[index]:.2f}",
+        f"{math.degrees(found.azimuth_rad[index]):.1f}",
+        f"{10.0 * math.log10(max(power_mw, 1e-30)):.0f}",
+        int(found.thing[index]),
+        int(found.surface[index]),
+        ", ".join(_needs(found, index)),
+    )
+
+
+def _kind(found: Any, index: int) -> str:
+    from msgs.perception import PathClass
+
+    return "mnlos" if found.kind[index] == PathClass.MIRRORED else "los"
+
+
+def _needs(found: Any, index: int) -> list[str]:
+    from sim_player.effect_names import PATH_EFFECTS, bit
+
+    return [name for name in PATH_EFFECTS if int(found.needs[index]) & bit(name)]

@@ -1,0 +1,173 @@
+"""Where jobs run: processes of this machine, a Ray cluster, a Slurm cluster; one function behind all.
+
+Jobs and results must be able to travel between processes; results come in the order in which they are done. Workers of
+a cluster need the project and the jobs' folder at the same place (a shared file system).
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, as_completed
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_args
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+Executor = Literal["local", "ray", "slurm"]
+EXECUTORS: tuple[Executor, ...] = get_args(Executor)
+#: Slurm ends a job after this long; a shard takes minutes.
+SLURM_MINUTES = 60
+
+
+def map_jobs(
+    function: Callable[[Job], Result],
+    jobs: Sequence[Job],
+    executor: Executor = "local",
+    workers: int = 1,
+    scratch: Path | None = None,
+    slurm: dict[str, Any] | None = None,
+) -> Iterator[Result]:
+    """Results of `function` over all jobs as they are done; `function` stands at the top of a module.
+
+    workers: processes at a time (of Slurm: tasks of the array that run at once). scratch: a folder for Slurm's own
+    files, on the shared file system; it goes when all is done. slurm: parameters of submitit by name (`partition`,
+    `timeout_min`, ...); `cluster` = "local" or "debug" runs the same without Slurm. Raises what a job raised, the rest
+    is called off; ValueError for an unknown executor, no worker, or no cluster; ImportError without its package.
+    """
+    if executor not in EXECUTORS:
+        raise ValueError(f"executor must be one of {', '.join(EXECUTORS)}, got {executor!r}")
+    if workers < 1:
+        raise ValueError(f"workers must be at least 1, got {workers!r}")
+    if executor == "ray":
+        return _ray(function, jobs, workers)
+    if executor == "slurm":
+        return _slurm(function, jobs, workers, Path("slurm") if scratch is None else scratch, slurm or {})
+    return map(function, jobs) if workers == 1 else _local(function, jobs, workers)
+
+
+def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
+    """Processes of this machine."""
+    # fresh processes: a fork would copy the locks of threads it does not copy
+    context = get_context("spawn")
+    listener, lifeline = context.Pipe(duplex=False)
+    pool = ProcessPoolExecutor(workers, context, initializer=_follow, initargs=(listener,))
+    try:
+        for done in as_completed([pool.submit(function, job) for job in jobs]):
+            yield done.result()
+    except BrokenExecutor:
+        raise RuntimeError(
+            "a worker process died (out of memory?); the same command goes on where it stopped"
+        ) from None
+    except BaseException:
+        # whoever waits for an error, or has asked to stop, does not wait for the jobs that run
+        lifeline.close()
+        raise
+    finally:
+        pool.shutdown(cancel_futures=True)
+        lifeline.close()
+        listener.close()
+
+
+def _follow(listener: Connection) -> None:
+    """In a worker: end with the parent, however that ends; it alone hears an interrupt from the keyboard."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def wait() -> None:
+        try:
+            listener.recv_bytes()
+        except (EOFError, OSError):
+            os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+def _ray(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
+    """The Ray cluster that RAY_ADDRESS names, else one on this machine for as long as it takes."""
+    # Ray would report its use over the network
+    os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    try:
+        import ray
+    except ImportError:
+        raise ImportError('ray, which --executor ray needs: pip install "mirrorwave[cluster]"') from None
+    ours = not ray.is_initialized()
+    if ours:
+        _start_ray(ray, workers)
+    try:
+        remote = ray.remote(num_cpus=1, max_retries=3)(function)
+        left = [remote.remote(job) for job in jobs]
+        while left:
+            ready, left = ray.wait(left)
+            yield _ray_result(ray, ready[0])
+    finally:
+        if ours:
+            ray.shutdown()
+
+
+def _start_ray(ray: Any, workers: int) -> None:
+    """Join the cluster there is, or start one; workers have this process' number of threads."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    threads = {name: os.environ[name] for name in names if name in os.environ}
+    options: dict[str, Any] = {"log_to_driver": False, "runtime_env": {"env_vars": threads}}
+    if "RAY_ADDRESS" not in os.environ:
+        options |= {"num_cpus": workers, "include_dashboard": False}
+    ray.init(configure_logging=False, **options)
+
+
+def _ray_result(ray: Any, ready: Any) -> Any:
+    """The result, or what the job itself raised."""
+    try:
+        return ray.get(ready)
+    except ray.exceptions.RayTaskError as error:
+        raise error.cause from None
+
+
+def _slurm(
+    function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, scratch: Path, slurm: dict[str, Any]
+) -> Iterator[Result]:
+    """A job array of Slurm, one task a job."""
+    try:
+        import submitit
+    except ImportError:
+        raise ImportError('submitit, which --executor slurm needs: pip install "mirrorwave[cluster]"') from None
+    options = {"timeout_min": SLURM_MINUTES, "cpus_per_task": 1, **slurm}
+    cluster = options.pop("cluster", "slurm")
+    if cluster == "slurm" and shutil.which("srun") is None:
+        raise ValueError("executor slurm needs Slurm's commands on this machine, srun is not found")
+    pool = submitit.AutoExecutor(folder=scratch, cluster=cluster)
+    own = {name: value for name, value in options.items() if name not in ("timeout_min", "cpus_per_task")}
+    plain = {name: value for name, value in options.items() if name not in own}
+    pool.update_parameters(**plain, slurm_array_parallelism=workers, **{f"slurm_{key}": own[key] for key in own})
+    tasks = pool.map_array(partial(_caught, function), jobs)
+    try:
+        for task in submitit.helpers.as_completed(tasks, poll_frequency=10.0 if cluster == "slurm" else 0.2):
+            yield _slurm_result(task)
+    except BaseException:
+        for task in tasks:
+            task.cancel()
+        raise
+    shutil.rmtree(scratch, ignore_errors=True)
+
+
+def _caught(function: Callable[[Job], Result], job: Job) -> Result | OSError | ValueError:
+    """A result, or the error itself: a task that fails would send its traceback as text."""
+    try:
+        return function(job)
+    except (OSError, ValueError) as error:
+        return error
+
+
+def _slurm_result(task: Any) -> Any:
+    """The result; raises what the job raised, or one line that says where the log of a dead task is."""
+    if task.exception() is not None:
+        raise RuntimeError(f"job {task.job_id} died, its log is {task.paths.stderr}")
+    result = task.result()
+    if isinstance(result, (OSError, ValueError)):
+        raise result
+    return result

@@ -1,0 +1,373 @@
+"""Yee grid in two dimensions, x along the wall and z into it, with CPML; TE (E out of plane) and TM (H out of plane).
+
+One scheme serves both by duality: u at (i, k) points out of the plane, vx at (i, k + 1/2), vz at (i + 1/2, k) in it.
+TE: u = E_y, vx = eta0 H_x, vz = eta0 H_z. TM: u = eta0 H_y, vx = -E_x, vz = -E_z.
+    vx <- a vx + b du/dz      vz <- a vz - b du/dx      u <- a u + b (dvx/dz - dvz/dx)
+Under a Bloch condition fields are complex: parts 0 and 1 are real and imaginary, coupled only where x wraps around.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+from numba.extending import overload
+
+from models.physics.fresnel import Polarisation
+from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams, layer
+from sim_player.fdtd.media import electric_coefficients, real_medium
+
+#: Absorber of a plain grid.
+ABSORBER = CpmlParams(cells=20, leak=1e-6)
+#: Steps between looks at the field's level (and flushes of what nears the subnormal numbers).
+LOOK_STEPS = 64
+#: Below so many cells (of all parts) a step is too short to share between threads on a busy machine.
+PARALLEL_CELLS = 400_000
+
+
+@dataclass(frozen=True)
+class Media:
+    """Complex permittivity where each E component lives, [nx, nz]: TE uses `out`, TM uses `along` and `normal`."""
+
+    out: np.ndarray | None = None
+    along: np.ndarray | None = None
+    normal: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class GridParams:
+    """Square cells and steps of a grid; without a Bloch phase the sides absorb as the ends do."""
+
+    cells_x: int
+    cells_z: int
+    cell_m: float
+    frequency_hz: float
+    polarisation: Polarisation = "te"
+    #: Phase k_par times width of the periodic strip, or None for absorbing sides.
+    bloch_rad: float | None = None
+    #: k_normal / k0 at the low and the high end of z, for the strength of the absorbers.
+    normal_index: tuple[float, float] = (1.0, 1.0)
+    absorber: CpmlParams = ABSORBER
+    #: c dt / cell; the limit of two dimensions is 1 / sqrt(2).
+    courant: float = 0.7
+    dtype: str = "float32"
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.courant <= math.sqrt(0.5):
+            raise ValueError(f"courant must lie in (0, 1/sqrt(2)], the limit in 2-D, got {self.courant!r}")
+        if self.dtype not in ("float32", "float64"):
+            raise ValueError(f"dtype must be float32 or float64, got {self.dtype!r}")
+        if self.cells_x < 1 or self.cells_z <= 2 * self.absorber.cells + 2:
+            raise ValueError(f"grid of {self.cells_x} x {self.cells_z} cells is too small for its absorbers")
+        if self.bloch_rad is None and self.cells_x <= 2 * self.absorber.cells + 2:
+            raise ValueError(f"cells_x = {self.cells_x} leaves no room between the absorbing sides")
+
+    @property
+    def step_s(self) -> float:
+        """Time step [s]."""
+        return self.courant * self.cell_m / SPEED_OF_LIGHT_MPS
+
+    @property
+    def phase_per_step(self) -> float:
+        """Carrier phase of one step [rad]."""
+        return 2.0 * math.pi * self.frequency_hz * self.step_s
+
+    @property
+    def grid_wave_number(self) -> float:
+        """(2 / c dt) sin(w dt / 2) [rad/m]: what k0 is on the grid."""
+        return 2.0 / (self.courant * self.cell_m) * math.sin(0.5 * self.phase_per_step)
+
+    def wave_number(self, symbol: float) -> float:
+        """Wave number whose central difference (2/h) sin(k h / 2) is `symbol` [rad/m]."""
+        return 2.0 / self.cell_m * math.asin(0.5 * self.cell_m * symbol)
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Pulse on a row of u: row, complex profile along x [nx], deviation [steps], half length in deviations.
+
+    The pulse is odd about its middle: no direct part, which would leave charge standing. A real grid carries the
+    real part of profile times the analytic pulse, so a phase along x steers the beam.
+    """
+
+    row: int
+    profile: np.ndarray
+    deviation_steps: float
+    half_length: float = 5.0
+
+    @property
+    def steps(self) -> int:
+        """Length of the pulse in steps."""
+        return int(2.0 * self.half_length * self.deviation_steps)
+
+
+class YeeGrid:
+    """Fields, coefficients and the step of one grid."""
+
+    def __init__(self, params: GridParams, media: Media) -> None:
+        self.params = params
+        dtype = np.dtype(params.dtype)
+        nx, nz, self.parts = params.cells_x, params.cells_z, 1 if params.bloch_rad is None else 2
+        self.u, self.vx, self.vz = (np.zeros((self.parts, nx + 2, nz), dtype) for _ in range(3))
+        vacuum = (dtype.type(1.0), dtype.type(params.courant))
+        if params.polarisation == "te":
+            self.at_u, self.at_vx, self.at_vz = self._medium(media.out), vacuum, vacuum
+        else:
+            self.at_u, self.at_vx, self.at_vz = vacuum, self._medium(media.along), self._medium(media.normal)
+        cells = params.absorber.cells
+        sides = cells if params.bloch_rad is None else 0
+        self.along_z = self._absorbers(np.arange(float(nz)), nz - 1.0, params.normal_index)
+        self.along_x = self._absorbers(np.arange(nx + 2.0), nx + 1.0, (1.0, 1.0) if sides else None)
+        self.psi_z = tuple(np.zeros((self.parts, nx + 2, 2 * cells), dtype) for _ in range(2))
+        self.psi_x = tuple(np.zeros((self.parts, 2 * sides, nz), dtype) for _ in range(2))
+        phase = params.bloch_rad or 0.0
+        self.wrap = (dtype.type(math.cos(phase)), dtype.type(math.sin(phase)), params.bloch_rad is not None)
+        self.steps = 0
+        self.peak = 0.0
+        self.level = 0.0
+
+    def run(
+        self,
+        drive: Drive,
+        rows: tuple[int, ...],
+        steps: int,
+        spectra: np.ndarray,
+        picture: np.ndarray | None = None,
+        picture_every: int = 1,
+    ) -> None:
+        """Take `steps` steps; add the phasors of u at rows to spectra complex128 [rows, nx], u's map to picture."""
+        source = np.stack([drive.profile.real, drive.profile.imag])
+        map_ = np.zeros((0, 0), np.complex128) if picture is None else picture
+        shape = (float(drive.row), self.params.phase_per_step, drive.deviation_steps, drive.half_length)
+        threads = numba.get_num_threads()
+        numba.set_num_threads(threads if self.u.size >= PARALLEL_CELLS else 1)
+        taken = 0
+        while taken < steps:
+            batch = min(LOOK_STEPS, steps - taken)
+            _run(
+                self.u,
+                self.vx,
+                self.vz,
+                self.at_u,
+                self.at_vx,
+                self.at_vz,
+                self.along_z,
+                self.along_x,
+                self.psi_z,
+                self.psi_x,
+                self.wrap,
+                source,
+                shape,
+                np.array(rows, np.int64),
+                spectra,
+                map_,
+                picture_every,
+                self.steps,
+                batch,
+            )
+            self.steps += batch
+            taken += batch
+            self.level = float(_level_and_flush(self.u, self.vx, self.vz))
+            if not math.isfinite(self.level):
+                raise FloatingPointError(f"the field is not finite after {self.steps} steps")
+            self.peak = max(self.peak, self.level)
+        numba.set_num_threads(threads)
+
+    @property
+    def residue(self) -> float:
+        """Largest |u| as a share of the largest so far."""
+        return self.level / self.peak if self.peak > 0.0 else 1.0
+
+    def energy(self) -> float:
+        """Electric plus magnetic energy at the present half-staggered instant, arbitrary unit (float64)."""
+        total = 0.0
+        for field, (_, drive) in ((self.u, self.at_u), (self.vx, self.at_vx), (self.vz, self.at_vz)):
+            weight = self.params.courant / np.asarray(drive, np.float64)
+            total += float(np.sum(np.square(field, dtype=np.float64) * weight))
+        return total
+
+    def _medium(self, permittivity: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients a and b of an E component with ghost rows, [nx + 2, nz]."""
+        params = self.params
+        shape = (params.cells_x, params.cells_z)
+        eps = np.ones(shape, np.complex128) if permittivity is None else np.asarray(permittivity, np.complex128)
+        if eps.shape != shape:
+            raise ValueError(f"permittivity must have shape {shape}, got {eps.shape}")
+        if not (np.all(eps.real >= 1.0) and np.all(eps.imag <= 0.0)):
+            raise ValueError(f"permittivity needs Re >= 1 and Im <= 0, got Re {eps.real.min()}, Im {eps.imag.max()}")
+        a, b = electric_coefficients(*real_medium(eps, params.frequency_hz), params.step_s)
+        rows = np.clip(np.arange(params.cells_x + 2) - 1, 0, params.cells_x - 1)
+        return a[rows].astype(params.dtype), (params.courant * b)[rows].astype(params.dtype)
+
+    def _absorbers(
+        self, position: np.ndarray, length: float, index: tuple[float, float] | None
+    ) -> tuple[np.ndarray, ...]:
+        """Decay, drive, 1/kappa at nodes, then at half places; index None: no absorber."""
+        params = self.params
+        arrays: list[np.ndarray] = []
+        for place in (position, position + 0.5):
+            if index is None:
+                arrays += [np.zeros_like(place), np.zeros_like(place), np.ones_like(place)]
+                continue
+            cells = params.absorber.cells
+            ends = [
+                layer(params.absorber, depth, params.cell_m, share, params.step_s, params.frequency_hz)
+                for depth, share in zip((cells - place, place - (length - cells)), index, strict=True)
+            ]
+            arrays += [
+                ends[0].decay + ends[1].decay,
+                ends[0].drive + ends[1].drive,
+                ends[0].inverse_kappa * ends[1].inverse_kappa,
+            ]
+        return tuple(array.astype(params.dtype) for array in arrays)
+
+
+def _pick(coefficient, i, k):  # type: ignore[no-untyped-def]
+    """A coefficient at (i, k), be it one number or a map."""
+    raise NotImplementedError
+
+
+@overload(_pick, inline="always")
+def _pick_overload(coefficient, i, k):  # type: ignore[no-untyped-def]
+    if isinstance(coefficient, numba.types.Array):
+        return lambda coefficient, i, k: coefficient[i, k]
+    return lambda coefficient, i, k: coefficient
+
+
+@numba.njit(parallel=True, fastmath=True, cache=True)
+def _advance_v(u, vx, vz, at_vx, at_vz, along_z, along_x, psi_z, psi_x):  # type: ignore[no-untyped-def]
+    """The two in-plane components, row by row."""
+    _, _, _, decay_z, drive_z, flat_z = along_z
+    _, _, _, decay_x, drive_x, flat_x = along_x
+    ax, bx = at_vx
+    az, bz = at_vz
+    parts, rows, nz = u.shape
+    nx, cells, sides = rows - 2, psi_z.shape[2] // 2, psi_x.shape[1] // 2
+    for row in numba.prange(parts * nx):
+        p, i = row // nx, row % nx + 1
+        for k in range(nz - 1):
+            slope = flat_z[k] * (u[p, i, k + 1] - u[p, i, k])
+            vx[p, i, k] = _pick(ax, i, k) * vx[p, i, k] + _pick(bx, i, k) * slope
+        for k in range(nz):
+            slope = flat_x[i] * (u[p, i + 1, k] - u[p, i, k])
+            vz[p, i, k] = _pick(az, i, k) * vz[p, i, k] - _pick(bz, i, k) * slope
+        for j in range(2 * cells):
+            k = j if j < cells else nz - 1 - 2 * cells + j
+            psi_z[p, i, j] = decay_z[k] * psi_z[p, i, j] + drive_z[k] * (u[p, i, k + 1] - u[p, i, k])
+            vx[p, i, k] += _pick(bx, i, k) * psi_z[p, i, j]
+        if i <= sides or i > nx - sides:
+            s = i - 1 if i <= sides else i - 1 - nx + 2 * sides
+            for k in range(nz):
+                psi_x[p, s, k] = decay_x[i] * psi_x[p, s, k] + drive_x[i] * (u[p, i + 1, k] - u[p, i, k])
+                vz[p, i, k] -= _pick(bz, i, k) * psi_x[p, s, k]
+
+
+@numba.njit(parallel=True, fastmath=True, cache=True)
+def _advance_u(u, vx, vz, at_u, along_z, along_x, psi_z, psi_x):  # type: ignore[no-untyped-def]
+    """The component out of plane, row by row; the outermost nodes of z stay zero."""
+    decay_z, drive_z, flat_z, _, _, _ = along_z
+    decay_x, drive_x, flat_x, _, _, _ = along_x
+    a, b = at_u
+    parts, rows, nz = u.shape
+    nx, cells, sides = rows - 2, psi_z.shape[2] // 2, psi_x.shape[1] // 2
+    for row in numba.prange(parts * nx):
+        p, i = row // nx, row % nx + 1
+        for k in range(1, nz - 1):
+            curl = flat_z[k] * (vx[p, i, k] - vx[p, i, k - 1]) - flat_x[i] * (vz[p, i, k] - vz[p, i - 1, k])
+            u[p, i, k] = _pick(a, i, k) * u[p, i, k] + _pick(b, i, k) * curl
+        for j in range(1, 2 * cells):
+            k = j if j < cells else nz - 1 - 2 * cells + j
+            psi_z[p, i, j] = decay_z[k] * psi_z[p, i, j] + drive_z[k] * (vx[p, i, k] - vx[p, i, k - 1])
+            u[p, i, k] += _pick(b, i, k) * psi_z[p, i, j]
+        if i <= sides or i > nx - sides:
+            s = i - 1 if i <= sides else i - 1 - nx + 2 * sides
+            for k in range(1, nz - 1):
+                psi_x[p, s, k] = decay_x[i] * psi_x[p, s, k] + drive_x[i] * (vz[p, i, k] - vz[p, i - 1, k])
+                u[p, i, k] -= _pick(b, i, k) * psi_x[p, s, k]
+
+
+@numba.njit(cache=True)
+def _run(  # type: ignore[no-untyped-def]
+    u,
+    vx,
+    vz,
+    at_u,
+    at_vx,
+    at_vz,
+    along_z,
+    along_x,
+    psi_z,
+    psi_x,
+    wrap,
+    source,
+    shape,
+    rows,
+    spectra,
+    picture,
+    picture_every,
+    start,
+    steps,
+):
+    """Steps: v, wrap, u, source, wrap, phasors."""
+    cosine, sine, periodic = wrap
+    row, phase, deviation, half_length = shape
+    nx, k = u.shape[1] - 2, int(row)
+    for step in range(start + 1, start + steps + 1):
+        _advance_v(u, vx, vz, at_vx, at_vz, along_z, along_x, psi_z[0], psi_x[0])
+        if periodic:
+            vz[0, 0] = cosine * vz[0, nx] - sine * vz[1, nx]
+            vz[1, 0] = cosine * vz[1, nx] + sine * vz[0, nx]
+        _advance_u(u, vx, vz, at_u, along_z, along_x, psi_z[1], psi_x[1])
+        late = step - half_length * deviation
+        if late < half_length * deviation:
+            envelope = math.exp(-0.5 * (late / deviation) ** 2)
+            odd, even = envelope * math.sin(phase * late), envelope * math.cos(phase * late)
+            for i in range(nx):
+                if periodic:
+                    u[0, i + 1, k] += source[0, i] * odd
+                    u[1, i + 1, k] += source[1, i] * odd
+                else:
+                    u[0, i + 1, k] += source[0, i] * odd + source[1, i] * even
+        if periodic:
+            u[0, nx + 1] = cosine * u[0, 1] + sine * u[1, 1]
+            u[1, nx + 1] = cosine * u[1, 1] - sine * u[0, 1]
+        turn = np.exp(-1j * phase * step)
+        for r in range(len(rows)):
+            for i in range(nx):
+                spectra[r, i] += u[0, i + 1, rows[r]] * turn
+                if periodic:
+                    spectra[r, i] += u[1, i + 1, rows[r]] * (1j * turn)
+        if picture.shape[0] > 0 and step % picture_every == 0:
+            _add_picture(u, turn, picture)
+
+
+@numba.njit(parallel=True, cache=True)
+def _add_picture(u, turn, picture):  # type: ignore[no-untyped-def]
+    """Add the phasor map of a real grid."""
+    for i in numba.prange(picture.shape[0]):
+        for k in range(picture.shape[1]):
+            picture[i, k] += u[0, i + 1, k] * turn
+
+
+@numba.njit(parallel=True, cache=True)
+def _level_and_flush(u, vx, vz):  # type: ignore[no-untyped-def]
+    """Largest |u|, or NaN; what has sunk below 1e-30 becomes zero, long before subnormal numbers slow the steps."""
+    parts, rows, nz = u.shape
+    levels = np.zeros(parts * rows)
+    for row in numba.prange(parts * rows):
+        p, i = row // rows, row % rows
+        for k in range(nz):
+            # NaN fails every comparison: it must not pass for a field that has decayed
+            if not abs(u[p, i, k]) <= levels[row]:
+                levels[row] = abs(u[p, i, k])
+            if math.isnan(levels[row]):
+                break
+            if abs(u[p, i, k]) < 1e-30:
+                u[p, i, k] = 0.0
+            if abs(vx[p, i, k]) < 1e-30:
+                vx[p, i, k] = 0.0
+            if abs(vz[p, i, k]) < 1e-30:
+                vz[p, i, k] = 0.0
+    return levels.sum() if np.isnan(levels).any() else levels.max()

@@ -1,0 +1,110 @@
+"""`sim dataset` and `sim statistics`: what a script and a person are told, and the page."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import typer
+
+from mirrorwave.sim_dataset import (
+    ExecutorOption,
+    PlacesOption,
+    PresetOption,
+    dataset,
+    parse_effects,
+    parse_slurm,
+    statistics,
+)
+from sim_player.dataset import Recipe, write_dataset
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Three planned places in two shards."""
+    return write_dataset(tmp_path_factory.mktemp("data"), 3, 6, Recipe(scenes_per_shard=2)).parent
+
+
+def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Made, then found again, then made again where it was spoilt; only JSON on stdout."""
+    out = tmp_path / "streets"
+
+    def said() -> tuple[dict[str, object], str]:
+        dataset(out, 2, seed=1, places=PlacesOption.STREET_V1, as_json=True)
+        captured = capsys.readouterr()
+        return json.loads(captured.out), captured.err
+
+    first, _ = said()
+    assert (first["scenes"], first["made"], first["kept"], first["rewritten"]) == (2, 2, 0, [])
+    assert first["series"]["effects"] == "basic"  # type: ignore[index]
+    again, _ = said()
+    assert (again["made"], again["kept"]) == (0, 2)
+    shard = out / "shard-00000.npz"
+    shard.write_bytes(shard.read_bytes()[:999])
+    spoilt, errors = said()
+    assert (spoilt["made"], spoilt["kept"]) == (2, 0)
+    assert [row["shard"] for row in spoilt["rewritten"]] == ["shard-00000.npz"]  # type: ignore[attr-defined]
+    assert f"{shard}: made again: cannot be read" in errors
+    dataset(out, 2, seed=1, places=PlacesOption.STREET_V1)
+    assert re.search(r"streets: 2 scenes in \d+ s, 0.00 a second, 2 there already\n", capsys.readouterr().out)
+
+
+def test_options_are_those_of_the_simulator() -> None:
+    from sim_player.executors import EXECUTORS
+    from sim_player.scene import PRESETS
+    from sim_player.shards import PLACES
+
+    assert tuple(option.value for option in PlacesOption) == PLACES
+    assert tuple(option.value for option in ExecutorOption) == EXECUTORS
+    assert {option.value for option in PresetOption} == set(PRESETS)
+
+
+def test_texts_of_options() -> None:
+    assert parse_effects("auto") == "auto"
+    assert parse_effects(None) is None
+    assert parse_effects(" squint, adc,squint") == ("adc", "squint")
+    assert parse_slurm(["partition=cpu", "timeout_min=30"]) == {"partition": "cpu", "timeout_min": 30}
+    with pytest.raises(ValueError, match="--slurm must be KEY=VALUE, got 'partition'"):
+        parse_slurm(["partition"])
+
+
+def test_both_are_commands() -> None:
+    """Their signatures are such as typer can turn into options."""
+    app = typer.Typer()
+    app.command()(dataset)
+    app.command()(statistics)
+    assert {"dataset", "statistics"} <= set(typer.main.get_command(app).commands)  # type: ignore[attr-defined]
+
+
+def test_statistics_as_json_and_as_text(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    statistics(folder, as_json=True)
+    found = json.loads(capsys.readouterr().out)
+    assert found["scenes"] == 3
+    assert sum(found["places"].values()) == 3
+    statistics(folder)
+    text = capsys.readouterr().out
+    assert text.startswith("3 scenes, points: ")
+    assert "mirrors alone" in text
+
+
+def test_page_stands_alone_and_is_the_same_again(folder: Path, tmp_path: Path) -> None:
+    """Nothing is loaded from anywhere; figures follow the page's colour; a second one has the same bytes."""
+    page, again = tmp_path / "page.html", tmp_path / "again.html"
+    statistics(folder, out=page)
+    statistics(folder, out=again)
+    text = page.read_text(encoding="utf-8")
+    assert text == again.read_text(encoding="utf-8")
+    assert page.with_suffix(".png").read_bytes() == again.with_suffix(".png").read_bytes()
+    assert page.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+    assert text.count("<svg") == 11
+    assert "currentColor" in text
+    # names of SVG's own vocabulary are no addresses to load from
+    assert not re.findall(r"(?:src|href)=\"(?!data:|#)[^\"]*", text)
+    assert "<script" not in text
+
+
+def test_page_must_be_html(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"--out must be an \.html file"):
+        statistics(folder, out=tmp_path / "page.pdf")

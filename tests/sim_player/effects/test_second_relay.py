@@ -1,0 +1,174 @@
+"""Two walls in a row against images worked out by hand and a plain search over all pairs of walls."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from models.physics.fresnel import half_space_reflection
+from models.physics.materials import permittivity
+from models.physics.mirror import blocked, crossing_parameters, reflect, wall_from_ends
+from sim_player.echoes import Echoes
+from sim_player.effects.second_relay import NAME
+from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+
+CORNER = (wall((10.0, -20.0), (10.0, 10.0)), wall((-20.0, 10.0), (10.0, 10.0)))
+HIDDEN = (2.0, -3.0, 1.0)
+
+
+def metal(cosine: float) -> complex:
+    return complex(half_space_reflection(permittivity("metal", RADAR.carrier_hz), np.array(cosine)))
+
+
+def test_image_of_the_image() -> None:
+    """Walls x = 10 and y = 10, radar (0, 0), point (2, -3), all 1 m high: image (18, 23), by y = 10 first; 1e-12.
+
+    The line to the image meets y = 10 at x = 7.8 and, folded back, x = 10 at y = 7.2. Field: both walls' reflection.
+    """
+    found = traced(points_world([HIDDEN], *CORNER), NAME)
+    routes = found.routes[NAME]
+    assert (routes.wall.tolist(), routes.wall2.tolist()) == ([1], [0])
+    length = math.hypot(18.0, 23.0)
+    assert routes.length_m[0] == pytest.approx(length, rel=1e-12)
+    np.testing.assert_allclose(routes.depart[0], [18.0 / length, 23.0 / length, 0.0], atol=1e-12)
+    np.testing.assert_allclose(routes.arrive[0], [-18.0 / length, -23.0 / length, 0.0], atol=1e-12)
+    echo = found.echoes[NAME].take(found.echoes[NAME].thing == 0)
+    field = metal(23.0 / length) * metal(18.0 / length) / length
+    np.testing.assert_allclose(unit_weight(echo), [field**2], rtol=1e-12)
+    assert echo.order.tolist() == [2]
+
+
+def test_routes_are_those_of_a_plain_search() -> None:
+    """40 scenes of 6 random walls and 30 points: the same (first, second, point) and lengths as images and line cuts."""
+    rng = np.random.default_rng(11)
+    total = 0
+    for _ in range(40):
+        a = rng.uniform(-20.0, 20.0, (6, 2))
+        a[np.hypot(*a.T) < 4.0] += 8.0
+        turn = rng.uniform(0.0, np.pi, 6)
+        b = a + rng.uniform(4.0, 12.0, (6, 1)) * np.column_stack([np.cos(turn), np.sin(turn)])
+        try:
+            points = [(*place, 1.0) for place in rng.uniform(-20.0, 20.0, (30, 2))]
+            world = points_world(points, *(wall(tuple(p), tuple(q)) for p, q in zip(a, b, strict=True)))
+        except ValueError:
+            continue
+        routes = traced(world, NAME).routes[NAME]
+        found = {
+            key: length
+            for *key, length in zip(routes.wall, routes.wall2, routes.target, routes.length_m, strict=True)
+            for key in [tuple(int(x) for x in key)]
+        }
+        expected = _plain_search(a, b, np.array(points)[:, :2])
+        assert found.keys() == expected.keys()
+        for key, length in expected.items():
+            assert found[key] == pytest.approx(length, rel=1e-12)
+        total += len(expected)
+    assert total > 200
+
+
+def _plain_search(a: np.ndarray, b: np.ndarray, points: np.ndarray) -> dict[tuple[int, int, int], float]:
+    """Every pair of walls in order and every point: images by reflection, cuts by crossing lines, shadows by rays."""
+    origin, found = np.zeros(2), {}
+    for first in range(len(a)):
+        image_1 = reflect(origin, *wall_from_ends(a[first], b[first], origin))
+        for second in range(len(a)):
+            if second == first:
+                continue
+            normal, offset = wall_from_ends(a[second], b[second], image_1)
+            for target, point in enumerate(points):
+                image_2 = reflect(point, normal, offset)
+                _, place_2 = crossing_parameters(image_1, image_2[None], a[second][None], b[second][None])
+                if not (point @ normal + offset > 0.0 and 0.0 <= place_2[0, 0] <= 1.0):
+                    continue
+                at_2 = a[second] + place_2[0, 0] * (b[second] - a[second])
+                along, place_1 = crossing_parameters(image_1, at_2[None], a[first][None], b[first][None])
+                if not (0.0 < along[0, 0] < 1.0 and 0.0 <= place_1[0, 0] <= 1.0):
+                    continue
+                at_1 = a[first] + place_1[0, 0] * (b[first] - a[first])
+                stops = np.array([origin, at_1, at_2, point])
+                if not blocked(stops[:-1], stops[1:], a, b).any():
+                    found[first, second, target] = float(np.linalg.norm(image_2 - image_1))
+    return found
+
+
+def loops(angle_rad: float, distance_m: float = 12.0, share: float = 0.4) -> Echoes:
+    """The radar's own images in a metal corner of an opening angle, seen at a share of it."""
+    face, apex = share * angle_rad, np.array([distance_m, 0.0])
+    ends = [apex + 40.0 * np.array([-math.cos(turn), math.sin(turn)]) for turn in (face, face - angle_rad)]
+    world = points_world([(-5.0, -300.0, 1.0)], *(wall((float(x), float(y)), (distance_m, 0.0)) for x, y in ends))
+    echoes = traced(world, NAME).echoes[NAME]
+    return echoes.take((echoes.thing < 0) & (echoes.order == 2) & ((echoes.point == [0.0, 0.0, 1.0]).all(axis=1)))
+
+
+def level(echoes: Echoes, distance_m: float) -> float:
+    """Sum of weights over that of the radar's image at a distance, phases of lengths included, metal taken as 1."""
+    one = math.sqrt(1e3 * RADAR.transmit_power_w) * RADAR.wavelength_m / (4.0 * math.pi * 2.0 * distance_m)
+    phase = np.exp(-2j * np.pi / RADAR.wavelength_m * (echoes.out_m + echoes.back_m))
+    return float(abs((echoes.weight * echoes.whole * phase).sum()) / one)
+
+
+def test_a_right_angle_is_a_dihedral() -> None:
+    """90 deg, apex at 12 m, seen off its middle: one image at 12 m, out to the apex and straight back; metal 0.1 %.
+
+    Exact: at 90 deg the corner is one image and nothing else. It takes both ways round, half a wave each.
+    """
+    echoes = loops(0.5 * math.pi)
+    np.testing.assert_allclose(echoes.out_m + echoes.back_m, 24.0, rtol=1e-9)
+    np.testing.assert_allclose(echoes.depart, np.tile([1.0, 0.0, 0.0], (2, 1)), atol=1e-6)
+    np.testing.assert_allclose(echoes.arrive, echoes.depart, atol=1e-6)
+    assert level(echoes, 12.0) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_corners_flash_on_both_sides_of_the_right_angle() -> None:
+    """75 deg: two ways round at 2 d sin(75 deg), each whole but for 7 % of ripple; 105 deg: under -25 dB; no jump at 90 deg."""
+    sharp = loops(math.radians(75.0))
+    np.testing.assert_allclose(sharp.out_m + sharp.back_m, 24.0 * math.sin(math.radians(75.0)), rtol=1e-9)
+    assert level(sharp, 12.0 * math.sin(math.radians(75.0))) == pytest.approx(2.0, rel=0.07)
+    assert level(loops(math.radians(105.0)), 12.0) < 10.0 ** (-25.0 / 20.0)
+    below, above = (level(loops(0.5 * math.pi + turn), 12.0) for turn in (-1e-4, 1e-4))
+    assert below == pytest.approx(above, abs=0.02)
+
+
+def test_the_loop_leaves_and_returns_apart() -> None:
+    """60 deg corner: the radar's two ways round are each other's reverse."""
+    echoes = loops(math.radians(60.0))
+    np.testing.assert_allclose(echoes.depart, echoes.arrive[::-1], atol=1e-12)
+    np.testing.assert_allclose(echoes.whole[0], echoes.whole[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("middle", [(3.9, 5.0), (8.9, 8.6), (6.0, 2.1)])
+def test_each_of_three_legs_can_be_hidden(middle: tuple[float, float]) -> None:
+    """A screen of 1 m on the way out, between the walls, and on the way in (none reaches another leg)."""
+    assert len(traced(points_world([HIDDEN], *CORNER), NAME).routes[NAME]) == 1
+    x, y = middle
+    screen = wall((x - 0.4, y + 0.3), (x + 0.4, y - 0.3), role="occluder")
+    routes = traced(points_world([HIDDEN], *CORNER, screen), NAME).routes[NAME]
+    assert not ((routes.wall == 1) & (routes.wall2 == 0)).any()
+
+
+def test_no_path_where_a_point_is_off_its_wall() -> None:
+    """The points at x = 7.83 of y = 10 and y = 7.22 of x = 10: each wall in turn ends before it, or is too low."""
+    for first, second in (((10.0, 7.3), (7.9, 10.0)), ((10.0, 7.1), (7.7, 10.0)), ((10.0, 7.3), (7.7, 10.0))):
+        walls = wall((10.0, -20.0), first), wall((-20.0, 10.0), second)
+        count = len(traced(points_world([HIDDEN], *walls), NAME).routes[NAME])
+        assert count == int(first[1] > 7.22 and second[0] > 7.83)
+    low = wall((10.0, -20.0), (10.0, 10.0), height_m=0.9), CORNER[1]
+    assert len(traced(points_world([HIDDEN], *low), NAME).routes[NAME]) == 0
+
+
+def test_structure_of_one_wall_in_another() -> None:
+    """Wall x = 10 mirrors the structure of y = -6: radar equation at the image's distance, times r^2; rounding."""
+    world = points_world([(-5.0, -300.0, 1.0)], wall((10.0, -5.0), (10.0, 5.0)), wall((-8.0, -6.0), (4.0, -6.0)))
+    echoes = traced(world, NAME).echoes[NAME]
+    echoes = echoes.take((echoes.order == 1) & (echoes.surface == 0))
+    specks = np.flatnonzero((world.speck_length_m == 0.0) & (world.speck_wall == 1))
+    image = world.speck_m[specks] * [-1.0, 1.0] + [20.0, 0.0]
+    distance = np.hypot(*image.T)
+    met = np.abs(image[:, 1] * 10.0 / image[:, 0]) <= 5.0
+    assert len(echoes) == met.sum() > 2
+    np.testing.assert_allclose(echoes.out_m, distance[met], rtol=1e-12)
+    r = np.array([metal(x) for x in (image[:, 0] / distance)[met]])
+    expected = np.sqrt(world.speck_rcs_m2[specks][met]) * world.speck_phasor[specks][met] * r**2 / distance[met] ** 2
+    np.testing.assert_allclose(unit_weight(echoes), expected, rtol=1e-12)

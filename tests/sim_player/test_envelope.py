@@ -1,0 +1,76 @@
+"""Bounds against the signals they bound: every cell, every kind of path, and tight where one path stands alone."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from msgs.radar import RadarSetup
+from sim_player.effect_names import ALL_EFFECTS
+from sim_player.envelope import Envelope, sure_floor, swept_pattern
+from sim_player.front_end import NO_FAULTS
+from sim_player.paths import Paths
+from sim_player.places import random_place
+from sim_player.ray_tracing import prepare, trace
+from sim_player.signal_effects import ALL, IDEAL, PLAIN
+from sim_player.signal_levels import kernel_profiles
+
+SETUP = RadarSetup()
+STATIC = msgspec.structs.replace(
+    ALL, motion=False, range_migration=False, iq_imbalance=False, leakage=False, spurs=False
+)
+NO_OVERLAP = msgspec.structs.replace(STATIC, chirp_overlap=False)
+
+
+def place_paths(index: int) -> Paths:
+    scene = random_place(11, index)
+    return trace(prepare(scene, index), 0.0, ALL_EFFECTS)
+
+
+@pytest.mark.parametrize("index", [0, 1, 2])
+def test_no_signal_exceeds_its_bound(index: int) -> None:
+    """Single paths and all of a place: squint on, then overlap, then the change that squint makes; no cell above 1."""
+    paths = place_paths(index)
+    envelope = Envelope(SETUP, 512, float(paths.length_m.max()))
+    chosen = np.random.default_rng(index).integers(0, len(paths), 8)
+    for which in [*chosen[:, None], np.arange(len(paths))]:
+        some = paths.take(which)
+        pattern, step = swept_pattern(SETUP, some, STATIC, NO_FAULTS), envelope.step(some)
+        strength = np.abs(some.amplitude)
+        swept = kernel_profiles(SETUP, some, NO_OVERLAP)
+        assert (np.abs(swept) <= envelope.of_terms(pattern.magnitudes() * strength, step)).all()
+        overlapped = np.abs(kernel_profiles(SETUP, some, STATIC) - swept)
+        magnitude = (pattern.magnitudes() * strength).sum(axis=0)
+        # what the sum of both rounds: 1e-12 of the strongest
+        assert (overlapped <= envelope.of_overlap(magnitude, step) + 1e-12 * magnitude.sum()).all()
+        change = np.abs(swept - kernel_profiles(SETUP, some, PLAIN))
+        assert (change <= envelope.of_terms(pattern.squint() * strength, step)).all()
+
+
+def test_one_path_is_bounded_tightly_where_it_stands() -> None:
+    """A path mid-bin: the bound at its own cell is within half a bin of a Hann window's peak: 1.5 dB; ours <= 1.7."""
+    paths = place_paths(0).take(np.array([0]))
+    envelope = Envelope(SETUP, 512, 50.0)
+    pattern = swept_pattern(SETUP, paths, IDEAL, NO_FAULTS)
+    bound = envelope.of_terms(pattern.magnitudes() * np.abs(paths.amplitude), envelope.step(paths))
+    signal = np.abs(kernel_profiles(SETUP, paths, IDEAL))
+    beam, cell = np.unravel_index(np.argmax(signal), signal.shape)
+    assert 0.0 <= 20.0 * np.log10(bound[beam, cell] / signal[beam, cell]) <= 1.7
+
+
+def test_floor_is_noise_or_what_stands_next_door() -> None:
+    profiles = np.zeros((3, 8))
+    profiles[1, 4] = 10.0
+    floor = sure_floor(profiles, 2.0, np.ones(8), 3.0)
+    # 10 - 2 - 3 within one beam and one bin, noise elsewhere
+    np.testing.assert_allclose(floor[:, 3:6], 5.0)
+    np.testing.assert_allclose(floor[:, :3], 1.0)
+    np.testing.assert_allclose(floor[:, 6:], 1.0)
+
+
+def test_nothing_bounds_to_nothing() -> None:
+    paths = place_paths(0).take(np.zeros(0, int))
+    envelope = Envelope(SETUP, 512, 1.0)
+    pattern = swept_pattern(SETUP, paths, STATIC, NO_FAULTS)
+    assert not envelope.of_terms(pattern.magnitudes(), envelope.step(paths)).any()

@@ -1,0 +1,190 @@
+"""Receiver: levels of spurs, leakage and noise, I/Q imbalance, and what a converter of few bits does."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from models.physics.waveform import range_profile
+from msgs.radar import BeamGrid, RadarParams, RadarSetup
+from sim_player.fmcw import beam_codes, noise_bank
+from sim_player.front_end import FrontEnd, Spur
+from sim_player.receiver import (
+    LEAKAGE_LENGTH_M,
+    convert,
+    converter_step,
+    dither_objection,
+    flicker_noise,
+    iq_factors,
+    iq_imbalance,
+    leakage_profile,
+    quantisation_power_mw,
+    spur_beat,
+    spur_profile,
+    thermal_noise,
+)
+from sim_player.signal_effects import SignalEffects
+from sim_player.signal_levels import noise_density_mw, noise_profiles, record_beam
+
+RADAR = RadarParams(samples_per_chirp=512, chirps_per_beam=32)
+SETUP = RadarSetup(radar=RADAR)
+
+
+def test_a_spur_locked_to_the_chirps_has_its_level() -> None:
+    """f = 60 / T_c: every chirp sees the same tone, bin 60 holds -80 dBm exactly."""
+    spur = Spur(frequency_hz=60.0 / RADAR.chirp_period_s, power_dbm=-80.0)
+    profile = spur_profile(RADAR, spur, 0.3, range(100))
+    assert 20.0 * np.log10(np.abs(profile[60])) == pytest.approx(-80.0, abs=1e-6)
+
+
+def test_a_free_spur_averages_away_over_chirps() -> None:
+    """f = 60.25 / T_c turns a quarter per chirp: 32 chirps cancel; 60.01 / T_c: sin(32 x) / (32 sin x), x = 0.01 pi."""
+    quarter = Spur(frequency_hz=60.25 / RADAR.chirp_period_s, power_dbm=-80.0)
+    assert np.abs(spur_profile(RADAR, quarter, 0.0, range(100))).max() < 1e-12
+    near = Spur(frequency_hz=60.01 / RADAR.chirp_period_s, power_dbm=-80.0)
+    tone, phasor = spur_beat(RADAR, near, 0.0)
+    x = 0.01 * math.pi
+    assert np.abs(phasor.mean()) == pytest.approx(math.sin(32 * x) / (32 * math.sin(x)), rel=1e-9)
+    assert np.mean(np.abs(tone) ** 2) == pytest.approx(1e-8, rel=1e-9)
+
+
+def test_leakage_stands_at_zero_range() -> None:
+    """-30 dBm at 5 cm: bin 0, a tenth of a bin wide of it; Hann loses under 0.1 dB."""
+    profile = leakage_profile(RADAR, -30.0, range(-2, 20))
+    assert np.abs(profile).argmax() == 2
+    assert 20.0 * np.log10(np.abs(profile[2])) == pytest.approx(-30.0, abs=0.1)
+    exact = range_profile(RADAR, np.array([LEAKAGE_LENGTH_M]), 20)[0]
+    np.testing.assert_allclose(profile[2:], math.sqrt(1e-3) * exact, rtol=1e-12)
+
+
+def test_flicker_falls_with_frequency_from_its_corner() -> None:
+    """Mean periodogram of 200 draws over the beam against white x f_c / f, at four frequencies; 400 degrees of freedom:
+    7 % rms, band of 20 bins: 1.6 %; tolerance 8 %.
+    """
+    radar = RadarParams(samples_per_chirp=256, chirps_per_beam=4)
+    count, corner_hz = 1024, 5e7
+    power = np.zeros(count)
+    for draw in range(200):
+        power += np.abs(np.fft.fft(flicker_noise(radar, corner_hz, [draw]).ravel())) ** 2 / 200
+    frequency_hz = np.fft.fftfreq(count, 1.0 / radar.sample_rate_hz)
+    ratio = power / (count * radar.noise_power_mw) * np.maximum(np.abs(frequency_hz), frequency_hz[1]) / corner_hz
+    for middle in (30, 100, 300, -200):
+        assert np.mean(ratio[middle - 10 : middle + 10]) == pytest.approx(1.0, abs=0.08)
+
+
+def test_kernel_noise_has_the_density_of_the_recorded_codes() -> None:
+    """11 bits (32 codes a step, noise of 45), flicker, imbalance: bins of real codes against `noise_density_mw`.
+
+    40 beams, mean power of bins 1..8, 9..40 and 41..120: 320 draws or more, 5.6 % rms; tolerance 17 % (3 sigma). The
+    profiles drawn at the kernel level are held to the same.
+    """
+    faults = FrontEnd(flicker_corner_hz=2e7, adc_bits=11, iq_gain_db=0.4, iq_phase_deg=2.0)
+    effects = SignalEffects(flicker=True, iq_imbalance=True)
+    bank = noise_bank(RADAR, 1)
+    ones = np.ones(RADAR.chirps_per_beam)
+    terms = (np.zeros((1, 512), complex), ones, ones[None])
+    power = np.zeros(512)
+    for beam in range(40):
+        codes = record_beam(SETUP, terms, bank, [3, beam], effects, faults).astype(float)
+        assert not np.any(codes % 32)
+        folded = (codes[..., 0] + 1j * codes[..., 1]).mean(axis=0)
+        power += np.abs(np.fft.fft(folded) / 512) ** 2 * SETUP.milliwatt_per_code_squared / 40
+    density = noise_density_mw(SETUP, np.arange(121), effects, faults)
+    drawn = np.mean(np.abs(noise_profiles(SETUP, 7, effects, faults, 121)) ** 2, axis=0)
+    smooth = 1.0 * density[1:-1] + 0.25 * (density[:-2] + density[2:])
+    for first, last in ((1, 9), (9, 41), (41, 120)):
+        assert np.mean(power[first:last] / density[first:last]) == pytest.approx(1.0, abs=0.17)
+        assert np.mean(drawn[first:last] / smooth[first - 1 : last - 1]) == pytest.approx(1.0, abs=0.25)
+    # each of the parts is seen: flicker doubles and more below its corner, rounding adds 4 %
+    assert density[2] > 2.0 * density[120]
+    assert density[120] > 1.02 * noise_density_mw(SETUP, np.array([120]), SignalEffects())[0]
+
+
+def test_thermal_noise_is_what_the_codes_hold() -> None:
+    bank = noise_bank(RADAR, 2)
+    ones = np.ones(RADAR.chirps_per_beam)
+    codes = beam_codes(SETUP, np.zeros((1, 512), complex), ones, ones[None], bank, [5])
+    noise = thermal_noise(RADAR, bank, [5]) / math.sqrt(SETUP.milliwatt_per_code_squared)
+    assert np.abs(codes[..., 0] - noise.real).max() < 0.51
+    assert np.abs(codes[..., 1] - noise.imag).max() < 0.51
+
+
+def test_imbalance_of_samples() -> None:
+    """y = mu m + nu m* is I = Re m, Q = g (cos Im m + sin Re m); off: nothing changes."""
+    faults = FrontEnd(iq_gain_db=1.0, iq_phase_deg=5.0)
+    samples = np.exp(1j * np.linspace(0.0, 6.0, 50)) * np.linspace(1.0, 2.0, 50)
+    got = iq_imbalance(samples, samples, faults)
+    gain, phase = 10.0 ** (1.0 / 20.0), math.radians(5.0)
+    np.testing.assert_allclose(got.real, samples.real, atol=1e-12)
+    expected = gain * (math.cos(phase) * samples.imag + math.sin(phase) * samples.real)
+    np.testing.assert_allclose(got.imag, expected, atol=1e-12)
+    assert iq_factors(FrontEnd()) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize("bits", [16, 12, 8, 2])
+def test_converter_of_few_bits(bits: int) -> None:
+    """Codes are whole steps within half a step of the input, 2^bits levels, saturated at the ends."""
+    step = converter_step(FrontEnd(adc_bits=bits))
+    ramp = np.linspace(-40000.0, 40000.0, 20001) * (1.0 + 0.5j)
+    codes = convert(ramp, step)
+    assert codes.dtype == np.int16
+    assert not np.any(codes.astype(int) % step)
+    assert codes[:, 0].min() == -32768
+    assert codes[:, 0].max() == 32768 - step
+    inside = np.abs(ramp.real) < 32767 - step
+    assert np.abs(codes[inside, 0] - ramp.real[inside]).max() <= 0.5 * step + 1e-9
+    assert len(np.unique(codes[:, 0])) <= 2**bits
+
+
+@pytest.mark.parametrize("rms_steps", [1.0, 2.0])
+def test_rounding_is_white_noise_under_dither(rms_steps: float) -> None:
+    """Real codes of a constant of 0.3 step under Gaussian noise: error power step^2 / 12 per component, no bias.
+
+    2^18 samples: power known to 0.25 %, mean to 0.6 % of a step's error; tolerance 1 %, 1 % of a step.
+    """
+    rng = np.random.default_rng(3)
+    step = 16
+    true = 0.3 * step
+    noise = rms_steps * step * (rng.standard_normal(2**18) + 1j * rng.standard_normal(2**18))
+    codes = convert(true * (1.0 + 1.0j) + noise, step).astype(float)
+    error = codes[:, 0] + 1j * codes[:, 1] - true * (1.0 + 1.0j) - noise
+    expected = quantisation_power_mw(SETUP, step) / SETUP.milliwatt_per_code_squared
+    assert np.mean(np.abs(error) ** 2) == pytest.approx(expected, rel=0.01)
+    assert abs(error.mean()) < 0.01 * step
+    assert abs(np.mean(error * np.conj(noise))) < 0.01 * expected * rms_steps**2 * 12
+
+
+def test_without_dither_a_weak_echo_is_lost() -> None:
+    """0.3 step under noise of a tenth of a step rounds to nothing: why the kernel level objects."""
+    rng = np.random.default_rng(4)
+    codes = convert(0.3 * 256 + 25.6 * (rng.standard_normal(10000) + 1j * rng.standard_normal(10000)), 256)
+    assert abs(codes[:, 0].astype(float).mean()) < 0.1 * 256
+    assert dither_objection(SETUP, FrontEnd(adc_bits=8), True) is not None
+    assert dither_objection(SETUP, FrontEnd(adc_bits=12), True) is None
+    assert dither_objection(SETUP, FrontEnd(), False) is not None
+
+
+def test_a_loud_beam_saturates() -> None:
+    """A tone 6 dB over full scale through 12 bits: both ends are met, most of the samples stand there."""
+    tone = 0.2 * np.exp(2j * np.pi * 0.1003 * np.arange(512))
+    ones = np.ones(RADAR.chirps_per_beam)
+    codes = record_beam(
+        SETUP, (tone[None], ones, ones[None]), noise_bank(RADAR, 0), [0], front_end=FrontEnd(adc_bits=12)
+    )
+    assert codes.min() == -32768
+    assert codes.max() == 32768 - 16
+    assert np.mean((codes == -32768) | (codes == 32768 - 16)) > 0.5
+
+
+@pytest.mark.parametrize("bits", [1, 17])
+def test_bits_out_of_range(bits: int) -> None:
+    with pytest.raises(ValueError, match=f"front_end.adc_bits must be 2..16, got {bits}"):
+        converter_step(FrontEnd(adc_bits=bits))
+
+
+def test_noise_profiles_repeat() -> None:
+    setup = RadarSetup(beams=BeamGrid(azimuth_deg=(0.0, 10.0)))
+    np.testing.assert_array_equal(noise_profiles(setup, 3), noise_profiles(setup, 3))
+    assert np.abs(noise_profiles(setup, 3) - noise_profiles(setup, 4)).min() > 0.0

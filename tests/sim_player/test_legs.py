@@ -1,0 +1,157 @@
+"""Legs against blockers: straight pieces against the exact crossing, arcs against fine polylines, factors by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from models.physics.curved_mirror import arc_points
+from models.physics.fresnel import stack_transmission
+from models.physics.mirror import crosses
+from sim_player.legs import BODY, TABLE_STEPS, VOLUME, WALL, Blockers, free_passage, in_series, passage, passing_factor, without
+
+
+def blockers(a: np.ndarray, b: np.ndarray, **more: object) -> Blockers:
+    """Tall walls that let half the field through, unless told otherwise."""
+    count = len(a)
+    values: dict[str, object] = {
+        "height_m": np.full(count, 5.0),
+        "curvature_per_m": np.zeros(count),
+        "kind": np.full(count, WALL, np.int8),
+        "owner": np.full(count, -1, np.int32),
+        "passing": np.full((count, TABLE_STEPS + 1), 0.5 + 0j),
+    }
+    return Blockers(a, b, **{**values, **more})  # type: ignore[arg-type]
+
+
+def level(points: np.ndarray, height_m: float = 1.0) -> np.ndarray:
+    return np.column_stack([points, np.full(len(points), height_m)])
+
+
+def test_straight_pieces_are_those_of_the_mirror_law() -> None:
+    """2000 random legs x 15 pieces, some sharing ends, some legs ending on pieces: `models.physics.mirror.crosses`."""
+    rng = np.random.default_rng(1)
+    corners = rng.uniform(-10.0, 10.0, (16, 2))
+    a, b = corners[:-1], corners[1:]
+    start, end = rng.uniform(-12.0, 12.0, (2, 2000, 2))
+    share = rng.uniform(0.0, 1.0, 500)
+    end[:500] = a[3] + share[:, None] * (b[3] - a[3])
+    end[500:600] = corners[rng.integers(16, size=100)]
+    met = crosses(start, end, a, b)
+    legs = passage(level(start), level(end), blockers(a, b))
+    np.testing.assert_array_equal(legs.free, ~met.any(axis=1))
+    np.testing.assert_allclose(legs.through, 0.5 ** met.sum(axis=1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [2e-6, 1e-3, 0.01, 0.5, 1.5, 1.99])
+def test_arcs_are_fine_polylines(turn: float) -> None:
+    """1000 random legs x 3 arcs: crossings of a polyline of 800 chords (1e-5 m off); legs within 1e-4 m of tangent or end left out."""
+    rng = np.random.default_rng(2)
+    a = rng.uniform(-6.0, 6.0, (3, 2))
+    b = a + rng.uniform(3.0, 9.0, (3, 1)) * np.array([[1.0, 0.2], [-0.3, 1.0], [0.8, -0.8]])
+    curvature = np.array([1.0, -1.0, 1.0]) * turn / np.hypot(*(b - a).T)
+    start, end = rng.uniform(-12.0, 12.0, (2, 1000, 2))
+    count, nearly = np.zeros(1000), np.zeros(1000, bool)
+    for p, q, bend in zip(a, b, curvature, strict=True):
+        line = arc_points(p, q, bend, np.linspace(0.0, 1.0, 801))
+        cuts = [crosses(start, end, line[:-1] + shift, line[1:] + shift).sum(axis=1) for shift in (0.0, 2e-4, -2e-4)]
+        nearly |= (cuts[0] != cuts[1]) | (cuts[0] != cuts[2])
+        count += cuts[0]
+    legs = passage(level(start), level(end), blockers(a, b, curvature_per_m=curvature))
+    assert nearly.mean() < 0.01
+    np.testing.assert_allclose(legs.through[~nearly], 0.5 ** count[~nearly], rtol=1e-12)
+    np.testing.assert_array_equal(legs.free[~nearly], count[~nearly] == 0)
+    assert count.max() >= 2
+
+
+def test_legs_that_start_on_an_arc_leave_it() -> None:
+    """Points of a hollow arc see its inside; points of its outside do not see through it."""
+    a, b = np.array([[0.0, -5.0]]), np.array([[0.0, 5.0]])
+    bowl = blockers(a, b, curvature_per_m=np.array([0.15]))
+    on = level(arc_points(a[0], b[0], 0.15, np.linspace(0.05, 0.95, 50)))
+    inside = passage(on, level(np.tile([[-2.0, 0.3]], (50, 1))), bowl)
+    outside = passage(level(np.tile([[9.0, 0.3]], (50, 1))), level(np.tile([[-2.0, 0.3]], (50, 1))), bowl)
+    assert inside.free.all()
+    assert not outside.free.any()
+
+
+def test_heights_decide_at_the_crossing() -> None:
+    """Wall 2 m high at x = 5, leg from 1 m to h at x = 10: blocked while 1 + (h - 1) / 2 < 2, so under h = 3."""
+    fence = blockers(np.array([[5.0, -1.0]]), np.array([[5.0, 1.0]]), height_m=np.array([2.0]))
+    height = np.array([0.0, 2.0, 2.99, 3.01, 9.0])
+    end = np.column_stack([np.full(5, 10.0), np.zeros(5), height])
+    assert passage(np.array([0.0, 0.0, 1.0]), end, fence).free.tolist() == [False, False, False, True, True]
+
+
+def test_foliage_multiplies_and_bodies_stop() -> None:
+    """Two hedges of 0.6 and 0.7, a wall of 0.5, a body of 0: products by kind; only wall and body block."""
+    x = np.array([1.0, 2.0, 3.0, 4.0])
+    a, b = np.column_stack([x, np.full(4, -1.0)]), np.column_stack([x, np.full(4, 1.0)])
+    passing = np.array([0.6, 0.7, 0.5, 0.0])[:, None] * np.ones(TABLE_STEPS + 1) + 0j
+    things = blockers(a, b, kind=np.array([VOLUME, VOLUME, WALL, BODY], np.int8), passing=passing)
+    end = level(np.array([[0.5, 0.0], [1.5, 0.0], [2.5, 0.0], [3.5, 0.0], [4.5, 0.0]]))
+    legs = passage(np.array([0.0, 0.0, 1.0]), end, things)
+    assert legs.free.tolist() == [True, True, True, False, False]
+    np.testing.assert_allclose(legs.foliage, [1.0, 0.6, 0.42, 0.42, 0.42], rtol=1e-12)
+    np.testing.assert_allclose(legs.through, [1.0, 1.0, 1.0, 0.5, 0.0], rtol=1e-12)
+
+
+def test_own_bodies_do_not_count() -> None:
+    """A leg to a thing's own point passes that thing's sides, and no other's; in a chain the last leg alone."""
+    a, b = np.array([[2.0, -1.0], [4.0, -1.0]]), np.array([[2.0, 1.0], [4.0, 1.0]])
+    things = blockers(a, b, owner=np.array([0, 1], np.int32))
+    end = level(np.array([[3.0, 0.0], [3.0, 0.0], [5.0, 0.0]]))
+    owner = np.array([0, 1, 1], np.int32)
+    assert passage(np.array([0.0, 0.0, 1.0]), end, things, owner).free.tolist() == [True, False, False]
+    chain = free_passage((np.array([0.0, 0.0, 1.0]), level(np.tile([[3.0, 0.5]], (3, 1))), end), things, owner)
+    assert chain.free.tolist() == [False, False, False]
+
+
+def test_chains_are_legs_in_series() -> None:
+    """Free chains: as their legs taken one by one, foliage included; others are 0 through."""
+    rng = np.random.default_rng(4)
+    a, b = rng.uniform(-9.0, 9.0, (2, 8, 2))
+    kind = np.array([VOLUME] * 5 + [WALL] * 3, np.int8)
+    things = blockers(a, b, kind=kind)
+    points = rng.uniform(-9.0, 9.0, (3, 400, 2))
+    one, two, three = (level(place) for place in points)
+    chain = free_passage((one, two, three), things)
+    whole = in_series(passage(one, two, things), passage(two, three, things))
+    np.testing.assert_array_equal(chain.free, whole.free)
+    np.testing.assert_allclose(chain.foliage[chain.free], whole.foliage[chain.free], rtol=1e-12)
+    assert 50 < chain.free.sum() < 350
+    assert (chain.through[~chain.free] == 0.0).all()
+
+
+def test_left_out_pieces_do_not_block() -> None:
+    a, b = np.array([[2.0, -1.0], [4.0, -1.0]]), np.array([[2.0, 1.0], [4.0, 1.0]])
+    end = level(np.array([[3.0, 0.0], [5.0, 0.0]]))
+    assert passage(np.array([0.0, 0.0, 1.0]), end, without(blockers(a, b), 0)).free.tolist() == [True, False]
+
+
+@pytest.mark.parametrize("eps", [6.3 - 0.1j, 5.2 - 0.5j])
+def test_the_table_of_what_passes(eps: complex) -> None:
+    """Linear steps h = 1/1024 in the cosine, 6 mm pane and 30 cm wall, 30 deg of grazing and more: h^2/8 max |f''|.
+
+    The second derivative by differences; 5 % for its rounding. In all below 1e-4 of the field.
+    """
+    for thickness_m in (6e-3, 0.3):
+        def factor(cosine: np.ndarray) -> np.ndarray:
+            t = stack_transmission([eps], [thickness_m], cosine, 0.03)
+            return np.asarray(t * np.exp(2j * math.pi / 0.03 * thickness_m * cosine))
+
+        table = factor(np.linspace(0.0, 1.0, TABLE_STEPS + 1))[None]
+        cosine = np.random.default_rng(5).uniform(0.5, 1.0, 2000)
+        error = np.abs(passing_factor(table, np.zeros(2000, int), cosine) - factor(cosine))
+        fine = np.linspace(0.5, 1.0, 20001)
+        bend = np.abs(np.diff(factor(fine), 2)).max() / (fine[1] - fine[0]) ** 2
+        assert error.max() < 1.05 * bend / 8.0 / TABLE_STEPS**2
+        assert error.max() < 1e-4
+        # and the compiled legs read the same table
+        wall = blockers(np.array([[1.0, -99.0]]), np.array([[1.0, 99.0]]), passing=table)
+        end = level(np.column_stack([2.0 * cosine, 2.0 * np.sqrt(1.0 - cosine**2)]))
+        met = end[:, 0] > 1.0001
+        legs = passage(np.array([0.0, 0.0, 1.0]), end, wall)
+        np.testing.assert_allclose(legs.through[met], passing_factor(table, np.zeros(2000, int), cosine)[met], rtol=1e-9)

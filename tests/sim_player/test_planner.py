@@ -1,0 +1,196 @@
+"""The planner's law on random places and on scenes made to need one effect; reasons; bad questions."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.physics.waveform import WINDOW_TAPS
+from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
+from sim_player.envelope import sure_floor
+from sim_player.front_end import FrontEnd, Spur
+from sim_player.places import random_place
+from sim_player.planner import Plan, choose, chosen, clean_profiles, plan_effects, plan_world, planned_profiles
+from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.signal_levels import noise_density_mw, noise_profiles
+from sim_player.world import prepare
+
+WALL = Surface(
+    role="relay", material="concrete", polyline_m=((20.0, -10.0), (20.0, 15.0)), height_m=6.0, thickness_mm=300
+)
+CAR = SceneObject(class_="car", x_m=12.0, y_m=6.0)
+
+
+def scene(*parts: Surface | SceneObject, **more: object) -> Scene:
+    return Scene(
+        name="t",
+        surfaces=tuple(part for part in parts if isinstance(part, Surface)),
+        objects=tuple(part for part in parts if isinstance(part, SceneObject)),
+        **more,  # type: ignore[arg-type]
+    )
+
+
+def used(plan: Plan, name: str) -> bool:
+    return next(effect for effect in plan.effects if effect.name == name).used
+
+
+def reason(plan: Plan, name: str) -> str:
+    return next(effect for effect in plan.effects if effect.name == name).reason
+
+
+def off(asked: Scene, plan: Plan, seed: int) -> float:
+    """The law's ratio, worst cell, same noise."""
+    setup, front_end = asked.setup, asked.radar.front_end
+    everything = chosen(prepare(asked, seed), setup)
+    maps = [
+        clean_profiles(one, setup, seed) + noise_profiles(setup, seed, one.signal, front_end)
+        for one in (everything, plan)
+    ]
+    density = noise_density_mw(setup, np.arange(512), everything.signal, front_end)
+    rms = np.sqrt(density * np.sum(np.square(WINDOW_TAPS["hann"])))
+    return float((np.abs(maps[0] - maps[1]) / sure_floor(maps[0], 0.0, rms, 0.0)).max())
+
+
+@pytest.mark.parametrize("index", range(6))
+@pytest.mark.parametrize("budget_db", [-10.0, -30.0])
+def test_the_law_on_random_places(index: int, budget_db: float) -> None:
+    """All effects against the planned ones, same noise: no cell is off by more than the budget, nor than the bound.
+
+    Quick and thorough plans; the bound is booked for the clean signal, so noise (0 of it here changes) cannot pass it.
+    """
+    asked = random_place(21, index)
+    world = prepare(asked, index)
+    for thorough in (False, True):
+        plan = plan_world(world, asked.setup, budget_db, thorough=thorough, worth_asking=0)
+        ratio = off(asked, plan, index)
+        assert ratio <= 10.0 ** (budget_db / 20.0)
+        assert plan.spent_db is not None
+        assert plan.spent_db <= budget_db + 1e-9
+        # float32 rounds at 1e-7 of the strongest, some -80 dB over noise
+        assert ratio <= 10.0 ** (plan.spent_db / 20.0) + 1e-3
+
+
+def test_a_wider_budget_never_needs_more_paths() -> None:
+    asked = random_place(21, 0)
+    world = prepare(asked, 0)
+    kept = [len(plan_world(world, asked.setup, b, worth_asking=0).echoes) for b in (-40.0, -30.0, -20.0, -10.0)]
+    assert kept == sorted(kept, reverse=True)
+    assert kept[-1] < kept[0]
+
+
+def test_absent_effects_say_why() -> None:
+    plan = plan_effects(scene(CAR))
+    for name, why in {
+        "specular_relay": "no wall",
+        "second_relay": "0 straight walls",
+        "ground_bounce": "no ground",
+        "object_interreflection": "1 object",
+        "motion": "nothing moves",
+        "mutual_coupling": "do not couple",
+        "flicker": "no 1/f noise",
+        "leakage": "no leakage",
+        "spurs": "no spurs",
+        "curved_wall": "straight",
+    }.items():
+        assert not used(plan, name)
+        assert why in reason(plan, name)
+    assert used(plan, "los_objects")
+    assert used(plan, "thermal_noise")
+
+
+def test_present_effects_are_called_for() -> None:
+    """Strong enough by far: a car in a mirror over wet asphalt, faults of the front end, motion."""
+    faults = FrontEnd(
+        coupling_db=-20.0, flicker_corner_hz=1e6, leakage_dbm=-40.0, spurs=(Spur(frequency_hz=2e7, power_dbm=-70.0),)
+    )
+    ground = Surface(role="ground", material="asphalt")
+    asked = scene(WALL, CAR, ground, radar=SceneRadar(front_end=faults), ego=Ego(speed_mps=3.0))
+    plan = plan_effects(asked)
+    for name in (
+        "specular_relay",
+        "ground_bounce",
+        "mutual_coupling",
+        "flicker",
+        "leakage",
+        "spurs",
+        "motion",
+        "non_cofocal",
+    ):
+        assert used(plan, name), reason(plan, name)
+
+
+def test_opaque_walls_transmit_nothing_that_matters() -> None:
+    """A car behind 40 cm of concrete: two-way -162 dB under what stood free; glass instead calls for it."""
+    behind = SceneObject(class_="car", x_m=28.0, y_m=0.0)
+    thick = msgspec.structs.replace(WALL, thickness_mm=400.0)
+    pane = msgspec.structs.replace(WALL, material="glass", thickness_mm=6.0)
+    assert not used(plan_effects(scene(thick, behind)), "wall_transmission")
+    assert used(plan_effects(scene(pane, behind)), "wall_transmission")
+
+
+def test_weather_matters_only_when_it_rains_hard_and_far() -> None:
+    far = SceneObject(class_="truck", x_m=90.0, y_m=0.0, yaw_deg=90.0)
+    dry = plan_effects(scene(far), budget_db=-30.0)
+    wet = plan_effects(scene(far, weather=Weather(rain_mm_per_h=150.0)), budget_db=-30.0)
+    assert not used(dry, "atmosphere")
+    assert used(wet, "atmosphere")
+
+
+def test_separated_arrays_are_kept() -> None:
+    """0.2 m between transmitter and receiver turns near echoes by a good part of a turn: more than any budget."""
+    asked = scene(CAR, radar=SceneRadar(separation_m=0.2))
+    plan = plan_effects(asked)
+    assert used(plan, "non_cofocal")
+    assert off(asked, plan, 0) <= 0.1
+
+
+def test_an_empty_view_is_noise_not_an_error() -> None:
+    """A car behind the radar returns nothing: the plan holds no path and the map is noise."""
+    asked = scene(SceneObject(class_="car", x_m=-30.0, y_m=0.0))
+    plan = plan_effects(asked)
+    profiles = planned_profiles(plan, asked.setup, seed=1)
+    assert profiles.shape == (25, 512)
+    rms = np.sqrt(np.mean(np.abs(profiles) ** 2))
+    density = noise_density_mw(asked.setup, np.arange(512), plan.signal)
+    np.testing.assert_allclose(rms, np.sqrt(density[0] * 1.5), rtol=0.02)
+
+
+def test_plans_are_reproducible() -> None:
+    asked = random_place(21, 3)
+    one, two = (plan_effects(asked, budget_db=-20.0, seed=5) for _ in range(2))
+    assert one.effects == two.effects
+    np.testing.assert_array_equal(one.paths.amplitude, two.paths.amplitude)
+
+
+def test_choices_by_word() -> None:
+    asked = scene(WALL, CAR)
+    world = prepare(asked)
+    assert choose(world, asked.setup, "basic") is None
+    everything = choose(world, asked.setup, "all")
+    assert everything is not None
+    assert {effect.name for effect in everything.effects} == set(ALL_EFFECTS)
+    some = choose(world, asked.setup, "los_objects, thermal_noise")
+    assert some is not None
+    assert some.used == {"los_objects", "thermal_noise"}
+    assert set(PATH_EFFECTS + WEIGHT_EFFECTS + SIGNAL_EFFECTS) == set(ALL_EFFECTS)
+
+
+@pytest.mark.parametrize("bad", ["", " , ", "magic", "los_objects,magic"])
+def test_unknown_effects_are_refused(bad: str) -> None:
+    asked = scene(CAR)
+    with pytest.raises(ValueError, match="effects: "):
+        choose(prepare(asked), asked.setup, bad)
+
+
+@pytest.mark.parametrize("bad", [0.0, 3.0, float("nan"), float("-inf")])
+def test_budgets_are_negative(bad: float) -> None:
+    with pytest.raises(ValueError, match="budget_db must be finite and negative"):
+        plan_effects(scene(CAR), budget_db=bad)
+
+
+def test_motion_is_refused_at_the_kernel_level() -> None:
+    moving = SceneObject(class_="car", x_m=12.0, y_m=0.0, speed_mps=5.0)
+    asked = scene(moving)
+    with pytest.raises(ValueError, match="use the beat level"):
+        planned_profiles(plan_effects(asked), asked.setup)
