@@ -1,0 +1,86 @@
+"""`mirrorwave sim effects` and `sim paths`, as a user calls them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mirrorwave.cli import main
+from sim_player.effect_names import ALL_EFFECTS
+
+SCENE = "launch/scenes/corner.yaml"
+
+
+def test_effects_as_the_contract_says(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "effects", SCENE, "--budget-db", "-10", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["budget_db"] == -10.0
+    assert {row["name"] for row in found["effects"]} == set(ALL_EFFECTS)
+    for row in found["effects"]:
+        assert set(row) == {"name", "used", "bound_db", "cost_s", "reason"}
+        assert row["reason"]
+        if not row["used"] and row["bound_db"] is not None:
+            assert row["bound_db"] <= -10.0
+    assert 0 < found["paths"] <= found["traced"]
+
+
+def test_effects_for_people_say_why(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "effects", SCENE]) == 0
+    out = capsys.readouterr().out
+    assert "ground_bounce" in out
+    assert "the scene has no ground" in out
+    assert "what was left out changes" in out
+
+
+def test_effects_by_hand(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["sim", "effects", SCENE, "--effects", "specular_relay,thermal_noise", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["effects"]
+    assert {row["name"] for row in rows if row["used"]} == {"specular_relay", "thermal_noise"}
+
+
+def test_paths_as_the_contract_says(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    """Lengths follow the points of the way where out and back are one way: twice the polyline, to 1e-9 m."""
+    picture = tmp_path / "paths.png"
+    assert main(["sim", "paths", SCENE, "--effects", "basic", "--plot", str(picture), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert picture.stat().st_size > 10_000
+    assert {row["kind"] for row in rows} == {"los", "mnlos"}
+    for row in rows:
+        points = np.array(row["points_m"])
+        assert len(points) == row["order"] + 2
+        assert 2.0 * np.linalg.norm(np.diff(points, axis=0), axis=1).sum() == pytest.approx(row["length_m"], abs=1e-9)
+        assert 2.0 * np.linalg.norm(row["virtual_m"]) == pytest.approx(row["length_m"], abs=1e-9)
+
+
+def test_ways_by_two_walls_are_followed(capsys: pytest.CaptureFixture[str]) -> None:
+    """Objects seen in two mirrors: the polyline is as long as half the path, to 1e-6 m (1e-9 a bounce, slopes add)."""
+    assert main(["sim", "paths", SCENE, "--effects", "los_objects,specular_relay,second_relay", "--json"]) == 0
+    rows = [row for row in json.loads(capsys.readouterr().out) if row["order"] == 2 and row["object"] >= 0]
+    assert rows
+    for row in rows:
+        points = np.array(row["points_m"])
+        assert len(points) == 4
+        assert 2.0 * np.linalg.norm(np.diff(points, axis=0), axis=1).sum() == pytest.approx(row["length_m"], abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["effects", "nowhere.yaml"], "nowhere.yaml"),
+        (["effects", SCENE, "--budget-db", "3"], "budget_db must be finite and negative"),
+        (["effects", SCENE, "--effects", "magic"], "unknown magic"),
+        (["paths", SCENE, "--effects", ","], "got nothing"),
+        (["run", SCENE, "--out", "x.mcap", "--effects", "magic"], "unknown magic"),
+    ],
+)
+def test_bad_questions_are_one_line(
+    arguments: list[str], complaint: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    arguments = [str(tmp_path / item) if item == "x.mcap" else item for item in arguments]
+    assert main(["sim", *arguments]) == 2
+    error = capsys.readouterr().err.strip()
+    assert complaint in error
+    assert len(error.splitlines()) == 1
