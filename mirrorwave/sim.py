@@ -53,6 +53,8 @@ def run(
         budget_db=budget_db,
     )
     source = player.scene_player(params)
+    if not len(source.paths(0.0)):
+        typer.echo(f"{scene}: no echo reaches the radar, its map holds noise alone", err=True)
     total = scans * (2 * len(source.setup.beams) + 1)
     with Progress(transient=True) as progress:
         events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)

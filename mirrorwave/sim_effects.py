@@ -60,6 +60,8 @@ def _print_plan(plan: Plan, name: str) -> None:
     rows = [(e.name, "used" if e.used else "skipped", _db(e.bound_db), f"{1e3 * e.cost_s:.1f}", e.reason)
             for e in plan.effects]
     print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
+    if not len(plan.echoes):
+        typer.echo(f"{name}: no echo reaches the radar, its map holds noise alone", err=True)
     spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
     print_line(
         f"{name}: {sum(e.used for e in plan.effects)} of {len(plan.effects)} effects, {len(plan.echoes)} of "

@@ -67,7 +67,7 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
-    """Echoes of scattering centres: out by route `pairs[0]`, back by `pairs[1]`; two ways count twice (either first)."""
+    """Echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice (either first)."""
     out, back = routes.take(pairs[0]), routes.take(pairs[1])
     world, centre = view.world, out.target
     rcs = np.sqrt(centre_rcs_m2(world, centre, -out.arrive) * centre_rcs_m2(world, centre, -back.arrive))

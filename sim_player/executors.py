@@ -111,13 +111,9 @@ def _ray(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -
 
 
 def _start_ray(ray: Any, workers: int) -> None:
-    """Join the cluster there is, or start one; workers have this process' number of threads."""
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-    threads = {name: os.environ[name] for name in names if name in os.environ}
-    options: dict[str, Any] = {"log_to_driver": False, "runtime_env": {"env_vars": threads}}
-    if "RAY_ADDRESS" not in os.environ:
-        options |= {"num_cpus": workers, "include_dashboard": False}
-    ray.init(configure_logging=False, **options)
+    """Join the cluster there is, or start one."""
+    own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
+    ray.init(configure_logging=False, log_to_driver=False, **own)
 
 
 def _ray_result(ray: Any, ready: Any) -> Any:

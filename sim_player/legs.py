@@ -73,7 +73,7 @@ def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.nd
 
 
 def free_passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
-    """Legs from point to point in series, for those who ask for free ones only: a chain is given up where it is blocked.
+    """Legs in series from point to point, for those who want free ones only: a chain is given up where it is blocked.
 
     `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to its leg. Of chains that are
     not free, `through` is 0 and `foliage` what was met so far.
@@ -132,35 +132,21 @@ def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_u
         line[m] = a[m, 0], a[m, 1], wx, wy, wall, CLEARANCE_M / max(wall, CLEARANCE_M)
     for n in range(count):
         for leg in range(stops - 1):
-            sx, sy, sz = chain[leg, n]
+            # tuples: views of arrays would be counted references in the inner loop
+            sx, sy, sz = chain[leg, n, 0], chain[leg, n, 1], chain[leg, n, 2]
             rx, ry, rise = chain[leg + 1, n, 0] - sx, chain[leg + 1, n, 1] - sy, chain[leg + 1, n, 2] - sz
+            ray = (sx, sy, sz, rx, ry, rise, math.hypot(rx, ry))
             lowest = sz + min(rise, 0.0)
-            ray = math.hypot(rx, ry)
             own = owners[n] if leg == stops - 2 else -1
             for m in range(pieces):
+                if lowest >= height[m] or (owner[m] >= 0 and owner[m] == own):
+                    continue
                 if bent[m]:
-                    if lowest < height[m] and (owner[m] < 0 or owner[m] != own):
-                        _arc(n, m, chain[leg, n], chain[leg + 1, n], a, b, height, curvature, kind, passing,
-                             free, through, foliage)
+                    _arc(n, m, ray, a, b, height, curvature, kind, passing, free, through, foliage)
                 else:
-                    # shares along leg and piece times `turn`: most pieces are passed by without a division
-                    wx, wy = line[m, 2], line[m, 3]
-                    turn = rx * wy - ry * wx
-                    ox, oy = line[m, 0] - sx, line[m, 1] - sy
-                    across = ox * wy - oy * wx
-                    along = ox * ry - oy * rx
-                    if turn < 0.0:
-                        turn, across, along = -turn, -across, -along
-                    wider = line[m, 5] * turn
-                    # parallel: they meet nowhere, or the leg sees the wall's edge, of no width
-                    if across <= 0.0 or across >= turn or along < -wider or along > turn + wider:
-                        continue
-                    if turn <= 1e-12 * ray * line[m, 4] or lowest >= height[m] or (owner[m] >= 0 and owner[m] == own):
-                        continue
-                    along_ray = across / turn
-                    margin = CLEARANCE_M / max(ray, CLEARANCE_M)
-                    if margin < along_ray < 1.0 - margin and sz + rise * along_ray < height[m]:
-                        cosine = turn / (line[m, 4] * math.sqrt(ray * ray + rise * rise))
+                    piece = (line[m, 0], line[m, 1], line[m, 2], line[m, 3], line[m, 4], line[m, 5], height[m])
+                    cosine = _straight(ray, piece)
+                    if cosine >= 0.0:
                         _meet(n, m, cosine, kind, passing, free, through, foliage)
                 if give_up and not free[n]:
                     break
@@ -168,6 +154,30 @@ def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_u
                 through[n] = 0.0
                 break
     return free, through, foliage
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _straight(leg, piece):  # type: ignore[no-untyped-def]
+    """Cosine of incidence where a leg meets a straight piece, -1 where it does not."""
+    sx, sy, sz, rx, ry, rise, ray = leg
+    ax, ay, wx, wy, wall, wider, height = piece
+    # shares along leg and piece times `turn`: most pieces are passed by without a division
+    turn = rx * wy - ry * wx
+    ox, oy = ax - sx, ay - sy
+    across = ox * wy - oy * wx
+    along = ox * ry - oy * rx
+    if turn < 0.0:
+        turn, across, along = -turn, -across, -along
+    if across <= 0.0 or across >= turn or along < -wider * turn or along > turn + wider * turn:
+        return -1.0
+    # parallel: they meet nowhere, or the leg sees the wall's edge, of no width
+    if turn <= 1e-12 * ray * wall:
+        return -1.0
+    share = across / turn
+    margin = CLEARANCE_M / max(ray, CLEARANCE_M)
+    if not margin < share < 1.0 - margin or sz + rise * share >= height:
+        return -1.0
+    return turn / (wall * math.sqrt(ray * ray + rise * rise))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -185,16 +195,17 @@ def _meet(n, m, cosine, kind, passing, free, through, foliage):  # type: ignore[
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _arc(n, m, start, end, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
+def _arc(n, m, leg, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
+    sx, sy, sz, rx, ry, rise, _ = leg
     wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
     chord = math.hypot(wx, wy)
     # an arc less than a half circle keeps within half its chord of it: most legs pass it by
     reach = 0.5 * chord + ARC_CLEARANCE_M
     if (
-        max(start[0], end[0]) < min(a[m, 0], b[m, 0]) - reach
-        or min(start[0], end[0]) > max(a[m, 0], b[m, 0]) + reach
-        or max(start[1], end[1]) < min(a[m, 1], b[m, 1]) - reach
-        or min(start[1], end[1]) > max(a[m, 1], b[m, 1]) + reach
+        max(sx, sx + rx) < min(a[m, 0], b[m, 0]) - reach
+        or min(sx, sx + rx) > max(a[m, 0], b[m, 0]) + reach
+        or max(sy, sy + ry) < min(a[m, 1], b[m, 1]) - reach
+        or min(sy, sy + ry) > max(a[m, 1], b[m, 1]) + reach
     ):
         return
     radius = 1.0 / curvature[m]
@@ -202,8 +213,7 @@ def _arc(n, m, start, end, a, b, height, curvature, kind, passing, free, through
     apothem = math.copysign(math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0)), radius)
     cx = 0.5 * (a[m, 0] + b[m, 0]) - apothem * wy / chord
     cy = 0.5 * (a[m, 1] + b[m, 1]) + apothem * wx / chord
-    rx, ry, rise = end[0] - start[0], end[1] - start[1], end[2] - start[2]
-    fx, fy = start[0] - cx, start[1] - cy
+    fx, fy = sx - cx, sy - cy
     square = rx * rx + ry * ry
     half = fx * rx + fy * ry
     rest = half * half - square * (fx * fx + fy * fy - radius * radius)
@@ -214,13 +224,13 @@ def _arc(n, m, start, end, a, b, height, curvature, kind, passing, free, through
         along = (-half + sign * math.sqrt(rest)) / square
         if not margin < along < 1.0 - margin:
             continue
-        px, py = start[0] + along * rx, start[1] + along * ry
+        px, py = sx + along * rx, sy + along * ry
         # the arc is the part of the circle beside its chord, on the far side from the centre
         place = (px - a[m, 0]) * wx + (py - a[m, 1]) * wy
         side = (px - a[m, 0]) * wy - (py - a[m, 1]) * wx
         wider = ARC_CLEARANCE_M * chord
         if not -wider <= place <= chord * chord + wider or side * radius < -wider * abs(radius):
             continue
-        if start[2] + rise * along < height[m]:
+        if sz + rise * along < height[m]:
             cosine = abs((px - cx) * rx + (py - cy) * ry) / (abs(radius) * math.sqrt(square + rise * rise))
             _meet(n, m, cosine, kind, passing, free, through, foliage)

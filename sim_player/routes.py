@@ -121,7 +121,7 @@ def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int
 
 @dataclass(frozen=True)
 class Bounces:
-    """M candidate bounces at straight pieces of wall between a source and targets: law of reflection, inside the ends."""
+    """M candidate bounces at straight walls between a source and targets: by the law of reflection, inside the ends."""
 
     wall: np.ndarray
     target: np.ndarray

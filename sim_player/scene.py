@@ -45,6 +45,9 @@ WEATHER_RANGES: dict[str, tuple[float, float]] = {
     "water_vapour_g_per_m3": (0.0, 50.0),
 }
 
+#: No place or size of a scene lies farther from the radar: a number beyond is a slip.
+FARTHEST_M = 1e4
+
 Point = tuple[float, float]
 ObjectClass = Literal["car", "van", "truck", "bus", "bicycle", "pedestrian"]
 Primitive = Literal["box", "plate", "dihedral", "trihedral", "cylinder", "sphere"]
@@ -255,6 +258,9 @@ def check_scene(scene: Scene) -> None:
     for field, value in _numbers(msgspec.to_builtins(scene), ""):
         if not math.isfinite(value):
             raise ValueError(f"{field}: must be finite, got {value!r}")
+        # frequencies and powers have ranges of their own
+        if abs(value) > FARTHEST_M and field.split(".")[0].split("[")[0] in ("surfaces", "objects"):
+            raise ValueError(f"{field}: must lie within {FARTHEST_M:g} of 0, got {value!r}")
     _check_radar(scene.radar)
     for field, (least, most) in WEATHER_RANGES.items():
         if not least <= getattr(scene.weather, field) <= most:

@@ -119,7 +119,7 @@ class World:
 
     @cached_property
     def _faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Permittivity and thickness of each build's front layer, and how many layers it has; a last row for no build."""
+        """Permittivity and thickness of each build's front layer, how many layers it has; a last row for no build."""
         permittivity = np.array([layers[0][0] for layers in self.stacks] + [1.0], np.complex128)
         thickness_m = np.array([layers[0][1] for layers in self.stacks] + [0.0], np.float64)
         return permittivity, thickness_m, np.array([len(layers) for layers in self.stacks] + [0])

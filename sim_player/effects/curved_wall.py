@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.physics.curved_mirror import CurvedBounces, bounces
+from models.physics.curved_mirror import bounces
 from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
 from sim_player.effect_names import bit
 from sim_player.effects.los_surfaces import flash_weight
@@ -51,7 +51,7 @@ def as_chords(tracing: Tracing) -> Echoes:
 
 def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by any arc to points [N, 3]."""
-    parts = [_by_arc(view, wall, point_m, owner) for wall in np.flatnonzero(view.world.is_curved)]
+    parts = [_by_arc(view, int(wall), point_m, owner) for wall in np.flatnonzero(view.world.is_curved)]
     return join_routes(parts) if parts else no_routes()
 
 
@@ -71,6 +71,8 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
     height = view.antenna[2] + share * (end[:, 2] - view.antenna[2])
     point = np.column_stack([found.point_m, height])
     legs = free_passage((view.antenna, point, end), view.blockers, owner[found.target])
+    cosine = found.cos_incidence * (found.out_m + found.on_m) / found.length_m
+    whole, front, rough = world.reflection(np.full(len(found), wall), np.abs(cosine))
     routes = make_routes(
         found.target,
         found.length_m,
@@ -80,16 +82,11 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
         bit("specular_relay") | bit(NAME),
         wall=np.full(len(found), wall),
         other=found.gain,
-        **_reflection(world, wall, found),
+        whole=whole,
+        front=front,
+        rough=rough,
     )
     return routes.take(legs.free & (height < world.wall_height_m[wall]))
-
-
-def _reflection(world: World, wall: int, found: CurvedBounces) -> dict[str, np.ndarray]:
-    """Factors of one bounce as `make_routes` names them."""
-    cosine = found.cos_incidence * (found.out_m + found.on_m) / found.length_m
-    whole, front, rough = world.reflection(np.full(len(found), wall), np.abs(cosine))
-    return {"whole": whole, "front": front, "rough": rough}
 
 
 def _flashes(view: Snapshot) -> Echoes:

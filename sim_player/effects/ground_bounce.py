@@ -117,7 +117,7 @@ def _ground_reflection(world: World, cosine: np.ndarray) -> tuple[np.ndarray, np
     ground = world.ground
     assert isinstance(ground, Surface)
     # Eq. (13) gives TM the sign of the magnetic field; the upright electric field above the ground follows it
-    reflection = half_space_reflection(permittivity(ground.material, world.radar.carrier_hz), cosine, "tm")
+    reflection = half_space_reflection(np.asarray(permittivity(ground.material, world.radar.carrier_hz)), cosine, "tm")
     left = np.sqrt(coherent_power(np.array(1e-3 * ground.roughness_mm), cosine, world.radar.wavelength_m))
     return reflection, left
 

@@ -67,24 +67,25 @@ def _routes(
     """Routes by points of two walls to their targets, as far as the walls are high enough and three legs are free."""
     (first, second), (at_first, at_second, end), height = walls, points, view.world.wall_height_m
     legs = free_passage((view.antenna, *points), view.blockers, owner)
+    keep = legs.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second])
+    first, second, at_first, at_second, end = (row[keep] for row in (first, second, at_first, at_second, end))
     depart, arrive = unit(at_first - view.antenna), unit(end - at_second)
     one = view.world.reflection(first, np.abs(dot(depart[:, :2], view.normal[first])))
     two = view.world.reflection(second, np.abs(dot(arrive[:, :2], view.normal[second])))
-    routes = make_routes(
-        target,
+    return make_routes(
+        target[keep],
         norm(at_first - view.antenna) + norm(at_second - at_first) + norm(end - at_second),
         depart,
         arrive,
-        legs,
+        legs.take(keep),
         bit("specular_relay") | bit(NAME),
         wall=first,
         wall2=second,
         whole=one[0] * two[0],
         front=one[1] * two[1],
         rough=one[2] * two[2],
-        other=other,
+        other=np.broadcast_to(other, len(keep))[keep],
     )
-    return routes.take(legs.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second]))
 
 
 def _loops(view: Snapshot) -> Echoes:
@@ -117,12 +118,12 @@ def _corners(view: Snapshot) -> Routes:
     goes by the apex (two halves of one image, which is exact), above that the apex throws back what is left. The share
     is Fresnel's, its argument from the detour over the apex, cos(a) sqrt(8 d / (lambda (1 + sin a))).
     """
-    first, second = (pair.ravel() for pair in np.meshgrid(*[np.flatnonzero(_mirrors(view.world))] * 2, indexing="ij"))
-    joined, apex, face_1, face_2 = _meeting(view.world, first, second)
+    first, second = _neighbours(view.world)
+    _, apex, face_1, face_2 = _meeting(view.world, first, second)
     towards = unit(view.origin - apex)
     sine, cosine = _cross(face_1, face_2), dot(face_1, face_2)
     inside = (_cross(towards, face_2) * sine > 0.0) & (_cross(face_1, towards) * sine > 0.0)
-    which = np.flatnonzero(joined & (first != second) & inside)
+    which = np.flatnonzero(inside)
     first, second, apex, cosine, sine = first[which], second[which], apex[which], cosine[which], np.abs(sine[which])
     distance = norm(apex - view.origin)
     wavelength_m = view.world.radar.wavelength_m
@@ -139,6 +140,15 @@ def _corners(view: Snapshot) -> Routes:
     end = np.broadcast_to(view.antenna, (len(found), 3))
     ways = (points[0][found], points[1][found], end)
     return _routes(view, (first[found], second[found]), np.zeros(len(found), int), ways, -1, share[found])
+
+
+def _neighbours(world: World) -> tuple[np.ndarray, np.ndarray]:
+    """All ordered pairs of straight walls that share an end."""
+    walls = np.flatnonzero(_mirrors(world))
+    ends = np.concatenate([world.wall_a[walls], world.wall_b[walls]])
+    one, two = np.nonzero(norm(ends[:, None] - ends[None]) <= SAME_END_M)
+    first, second = np.tile(walls, 2)[one], np.tile(walls, 2)[two]
+    return first[first != second], second[first != second]
 
 
 def _meeting(

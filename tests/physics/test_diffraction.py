@@ -13,13 +13,15 @@ WAVELENGTH_M = 0.03
 K = 2.0 * np.pi / WAVELENGTH_M
 
 
-def coefficient(n: float, source: np.ndarray, target: np.ndarray, distance_m: np.ndarray, r: complex = -1.0) -> np.ndarray:
+def coefficient(
+    n: float, source: np.ndarray, target: np.ndarray, distance_m: np.ndarray, r: complex = -1.0
+) -> np.ndarray:
     arrays = (np.asarray(value, np.float64) for value in (n, source, target, distance_m))
     return wedge_coefficient(*arrays, WAVELENGTH_M, np.array(1.0), np.array(r), np.array(r))
 
 
 def test_transition_is_a_fresnel_integral() -> None:
-    """F(x) = 2j sqrt(x) e^{jx} int_sqrt(x)^inf e^{-jt^2} dt by scipy's C and S; no bias; 1e-9 (C, S lose digits at 1/2)."""
+    """F(x) = 2j sqrt(x) e^{jx} int_sqrt(x)^inf e^{-jt^2} dt by scipy's C and S; no bias; 1e-9 (1/2 - C cancels)."""
     x = np.geomspace(1e-6, 50.0, 200)
     sine, cosine = fresnel(np.sqrt(2.0 * x / np.pi))
     integral = np.sqrt(0.5 * np.pi) * ((0.5 - cosine) - 1j * (0.5 - sine))
@@ -56,7 +58,9 @@ def test_metal_house_corner_against_the_exact_series(rho: float) -> None:
     n, source = 1.5, 1.1
     target = np.linspace(0.02, n * np.pi - 0.02, 240)
     m = np.arange(1, int(n * (K * rho + 60.0)))[:, None]
-    series = (4.0 / n) * np.exp(0.5j * np.pi * m / n) * jv(m / n, K * rho) * np.sin(m * source / n) * np.sin(m * target / n)
+    series = (
+        (4.0 / n) * np.exp(0.5j * np.pi * m / n) * jv(m / n, K * rho) * np.sin(m * source / n) * np.sin(m * target / n)
+    )
     direct = (np.abs(target - source) < np.pi) * np.exp(1j * K * rho * np.cos(target - source))
     # faces at 0 and n pi
     mirrored = (target + source < np.pi) * np.exp(1j * K * rho * np.cos(target + source))

@@ -16,6 +16,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 import sim_player.shards as shards
 from msgs.perception import PathClass
@@ -252,6 +253,13 @@ def test_millimetre_waves_too(tmp_path: Path) -> None:
 def test_workers_do_not_change_bytes(tmp_path: Path, places: Path) -> None:
     crowd = write_dataset(tmp_path, 4, 3, PLACES, workers=2).parent
     assert files(crowd) == files(places)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_threads_of_linear_algebra_do_not_change_bytes(tmp_path: Path, places: Path, threads: int) -> None:
+    """However many threads the caller has; the one in which nothing is split is among them."""
+    with threadpool_limits(limits=threads):
+        assert files(write_dataset(tmp_path, 4, 3, PLACES).parent) == files(places)
 
 
 def test_interrupted_run_goes_on_to_the_same_bytes(tmp_path: Path, streets: Path) -> None:

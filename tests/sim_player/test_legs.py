@@ -10,7 +10,18 @@ import pytest
 from models.physics.curved_mirror import arc_points
 from models.physics.fresnel import stack_transmission
 from models.physics.mirror import crosses
-from sim_player.legs import BODY, TABLE_STEPS, VOLUME, WALL, Blockers, free_passage, in_series, passage, passing_factor, without
+from sim_player.legs import (
+    BODY,
+    TABLE_STEPS,
+    VOLUME,
+    WALL,
+    Blockers,
+    free_passage,
+    in_series,
+    passage,
+    passing_factor,
+    without,
+)
 
 
 def blockers(a: np.ndarray, b: np.ndarray, **more: object) -> Blockers:
@@ -47,7 +58,7 @@ def test_straight_pieces_are_those_of_the_mirror_law() -> None:
 
 @pytest.mark.parametrize("turn", [2e-6, 1e-3, 0.01, 0.5, 1.5, 1.99])
 def test_arcs_are_fine_polylines(turn: float) -> None:
-    """1000 random legs x 3 arcs: crossings of a polyline of 800 chords (1e-5 m off); legs within 1e-4 m of tangent or end left out."""
+    """1000 random legs x 3 arcs: crossings of 800 chords (1e-5 m off); legs within 2e-4 m of a border left out."""
     rng = np.random.default_rng(2)
     a = rng.uniform(-6.0, 6.0, (3, 2))
     b = a + rng.uniform(3.0, 9.0, (3, 1)) * np.array([[1.0, 0.2], [-0.3, 1.0], [0.8, -0.8]])
@@ -131,27 +142,28 @@ def test_left_out_pieces_do_not_block() -> None:
     assert passage(np.array([0.0, 0.0, 1.0]), end, without(blockers(a, b), 0)).free.tolist() == [True, False]
 
 
-@pytest.mark.parametrize("eps", [6.3 - 0.1j, 5.2 - 0.5j])
-def test_the_table_of_what_passes(eps: complex) -> None:
-    """Linear steps h = 1/1024 in the cosine, 6 mm pane and 30 cm wall, 30 deg of grazing and more: h^2/8 max |f''|.
+@pytest.mark.parametrize("thickness_m", [6e-3, 0.3])
+def test_the_table_of_what_passes(thickness_m: float) -> None:
+    """Linear steps h = 1/1024 in the cosine, low-loss pane and wall, 30 deg of grazing and more: h^2/8 max |f''|.
 
     The second derivative by differences; 5 % for its rounding. In all below 1e-4 of the field.
     """
-    for thickness_m in (6e-3, 0.3):
-        def factor(cosine: np.ndarray) -> np.ndarray:
-            t = stack_transmission([eps], [thickness_m], cosine, 0.03)
-            return np.asarray(t * np.exp(2j * math.pi / 0.03 * thickness_m * cosine))
 
-        table = factor(np.linspace(0.0, 1.0, TABLE_STEPS + 1))[None]
-        cosine = np.random.default_rng(5).uniform(0.5, 1.0, 2000)
-        error = np.abs(passing_factor(table, np.zeros(2000, int), cosine) - factor(cosine))
-        fine = np.linspace(0.5, 1.0, 20001)
-        bend = np.abs(np.diff(factor(fine), 2)).max() / (fine[1] - fine[0]) ** 2
-        assert error.max() < 1.05 * bend / 8.0 / TABLE_STEPS**2
-        assert error.max() < 1e-4
-        # and the compiled legs read the same table
-        wall = blockers(np.array([[1.0, -99.0]]), np.array([[1.0, 99.0]]), passing=table)
-        end = level(np.column_stack([2.0 * cosine, 2.0 * np.sqrt(1.0 - cosine**2)]))
-        met = end[:, 0] > 1.0001
-        legs = passage(np.array([0.0, 0.0, 1.0]), end, wall)
-        np.testing.assert_allclose(legs.through[met], passing_factor(table, np.zeros(2000, int), cosine)[met], rtol=1e-9)
+    def factor(cosine: np.ndarray) -> np.ndarray:
+        t = stack_transmission([6.3 - 0.1j], [thickness_m], cosine, 0.03)
+        return np.asarray(t * np.exp(2j * math.pi / 0.03 * thickness_m * cosine))
+
+    table = factor(np.linspace(0.0, 1.0, TABLE_STEPS + 1))[None]
+    cosine = np.random.default_rng(5).uniform(0.5, 1.0, 2000)
+    read = passing_factor(table, np.zeros(2000, int), cosine)
+    error = np.abs(read - factor(cosine))
+    fine = np.linspace(0.5, 1.0, 20001)
+    bend = np.abs(np.diff(factor(fine), 2)).max() / (fine[1] - fine[0]) ** 2
+    assert error.max() < 1.05 * bend / 8.0 / TABLE_STEPS**2
+    assert error.max() < 1e-4
+    # and the compiled legs read the same table
+    pane = blockers(np.array([[1.0, -99.0]]), np.array([[1.0, 99.0]]), passing=table)
+    end = level(np.column_stack([2.0 * cosine, 2.0 * np.sqrt(1.0 - cosine**2)]))
+    met = end[:, 0] > 1.0001
+    legs = passage(np.array([0.0, 0.0, 1.0]), end, pane)
+    np.testing.assert_allclose(legs.through[met], read[met], rtol=1e-9)

@@ -303,21 +303,21 @@ def nearest(now: Echoes, then: Echoes) -> np.ndarray:
 
 @pytest.mark.parametrize(("speed_mps", "yaw_rate_dps"), [(0.0, 0.0), (9.0, 25.0)])
 def test_radial_speed_of_every_effect_is_the_rate_of_the_length(speed_mps: float, yaw_rate_dps: float) -> None:
-    """All effects: central difference over 2e-4 s; rounding 1e-14 / 2e-4 x 100 m, jerk below 1e-6 m/s; tolerance 2e-6.
+    """All effects: central difference over 4e-5 s; a jerk of 3000 m/s^3 adds 2e-7, rounding 1e-9; tolerance 2e-6.
 
-    Each effect is checked by itself; paths that begin or end within the step (at most 3 %) have no partner.
+    Each effect is checked by itself; paths that begin or end within the step (one, or 3 %) have no partner.
     """
     world = prepare(everything(Ego(speed_mps=speed_mps, yaw_rate_dps=yaw_rate_dps)))
-    steps = [trace_each(snapshot(world, 0.05 + shift_s), ALL_EFFECTS) for shift_s in (-1e-4, 0.0, 1e-4)]
+    steps = [trace_each(snapshot(world, 0.05 + shift_s), ALL_EFFECTS) for shift_s in (-2e-5, 0.0, 2e-5)]
     assert set(steps[1]) == set(PATH_EFFECTS)
     for name in PATH_EFFECTS:
         before, now, after = (step[name] for step in steps)
         assert len(now) > 0, name
         early, late = nearest(now, before), nearest(now, after)
         known = np.flatnonzero((early >= 0) & (late >= 0))
-        assert len(known) >= 0.97 * len(now), name
+        assert len(now) - len(known) <= max(1, 0.03 * len(now)), name
         now, before, after = now.take(known), before.take(early[known]), after.take(late[known])
-        rate = 0.5 * (after.out_m + after.back_m - before.out_m - before.back_m) / 2e-4
+        rate = 0.5 * (after.out_m + after.back_m - before.out_m - before.back_m) / 4e-5
         np.testing.assert_allclose(now.rate_mps, rate, atol=2e-6, err_msg=name)
 
 

@@ -247,3 +247,8 @@ def test_object_in_the_bulge_of_an_arc_is_refused() -> None:
     scene_from_yaml(scene(wall, "[{class: car, x_m: 9, y_m: 0, yaw_deg: 90}]"))
     with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must stand clear of surfaces\[0\]"):
         scene_from_yaml(scene(wall, f"[{{class: car, x_m: {9.0 + BULGE_M}, y_m: 0, yaw_deg: 90}}]"))
+
+
+def test_places_out_of_this_world_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must lie within 10000 of 0"):
+        scene_from_yaml("{name: a, objects: [{class: car, x_m: 1.0e+300, y_m: 0}]}")

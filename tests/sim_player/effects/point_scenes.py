@@ -21,7 +21,13 @@ Point = tuple[float, float, float]
 
 
 def wall(*ends: tuple[float, float], material: str = "metal", role: str = "relay", **more: float) -> Surface:
-    return Surface(role=role, material=material, polyline_m=tuple((float(x), float(y)) for x, y in ends), height_m=more.pop("height_m", 5.0), **more)
+    return Surface(
+        role=role,
+        material=material,
+        polyline_m=tuple((float(x), float(y)) for x, y in ends),
+        height_m=more.pop("height_m", 5.0),
+        **more,
+    )
 
 
 def points_world(

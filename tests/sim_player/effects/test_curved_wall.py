@@ -19,7 +19,7 @@ POINT = (5.0, 6.0, 1.0)
 
 
 def test_nearly_flat_is_flat() -> None:
-    """Curvature 1e-6 1/m (sagitta 0.05 mm): one bounce, the flat wall's field; relative 1e-4 in field (kappa l / cos)."""
+    """Curvature 1e-6 1/m (sagitta 0.05 mm): one bounce, the flat wall's field to 1e-4 (kappa l / cos)."""
     bent = traced(points_world([POINT], wall(*ENDS, curvature_per_m=1e-6)), NAME)
     flat = traced(points_world([POINT], wall(*ENDS)), "specular_relay").routes["specular_relay"]
     route = bent.routes[NAME]
@@ -62,7 +62,7 @@ def _point_of(route, curvature_per_m: float) -> np.ndarray:  # type: ignore[no-u
 def test_hollow_wall_through_its_caustic_is_bounded() -> None:
     """Curvature 0.06 1/m: field at most 5 % over the surface integral's strongest, median error 2 % of it.
 
-    Layout: points from x = 4 to 16 through the focus; the reference fades the wall's ends out, which the arc goes on past.
+    Layout: points from x = 4 to 16 through the focus; the reference fades the wall's ends out.
     """
     ends = (20.0, -14.0), (20.0, 14.0)
     points = [(x, 0.7, 1.0) for x in np.linspace(4.0, 16.0, 49).tolist()]

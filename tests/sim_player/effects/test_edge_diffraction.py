@@ -1,8 +1,9 @@
-"""Bent ways in scenes: fields joined to the direct, mirrored and transmitted ones; edges and the walls that form them."""
+"""Bent ways in scenes: joined to direct, mirrored and transmitted fields; edges and the walls that form them."""
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -11,7 +12,16 @@ from scipy.special import fresnel
 from sim_player.effects.edge_diffraction import NAME, edges_of
 from sim_player.effects.tracing import Tracing
 from sim_player.world import World, snapshot
-from tests.sim_player.effects.point_scenes import RADAR, WAVENUMBER, Point, one_way_field, points_world, traced, unit_weight, wall
+from tests.sim_player.effects.point_scenes import (
+    RADAR,
+    WAVENUMBER,
+    Point,
+    one_way_field,
+    points_world,
+    traced,
+    unit_weight,
+    wall,
+)
 
 #: So long that its other end is far off.
 SCREEN = wall((10.0, 0.0), (10.0, -4000.0))
@@ -58,7 +68,11 @@ def test_no_jump_at_any_border(material: str) -> None:
         found = traced(world, "los_objects", "specular_relay", NAME)
         behind, legs = found.straight
         total = np.zeros(2, np.complex128)
-        for routes, factor in ((behind, legs.through), (found.routes["specular_relay"], 1.0), (found.routes[NAME], 1.0)):
+        for routes, factor in (
+            (behind, legs.through),
+            (found.routes["specular_relay"], 1.0),
+            (found.routes[NAME], 1.0),
+        ):
             np.add.at(total, routes.target, one_way_field(routes) * factor)
         assert abs(total[1] - total[0]) < 1e-3 * abs(total).max(), border
 
@@ -89,7 +103,7 @@ def test_house_corner_is_a_wedge_of_three_quarters() -> None:
 
 
 def test_shadow_of_a_house_corner() -> None:
-    """Radar beside a house, points behind its corner: half the field at the border, less and less behind; none inside."""
+    """Radar beside a house, points behind its corner: half the field at the border, less behind; none inside."""
     house = wall((10.0, 2.0), (10.0, 3000.0)), wall((10.0, 2.0), (-3000.0, 2.0))
     turn = np.radians(np.array([-20.0, -1e-6, 1e-6, 5.0, 20.0, 60.0])) + math.atan2(2.0, 10.0)
     points = [(10.0 + 8.0 * math.cos(a), 2.0 + 8.0 * math.sin(a), 1.0) for a in turn]
@@ -107,7 +121,7 @@ def test_joined_panes_have_no_edge_between_them() -> None:
     """Three surfaces in one plane: two edges, their ends; and the same bent echoes as one wall of the same build."""
     ends = [(10.0, -6.0), (10.0, -1.0), (10.0, 1.0), (10.0, 6.0)]
     one = points_world([(20.0, 7.0, 1.0)], wall(ends[0], ends[3]))
-    three = points_world([(20.0, 7.0, 1.0)], *(wall(a, b) for a, b in zip(ends[:-1], ends[1:], strict=True)))
+    three = points_world([(20.0, 7.0, 1.0)], *(wall(a, b) for a, b in pairwise(ends)))
     assert len(edges_of(snapshot(three))) == 2
     single, joined = (traced(world, NAME).routes[NAME] for world in (one, three))
     np.testing.assert_allclose(np.sort_complex(joined.whole), np.sort_complex(single.whole), rtol=1e-12)
@@ -117,7 +131,9 @@ def test_corner_of_two_surfaces_is_one_edge() -> None:
     """The same house as one polyline and as two surfaces: the same edges, the same fields."""
     a, b, c = (10.0, 12.0), (10.0, 2.0), (-9.0, 2.0)
     point = [(16.0, 5.0, 1.0)]
-    split, whole = (traced(points_world(point, *walls), NAME).routes[NAME] for walls in ((wall(a, b), wall(b, c)), (wall(a, b, c),)))
+    split, whole = (
+        traced(points_world(point, *walls), NAME).routes[NAME] for walls in ((wall(a, b), wall(b, c)), (wall(a, b, c),))
+    )
     np.testing.assert_allclose(np.sort_complex(split.whole), np.sort_complex(whole.whole), rtol=1e-9)
     assert len(split) == len(whole) >= 1
 
@@ -150,8 +166,12 @@ def test_the_rays_meet_the_edge_by_kellers_cone() -> None:
 
 
 def test_echoes_bend_once_or_twice() -> None:
-    """Lit point, one end in reach: direct^2 + 2 direct bent + bent^2, the square of the one-way field; 1e-9 (phases)."""
-    found = traced(points_world([(20.0, 1.0, 1.0)], wall((10.0, 0.0), (10.0, -4.0)), wall((5.0, -1.0), (5.0, -5.0))), "los_objects", NAME)
+    """Lit point, one end in reach: direct^2 + 2 direct bent + bent^2, one way squared; 1e-9 (phases)."""
+    found = traced(
+        points_world([(20.0, 1.0, 1.0)], wall((10.0, 0.0), (10.0, -4.0)), wall((5.0, -1.0), (5.0, -5.0))),
+        "los_objects",
+        NAME,
+    )
     edges = edges_of(found.view)
     assert np.unique(found.routes[NAME].edge).size == len(found.routes[NAME]) <= len(edges)
     total, field = 0.0j, one_way_field(found.routes["los_objects"]).sum()

@@ -32,7 +32,7 @@ def total(found, target: int | None = None) -> complex:  # type: ignore[no-untyp
 
 
 def test_two_ray_interference_over_range() -> None:
-    """Radar 1 m, point 0.7 m, 4..100 m: [e^{-jkd}/d + G e^{-jkr}/r]^2, G of the grazing angle; rounding of phases 1e-9."""
+    """Radar 1 m, point 0.7 m, 4..100 m: [e^{-jkd}/d + G e^{-jkr}/r]^2, G of the grazing angle; phases round to 1e-9."""
     x = np.linspace(4.0, 100.0, 97)
     world = points_world([(float(v), 0.0, 0.7) for v in x], GROUND)
     found = traced(world, "los_objects", NAME)
@@ -62,7 +62,9 @@ def test_with_a_mirror_between(z: float, early: bool) -> None:
 
     One way by the ground and one without, and both: [clear + ground]^2 of the mirrored ways; rounding of phases.
     """
-    found = traced(points_world([(4.0, 6.0, z)], wall((12.0, -5.0), (12.0, 8.0), height_m=9.0), GROUND), "specular_relay", NAME)
+    found = traced(
+        points_world([(4.0, 6.0, z)], wall((12.0, -5.0), (12.0, 8.0), height_m=9.0), GROUND), "specular_relay", NAME
+    )
     routes = found.routes[NAME]
     route = routes.take(routes.wall == 0)
     length = math.sqrt(20.0**2 + 6.0**2 + (1.0 + z) ** 2)
@@ -71,9 +73,7 @@ def test_with_a_mirror_between(z: float, early: bool) -> None:
     np.testing.assert_allclose(route.arrive[0], np.array([-20.0, 6.0, 1.0 + z]) / length, atol=1e-12)
     assert (1.0 / (1.0 + z) < 12.0 / 20.0) == early
     clear = found.routes["specular_relay"]
-    field = sum(
-        (one.whole / one.length_m * np.exp(-1j * WAVENUMBER * one.length_m)).sum() for one in (clear, route)
-    )
+    field = sum((one.whole / one.length_m * np.exp(-1j * WAVENUMBER * one.length_m)).sum() for one in (clear, route))
     by_wall = 0.0j
     for echoes in found.echoes.values():
         one = echoes.take(echoes.surface == 0)

@@ -42,7 +42,7 @@ def test_direct_and_two_mirrors_mix_in_pairs() -> None:
 
 
 def test_paths_leave_one_way_and_arrive_the_other() -> None:
-    """The radar's own angles, after it has turned by 20 deg: departure straight, arrival from the image, or the reverse."""
+    """The radar's own angles, turned by 20 deg: departure straight, arrival from the image, or the reverse."""
     ego = Ego(yaw_rate_dps=20.0)
     found = traced(points_world([POINT], WALLS[0], ego=ego), "los_objects", "specular_relay", NAME, time_s=1.0)
     paths = as_paths(found.view, found.echoes[NAME], frozenset({NAME}))

@@ -28,9 +28,7 @@ def test_bistatic_radar_equation_by_hand() -> None:
 
 
 def test_order_of_objects_does_not_matter() -> None:
-    one, other = (
-        traced(points_world(points), "los_objects", NAME).echoes[NAME] for points in ([ONE, TWO], [TWO, ONE])
-    )
+    one, other = (traced(points_world(points), "los_objects", NAME).echoes[NAME] for points in ([ONE, TWO], [TWO, ONE]))
     np.testing.assert_allclose(one.weight, other.weight, rtol=1e-12)
     np.testing.assert_allclose(one.depart, other.arrive, atol=1e-12)
 

@@ -41,7 +41,7 @@ def test_image_of_the_image() -> None:
 
 
 def test_routes_are_those_of_a_plain_search() -> None:
-    """40 scenes of 6 random walls and 30 points: the same (first, second, point) and lengths as images and line cuts."""
+    """40 scenes of 6 random walls and 30 points: the same routes and lengths as by images and line cuts."""
     rng = np.random.default_rng(11)
     total = 0
     for _ in range(40):
@@ -122,7 +122,7 @@ def test_a_right_angle_is_a_dihedral() -> None:
 
 
 def test_corners_flash_on_both_sides_of_the_right_angle() -> None:
-    """75 deg: two ways round at 2 d sin(75 deg), each whole but for 7 % of ripple; 105 deg: under -25 dB; no jump at 90 deg."""
+    """75 deg: two whole ways round at 2 d sin(75 deg), 7 % of ripple; 105 deg: under -25 dB; no jump at 90 deg."""
     sharp = loops(math.radians(75.0))
     np.testing.assert_allclose(sharp.out_m + sharp.back_m, 24.0 * math.sin(math.radians(75.0)), rtol=1e-9)
     assert level(sharp, 12.0 * math.sin(math.radians(75.0))) == pytest.approx(2.0, rel=0.07)

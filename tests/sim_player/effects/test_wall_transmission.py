@@ -32,7 +32,7 @@ def crossing(material: str, thickness_m: float, cosine: float) -> complex:
 
 
 def test_glass_weakens_and_delays_there_and_back() -> None:
-    """6 mm glass at x = 6, point (12, 3): straight echo times (t e^{jkd cos})^2; the table of 1024 steps is good to 2e-6."""
+    """6 mm glass at x = 6, point (12, 3): straight echo times (t e^{jkd cos})^2; the table holds it to 5e-6."""
     cosine = 12.0 / math.hypot(12.0, 3.0)
     echo = traced(points_world([BEHIND], pane("glass", 6.0)), NAME).echoes[NAME]
     clear = traced(points_world([BEHIND]), "los_objects").echoes["los_objects"]
