@@ -60,7 +60,7 @@ def off_on_map_db(everything: np.ndarray, planned: np.ndarray, rms: np.ndarray, 
     level = np.outer(rms, np.linalg.norm(matrix, axis=0))
     padded = np.pad(np.abs(maps[0]), ((1, 1), (13, 13)))
     rows, columns = level.shape
-    near = np.max([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(0, 27)], axis=0)
+    near = np.max([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(27)], axis=0)
     ratio = np.abs(maps[0] - maps[1]) / np.maximum(near, level)
     return float(20.0 * np.log10(max(ratio.max(), 1e-15)))
 
@@ -208,8 +208,10 @@ def report(found: dict[str, Any]) -> None:
         print("   used of present: " + ", ".join(f"{k} {u}/{p}" for k, (u, p) in one["used"].items()))
     slack = found["bound_minus_actual_db"]
     if slack["count"]:
-        print(f"one effect dropped alone: bound minus actual, median {slack['median']:.1f} dB, least "
-              f"{slack['least']:.1f} dB, {slack['count']} cases")
+        print(
+            f"one effect dropped alone: bound minus actual, median {slack['median']:.1f} dB, least "
+            f"{slack['least']:.1f} dB, {slack['count']} cases"
+        )
         print("   " + ", ".join(f"{name} {value:.1f}" for name, value in slack["by_effect"].items()))
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from mirrorwave.console import print_line, require_new_file
+from mirrorwave.sim_dataset import dataset, statistics
 from mirrorwave.sim_effects import Budget, Effects, effects, paths
 from mirrorwave.sim_material import material
 
@@ -17,9 +18,8 @@ if TYPE_CHECKING:
     from msgs.radar import RadarSetup
 
 app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
-app.command()(material)
-app.command()(effects)
-app.command()(paths)
+for verb in (effects, paths, material, dataset, statistics):
+    app.command()(verb)
 
 
 @app.command()
@@ -63,24 +63,6 @@ def run(
         else:
             write_sigmf(out, source.setup, iter(events))
     print_line(f"{out}: {scans} scans of {scene.stem}, seed {seed}")
-
-
-@app.command()
-def dataset(
-    out: Annotated[Path, typer.Option(help="Folder of the shards.")],
-    count: Annotated[int, typer.Option(min=1, help="Scenes to simulate.")],
-    seed: int = 0,
-    workers: Annotated[int, typer.Option(min=1)] = 1,
-) -> None:
-    """Labelled beam profiles of random scenes for training; resumable, the same bytes for any number of workers."""
-    from rich.progress import Progress
-
-    from sim_player.dataset import write_dataset
-
-    with Progress(transient=True) as progress:
-        task = progress.add_task("simulating", total=count)
-        write_dataset(out, count, seed, workers=workers, on_progress=lambda done: progress.update(task, completed=done))
-    print_line(f"{out}: {count} scenes, seed {seed}")
 
 
 def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:

@@ -57,8 +57,10 @@ _PLAIN_SIGNAL = frozenset({"motion", "element_pattern", "quantised_phases", "the
 
 def _print_plan(plan: Plan, name: str) -> None:
     """One row an effect and a line of sums."""
-    rows = [(e.name, "used" if e.used else "skipped", _db(e.bound_db), f"{1e3 * e.cost_s:.1f}", e.reason)
-            for e in plan.effects]
+    rows = [
+        (e.name, "used" if e.used else "skipped", _db(e.bound_db), f"{1e3 * e.cost_s:.1f}", e.reason)
+        for e in plan.effects
+    ]
     print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
     if not len(plan.echoes):
         typer.echo(f"{name}: no echo reaches the radar, its map holds noise alone", err=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -47,6 +46,9 @@ class WallAnswer:
     exact_db: tuple[float, float]
     column_db: tuple[float, float]
     beam: Transmission | None
+    #: Air of the picture before and behind the wall.
+    before_m: float = 0.0
+    behind_m: float = 0.0
 
 
 def reflectance(
@@ -142,13 +144,14 @@ def answer(
     case = (media, thicknesses_m, np.cos(angle_rad), SPEED_OF_LIGHT_MPS / frequency_hz, polarisation)
     exact_db = _level_db(stack_reflection(*case)), _level_db(stack_transmission(*case))
     column = reflect(layers, angle_rad, frequency_hz, polarisation, COLUMN_CELLS)
-    beam = None
+    beam, sides_m = None, (0.0, 0.0)
     if setup is not None:
         with _progress() as progress:
             on_step = _Steps(progress, title)
             beam = transmission_experiment(layers, frequency_hz, polarisation, angle_rad, setup, on_step)
+        sides_m = setup.before_m, setup.behind_m
     column_db = _level_db(column.r), _level_db(column.t)
-    return WallAnswer(title, frequency_hz, angle_deg, polarisation, exact_db, column_db, beam)
+    return WallAnswer(title, frequency_hz, angle_deg, polarisation, exact_db, column_db, beam, *sides_m)
 
 
 def layout(layers: Any, frequency_hz: float) -> Experiment:
@@ -221,26 +224,29 @@ def draw_wall(found: WallAnswer, path: Path) -> None:
     beam = found.beam
     if beam is None:
         raise ValueError("a picture needs an answer with a beam")
-    figure, (left, right) = _figure(2, 5.4)
+    figure, (left, right) = _figure(2, 5.2)
     level_db = 20.0 * np.log10(np.maximum(np.abs(beam.field), 1e-6))
     front_m, back_m = beam.wall_m
     z_m = beam.z_m - front_m
     extent = (1e2 * z_m[0], 1e2 * z_m[-1], 1e2 * beam.x_m[0], 1e2 * beam.x_m[-1])
-    image = left.imshow(level_db, origin="lower", extent=extent, cmap="magma", vmin=-90.0, vmax=6.0, aspect="auto")
+    image = left.imshow(level_db, origin="lower", extent=extent, cmap="magma", vmin=-100.0, vmax=6.0, aspect="auto")
     figure.colorbar(image, ax=left, label="field per incident one [dB]")
     name = "E" if found.polarisation == "te" else "H"
     left.set_title(f"|{name}| of a beam on {found.title}, {found.frequency_hz / 1e9:g} GHz", fontsize=10)
     left.set_ylabel("along the wall [cm]")
-    axis_x_m = np.tan(math.radians(found.angle_deg)) * np.minimum(z_m, 0.0)
-    right.plot(1e2 * z_m, level_db[np.abs(beam.x_m[:, None] - axis_x_m).argmin(axis=0), np.arange(len(z_m))], "#0072B2")
-    right.axvspan(0.0, 1e2 * (back_m - front_m), color="#DDDDDD", zorder=0)
-    right.set_title("level along the beam's axis [dB]", fontsize=10)
-    right.set_ylim(-95.0, 8.0)
-    right.text(
-        0.97, 0.97, _caption(found), transform=right.transAxes, ha="right", va="top", family="monospace", fontsize=8
-    )
+    left.grid(visible=False)
+    axis_x_m = math.tan(math.radians(found.angle_deg)) * np.minimum(z_m, 0.0)
+    on_axis_db = level_db[np.abs(beam.x_m[:, None] - axis_x_m).argmin(axis=0), np.arange(len(z_m))]
+    right.plot(1e2 * z_m, on_axis_db, "#0072B2", linewidth=1.2)
+    right.axvspan(0.0, 1e2 * (back_m - front_m), color="#E4E4E4", zorder=0)
+    right.set_title("level at the beam's axis [dB]", fontsize=10)
+    right.set_ylim(-125.0, 8.0)
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85}
+    style = {"family": "monospace", "fontsize": 8, "bbox": box}
+    right.text(0.02, 0.02, _caption(found), transform=right.transAxes, ha="left", va="bottom", **style)
     for panel in (left, right):
         panel.set_xlabel("depth from the front face [cm]")
+        panel.set_xlim(-1e2 * found.before_m, 1e2 * (back_m - front_m + found.behind_m))
     for face_m in (0.0, back_m - front_m):
         left.axvline(1e2 * face_m, color="white", linewidth=1.0)
     _save(figure, path)
@@ -252,17 +258,17 @@ def _rebuild(path: Path, workers: int) -> None:
 
     if not path.absolute().parent.is_dir():
         raise NotADirectoryError(20, "its directory does not exist", str(path))
-    partial, start_s = path.with_suffix(".cells.jsonl"), time.monotonic()
+    partial = path.with_suffix(".cells.jsonl")
     with _progress() as progress:
         task = progress.add_task("simulating walls")
         table = build_tables(
             table_entries(), lambda done, total: progress.update(task, completed=done, total=total), partial, workers
         )
-    table.save(path, provenance(workers, time.monotonic() - start_s))
+    table.save(path, provenance(workers))
     partial.unlink(missing_ok=True)
 
 
-def provenance(workers: int, seconds: float) -> dict[str, Any]:
+def provenance(workers: int) -> dict[str, Any]:
     """Where a table comes from: command, version of the code, kind of machine, day."""
     import os
     import platform
@@ -272,7 +278,6 @@ def provenance(workers: int, seconds: float) -> dict[str, Any]:
         "command": "mirrorwave sim reflectance --rebuild",
         "version": _version(),
         "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {workers} processes",
-        "seconds": round(seconds, 1),
         "date": datetime.now(UTC).date().isoformat(),
     }
 
@@ -323,7 +328,8 @@ def _progress() -> Progress:
         "left",
         TimeRemainingColumn(),
     )
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    console = Console(stderr=True)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 def _print_table(table: ReflectanceTable, path: Path) -> None:

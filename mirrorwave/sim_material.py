@@ -18,6 +18,10 @@ if TYPE_CHECKING:
 #: The bands shown where none is asked for.
 BANDS_GHZ = (10.0, 77.0)
 MOST_ANGLES = 10_000
+#: FDTD: steepest angles [deg] of smooth and of rough walls (runs lengthen as 1 / (1 - sin)), the weakest transmitted
+#: field that a run resolves, cells per wavelength and correlation length (in wavelengths) of rough walls.
+FDTD_MOST_DEG, FDTD_MOST_ROUGH_DEG, FDTD_LEAST_FIELD = 89.0, 70.0, 1e-6
+FDTD_ROUGH_CELLS, FDTD_CORRELATION_WAVELENGTHS = 16.0, 4.0 / 3.0
 
 
 class Method(StrEnum):
@@ -80,6 +84,7 @@ def material(
         return
     wall = _wall(name, thickness_mm, roughness_mm, method, extrapolate)
     angles = parse_angles(angles_deg)
+    _check_fdtd(wall, float(angles[-1]))
     if as_json and len(frequency_ghz or ()) > 1:
         raise ValueError(f"--json answers one --frequency-ghz, got {len(frequency_ghz or ())}")
     wanted = tuple(frequency_ghz or BANDS_GHZ[: 1 if as_json else None])
@@ -223,24 +228,44 @@ def _exact_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polar
     return Curves(r, t, specular_gain(r, np.asarray(wall.roughness_m), cosine, wavelength_m))
 
 
+def _check_fdtd(wall: Wall, most_deg: float) -> None:
+    """ValueError where the wave simulation would refuse or run for hours."""
+    from models.physics.materials import CONSTRUCTIONS
+
+    if wall.method is not Method.FDTD:
+        return
+    limit_deg = FDTD_MOST_ROUGH_DEG if wall.roughness_m > 0.0 else FDTD_MOST_DEG
+    if most_deg > limit_deg:
+        kind = "a rough wall" if wall.roughness_m > 0.0 else "a wall"
+        raise ValueError(f"--angles-deg must end at {limit_deg:g} at most for {kind} by fdtd, got {most_deg:g}")
+    built_of = {layer.material for layer in CONSTRUCTIONS.get(wall.material, ())} | {wall.material}
+    if wall.roughness_m > 0.0 and "metal" in built_of:
+        raise ValueError(f"--roughness-mm must be 0 for {wall.material} by fdtd: rough metal is refused in tm")
+
+
 def _fdtd_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polarisation: Any) -> Curves:
+    """Smooth walls as a column of cells, rough ones as one random surface; |t| below what a run resolves is 0."""
     import numpy as np
     from rich.console import Console
     from rich.progress import track
 
     from models.physics.materials import wall_layers
+    from msgs.units import SPEED_OF_LIGHT_MPS
     from sim_player.fdtd import reflect
 
     layers = wall_layers(wall.material, wall.thickness_m, frequency_hz, wall.extrapolate)
+    options: dict[str, Any] = {"polarisation": polarisation, "roughness_m": wall.roughness_m}
+    if wall.roughness_m > 0.0:
+        correlation_m = FDTD_CORRELATION_WAVELENGTHS * SPEED_OF_LIGHT_MPS / frequency_hz
+        options |= {"cells_per_wavelength": FDTD_ROUGH_CELLS, "correlation_m": correlation_m, "dtype": "float32"}
+    console = Console(stderr=True)
     label = f"{wall.material} {frequency_hz / 1e9:g} GHz {polarisation}"
-    angles = track(np.radians(angles_deg), label, console=Console(stderr=True), transient=True)
-    found = [
-        reflect(layers, float(angle), frequency_hz, polarisation=polarisation, roughness_m=wall.roughness_m)
-        for angle in angles
-    ]
+    angles = track(np.radians(angles_deg), label, console=console, transient=True, disable=not console.is_terminal)
+    found = [reflect(layers, float(angle), frequency_hz, **options) for angle in angles]
+    t = np.array([one.t for one in found], np.complex128)
     return Curves(
         np.array([one.r for one in found], np.complex128),
-        np.array([one.t for one in found], np.complex128),
+        np.where(np.abs(t) > FDTD_LEAST_FIELD, t, 0.0),
         np.array([one.specular_power for one in found], np.float64),
     )
 

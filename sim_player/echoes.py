@@ -6,16 +6,13 @@ over both lengths, so 1/R^2 for one way there and back (Eq. (5)), and two bounce
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from models.physics.attenuation import gas_db_per_m, rain_db_per_m
 from msgs.perception import PathClass
 from msgs.radar import RadarParams
 from sim_player.objects import seen_rcs_m2
-from sim_player.paths import Paths
 from sim_player.routes import NONE, Routes, dot
 from sim_player.world import Snapshot, World
 
@@ -134,70 +131,6 @@ def surface_echoes(
         thing=np.full(count, NONE, np.int32),
         point=point,
     )
-
-
-def weights(echoes: Echoes, world: World, effects: frozenset[str]) -> np.ndarray:
-    """Complex weight of every echo under some weight effects, sqrt(mW)."""
-    weight = echoes.weight * (echoes.whole if "slab_resonance" in effects else echoes.front)
-    if "rough_wall_loss" in effects:
-        weight = weight * echoes.rough
-    if "vegetation" in effects:
-        weight = weight * echoes.foliage
-    if "atmosphere" in effects:
-        weight = weight * 10.0 ** (-air_db_per_m(world) * (echoes.out_m + echoes.back_m) / 20.0)
-    return np.asarray(weight)
-
-
-def air_db_per_m(world: World) -> float:
-    """Specific attenuation of the scene's air, gases and rain, dB/m."""
-    weather, carrier_hz = world.scene.weather, world.radar.carrier_hz
-    gas = gas_db_per_m(carrier_hz, weather.temperature_c, weather.pressure_hpa, weather.water_vapour_g_per_m3)
-    return float(gas + rain_db_per_m(carrier_hz, weather.rain_mm_per_h))
-
-
-def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
-    """Echoes as the radar has them: its own frame, directions as angles, weights under the effects."""
-    out_m, back_m = echoes.out_m, echoes.back_m
-    if "non_cofocal" in effects and view.world.scene.radar.separation_m > 0.0:
-        out_m, back_m = _separated(view, echoes)
-    arrive, depart = _to_radar(view, echoes.arrive), _to_radar(view, echoes.depart)
-    plan = view.pose.inverse().apply(echoes.point[:, :2])
-    return Paths(
-        kind=echoes.kind,
-        length_m=out_m + back_m,
-        radial_speed_mps=echoes.rate_mps,
-        azimuth_rad=np.arctan2(arrive[:, 1], arrive[:, 0]),
-        elevation_rad=_elevation(arrive),
-        departure_azimuth_rad=np.arctan2(depart[:, 1], depart[:, 0]),
-        departure_elevation_rad=_elevation(depart),
-        amplitude=weights(echoes, view.world, effects),
-        order=echoes.order,
-        needs=echoes.needs,
-        surface=echoes.surface,
-        thing=echoes.thing,
-        point_m=np.column_stack([plan, echoes.point[:, 2] - view.world.radar_height_m]),
-        virtual_m=arrive * (0.5 * (echoes.out_m + echoes.back_m))[:, None],
-    )
-
-
-def _separated(view: Snapshot, echoes: Echoes) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths from the transmitting and to the receiving array, half the separation left and right of the radar."""
-    yaw = view.pose.yaw_rad
-    half = 0.5 * view.world.scene.radar.separation_m * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
-    # the virtual point stays where it is; the array moves against it
-    out = np.linalg.norm(echoes.depart * echoes.out_m[:, None] - half, axis=1)
-    back = np.linalg.norm(echoes.arrive * echoes.back_m[:, None] + half, axis=1)
-    return out, back
-
-
-def _to_radar(view: Snapshot, direction: np.ndarray) -> np.ndarray:
-    """Directions [E, 3] of the scene's frame in the radar's."""
-    plan = view.pose.inverse().rotate(direction[:, :2])
-    return np.column_stack([plan, direction[:, 2]])
-
-
-def _elevation(direction: np.ndarray) -> np.ndarray:
-    return np.asarray(np.arctan2(direction[:, 2], np.hypot(direction[:, 0], direction[:, 1])))
 
 
 def _rate(view: Snapshot, routes: Routes, still: bool = False) -> np.ndarray:

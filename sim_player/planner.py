@@ -21,37 +21,30 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from models.physics.waveform import WINDOW_TAPS
 from msgs.radar import RadarSetup
-from sim_player.echoes import Echoes, as_paths, join_echoes, weights
-from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS, bit, check_effects
-from sim_player.effects import PATHS
+from sim_player.as_paths import as_paths
+from sim_player.chain import Chain, signal_effects
+from sim_player.echoes import Echoes
+from sim_player.effect_names import ALL_EFFECTS, check_effects
+from sim_player.effects import EFFECTS, PATHS
 from sim_player.effects.curved_wall import as_chords
-from sim_player.effects.signal import absent_signal, receiver_change
 from sim_player.effects.tracing import Tracing
-from sim_player.envelope import Envelope, sure_floor, swept_pattern
 from sim_player.paths import Paths
 from sim_player.ray_tracing import trace_echoes
 from sim_player.scene import Scene
 from sim_player.signal_effects import SignalEffects
-from sim_player.signal_levels import RANGE_BINS, kernel_objections, kernel_profiles, noise_density_mw, noise_profiles
+from sim_player.signal_levels import kernel_objections, kernel_profiles, noise_profiles
 from sim_player.world import Snapshot, World, prepare, snapshot
 
 BUDGET_DB = -20.0
-#: Noise is taken off what surely stands in a cell at this many rms: it is less once in 10^7 cells.
-SIGMAS = 4.0
 #: Share of the budget that dropped paths may take, and each of the two dear effects of the sweep in part.
 DROPPED_SHARE, SWEPT_SHARE = 0.5, 0.2
 #: Rounds of the search for the strongest path that may be dropped.
 ROUNDS = 7
-#: What a path costs as a signal on one core of the reference machine (docs/effects.md), and what sweep and overlap add.
-TONE_S, SQUINT_S, OVERLAP_S = 6e-6, 30e-6, 60e-6
 #: Fewer paths than this cost less as profiles, with everything on, than the question what they need.
 WORTH_ASKING = 3000
 #: Bounds in JSON end here.
 MOST_DB = 200.0
-#: Effects whose use costs no time: only a thorough plan bounds them, a quick one uses them where the scene has them.
-FREE = frozenset(WEIGHT_EFFECTS + SIGNAL_EFFECTS) - {"squint", "chirp_overlap"}
 
 
 class EffectPlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -109,11 +102,6 @@ class Plan:
         return found or [(paths, self.signal)]
 
 
-def signal_effects(names: frozenset[str]) -> SignalEffects:
-    """The switches of the signal for a set of effects; range migration goes with motion."""
-    return SignalEffects(**{name: name in names for name in SIGNAL_EFFECTS}, range_migration="motion" in names)
-
-
 def plan_effects(
     scene: Scene,
     setup: RadarSetup | None = None,
@@ -142,7 +130,9 @@ def plan_world(
     """The same for a prepared scene; with fewer paths than `worth_asking` a quick plan takes them all."""
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
-    planner = _Planner(world, setup, 10.0 ** (budget_db / 20.0), time_s, thorough)
+    start = time.perf_counter()
+    planner = _Planner(Chain(world, setup, time_s), 10.0 ** (budget_db / 20.0), thorough)
+    planner.timing_s["trace"] = time.perf_counter() - start
     planner.run(0 if thorough else worth_asking)
     return planner.plan(budget_db)
 
@@ -155,7 +145,7 @@ def chosen(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFECTS, 
     wanted, view = check_effects(frozenset(names)), snapshot(world, time_s)
     start = time.perf_counter()
     echoes = trace_echoes(view, wanted)
-    effects = tuple(_by_hand(name, wanted, world, setup) for name in PATH_EFFECTS + WEIGHT_EFFECTS + SIGNAL_EFFECTS)
+    effects = tuple(_by_hand(name, wanted, world) for name in EFFECTS)
     used = frozenset(effect.name for effect in effects if effect.used)
     every = np.ones(len(echoes), bool)
     return Plan(
@@ -223,30 +213,46 @@ def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str 
 
 
 class _Planner:
-    """One decision: the state of the chain from all effects down to the planned ones."""
+    """Walks the chain down, books every step, and writes down why."""
 
-    def __init__(self, world: World, setup: RadarSetup, budget: float, time_s: float, thorough: bool) -> None:
-        self.world, self.setup, self.budget, self.thorough = world, setup, budget, thorough
-        self.front_end = world.scene.radar.front_end
-        self.view = snapshot(world, time_s)
-        self.used = set(ALL_EFFECTS)
+    def __init__(self, chain: Chain, budget: float, thorough: bool) -> None:
+        self.chain, self.budget, self.thorough = chain, budget, thorough
         self.found: dict[str, EffectPlan] = {}
+        self.traced = len(chain.echoes)
         self.timing_s: dict[str, float] = {}
 
     def run(self, worth_asking: int) -> None:
-        """All steps in turn."""
-        self._timed("trace", self._trace)
+        """All steps in turn; with fewer paths than `worth_asking` everything is used unasked."""
+        for name, effect in EFFECTS.items():
+            reason = effect.absent(self.chain.world)
+            if reason is not None:
+                self._row(name, False, None, 0, reason)
         if self.traced < worth_asking:
             self._take_all()
             return
+        self._timed("floor", lambda: self.chain.begin(exact=self.thorough))
         for name, step in (
-            ("floor", self._floor),
             ("paths", self._paths),
             ("prune", self._prune),
             ("sweep", self._sweep),
             ("free", self._free),
         ):
             self._timed(name, step)
+
+    def plan(self, budget_db: float) -> Plan:
+        """What was decided, in the order of the effects."""
+        chain = self.chain
+        return Plan(
+            budget_db=budget_db,
+            effects=tuple(self.found[name] for name in EFFECTS),
+            view=chain.view,
+            echoes=chain.echoes,
+            squints=chain.squints,
+            overlaps=chain.overlaps,
+            traced=self.traced,
+            spent_db=_decibel(float((chain.spent / chain.floor).max())),
+            timing_s=self.timing_s,
+        )
 
     def _timed(self, name: str, step: Callable[[], None]) -> None:
         start = time.perf_counter()
@@ -255,218 +261,81 @@ class _Planner:
 
     def _take_all(self) -> None:
         """Use everything that the scene has: to ask would cost more."""
-        for name in (name for name in ALL_EFFECTS if name not in self.found):
-            what = PATHS[name].ABOUT if name in PATHS else _WHAT[name]
-            self._found(name, True, None, 0.0, f"not asked, {self.traced} paths cost less than the question: {what}")
-        self.spent, self.floor = np.zeros(1), np.ones(1)
-        every = np.ones(self.traced, bool)
-        self.squints, self.overlaps = every & ("squint" in self.used), every & ("chirp_overlap" in self.used)
-
-    def plan(self, budget_db: float) -> Plan:
-        """What was decided, in the order of the effects."""
-        spent = float((self.spent / self.floor).max())
-        return Plan(
-            budget_db=budget_db,
-            effects=tuple(self.found[name] for name in PATH_EFFECTS + WEIGHT_EFFECTS + SIGNAL_EFFECTS),
-            view=self.view,
-            echoes=self.echoes,
-            squints=self.squints,
-            overlaps=self.overlaps,
-            traced=self.traced,
-            spent_db=_decibel(spent),
-            timing_s=self.timing_s,
-        )
-
-    # --- what there is
-
-    def _trace(self) -> None:
-        """Every path that any effect makes."""
-        tracing = Tracing(self.view, frozenset(self.used))
-        for name in PATH_EFFECTS:
-            reason = PATHS[name].absent(self.world)
-            if reason is None:
-                tracing.echoes[name] = PATHS[name].apply(tracing)
-            else:
-                self._skip(name, None, 0.0, reason)
-        if not tracing.echoes:
-            tracing.echoes["los_objects"] = PATHS["los_objects"].apply(tracing)
-        self.echoes = join_echoes(list(tracing.echoes.values()))
-        self.traced = len(self.echoes)
-        for name in SIGNAL_EFFECTS:
-            reason = absent_signal(name, self.world, self.setup)
-            if reason is not None:
-                self._skip(name, None, 0.0, reason)
-
-    def _floor(self) -> None:
-        """Denominator of the law from what is surely there, and an empty account of what was dropped.
-
-        A thorough plan adds up everything. All paths as in mid-sweep are cheaper: sweep and overlap may then take off
-        what they are bounded by.
-        """
-        flags, paths = self._flags(), self._as_paths()
-        self.envelope = Envelope(self.setup, RANGE_BINS, float(paths.length_m.max(initial=1.0)))
-        self._look_at(paths)
-        density = noise_density_mw(self.setup, np.arange(RANGE_BINS), flags, self.front_end)
-        self.noise_rms = np.sqrt(density * np.sum(np.square(WINDOW_TAPS["hann"])))
-        steady = flags if self.thorough else msgspec.structs.replace(flags, **_STEADY)
-        steady = msgspec.structs.replace(steady, motion=False)
-        profiles = kernel_profiles(self.setup, paths, steady, self.front_end, precision="float32")
-        every = np.full(len(paths), not self.thorough)
-        unknown = self._squint_bound(every) + self._overlap_bound(every)
-        self.floor = sure_floor(profiles, unknown, self.noise_rms, SIGMAS)
-        self.spent = np.zeros_like(self.floor)
-        self.squints = np.full(len(paths), "squint" in self.used)
-        self.overlaps = np.full(len(paths), "chirp_overlap" in self.used)
-
-    def _look_at(self, paths: Paths) -> None:
-        """Pattern, range step and strength of every echo under the effects still used."""
-        self.pattern = swept_pattern(self.setup, paths, self._flags(), self.front_end)
-        self.step = self.envelope.step(paths)
-        self.amplitude = np.abs(paths.amplitude)
-        self.magnitude = self.pattern.magnitudes() * self.amplitude.astype(np.float32)
-
-    # --- the steps of the chain
+        for name in (name for name in EFFECTS if name not in self.found):
+            reason = f"not asked, {self.traced} paths cost less than the question: {EFFECTS[name].ABOUT}"
+            self._row(name, True, None, self.traced, reason)
+        chain, every = self.chain, np.ones(self.traced, bool)
+        chain.spent, chain.floor = np.zeros(1), np.ones(1)
+        chain.squints, chain.overlaps = every & ("squint" in chain.used), every & ("chirp_overlap" in chain.used)
 
     def _paths(self) -> None:
         """Effects that make paths, the weakest first."""
-        names = [name for name in PATH_EFFECTS if name not in self.found]
-        peak = {name: self._strongest(name) for name in names}
+        names = [name for name in PATHS if name not in self.found]
+        peak = {name: self.chain.strongest(name) for name in names}
         for name in sorted(names, key=peak.__getitem__):
-            mine = self._made_by(name)
+            mine = self.chain.made_by(name)
             count = int(mine.sum())
-            reason = f"{count} path{'' if count == 1 else 's'}: {PATHS[name].ABOUT}"
+            what = f"{count} path{'' if count == 1 else 's'}: {PATHS[name].ABOUT}"
             if not self.thorough and peak[name] > self.budget:
-                self._found(name, True, None, count * TONE_S, f"one path alone is over the budget; {reason}")
-                continue
-            if self._decide(name, self._path_bound(name), count * TONE_S, reason):
-                continue
-            self._keep(~mine)
-            if name == "curved_wall":
-                self._put_chords()
-
-    def _strongest(self, name: str) -> float:
-        """The largest of an effect's paths in its own cell: no bound can be less."""
-        cell = np.minimum(self.step // 2, RANGE_BINS - 1)
-        mine = np.flatnonzero(self._made_by(name) & (self.step // 2 < RANGE_BINS))
-        own = np.abs(self.pattern.middle[:, mine]) * self.amplitude[mine] / self.floor[:, cell[mine]]
-        # half a bin off a Hann window's peak
-        return float(0.8 * own.max(initial=0.0))
-
-    def _path_bound(self, name: str) -> np.ndarray:
-        """Bound of the paths that would go with an effect, and of those that would come in their place."""
-        bound = self._bound(self.amplitude * self._made_by(name))
-        if name == "non_cofocal" and self.world.scene.radar.separation_m > 0.0:
-            return bound + self._bound(self.amplitude * self._separation())
-        if name != "curved_wall":
-            return bound
-        chords = self._as_paths(as_chords(Tracing(self.view, frozenset(self.used))))
-        pattern = swept_pattern(self.setup, chords, self._flags(), self.front_end)
-        instead = pattern.magnitudes() * np.abs(chords.amplitude)
-        return bound + self.envelope.of_terms(instead, self.envelope.step(chords))
-
-    def _separation(self) -> np.ndarray:
-        """How far arrays that stand apart turn and shift each echo, relative to its strength; [E]."""
-        together = self.echoes.out_m + self.echoes.back_m
-        moved_m = np.abs(self._as_paths().length_m - together)
-        turn = np.minimum(2.0 * np.pi * moved_m / self.world.radar.wavelength_m, 2.0)
-        # the range kernel's slope stays under two a bin
-        return np.asarray(turn + moved_m / self.world.radar.range_bin_m)
+                self._row(name, True, None, count, f"one path alone is over the budget; {what}")
+            elif not self._decide(name, count, what):
+                self.chain.keep(~mine)
+                if name == "curved_wall":
+                    self.chain.add(as_chords(Tracing(self.chain.view, frozenset(self.chain.used))))
 
     def _prune(self) -> None:
         """Drop the paths that are too weak to matter even together: effects used in part."""
-        strength = self.magnitude.sum(axis=0).max(axis=0)
-        weak, bound = self._weakest(strength, self._bound_of, self._room(DROPPED_SHARE))
-        self.spent = self.spent + bound
-        self._keep(~weak)
+        chain = self.chain
+        strength = chain.magnitude.sum(axis=0).max(axis=0)
+        chain.keep(~self._weakest(strength, lambda which: chain.bound(chain.amplitude * which), DROPPED_SHARE))
 
     def _sweep(self) -> None:
         """Squint and overlap for those paths alone that call for them."""
-        for name, mask, bound_of, cost_s in (
-            ("chirp_overlap", self.overlaps, self._overlap_bound, OVERLAP_S),
-            ("squint", self.squints, self._squint_bound, SQUINT_S),
-        ):
-            if name in self.found:
-                continue
-            everything = bound_of(np.ones(len(self.echoes), bool))
-            strength = self._sweep_strength(name)
-            weak, bound = self._weakest(strength, bound_of, self._room(SWEPT_SHARE))
-            self.spent = self.spent + bound
-            mask[weak] = False
-            left, count = int(mask.sum()), len(mask)
-            reason = f"{left} of {count} paths: {_WHAT[name]}"
-            ratio = float((everything / self.floor).max())
-            self._found(name, bool(left), _decibel(ratio), left * cost_s, reason)
+        chain = self.chain
+        if "chirp_overlap" not in self.found:
+            # the missing rise of the window grows with the cube of the delay
+            strength = chain.magnitude.sum(axis=0).max(axis=0) * (1.0 + chain.step) ** 3
+            self._in_part("chirp_overlap", chain.overlaps, strength, chain.overlap_change)
+        if "squint" not in self.found:
+            strength = (chain.pattern.squint() * chain.amplitude).sum(axis=0).max(axis=0)
+            self._in_part("squint", chain.squints, strength, chain.squint_change)
+
+    def _in_part(
+        self, name: str, mask: np.ndarray, strength: np.ndarray, change_of: Callable[[np.ndarray], np.ndarray]
+    ) -> None:
+        """Spare as many paths as the budget allows one effect of the sweep."""
+        bound_db = self._ratio_db(EFFECTS[name].change(self.chain))
+        mask[self._weakest(strength, change_of, SWEPT_SHARE)] = False
+        left = int(mask.sum())
+        self._row(name, bool(left), bound_db, left, f"{left} of {len(mask)} paths: {EFFECTS[name].ABOUT}")
 
     def _free(self) -> None:
         """Effects that cost nothing: used, or in a thorough plan bounded like the others."""
-        names = [name for name in WEIGHT_EFFECTS + SIGNAL_EFFECTS if name in FREE and name not in self.found]
+        names = [name for name in EFFECTS if name not in self.found]
         if not self.thorough:
             for name in names:
-                self._found(name, True, None, 0.0, f"costs nothing: {_WHAT[name]}")
+                self._row(name, True, None, 0, f"costs nothing: {EFFECTS[name].ABOUT}")
             return
-        bounds = {name: self._free_bound(name) for name in names}
-        for name in sorted(bounds, key=lambda name: float((bounds[name] / self.floor).max())):
-            bound = self._free_bound(name)
-            if not bound.any():
-                self._skip(name, None, 0.0, _NOTHING.get(name, "it changes nothing"))
-            elif not self._decide(name, bound, 0.0, _WHAT[name]):
-                self._look_at(self._as_paths())
+        size = {name: float((EFFECTS[name].change(self.chain) / self.chain.floor).max()) for name in names}
+        for name in sorted(names, key=size.__getitem__):
+            if not self._decide(name, 0, EFFECTS[name].ABOUT):
+                self.chain.look()
 
-    def _free_bound(self, name: str) -> np.ndarray:
-        """Bound of what one effect on weights, antenna or receiver changes, all others as they stand."""
-        if name == "motion":
-            return np.full_like(self.floor, np.inf)
-        if name in WEIGHT_EFFECTS:
-            left = frozenset(self.used)
-            return self._bound(np.abs(self._weights(left) - self._weights(left - {name})))
-        if name in ("element_pattern", "quantised_phases", "mutual_coupling"):
-            without = frozenset(self.used) - {name}
-            other = swept_pattern(self.setup, self._as_paths(), signal_effects(without), self.front_end)
-            return self.envelope.of_terms(self.pattern.change(other) * self.amplitude, self.step)
-        return receiver_change(name, self.setup, self.front_end, self.noise_rms, self._bound(self.amplitude))
+    def _decide(self, name: str, count: int, what: str) -> bool:
+        """Use an effect, or skip it and book its bound; whether it is used."""
+        chain = self.chain
+        bound = EFFECTS[name].change(chain)
+        fits = bool((chain.spent + bound <= self.budget * chain.floor).all())
+        if fits:
+            chain.spent = chain.spent + bound
+        self._row(name, not fits, self._ratio_db(bound), count, what)
+        return not fits
 
-    # --- bounds
-
-    def _bound_of(self, which: np.ndarray) -> np.ndarray:
-        """Bound of some echoes at their full strength."""
-        return self._bound(self.amplitude * which)
-
-    def _bound(self, amplitude: np.ndarray) -> np.ndarray:
-        """Bound of echoes of given strengths [E] in all cells."""
-        which = np.flatnonzero(amplitude)
-        scale = (amplitude[which] / np.maximum(self.amplitude[which], 1e-300)).astype(np.float32)
-        return self.envelope.of_terms(self.magnitude[:, :, which] * scale, self.step[which])
-
-    def _squint_bound(self, which: np.ndarray) -> np.ndarray:
-        """Bound of what squint changes for some paths."""
-        if "squint" not in self.used:
-            return np.zeros((len(self.setup.beams), RANGE_BINS))
-        change = self.pattern.take(which).squint() * self.amplitude[which]
-        return self.envelope.of_terms(change, self.step[which])
-
-    def _overlap_bound(self, which: np.ndarray) -> np.ndarray:
-        """Bound of what overlapping chirps change for some paths."""
-        if "chirp_overlap" not in self.used:
-            return np.zeros((len(self.setup.beams), RANGE_BINS))
-        return self.envelope.of_overlap(self.magnitude[:, :, which].sum(axis=0), self.step[which])
-
-    def _sweep_strength(self, name: str) -> np.ndarray:
-        """How much each path matters to an effect of the sweep, [E]."""
-        if name == "squint":
-            return (self.pattern.squint() * self.amplitude).sum(axis=0).max(axis=0)
-        # the missing rise of the window grows with the cube of the delay
-        return self.magnitude.sum(axis=0).max(axis=0) * (1.0 + self.step) ** 3
-
-    def _room(self, share: float) -> np.ndarray:
-        """What a step may still change in every cell."""
-        return np.minimum(share * self.budget * self.floor, self.budget * self.floor - self.spent)
-
-    def _weakest(
-        self, strength: np.ndarray, bound_of: Callable[[np.ndarray], np.ndarray], room: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """As many of the weakest as stay within some room, bool [E], and their bound."""
-        order = np.argsort(strength, kind="stable")
-        low, high, best = 0, len(order) + 1, np.zeros_like(self.spent)
+    def _weakest(self, strength: np.ndarray, bound_of: Callable[[np.ndarray], np.ndarray], share: float) -> np.ndarray:
+        """As many of the weakest as a share of the budget allows, bool [E]; booked."""
+        chain, order = self.chain, np.argsort(strength, kind="stable")
+        room = np.minimum(share * self.budget * chain.floor, self.budget * chain.floor - chain.spent)
+        low, high, best = 0, len(order) + 1, np.zeros_like(chain.spent)
         for _ in range(ROUNDS):
             middle = (low + high) // 2
             if middle == low:
@@ -476,69 +345,27 @@ class _Planner:
                 low, best = middle, bound
             else:
                 high = middle
-        return _first(order, low), best
+        chain.spent = chain.spent + best
+        return _first(order, low)
 
-    # --- the state
+    def _ratio_db(self, bound: np.ndarray) -> float | None:
+        return _decibel(float((bound / self.chain.floor).max()))
 
-    def _flags(self) -> SignalEffects:
-        return signal_effects(frozenset(self.used))
-
-    def _weights(self, names: frozenset[str]) -> np.ndarray:
-        return weights(self.echoes, self.world, names)
-
-    def _as_paths(self, echoes: Echoes | None = None) -> Paths:
-        return as_paths(self.view, self.echoes if echoes is None else echoes, frozenset(self.used))
-
-    def _made_by(self, name: str) -> np.ndarray:
-        return np.asarray((self.echoes.needs & np.uint32(bit(name))) != 0)
-
-    def _keep(self, which: np.ndarray) -> None:
-        """Forget all other echoes."""
-        if which.all():
-            return
-        self.echoes, self.step, self.amplitude = self.echoes.take(which), self.step[which], self.amplitude[which]
-        self.pattern, self.magnitude = self.pattern.take(which), self.magnitude[:, :, which]
-        self.squints, self.overlaps = self.squints[which], self.overlaps[which]
-
-    def _put_chords(self) -> None:
-        """Flat mirrors in place of curved ones."""
-        chords = as_chords(Tracing(self.view, frozenset(self.used)))
-        self.echoes = join_echoes([self.echoes, chords])
-        self._look_at(self._as_paths())
-        added = np.ones(len(chords), bool)
-        self.squints = np.concatenate([self.squints, added & ("squint" in self.used)])
-        self.overlaps = np.concatenate([self.overlaps, added & ("chirp_overlap" in self.used)])
-
-    def _decide(self, name: str, bound: np.ndarray, cost_s: float, what: str) -> bool:
-        """Use an effect, or skip it and book its bound; whether it is used."""
-        ratio = float((bound / self.floor).max())
-        fits = bool((self.spent + bound <= self.budget * self.floor).all())
-        if fits:
-            self.spent = self.spent + bound
-            self._skip(name, _decibel(ratio), cost_s, what)
-        else:
-            self._found(name, True, _decibel(ratio), cost_s, what)
-        return not fits
-
-    def _skip(self, name: str, bound_db: float | None, cost_s: float, reason: str) -> None:
-        self.used.discard(name)
-        self._found(name, False, bound_db, cost_s, reason)
-
-    def _found(self, name: str, used: bool, bound_db: float | None, cost_s: float, reason: str) -> None:
+    def _row(self, name: str, used: bool, bound_db: float | None, count: int, what: str) -> None:
+        """Write down one decision."""
         if not used:
-            self.used.discard(name)
+            self.chain.used.discard(name)
         if bound_db is not None:
             budget_db = 20.0 * math.log10(self.budget)
             side = "over" if bound_db > budget_db else "under" if not used else "within, but not beside others in,"
-            reason = f"bound {bound_db:.0f} dB {side} budget {budget_db:g} dB: {reason}"
-        self.found[name] = EffectPlan(name=name, used=used, bound_db=bound_db, cost_s=cost_s, reason=reason)
+            what = f"bound {bound_db:.0f} dB {side} budget {budget_db:g} dB: {what}"
+        cost_s = count * EFFECTS[name].COST_S
+        self.found[name] = EffectPlan(name=name, used=used, bound_db=bound_db, cost_s=cost_s, reason=what)
 
 
-def _by_hand(name: str, wanted: frozenset[str], world: World, setup: RadarSetup) -> EffectPlan:
+def _by_hand(name: str, wanted: frozenset[str], world: World) -> EffectPlan:
     """One row of a plan that somebody made by hand."""
-    absent = PATHS[name].absent(world) if name in PATH_EFFECTS else None
-    if name in SIGNAL_EFFECTS:
-        absent = absent_signal(name, world, setup)
+    absent = EFFECTS[name].absent(world)
     used = name in wanted and absent is None
     reason = "asked for" if used else absent or "not asked for"
     return EffectPlan(name=name, used=used, bound_db=None, cost_s=0.0, reason=reason)
@@ -554,37 +381,3 @@ def _first(order: np.ndarray, count: int) -> np.ndarray:
 def _decibel(ratio: float) -> float | None:
     """A field ratio in dB as JSON can say it: None for nothing, at most `MOST_DB`."""
     return min(20.0 * math.log10(ratio), MOST_DB) if ratio > 0.0 else None
-
-
-#: Switches of a signal without sweep, motion and what the electronics add.
-_STEADY = {
-    "squint": False,
-    "chirp_overlap": False,
-    "motion": False,
-    "iq_imbalance": False,
-    "leakage": False,
-    "spurs": False,
-}
-_NOTHING = {
-    "rough_wall_loss": "no path meets a rough wall",
-    "slab_resonance": "no path meets a wall whose back is seen",
-    "vegetation": "no path crosses foliage",
-}
-_WHAT = {
-    "rough_wall_loss": "mirrors weakened by roughness",
-    "slab_resonance": "walls reflect by their whole build, not by their front face alone",
-    "vegetation": "paths weakened by foliage",
-    "atmosphere": "gases and rain along the paths",
-    "motion": "Doppler, and the scene moves on from beam to beam",
-    "element_pattern": "gain falls off the element's axis",
-    "quantised_phases": "phase shifters round",
-    "mutual_coupling": "columns couple into each other",
-    "squint": "the beam turns with the frequency of the sweep",
-    "chirp_overlap": "a chirp begins before the last one's echoes are in",
-    "thermal_noise": "it is the floor",
-    "flicker": "1/f noise of the receiver at short range",
-    "leakage": "transmitter straight into the receiver",
-    "adc": "rounding of the converter",
-    "iq_imbalance": "gain and phase between I and Q",
-    "spurs": "tones of the electronics",
-}

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from sim_player.echoes import Echoes, as_paths, echo_amplitude, join_echoes
+from sim_player.as_paths import as_paths
+from sim_player.echoes import Echoes, echo_amplitude, join_echoes
 from sim_player.effects import PATH_EFFECTS, PATHS
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.tracing import Tracing

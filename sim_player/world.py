@@ -40,6 +40,7 @@ class World:
     """A scene made ready for tracing. W wall pieces, K centres, Q wall scatterers."""
 
     scene: Scene
+    setup: RadarSetup
     radar: RadarParams
     radar_height_m: float
     #: Wall pieces: ends [W, 2], heights, signed curvature, rms roughness, index of the scene's surface [W].
@@ -145,6 +146,7 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
     return World(
         scene=scene,
+        setup=setup,
         radar=setup.radar,
         radar_height_m=setup.radar_height_m,
         wall_a=wall_a,

@@ -5,19 +5,25 @@ Skipped, a curved piece of wall mirrors like its chord. Also the radar's own ima
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from models.physics.curved_mirror import bounces
 from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import free_passage
 from sim_player.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes
 from sim_player.world import Snapshot, World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "curved_wall"
 ABOUT = "objects and the radar seen in curved walls"
+COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -31,6 +37,11 @@ def apply(tracing: Tracing) -> Echoes:
     tracing.routes[NAME] = arc_routes(view, view.centre, tracing.owner)
     objects = object_echoes(view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
     return join_echoes([objects, _flashes(view)])
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths and of those that chords would put in their place."""
+    return np.asarray(chain.path_change(NAME) + chain.bound_of(as_chords(Tracing(chain.view, frozenset(chain.used)))))
 
 
 def as_chords(tracing: Tracing) -> Echoes:

@@ -5,16 +5,22 @@ RCS per area 4 |r|^2 (1 - rho) cos^2 over the height that the antenna lights; pa
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sim_player.echoes import Echoes, echo_amplitude, surface_echoes
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.tracing import Tracing
 from sim_player.routes import dot, straight_routes
 from sim_player.world import World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "diffuse_scattering"
 ABOUT = "diffuse return of rough walls in direct sight"
+COST_S = TONE_S
 #: Two-way elevation beamwidth of four rows: how much of a wall's height a patch stands for.
 LIT_ELEVATION_RAD = 0.3
 
@@ -42,6 +48,11 @@ def apply(tracing: Tracing) -> Echoes:
     weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[which]
     echoes = surface_echoes(view, routes, weight, point, wall, bit(NAME))
     return _with_reflection(echoes, np.abs(whole), np.abs(front))
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)
 
 
 def _with_reflection(echoes: Echoes, whole: np.ndarray, front: np.ndarray) -> Echoes:

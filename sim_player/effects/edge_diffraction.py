@@ -9,19 +9,24 @@ more than two walls meet, bends before or after a mirror, the faces' roughness, 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.physics.diffraction import edge_field, wedge_terms
 from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import Passage, free_passage, passing_factor
 from sim_player.routes import Routes, join_routes, make_routes, norm
 from sim_player.world import Snapshot, World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "edge_diffraction"
 ABOUT = "echoes bent around walls' ends and corners"
+COST_S = TONE_S
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
 LEAST_TURN_RAD = 0.05
 #: Points nearer than this to an edge's faces or to the edge itself are on the wall, not beside it.
@@ -70,6 +75,11 @@ def apply(tracing: Tracing) -> Echoes:
     both = join_routes([bent, clear])
     mixed = object_echoes(view, both, (first, second + len(bent)), bit(NAME))
     return join_echoes([object_echoes(view, bent, cofocal(bent), bit(NAME)), mixed])
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)
 
 
 def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:

@@ -6,20 +6,26 @@ change the plan of a way, only its heights. Of each chain of walls: ground on on
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from models.physics.fresnel import coherent_power, half_space_reflection
 from models.physics.materials import permittivity
 from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import Passage, free_passage
 from sim_player.routes import Routes, dot, join_routes, make_routes, norm, plane_bounces
 from sim_player.scene import Surface
 from sim_player.world import Snapshot, World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "ground_bounce"
 ABOUT = "echoes of objects by way of the ground"
+COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -42,6 +48,11 @@ def apply(tracing: Tracing) -> Echoes:
     both = join_routes([ground, clear])
     mixed = object_echoes(view, both, (first, second + len(ground)), bit(NAME))
     return join_echoes([object_echoes(view, ground, cofocal(ground), bit(NAME)), mixed])
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)
 
 
 def _straight(view: Snapshot, owner: np.ndarray) -> Routes:

@@ -7,18 +7,23 @@ scatterers every 1-3 m and at every end; their level is an engineering choice, n
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sim_player.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import passage
 from sim_player.routes import NEAREST_M, dot, make_routes, straight_routes
 from sim_player.world import Snapshot, World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "los_surfaces"
 ABOUT = "flashes and structure of walls in direct sight"
+COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -29,6 +34,11 @@ def absent(world: World) -> str | None:
 def apply(tracing: Tracing) -> Echoes:
     """Flashes of straight walls, then structure."""
     return join_echoes([_flashes(tracing.view), structure(tracing.view)])
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)
 
 
 def flash_weight(view: Snapshot, length_m: np.ndarray) -> np.ndarray:

@@ -6,15 +6,21 @@ come first. Where transmitter and receiver stand apart, their lengths to an imag
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sim_player.echoes import Echoes, object_echoes, same_target
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.tracing import Tracing
 from sim_player.world import World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "non_cofocal"
 ABOUT = "echoes that return by another way than they went"
+COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -32,3 +38,15 @@ def apply(tracing: Tracing) -> Echoes:
     out, back = same_target(routes.target, routes.target)
     mixed = np.flatnonzero(out < back)
     return object_echoes(tracing.view, routes, (out[mixed], back[mixed]), bit(NAME))
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths, and of how far arrays that stand apart turn and shift every echo."""
+    bound = chain.path_change(NAME)
+    if chain.world.scene.radar.separation_m == 0.0:
+        return bound
+    moved_m = np.abs(chain.as_paths().length_m - chain.echoes.out_m - chain.echoes.back_m)
+    turn = np.minimum(2.0 * np.pi * moved_m / chain.world.radar.wavelength_m, 2.0)
+    # the range kernel's slope stays under two a bin
+    shift = moved_m / chain.world.radar.range_bin_m
+    return np.asarray(bound + chain.bound(chain.amplitude * (turn + shift)))

@@ -7,19 +7,24 @@ sides send such light elsewhere. Either may come first, so the field counts twic
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from msgs.perception import PathClass
 from sim_player.echoes import Echoes, centre_rcs_m2
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import passage
 from sim_player.routes import NEAREST_M, Routes, dot, norm
 from sim_player.world import Snapshot, World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "object_interreflection"
 ABOUT = "echoes by way of two objects"
+COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -65,6 +70,11 @@ def apply(tracing: Tracing) -> Echoes:
         point=start,
     )
     return echoes.take(legs.free & (rcs_one > 0.0) & (rcs_two > 0.0))
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)
 
 
 def _pairs(routes: Routes, world: World) -> tuple[np.ndarray, np.ndarray]:

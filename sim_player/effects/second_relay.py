@@ -8,6 +8,7 @@ out. In a right-angled corner the way to the radar's own image meets the apex: e
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -15,15 +16,19 @@ from scipy.special import fresnel
 
 from models.physics.mirror import reflect
 from sim_player.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import free_passage
 from sim_player.routes import Routes, dot, join_routes, make_routes, mirror_routes, norm, unit
 from sim_player.world import Snapshot, World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "second_relay"
 ABOUT = "objects, the radar and walls seen by way of two walls"
+COST_S = TONE_S
 #: Ends of walls nearer than this are one corner.
 SAME_END_M = 1e-6
 #: Least share of the wave for which a loop by a corner's apex is followed.
@@ -42,6 +47,11 @@ def apply(tracing: Tracing) -> Echoes:
     tracing.routes[NAME] = two_wall_routes(view, view.centre, tracing.owner)
     objects = object_echoes(view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
     return join_echoes([objects, _loops(view), _mirrored_structure(view)])
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)
 
 
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:

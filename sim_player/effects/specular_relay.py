@@ -2,12 +2,21 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
+import numpy as np
+
 from sim_player.echoes import Echoes, cofocal, object_echoes
+from sim_player.effect_names import TONE_S
 from sim_player.effects.tracing import Tracing
 from sim_player.world import World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "specular_relay"
 ABOUT = "objects seen in one wall"
+COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -22,3 +31,8 @@ def apply(tracing: Tracing) -> Echoes:
     routes, legs = tracing.mirrored
     tracing.routes[NAME] = routes.take(legs.free)
     return object_echoes(tracing.view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes
-from sim_player.effect_names import bit
+from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.tracing import Tracing
 from sim_player.legs import Passage
 from sim_player.routes import Routes
 from sim_player.world import World
 
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
 NAME = "wall_transmission"
 ABOUT = "objects seen through walls"
+COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -35,6 +41,11 @@ def apply(tracing: Tracing) -> Echoes:
             object_echoes(view, mirrored, cofocal(mirrored), bit(NAME)),
         ]
     )
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Bound of its paths."""
+    return chain.path_change(NAME)
 
 
 def _behind(routes: Routes, legs: Passage) -> Routes:

@@ -43,7 +43,8 @@ def run_dir(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_many_processes_give_the_bytes_of_one(tmp_path: Path, run_dir: Path) -> None:
     capture, recording = tmp_path / "capture.mcap", tmp_path / "seen.mcap"
     scene = "launch/scenes/two_hidden_vehicles.yaml"
-    assert main(["sim", "run", scene, "--out", str(capture), "--scans", "3", "--chirps-per-beam", "8", "--effects", "basic"]) == 0
+    short = ["--scans", "3", "--chirps-per-beam", "8", "--effects", "basic"]
+    assert main(["sim", "run", scene, "--out", str(capture), *short]) == 0
     assert main(["process", str(capture), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 0
 
     launch = tmp_path / "spine.yaml"

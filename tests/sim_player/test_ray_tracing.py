@@ -15,8 +15,9 @@ from models.physics.materials import permittivity
 from models.physics.mirror import reflect, specular_points
 from msgs.perception import PathClass
 from msgs.radar import RadarParams, RadarSetup
-from sim_player.echoes import Echoes, weights
-from sim_player.effects import ALL_EFFECTS, PATH_EFFECTS, bit
+from sim_player.as_paths import weights
+from sim_player.echoes import Echoes
+from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, bit
 from sim_player.ray_tracing import Paths, echo_amplitude, prepare, snapshot, trace, trace_each
 from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from msgs.perception import PathClass
-from sim_player.echoes import as_paths
+from sim_player.as_paths import as_paths
 from sim_player.effects.non_cofocal import NAME
 from sim_player.scene import Ego, SceneRadar
 from tests.sim_player.effects.point_scenes import points_world, traced, unit_weight, wall

@@ -1,0 +1,26 @@
+"""Doppler within a beam, range migration, and a scene that moves on from beam to beam (`signal_effects`)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim_player.world import World
+
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
+NAME = "motion"
+ABOUT = "Doppler, and the scene moves on from beam to beam"
+COST_S = 0.0
+
+
+def absent(world: World) -> str | None:
+    """Only where something moves."""
+    return None if world.scene.moves else "nothing moves"
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Without a bound: a path that moves leaves its Doppler bin and its place."""
+    return np.full_like(chain.floor, np.inf)

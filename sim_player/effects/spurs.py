@@ -1,0 +1,29 @@
+"""Tones of the electronics, free of the chirps (`receiver.spur_beat`)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sim_player.receiver import spur_profile
+from sim_player.world import World
+
+if TYPE_CHECKING:
+    from sim_player.chain import Chain
+
+NAME = "spurs"
+ABOUT = "tones of the electronics"
+COST_S = 0.0
+
+
+def absent(world: World) -> str | None:
+    """Only where the front end states them."""
+    return None if world.scene.radar.front_end.spurs else "no spurs are stated"
+
+
+def change(chain: Chain) -> np.ndarray:
+    """Their own profiles; phases are drawn, magnitudes are not."""
+    bins, radar = range(chain.floor.shape[1]), chain.setup.radar
+    profiles = [np.abs(spur_profile(radar, spur, 0.0, bins)) for spur in chain.front_end.spurs]
+    return np.broadcast_to(np.sum(profiles, axis=0), chain.floor.shape)
