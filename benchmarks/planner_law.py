@@ -2,10 +2,11 @@
 
 Every scene is simulated with all effects and as planned under each budget, same noise, at the kernel level. A cell is a
 range bin of a steering angle; the same is looked at on the 512 x 256 map that the co-array inversion makes of them.
-`--alone N` drops each used effect alone in the first N scenes: bound minus actual change. Times are processor times of
-this process: `all` is tracing and signal of everything, `auto` planning and signal of what is left.
-Usage: python -m benchmarks.planner_law [--scenes 500] [--alone 60] [--seed 3] [--preset xband] [--out FILE.json]
-                                        [--pictures DIR]
+`--alone N` drops each used effect alone in the first N scenes: bound minus actual change. `--beats N` times the beats
+of a whole scan of the first N scenes too. Times are processor times of this process: `all` is tracing and signal of
+everything, `auto` planning and signal of what is left.
+Usage: python -m benchmarks.planner_law [--scenes 500] [--alone 60] [--beats 0] [--seed 3] [--preset xband]
+                                        [--out FILE.json] [--pictures DIR]
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from sim_player.effect_names import ALL_EFFECTS
 from sim_player.envelope import sure_floor
 from sim_player.places import random_place
 from sim_player.planner import Plan, chosen, clean_profiles, plan_world
-from sim_player.signal_levels import noise_density_mw, noise_profiles
+from sim_player.signal_levels import beam_beats, noise_density_mw, noise_profiles
 from sim_player.world import World, prepare
 
 BUDGETS_DB = (-10.0, -20.0, -30.0)
@@ -162,6 +163,19 @@ def _median(values: Any) -> float:
     return float(np.median(list(values)))
 
 
+def beat_row(seed: int, index: int, preset: str) -> tuple[float, float]:
+    """Processor time of the beats of all beams of one scene, tracing and planning included: (all, auto at -20 dB)."""
+    scene = random_place(seed, index, preset)
+    setup, world, front_end = scene.setup, prepare(scene, index), scene.radar.front_end
+    times = []
+    for plan_of in (lambda: chosen(world, setup), lambda: plan_world(world, setup, -20.0, worth_asking=0)):
+        start = time.process_time()
+        for paths, flags in plan_of().groups():
+            beam_beats(setup, paths, flags, front_end)
+        times.append(time.process_time() - start)
+    return times[0], times[1]
+
+
 def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, count: int = 10) -> None:
     """The scenes nearest to their budget of -20 dB: map of all, and where the planned one is off."""
     from matplotlib.figure import Figure
@@ -221,6 +235,7 @@ def main() -> None:
     parser.add_argument("--alone", type=int, default=60)
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--preset", choices=("xband", "77ghz"), default="xband")
+    parser.add_argument("--beats", type=int, default=0)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--pictures", type=Path)
     arguments = parser.parse_args()
@@ -233,6 +248,14 @@ def main() -> None:
     machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
     found |= {"machine": machine, "seed": arguments.seed, "preset": arguments.preset, "effects": sorted(ALL_EFFECTS)}
     report(found)
+    if arguments.beats:
+        times = [beat_row(arguments.seed, index, arguments.preset) for index in range(arguments.beats)]
+        ratios = [everything / auto for everything, auto in times]
+        found["beats_ratio_median"] = float(np.median(ratios))
+        print(
+            f"beat level, {len(ratios)} scenes: all/auto median {found['beats_ratio_median']:.2f}, "
+            f"all {np.median([t[0] for t in times]):.2f} s, auto {np.median([t[1] for t in times]):.2f} s"
+        )
     if arguments.out:
         arguments.out.write_text(json.dumps({"summary": found, "rows": rows}))
     if arguments.pictures:
