@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test lint bench clean
+.PHONY: help setup setup-dev demo test lint bench tables fdtd-figures clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -39,6 +39,13 @@ lint: setup-dev  ## style, types, house laws
 bench: setup-dev  ## the committed benchmarks, printed
 	$(BIN)/python -m benchmarks.ra_forming
 	$(BIN)/python -m benchmarks.live_graph --duration 60
+
+tables: setup  ## the shipped reflectance table, simulated again (minutes; goes on if stopped)
+	$(BIN)/mirrorwave sim reflectance --rebuild
+
+fdtd-figures: setup  ## the pictures of docs/fdtd.md
+	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png
+	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

@@ -168,7 +168,7 @@ def beat_row(seed: int, index: int, preset: str) -> tuple[float, float]:
     scene = random_place(seed, index, preset)
     setup, world, front_end = scene.setup, prepare(scene, index), scene.radar.front_end
     times = []
-    for plan_of in (lambda: chosen(world, setup), lambda: plan_world(world, setup, -20.0, worth_asking=0)):
+    for plan_of in (lambda: chosen(world, setup), lambda: plan_world(world, setup, -20.0)):
         start = time.process_time()
         for paths, flags in plan_of().groups():
             beam_beats(setup, paths, flags, front_end)

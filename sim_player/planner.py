@@ -125,15 +125,14 @@ def plan_world(
     budget_db: float = BUDGET_DB,
     time_s: float = 0.0,
     thorough: bool = False,
-    worth_asking: int = WORTH_ASKING,
 ) -> Plan:
-    """The same for a prepared scene; with fewer paths than `worth_asking` a quick plan takes them all."""
+    """The same for a prepared scene; a quick plan takes few paths unasked."""
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
     start = time.perf_counter()
     planner = _Planner(Chain(world, setup, time_s), 10.0 ** (budget_db / 20.0), thorough)
     planner.timing_s["trace"] = time.perf_counter() - start
-    planner.run(0 if thorough else worth_asking)
+    planner.run()
     return planner.plan(budget_db)
 
 
@@ -167,7 +166,6 @@ def choose(
     effects: str,
     budget_db: float = BUDGET_DB,
     time_s: float = 0.0,
-    worth_asking: int = WORTH_ASKING,
 ) -> Plan | None:
     """The plan that a word asks for: "auto", "all", names with commas between them; None for "basic".
 
@@ -176,7 +174,7 @@ def choose(
     if effects == "basic":
         return None
     if effects == "auto":
-        return plan_world(world, setup, budget_db, time_s, worth_asking=worth_asking)
+        return plan_world(world, setup, budget_db, time_s)
     if effects == "all":
         return chosen(world, setup, ALL_EFFECTS, time_s)
     names = frozenset(name.strip() for name in effects.split(",")) - {""}
@@ -221,13 +219,13 @@ class _Planner:
         self.traced = len(chain.echoes)
         self.timing_s: dict[str, float] = {}
 
-    def run(self, worth_asking: int) -> None:
-        """All steps in turn; with fewer paths than `worth_asking` everything is used unasked."""
+    def run(self) -> None:
+        """All steps in turn."""
         for name, effect in EFFECTS.items():
             reason = effect.absent(self.chain.world)
             if reason is not None:
                 self._row(name, False, None, 0, reason)
-        if self.traced < worth_asking:
+        if self.traced < WORTH_ASKING and not self.thorough:
             self._take_all()
             return
         self._timed("floor", lambda: self.chain.begin(exact=self.thorough))

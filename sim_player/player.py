@@ -71,9 +71,7 @@ class ScenePlayer:
         if scan not in self._plans:
             time_s = self._elapsed_s(self.stamp_ns(scan))
             # only the last one is kept: scans come in order
-            self._plans = {
-                scan: choose(self._world, self.setup, self._effects, self._budget_db, time_s, worth_asking=0)
-            }
+            self._plans = {scan: choose(self._world, self.setup, self._effects, self._budget_db, time_s)}
         return self._plans[scan]
 
     def paths(self, time_s: float, scan: int = 0) -> Paths:
