@@ -1,7 +1,7 @@
 """Upper bounds of what echoes can add up to in any cell: magnitudes summed, never phases.
 
 A cell is one of `range_bins` bins of one beam's Hann-windowed profile. An echo's factor along the sweep (squint) is
-c_0 + c_1 T_1 + c_2 T_2 over the chirp; each term has a range kernel of its own, taken as its largest within half a bin.
+c_0 + c_1 T_1 + ... + c_4 T_4 over the chirp; each term has a range kernel of its own, taken as its largest within half a bin.
 The start of a chirp that still belongs to the previous one is bounded by the window's small values there.
 """
 
@@ -27,7 +27,7 @@ from sim_player.signal_effects import SignalEffects, column_weights, isotropic, 
 STEPS, COARSE = 2, 16
 #: Points within a step at which a kernel is looked at, and what may hide between them.
 LOOKS, BETWEEN = 8, 1.02
-TERMS = 3
+TERMS = 5
 #: Rounding of the patterns, relative to the array's peak.
 ROUNDING = 1e-6
 #: Longest tones come in blocks of so many bins, so that scenes share their kernels.
@@ -36,7 +36,7 @@ BLOCK_BINS = 256
 
 @dataclass(frozen=True)
 class SweptPattern:
-    """Two-way pattern of P paths in B beams along the sweep: Chebyshev terms, complex64 [3, B, P]; mid-sweep [B, P]."""
+    """Two-way pattern of P paths in B beams along the sweep: Chebyshev terms, complex64 [5, B, P]; mid-sweep [B, P]."""
 
     terms: np.ndarray
     middle: np.ndarray
@@ -81,18 +81,21 @@ def swept_pattern(setup: RadarSetup, paths: Paths, effects: SignalEffects, front
     # an echo comes in at the frequency at which it was sent: the further, the lower
     radar = setup.radar
     centre = sweep_ratio(radar, 0.5 * radar.chirp_period_s - paths.length_m / SPEED_OF_LIGHT_MPS)
-    # three points hold a quadratic: the outer ones at +-sqrt(3)/2 of the half band
-    reach = 0.25 * np.sqrt(3.0) * radar.bandwidth_hz / radar.carrier_hz
-    low, own, high = at(centre - reach), at(centre), at(centre + reach)
-    terms = np.stack([(low + own + high) / 3.0, (high - low) / np.sqrt(3.0), (high + low - 2.0 * own) / 3.0])
-    return SweptPattern(terms.astype(np.complex64), middle, _remainder(array, paths))
+    half_band = 0.5 * radar.bandwidth_hz / radar.carrier_hz
+    points = np.cos(np.pi * (np.arange(TERMS) + 0.5) / TERMS)
+    values = np.stack([at(centre + half_band * point) for point in points])
+    # Chebyshev terms from the values at Chebyshev points: a discrete cosine transform
+    weights = np.polynomial.chebyshev.chebvander(points, TERMS - 1).T * (2.0 / TERMS)
+    weights[0] *= 0.5
+    terms = np.einsum("mk,kbp->mbp", weights.astype(np.float32), values)
+    return SweptPattern(terms, middle, _remainder(array, paths))
 
 
 def _remainder(setup: RadarSetup, paths: Paths) -> np.ndarray:
-    """What a quadratic in the sweep may miss of each path's pattern, in any beam; [P].
+    """What the terms along the sweep may miss of each path's pattern, in any beam; [P].
 
     Each column turns by at most `swing` along the sweep: the terms left out and those they alias to stay under
-    4 (J_3 + J_4 + ...) of the array's peak in that direction, J_3(x) + ... < x^3 / 40 for x < 1.5. Plus rounding.
+    4 (J_5 + J_6 + ...) of the array's peak in that direction, J_5(x) + ... < x^5 / 3200 for x < 1.5. Plus rounding.
     """
     array, wavelength_m = setup.array, setup.radar.wavelength_m
     ways = [(paths.azimuth_rad, paths.elevation_rad), (paths.departure_azimuth_rad, paths.departure_elevation_rad)]
@@ -101,7 +104,7 @@ def _remainder(setup: RadarSetup, paths: Paths) -> np.ndarray:
     up_m = 0.5 * (array.rows - 1) * array.row_spacing(wavelength_m)
     swing = sum(half * (across_m * np.abs(np.sin(a) * np.cos(e)) + up_m * np.abs(np.sin(e))) for a, e in ways)
     peak = array.columns * array.rows * np.prod([element_field(setup.element, a, e) for a, e in ways], axis=0)
-    return np.asarray(peak * (np.minimum(0.1 * swing**3, 2.0) + ROUNDING))
+    return np.asarray(peak * (np.minimum(swing**5 / 800.0, 2.0) + ROUNDING))
 
 
 class Envelope:
@@ -161,7 +164,7 @@ def _gather(magnitude, step, steps):  # type: ignore[no-untyped-def]
 
 @lru_cache(maxsize=8)
 def _kernels(radar: RadarParams, range_bins: int, tone_bins: int) -> np.ndarray:
-    """Transforms of the largest |range kernel| of Hann x T_m for tones within each half bin, complex [3, frequencies].
+    """Transforms of the largest |range kernel| of Hann x T_m for tones within each half bin, complex [5, frequencies].
 
     Laid out so that a circular convolution with tones on half bins gives bin i at 2 i.
     """
