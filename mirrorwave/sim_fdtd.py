@@ -213,7 +213,7 @@ def draw_comparison(table: ReflectanceTable, path: Path) -> None:
         seen.add(label)
     panel.set_title("rough walls: FDTD minus formula [dB]", fontsize=10)
     panel.set_xlabel("rms phase g = 4π s cos θ / λ [rad]")
-    panel.legend(frameon=False, fontsize=7.5)
+    panel.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.64, 1.0))
     _save(figure, path)
 
 

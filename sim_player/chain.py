@@ -16,14 +16,14 @@ from sim_player.echoes import Echoes, join_echoes
 from sim_player.effect_names import ALL_EFFECTS, SIGNAL_EFFECTS, bit
 from sim_player.effects import PATHS
 from sim_player.effects.tracing import Tracing
-from sim_player.envelope import Envelope, sure_floor, swept_pattern
+from sim_player.envelope import STEPS, Envelope, sure_floor, swept_pattern
 from sim_player.paths import Paths
 from sim_player.signal_effects import SignalEffects
 from sim_player.signal_levels import RANGE_BINS, kernel_profiles, noise_density_mw
 from sim_player.world import World, snapshot
 
-#: Noise is taken off what surely stands in a cell at this many rms: it is less once in 10^7 cells.
-SIGMAS = 4.0
+#: Noise is taken off what surely stands in a cell at this many rms: more than that stands against it in 2 of 10^4 cells.
+SIGMAS = 2.5
 #: Switches of a signal without sweep, motion and what the electronics add.
 STEADY = dict.fromkeys(("squint", "chirp_overlap", "motion", "iq_imbalance", "leakage", "spurs"), False)
 
@@ -125,11 +125,11 @@ class Chain:
 
     def strongest(self, name: str) -> float:
         """The largest ratio of one of an effect's paths in its own cell: no bound of the effect can be less."""
-        cell = self.step // 2
+        cell = self.step // STEPS
         mine = np.flatnonzero(self.made_by(name) & (cell < RANGE_BINS))
         own = np.abs(self.pattern.middle[:, mine]) * self.amplitude[mine] / self.floor[:, cell[mine]]
-        # half a bin off a Hann window's peak
-        return float(0.8 * own.max(initial=0.0))
+        # a bin off a Hann window's peak at most: half of it
+        return float(0.5 * own.max(initial=0.0))
 
     # --- state
 

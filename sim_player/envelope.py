@@ -1,7 +1,7 @@
 """Upper bounds of what echoes can add up to in any cell: magnitudes summed, never phases.
 
 A cell is one of `range_bins` bins of one beam's Hann-windowed profile. An echo's factor along the sweep (squint) is
-c_0 + c_1 T_1 + ... + c_4 T_4 over the chirp; each term has a range kernel of its own, taken as its largest within half a bin.
+c_0 + c_1 T_1 + ... + c_4 T_4 over the chirp; each term has a range kernel of its own, taken as its largest within a quarter of a bin.
 The start of a chirp that still belongs to the previous one is bounded by the window's small values there.
 """
 
@@ -24,9 +24,9 @@ from sim_player.paths import Paths
 from sim_player.signal_effects import SignalEffects, column_weights, isotropic, sampled, sweep_ratio
 
 #: Steps of a range bin in which echoes are gathered, and those of the slowly varying bound of the overlap.
-STEPS, COARSE = 2, 16
+STEPS, COARSE = 4, 16
 #: Points within a step at which a kernel is looked at, and what may hide between them.
-LOOKS, BETWEEN = 8, 1.02
+LOOKS, BETWEEN = 4, 1.02
 TERMS = 5
 #: Rounding of the patterns, relative to the array's peak.
 ROUNDING = 1e-6
@@ -116,7 +116,7 @@ class Envelope:
         self._bins = max(longest_bin, range_bins) + COARSE
 
     def step(self, paths: Paths) -> np.ndarray:
-        """The half range bin of every path, int64 [P]."""
+        """The quarter of a range bin of every path, int64 [P]."""
         tone = beat_frequency_hz(self.radar, paths.length_m) * self.radar.chirp_period_s
         return np.minimum((STEPS * tone).astype(np.int64), STEPS * self._bins - 1)
 
@@ -164,9 +164,9 @@ def _gather(magnitude, step, steps):  # type: ignore[no-untyped-def]
 
 @lru_cache(maxsize=8)
 def _kernels(radar: RadarParams, range_bins: int, tone_bins: int) -> np.ndarray:
-    """Transforms of the largest |range kernel| of Hann x T_m for tones within each half bin, complex [5, frequencies].
+    """Transforms of the largest |range kernel| of Hann x T_m for tones within each quarter of a bin, complex [5, frequencies].
 
-    Laid out so that a circular convolution with tones on half bins gives bin i at 2 i.
+    Laid out so that a circular convolution with tones on quarter bins gives bin i at 4 i.
     """
     count = radar.samples_per_chirp
     fine = STEPS * LOOKS
@@ -179,7 +179,7 @@ def _kernels(radar: RadarParams, range_bins: int, tone_bins: int) -> np.ndarray:
     start = LOOKS * (lag - 1)
     looks = [spectrum[:, (start + look) % (fine * count)] for look in range(LOOKS + 1)]
     most = BETWEEN * np.maximum.reduce(looks)
-    size = fft.next_fast_len(2 * (STEPS * (tone_bins + range_bins) // 2 + 1), real=True)
+    size = 2 * fft.next_fast_len(STEPS * (tone_bins + range_bins) // 2 + 1, real=True)
     laid = np.zeros((TERMS, size))
     laid[:, lag % size] = most
     return np.asarray(fft.rfft(laid, axis=1))

@@ -58,7 +58,8 @@ def test_the_shipped_table_says_where_it_comes_from(table: ReflectanceTable) -> 
     assert table.card["rough"]["seeds"] == [0, 1, 2]
     assert sum(table.card["status"].values()) == table.status.size
     notes = {row["name"]: [band["note"] for band in row["bands"]] for row in table.card["walls"]}
-    assert notes["brick"] == ["", "extrapolated beyond 1..40 and 110..330 GHz"]
+    assert notes["brick"][0] == ""
+    assert notes["brick"][1].startswith("extrapolated beyond 1..40 and 110..330 GHz")
     assert notes["concrete"] == ["opaque: simulated as a half-space"] * 2
 
 
@@ -97,12 +98,12 @@ def test_a_rough_front_on_a_thin_board_leaves_the_formula(table: ReflectanceTabl
 
 
 def test_what_is_scattered_is_not_lost(table: ReflectanceTable) -> None:
-    """Rough metal reflects all of it, and the diffuse share is what the mirror lacks (Kirchhoff's within 0.05)."""
+    """Rough metal reflects all of it at every angle, and the diffuse share is what the mirror lacks (0.08 of 1)."""
     reflected, diffuse = table.reflected_power("metal", 10e9)
-    np.testing.assert_allclose(reflected, 1.0, atol=0.02)
+    np.testing.assert_allclose(reflected, 1.0, atol=0.01)
     cosine = np.cos(np.radians(table.rough_angle_deg))
     left = coherent_power(table.roughness_m[0][:, None], cosine, SPEED_OF_LIGHT_MPS / 10e9)
-    np.testing.assert_allclose(diffuse, 1.0 - left, atol=0.06)
+    np.testing.assert_allclose(diffuse, 1.0 - left, atol=0.08)
 
 
 def test_interpolation_is_exact_where_kirchhoffs_factor_holds(table: ReflectanceTable) -> None:
