@@ -22,7 +22,7 @@ from sim_player.signal_effects import SignalEffects
 from sim_player.signal_levels import RANGE_BINS, kernel_profiles, noise_density_mw
 from sim_player.world import World, snapshot
 
-#: Noise is taken off what surely stands in a cell at this many rms: more than that stands against it in 2 of 10^4 cells.
+#: Noise is taken off what surely stands in a cell at this many rms; it stands against it by more in 2 of 10^4 cells.
 SIGMAS = 2.5
 #: Switches of a signal without sweep, motion and what the electronics add.
 STEADY = dict.fromkeys(("squint", "chirp_overlap", "motion", "iq_imbalance", "leakage", "spurs"), False)

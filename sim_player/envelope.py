@@ -1,7 +1,8 @@
 """Upper bounds of what echoes can add up to in any cell: magnitudes summed, never phases.
 
 A cell is one of `range_bins` bins of one beam's Hann-windowed profile. An echo's factor along the sweep (squint) is
-c_0 + c_1 T_1 + ... + c_4 T_4 over the chirp; each term has a range kernel of its own, taken as its largest within a quarter of a bin.
+c_0 + c_1 T_1 + ... + c_4 T_4 over the chirp; each term has a range kernel of its own, taken as its largest within a
+quarter of a bin.
 The start of a chirp that still belongs to the previous one is bounded by the window's small values there.
 """
 
@@ -164,7 +165,7 @@ def _gather(magnitude, step, steps):  # type: ignore[no-untyped-def]
 
 @lru_cache(maxsize=8)
 def _kernels(radar: RadarParams, range_bins: int, tone_bins: int) -> np.ndarray:
-    """Transforms of the largest |range kernel| of Hann x T_m for tones within each quarter of a bin, complex [5, frequencies].
+    """Transforms of the largest |range kernel| of Hann x T_m within each quarter of a bin, complex [5, frequencies].
 
     Laid out so that a circular convolution with tones on quarter bins gives bin i at 4 i.
     """

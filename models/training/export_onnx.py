@@ -140,12 +140,19 @@ def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
     )
 
 
+#: What a series says of itself and the command takes.
+_RECIPE = ("places", "preset", "effects", "budget_db")
+
+
 def _command(data_dir: Path) -> str:
     """The command that makes a data set again, from what its folder says."""
     try:
-        seed = msgspec.json.decode((data_dir / "series.json").read_bytes())["seed"]
+        series = msgspec.json.decode((data_dir / "series.json").read_bytes())
         shards = (data_dir / "manifest.jsonl").read_bytes().splitlines()
         count = sum(msgspec.json.decode(line)["scenes"] for line in shards)
     except (OSError, KeyError, msgspec.DecodeError) as error:
         raise ValueError(f"{data_dir} must hold a whole data set: {error}") from None
-    return f"mirrorwave sim dataset --out {data_dir} --count {count} --seed {seed}"
+    command = f"mirrorwave sim dataset --out {data_dir} --count {count} --seed {series['seed']}"
+    # folders from before series named their recipe hold the first generator's streets
+    recipe = {"places": "street_v1"} | {key: series[key] for key in _RECIPE if key in series}
+    return command + "".join(f" --{key.replace('_', '-')} {value}" for key, value in recipe.items())

@@ -49,7 +49,7 @@ def test_no_signal_exceeds_its_bound(index: int) -> None:
 
 
 def test_one_path_is_bounded_tightly_where_it_stands() -> None:
-    """The bound at a path's own cell is off by what a Hann window falls within a quarter of a bin, 1 dB at its steepest."""
+    """At a path's own cell the bound is off by what a Hann window falls within a quarter of a bin: 1 dB at most."""
     paths = place_paths(0).take(np.array([0]))
     envelope = Envelope(SETUP, 512, 50.0)
     pattern = swept_pattern(SETUP, paths, IDEAL, NO_FAULTS)

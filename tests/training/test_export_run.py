@@ -89,8 +89,10 @@ def test_export_writes_a_model_that_its_card_describes(train_dir: Path, tmp_path
     card = export_run(tmp_path / "run", test_dir, model, train_dir)
     assert load_card(model) == card
     assert DensePredictor(model).card.grid == GRID
-    assert card.data["training"] == f"mirrorwave sim dataset --out {train_dir} --count 8 --seed 1"
-    assert card.data["test"] == f"mirrorwave sim dataset --out {test_dir} --count 8 --seed 2"
+    # a folder that names no recipe holds the first generator's streets
+    recipe = "--places street_v1"
+    assert card.data["training"] == f"mirrorwave sim dataset --out {train_dir} --count 8 --seed 1 {recipe}"
+    assert card.data["test"] == f"mirrorwave sim dataset --out {test_dir} --count 8 --seed 2 {recipe}"
     assert card.threshold in [line.threshold for line in card.scores]
     assert card.training["config"]["training"]["network"]["widths"] == [8, 16]
 
