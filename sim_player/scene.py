@@ -376,14 +376,14 @@ def _check_form(field: str, thing: SceneObject, carrier_hz: float) -> None:
 
 def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
     """Index of the first surface that runs through an object's box, None where it stands clear."""
+    pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
+    if not pieces:
+        return None
+    owner, a, b = (np.array(column) for column in zip(*pieces, strict=True))
     corners = thing.corners_m()
-    for index, surface in enumerate(surfaces):
-        for a, b in _segments(surface):
-            ends = np.array([a, b])
-            cut = crosses(ends[0], ends[1:], corners, np.roll(corners, -1, axis=0)).any()
-            if cut or thing.contains(ends).any():
-                return index
-    return None
+    cut = crosses(a, b, corners, np.roll(corners, -1, axis=0)).any(axis=1)
+    inside = cut | thing.contains(a) | thing.contains(b)
+    return int(owner[inside][0]) if inside.any() else None
 
 
 def _segments(surface: Surface) -> list[tuple[Point, Point]]:

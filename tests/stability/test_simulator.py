@@ -1,0 +1,111 @@
+"""Hard places for the ray tracer and the planner: degenerate layouts, extremes of size and loss, all effects on.
+
+Warnings are errors here, so an overflow or a 0/0 anywhere fails the case.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from sim_player.effect_names import ALL_EFFECTS
+from sim_player.paths import Paths
+from sim_player.planner import plan_effects, planned_profiles
+from sim_player.ray_tracing import prepare, trace
+from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+
+GROUND = Surface(role="ground", material="asphalt")
+CAR = SceneObject(class_="car", x_m=12.0, y_m=3.0)
+
+
+def wall(*ends: tuple[float, float], **more: object) -> Surface:
+    settings = {"material": "concrete", "height_m": 6.0, "thickness_mm": 250.0, "roughness_mm": 0.5, **more}
+    return Surface(role="relay", polyline_m=ends, **settings)  # type: ignore[arg-type]
+
+
+def scene(*parts: Surface | SceneObject, **more: object) -> Scene:
+    return Scene(
+        name="hard",
+        surfaces=tuple(part for part in parts if isinstance(part, Surface)),
+        objects=tuple(part for part in parts if isinstance(part, SceneObject)),
+        **more,  # type: ignore[arg-type]
+    )
+
+
+def all_paths(asked: Scene, time_s: float = 0.0) -> Paths:
+    return trace(prepare(asked), time_s, ALL_EFFECTS)
+
+
+def all_finite(paths: Paths) -> bool:
+    fields = (paths.length_m, paths.amplitude, paths.azimuth_rad, paths.elevation_rad, paths.virtual_m)
+    return all(np.isfinite(values).all() for values in fields) and bool((paths.length_m > 0.0).all())
+
+
+CASES = {
+    "radar in the plane of a wall": scene(wall((5.0, 0.0), (25.0, 0.0)), CAR, GROUND),
+    "object in the plane of a wall": scene(
+        wall((20.0, 8.0), (20.0, 20.0)), SceneObject(class_="car", x_m=20.0, y_m=0.0)
+    ),
+    "the same wall twice": scene(wall((20.0, -9.0), (20.0, 9.0)), wall((20.0, -9.0), (20.0, 9.0)), CAR, GROUND),
+    "walls back to back": scene(wall((20.0, -9.0), (20.0, 9.0)), wall((20.000001, 9.0), (20.000001, -9.0)), CAR),
+    "a corner of no angle": scene(wall((8.0, 9.0), (20.0, 9.0), (8.0, 9.0 + 1e-7)), CAR),
+    "object behind the radar": scene(wall((20.0, -9.0), (20.0, 9.0)), SceneObject(class_="car", x_m=-12.0, y_m=0.0)),
+    "object as high as the wall's top": scene(wall((20.0, -9.0), (20.0, 9.0), height_m=1.0), CAR, GROUND),
+    "nine kilometres away": scene(
+        wall((9000.0, -900.0), (9000.0, 900.0)), SceneObject(class_="bus", x_m=8000.0, y_m=3.0)
+    ),
+    "a hand's breadth away": scene(
+        wall((0.4, -0.3), (0.4, 0.3)), SceneObject(class_="pedestrian", x_m=0.8, y_m=0.0), GROUND
+    ),
+    "rough beyond any mirror": scene(
+        wall((20.0, -9.0), (20.0, 9.0), roughness_mm=50.0), CAR, radar=SceneRadar(preset="77ghz")
+    ),
+    "a bend of next to nothing": scene(wall((20.0, -9.0), (20.0, 9.0), curvature_per_m=1e-12), CAR),
+    "a bend of nearly a half circle": scene(wall((20.0, -9.0), (20.0, 9.0), curvature_per_m=0.1108), CAR),
+    "a storm": scene(wall((90.0, -9.0), (90.0, 9.0)), CAR, weather=Weather(rain_mm_per_h=200.0, temperature_c=-60.0)),
+    "turning on the spot": scene(wall((20.0, -9.0), (20.0, 9.0)), CAR, GROUND, ego=Ego(yaw_rate_dps=720.0)),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_all_effects_stay_finite(name: str) -> None:
+    assert all_finite(all_paths(CASES[name], 0.07))
+
+
+@pytest.mark.parametrize("name", [name for name in CASES if not CASES[name].moves])
+def test_every_case_can_be_planned_and_simulated(name: str) -> None:
+    """The planner's own divisions: bounds of nothing, floors of nothing but noise. nine kilometres lie off the map."""
+    asked = CASES[name]
+    if name in ("nine kilometres away", "a storm"):
+        # overlap by whole chirps, or a mirror past 109 m: said, not guessed
+        asked = msgspec.structs.replace(asked, surfaces=())
+    if name == "nine kilometres away":
+        with pytest.raises(ValueError, match="under one chirp"):
+            plan_effects(asked)
+        return
+    plan = plan_effects(asked)
+    assert np.isfinite(planned_profiles(plan, asked.setup)).all()
+    assert plan.spent_db is None or plan.spent_db <= -20.0
+
+
+def test_a_wall_seen_twice_is_no_mirror_of_itself() -> None:
+    """Two equal walls: each shows the car once; none shows it by way of the other, which lies in its own plane."""
+    paths = all_paths(CASES["the same wall twice"])
+    assert not ((paths.order == 2) & (paths.thing >= 0)).any()
+
+
+def test_next_to_no_bend_is_no_bend() -> None:
+    """curvature 1e-12 per metre: sagitta 4e-11 m; arcs from a centre 1e12 m away lose 1e-4 m; here two sagittas are all."""
+    straight = all_paths(scene(wall((20.0, -9.0), (20.0, 9.0)), CAR))
+    bent = all_paths(CASES["a bend of next to nothing"])
+    np.testing.assert_allclose(bent.length_m, straight.length_m, rtol=0.0, atol=1e-10)
+    np.testing.assert_allclose(bent.amplitude, straight.amplitude, rtol=1e-9)
+
+
+def test_a_mirror_too_rough_gives_nothing_rather_than_a_warning() -> None:
+    """77 GHz, 50 mm: exponent of the Kirchhoff factor -2.6e4, which underflows to 0: mirrored echoes weigh nothing."""
+    paths = all_paths(CASES["rough beyond any mirror"])
+    mirrored = (paths.order == 1) & (paths.thing >= 0)
+    assert mirrored.any()
+    assert (paths.amplitude[mirrored & (paths.departure_azimuth_rad == paths.azimuth_rad)] == 0.0).any()
