@@ -11,6 +11,7 @@ import typer
 from mirrorwave.console import print_line, require_new_file
 from mirrorwave.sim_dataset import dataset, statistics
 from mirrorwave.sim_effects import Budget, Effects, effects, paths
+from mirrorwave.sim_fdtd import reflectance, wall
 from mirrorwave.sim_material import material
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from msgs.radar import RadarSetup
 
 app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
-for verb in (effects, paths, material, dataset, statistics):
+for verb in (effects, paths, material, reflectance, wall, dataset, statistics):
     app.command()(verb)
 
 

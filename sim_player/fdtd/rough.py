@@ -179,7 +179,8 @@ class _Strip:
         # [2, orders]: reflected, transmitted amplitudes at the probe rows per incident one
         waves = np.fft.fft(spectra * phase, axis=1) / (cells * incident)
         waves[0, 0] -= 1.0
-        order = np.fft.fftfreq(cells, 1.0 / cells)
+        # bin m of the transform goes as exp(+2 pi j m x / W): order -m
+        order = -np.fft.fftfreq(cells, 1.0 / cells)
         symbol = 2.0 / self.cell_m * np.sin(0.5 * self.cell_m * (self.along_per_m + 2.0 * np.pi * order / self.width_m))
         leaves = np.abs(symbol) < self.air_per_m * (1.0 - 1e-9)
         normal = np.sqrt(np.where(leaves, self.air_per_m**2 - symbol**2, 0.0))
