@@ -96,7 +96,7 @@ def test_a_wall_seen_twice_is_no_mirror_of_itself() -> None:
 
 
 def test_next_to_no_bend_is_no_bend() -> None:
-    """curvature 1e-12 per metre: sagitta 4e-11 m; arcs from a centre 1e12 m away lose 1e-4 m; here two sagittas are all."""
+    """1e-12 per metre: sagitta 4e-11 m. Arcs from a centre 1e12 m away lose 1e-4 m; here two sagittas are all."""
     straight = all_paths(scene(wall((20.0, -9.0), (20.0, 9.0)), CAR))
     bent = all_paths(CASES["a bend of next to nothing"])
     np.testing.assert_allclose(bent.length_m, straight.length_m, rtol=0.0, atol=1e-10)
