@@ -43,11 +43,6 @@ class Paths:
         """The paths of an index or mask."""
         return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
-    def scaled(self, factor: np.ndarray) -> Paths:
-        """The same paths with their weights multiplied."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return Paths(**{**values, "amplitude": self.amplitude * factor})
-
 
 def join(parts: list[Paths]) -> Paths:
     """All paths of one or more sets, in order."""

@@ -5,6 +5,7 @@ Skipped, a curved piece of wall mirrors like its chord. Also the radar's own ima
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -105,15 +106,20 @@ def _flashes(view: Snapshot) -> Echoes:
     routes = arc_routes(view, view.antenna[None], np.array([-1], np.int32))
     point = view.antenna + routes.depart * 0.5 * routes.length_m[:, None]
     echoes = surface_echoes(view, routes, flash_weight(view, routes.length_m), point, routes.wall, bit("los_surfaces"))
-    values = {name: getattr(echoes, name) for name in Echoes.__dataclass_fields__}
-    half = 0.5 * routes.length_m
-    once = {name: getattr(routes, name) for name in ("whole", "front", "rough", "foliage")}
-    weight = flash_weight(view, routes.length_m) * routes.other
-    towards = -routes.arrive
-    rate = -0.5 * dot(routes.depart[:, :2] + towards[:, :2], view.radar_velocity)
-    kind = np.zeros(len(routes), np.uint8)
-    changed = {"weight": weight, "out_m": half, "back_m": half, "arrive": towards, "rate_mps": rate, "kind": kind}
-    return Echoes(**{**values, **once, **changed})
+    half, towards = 0.5 * routes.length_m, -routes.arrive
+    return replace(
+        echoes,
+        weight=flash_weight(view, routes.length_m) * routes.other,
+        whole=routes.whole,
+        front=routes.front,
+        rough=routes.rough,
+        foliage=routes.foliage,
+        out_m=half,
+        back_m=half,
+        arrive=towards,
+        rate_mps=-0.5 * dot(routes.depart[:, :2] + towards[:, :2], view.radar_velocity),
+        kind=np.zeros(len(routes), np.uint8),
+    )
 
 
 def _direction(ray: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ RCS per area 4 |r|^2 (1 - rho) cos^2 over the height that the antenna lights; pa
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -57,5 +58,4 @@ def change(chain: Chain) -> np.ndarray:
 
 def _with_reflection(echoes: Echoes, whole: np.ndarray, front: np.ndarray) -> Echoes:
     """The share that the wall reflects at all belongs to the patch, not to its route."""
-    values = {name: getattr(echoes, name) for name in Echoes.__dataclass_fields__}
-    return Echoes(**{**values, "whole": echoes.whole * whole, "front": echoes.front * front})
+    return replace(echoes, whole=echoes.whole * whole, front=echoes.front * front)

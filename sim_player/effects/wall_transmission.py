@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -50,6 +51,5 @@ def change(chain: Chain) -> np.ndarray:
 
 def _behind(routes: Routes, legs: Passage) -> Routes:
     """The routes that walls stand in, weakened by them."""
-    values = {name: getattr(routes, name) for name in Routes.__dataclass_fields__}
-    weakened = Routes(**{**values, "other": routes.other * legs.through})
+    weakened = replace(routes, other=routes.other * legs.through)
     return weakened.take(~legs.free & (legs.through != 0.0))
