@@ -12,11 +12,12 @@ import numpy as np
 from models.physics.waveform import WINDOW_TAPS
 from msgs.radar import RadarSetup
 from sim_player.as_paths import as_paths, weights
+from sim_player.cells import cells_of
 from sim_player.echoes import Echoes, join_echoes
 from sim_player.effect_names import ALL_EFFECTS, SIGNAL_EFFECTS, bit
 from sim_player.effects import PATHS
 from sim_player.effects.tracing import Tracing
-from sim_player.envelope import STEPS, Envelope, sure_floor, swept_pattern
+from sim_player.envelope import STEPS, Envelope, swept_pattern
 from sim_player.paths import Paths
 from sim_player.signal_effects import SignalEffects
 from sim_player.signal_levels import RANGE_BINS, kernel_profiles, noise_density_mw
@@ -41,7 +42,13 @@ class Chain:
         self.front_end = world.scene.radar.front_end
         self.view = snapshot(world, time_s)
         self.used = set(ALL_EFFECTS)
+        self.shape = (len(setup.beams), RANGE_BINS)
+        #: Bound of everything that was dropped, [beams, bins].
+        self.spent = np.zeros(self.shape)
         self.echoes = self._trace()
+        every = np.ones(len(self.echoes), bool)
+        #: Which echoes squint and overlap.
+        self.squints, self.overlaps = every.copy(), every.copy()
 
     def _trace(self) -> Echoes:
         """Every path that any effect makes."""
@@ -68,10 +75,17 @@ class Chain:
         profiles = kernel_profiles(self.setup, paths, shown, self.front_end, precision="float32")
         unknown = np.full(len(paths), not exact)
         left = self.squint_change(unknown) + self.overlap_change(unknown)
-        self.floor = sure_floor(profiles, left, self.noise_rms, SIGMAS)
-        self.spent = np.zeros_like(self.floor)
-        self.squints = np.full(len(paths), "squint" in self.used)
-        self.overlaps = np.full(len(paths), "chirp_overlap" in self.used)
+        self._cells = cells_of(self.setup)
+        self._floor = self._cells.floor(profiles, self.noise_rms, left, SIGMAS)
+
+    def ratio(self, bound: np.ndarray) -> float:
+        """A bound [beams, bins] over the denominator, the largest over all cells."""
+        return float((self._cells.bounds(bound) / self._floor).max())
+
+    def fits(self, bound: np.ndarray, budget: float, share: float = 1.0) -> bool:
+        """Whether a bound stays under a share of the budget, and with all that was dropped under the budget."""
+        alone, together = self._cells.bounds(bound), self._cells.bounds(self.spent + bound)
+        return bool((alone <= share * budget * self._floor).all() and (together <= budget * self._floor).all())
 
     def look(self) -> None:
         """Pattern, range step and strength of every echo under the effects still used."""
@@ -114,20 +128,20 @@ class Chain:
     def squint_change(self, which: np.ndarray) -> np.ndarray:
         """Bound of what squint changes for some paths, bool [E]."""
         if "squint" not in self.used:
-            return np.zeros((len(self.setup.beams), RANGE_BINS))
+            return np.zeros(self.shape)
         return self.envelope.of_terms(self.pattern.take(which).squint() * self.amplitude[which], self.step[which])
 
     def overlap_change(self, which: np.ndarray) -> np.ndarray:
         """Bound of what overlapping chirps change for some paths, bool [E]."""
         if "chirp_overlap" not in self.used:
-            return np.zeros((len(self.setup.beams), RANGE_BINS))
+            return np.zeros(self.shape)
         return self.envelope.of_overlap(self.magnitude[:, :, which].sum(axis=0), self.step[which])
 
     def strongest(self, name: str) -> float:
         """The largest ratio of one of an effect's paths in its own cell: no bound of the effect can be less."""
         cell = self.step // STEPS
         mine = np.flatnonzero(self.made_by(name) & (cell < RANGE_BINS))
-        own = np.abs(self.pattern.middle[:, mine]) * self.amplitude[mine] / self.floor[:, cell[mine]]
+        own = np.abs(self.pattern.middle[:, mine]) * self.amplitude[mine] / self._floor[: self.shape[0], cell[mine]]
         # a bin off a Hann window's peak at most: half of it
         return float(0.5 * own.max(initial=0.0))
 

@@ -140,19 +140,6 @@ class Envelope:
         return np.asarray(gathered @ _overlap_kernel(self.radar, self.range_bins, self._bins))
 
 
-def sure_floor(profiles: np.ndarray, unknown: np.ndarray | float, noise_rms: np.ndarray, sigmas: float) -> np.ndarray:
-    """Lower bound of the law's denominator in every cell: noise rms, or what surely stands nearby.
-
-    The strongest of |profiles| - `unknown` - `sigmas` noise rms within one range bin and one beam (half a beamwidth on
-    the 5 deg grid).
-    """
-    sure = np.abs(profiles) - unknown - sigmas * noise_rms
-    padded = np.pad(sure, 1, constant_values=-np.inf)
-    rows, bins = profiles.shape
-    near = [padded[i : i + rows, j : j + bins] for i in range(3) for j in range(3)]
-    return np.asarray(np.maximum(np.max(near, axis=0), noise_rms))
-
-
 @njit(cache=True, nogil=True)
 def _gather(magnitude, step, steps):  # type: ignore[no-untyped-def]
     rows, paths = magnitude.shape

@@ -6,9 +6,10 @@ chain of steps, each of which drops an effect, or only the paths for which it is
 is bounded in every cell by magnitudes added up (`sim_player.envelope`) with all others as they then stand, and the sum
 of these bounds over a lower bound of the denominator stays under the budget.
 
-A RA cell here is a range bin of a steering angle, as the radar measures it and section 2.1.1 assembles it. Rays are
-cheap: all paths are traced to know them. What costs time is their signal, most of all its sweep: squint takes a tone
-per instant, overlap a stretch of samples per path. So these two are asked path by path.
+Cells are range bins of every steering angle, as the radar measures them and section 2.1.1 assembles them, and of every
+azimuth of the map that the co-array inversion makes of them (`sim_player.cells`). Rays are cheap: all paths are traced
+to know them. What costs time is their signal, most of all its sweep: squint takes a tone per instant, overlap a stretch
+of samples per path. So these two are asked path by path.
 """
 
 from __future__ import annotations
@@ -248,7 +249,7 @@ class _Planner:
             squints=chain.squints,
             overlaps=chain.overlaps,
             traced=self.traced,
-            spent_db=_decibel(float((chain.spent / chain.floor).max())),
+            spent_db=self._ratio_db(chain.spent),
             timing_s=self.timing_s,
         )
 
@@ -262,9 +263,6 @@ class _Planner:
         for name in (name for name in EFFECTS if name not in self.found):
             reason = f"not asked, {self.traced} paths cost less than the question: {EFFECTS[name].ABOUT}"
             self._row(name, True, None, self.traced, reason)
-        chain, every = self.chain, np.ones(self.traced, bool)
-        chain.spent, chain.floor = np.zeros(1), np.ones(1)
-        chain.squints, chain.overlaps = every & ("squint" in chain.used), every & ("chirp_overlap" in chain.used)
 
     def _paths(self) -> None:
         """Effects that make paths, the weakest first."""
@@ -314,7 +312,7 @@ class _Planner:
             for name in names:
                 self._row(name, True, None, 0, f"costs nothing: {EFFECTS[name].ABOUT}")
             return
-        size = {name: float((EFFECTS[name].change(self.chain) / self.chain.floor).max()) for name in names}
+        size = {name: self.chain.ratio(EFFECTS[name].change(self.chain)) for name in names}
         for name in sorted(names, key=size.__getitem__):
             if not self._decide(name, 0, EFFECTS[name].ABOUT):
                 self.chain.look()
@@ -323,7 +321,7 @@ class _Planner:
         """Use an effect, or skip it and book its bound; whether it is used."""
         chain = self.chain
         bound = EFFECTS[name].change(chain)
-        fits = bool((chain.spent + bound <= self.budget * chain.floor).all())
+        fits = chain.fits(bound, self.budget)
         if fits:
             chain.spent = chain.spent + bound
         self._row(name, not fits, self._ratio_db(bound), count, what)
@@ -332,14 +330,13 @@ class _Planner:
     def _weakest(self, strength: np.ndarray, bound_of: Callable[[np.ndarray], np.ndarray], share: float) -> np.ndarray:
         """As many of the weakest as a share of the budget allows, bool [E]; booked."""
         chain, order = self.chain, np.argsort(strength, kind="stable")
-        room = np.minimum(share * self.budget * chain.floor, self.budget * chain.floor - chain.spent)
         low, high, best = 0, len(order) + 1, np.zeros_like(chain.spent)
         for _ in range(ROUNDS):
             middle = (low + high) // 2
             if middle == low:
                 break
             bound = bound_of(_first(order, middle))
-            if (bound <= room).all():
+            if chain.fits(bound, self.budget, share):
                 low, best = middle, bound
             else:
                 high = middle
@@ -347,7 +344,7 @@ class _Planner:
         return _first(order, low)
 
     def _ratio_db(self, bound: np.ndarray) -> float | None:
-        return _decibel(float((bound / self.chain.floor).max()))
+        return _decibel(self.chain.ratio(bound)) if bound.any() else None
 
     def _row(self, name: str, used: bool, bound_db: float | None, count: int, what: str) -> None:
         """Write down one decision."""

@@ -104,6 +104,11 @@ class AzimuthInterpolator:
         self._steering = ideal_beams(setup, self.grid.azimuth_rad)
         self._inverses: dict[tuple[int, ...], _Inverse] = {}
 
+    @property
+    def coherent_matrix(self) -> np.ndarray:
+        """What takes the profiles of all beams to the azimuths of a coherent scene, complex [beams, azimuths]."""
+        return self._inverse(()).coherent
+
     def interpolate(
         self,
         profiles: np.ndarray,

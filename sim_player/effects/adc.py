@@ -26,5 +26,5 @@ def absent(world: World) -> str | None:
 def change(chain: Chain) -> np.ndarray:
     """The same noise draws, wider by the rounding's power."""
     power_mw = quantisation_power_mw(chain.setup, converter_step(chain.front_end))
-    added = np.full(chain.floor.shape[1], power_mw)
-    return np.broadcast_to(FAR_SIGMAS * wider(chain.setup.radar, added), chain.floor.shape)
+    added = np.full(chain.shape[1], power_mw)
+    return np.broadcast_to(FAR_SIGMAS * wider(chain.setup.radar, added), chain.shape)

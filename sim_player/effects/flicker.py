@@ -26,6 +26,6 @@ def absent(world: World) -> str | None:
 def change(chain: Chain) -> np.ndarray:
     """The same noise draws, wider at low beats."""
     radar = chain.setup.radar
-    beat_hz = np.arange(chain.floor.shape[1]) / radar.chirp_period_s
+    beat_hz = np.arange(chain.shape[1]) / radar.chirp_period_s
     added = radar.noise_power_mw * flicker_ratio(radar, beat_hz, chain.front_end.flicker_corner_hz)
-    return np.broadcast_to(FAR_SIGMAS * wider(radar, added), chain.floor.shape)
+    return np.broadcast_to(FAR_SIGMAS * wider(radar, added), chain.shape)

@@ -26,6 +26,6 @@ def change(chain: Chain) -> np.ndarray:
     """Its own profile."""
     power_dbm = chain.front_end.leakage_dbm
     if power_dbm is None:
-        return np.zeros_like(chain.floor)
-    profile = leakage_profile(chain.setup.radar, power_dbm, range(chain.floor.shape[1]))
-    return np.broadcast_to(np.abs(profile), chain.floor.shape)
+        return np.zeros(chain.shape)
+    profile = leakage_profile(chain.setup.radar, power_dbm, range(chain.shape[1]))
+    return np.broadcast_to(np.abs(profile), chain.shape)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 NAME = "motion"
 ABOUT = "Doppler, and the scene moves on from beam to beam"
 COST_S = 0.0
+#: Field of a bound that is none.
+WITHOUT_BOUND = 1e30
 
 
 def absent(world: World) -> str | None:
@@ -23,4 +25,4 @@ def absent(world: World) -> str | None:
 
 def change(chain: Chain) -> np.ndarray:
     """Without a bound: a path that moves leaves its Doppler bin and its place."""
-    return np.full_like(chain.floor, np.inf)
+    return np.full(chain.shape, WITHOUT_BOUND)

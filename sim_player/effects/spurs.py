@@ -24,6 +24,6 @@ def absent(world: World) -> str | None:
 
 def change(chain: Chain) -> np.ndarray:
     """Their own profiles; phases are drawn, magnitudes are not."""
-    bins, radar = range(chain.floor.shape[1]), chain.setup.radar
+    bins, radar = range(chain.shape[1]), chain.setup.radar
     profiles = [np.abs(spur_profile(radar, spur, 0.0, bins)) for spur in chain.front_end.spurs]
-    return np.broadcast_to(np.sum(profiles, axis=0), chain.floor.shape)
+    return np.broadcast_to(np.sum(profiles, axis=0), chain.shape)

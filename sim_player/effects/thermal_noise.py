@@ -24,4 +24,4 @@ def absent(world: World) -> str | None:
 
 def change(chain: Chain) -> np.ndarray:
     """What noise draws reach."""
-    return np.broadcast_to(FAR_SIGMAS * chain.noise_rms, chain.floor.shape)
+    return np.broadcast_to(FAR_SIGMAS * chain.noise_rms, chain.shape)

@@ -8,7 +8,7 @@ import pytest
 
 from msgs.radar import RadarSetup
 from sim_player.effect_names import ALL_EFFECTS
-from sim_player.envelope import Envelope, sure_floor, swept_pattern
+from sim_player.envelope import Envelope, swept_pattern
 from sim_player.front_end import NO_FAULTS
 from sim_player.paths import Paths
 from sim_player.places import random_place
@@ -57,16 +57,6 @@ def test_one_path_is_bounded_tightly_where_it_stands() -> None:
     signal = np.abs(kernel_profiles(SETUP, paths, IDEAL))
     beam, cell = np.unravel_index(np.argmax(signal), signal.shape)
     assert 0.0 <= 20.0 * np.log10(bound[beam, cell] / signal[beam, cell]) <= 1.2
-
-
-def test_floor_is_noise_or_what_stands_next_door() -> None:
-    profiles = np.zeros((3, 8))
-    profiles[1, 4] = 10.0
-    floor = sure_floor(profiles, 2.0, np.ones(8), 3.0)
-    # 10 - 2 - 3 within one beam and one bin, noise elsewhere
-    np.testing.assert_allclose(floor[:, 3:6], 5.0)
-    np.testing.assert_allclose(floor[:, :3], 1.0)
-    np.testing.assert_allclose(floor[:, 6:], 1.0)
 
 
 def test_nothing_bounds_to_nothing() -> None:

@@ -8,8 +8,8 @@ import pytest
 
 from models.physics.waveform import WINDOW_TAPS
 from sim_player import planner
+from sim_player.cells import cells_of
 from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
-from sim_player.envelope import sure_floor
 from sim_player.front_end import FrontEnd, Spur
 from sim_player.places import random_place
 from sim_player.planner import Plan, choose, chosen, clean_profiles, plan_effects, plan_world, planned_profiles
@@ -41,7 +41,7 @@ def reason(plan: Plan, name: str) -> str:
 
 
 def off(asked: Scene, plan: Plan, seed: int) -> float:
-    """The law's ratio, worst cell, same noise."""
+    """The law's ratio, worst cell of beams and map, same noise."""
     setup, front_end = asked.setup, asked.radar.front_end
     everything = chosen(prepare(asked, seed), setup)
     maps = [
@@ -50,7 +50,7 @@ def off(asked: Scene, plan: Plan, seed: int) -> float:
     ]
     density = noise_density_mw(setup, np.arange(512), everything.signal, front_end)
     rms = np.sqrt(density * np.sum(np.square(WINDOW_TAPS["hann"])))
-    return float((np.abs(maps[0] - maps[1]) / sure_floor(maps[0], 0.0, rms, 0.0)).max())
+    return float(cells_of(setup).off(maps[0], maps[1], rms).max())
 
 
 @pytest.mark.parametrize("index", range(6))

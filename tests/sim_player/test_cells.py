@@ -1,0 +1,37 @@
+"""Cells of the planner's law: floors by hand, and bounds that survive the step from beams to map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msgs.radar import RadarSetup
+from sim_player.cells import cells_of
+
+CELLS = cells_of(RadarSetup())
+
+
+def test_floor_is_noise_or_what_stands_next_door() -> None:
+    """One strong cell: 10 - 2 - 3 within one beam (half of 12.7 deg) and one bin; noise elsewhere."""
+    profiles = np.zeros((25, 8))
+    profiles[12, 4] = 10.0
+    floor = CELLS.floor(profiles, np.ones(8), 2.0, 3.0)[:25]
+    np.testing.assert_allclose(floor[11:14, 3:6], 5.0)
+    np.testing.assert_allclose(floor[:11], 1.0)
+    np.testing.assert_allclose(floor[:, :3], 1.0)
+
+
+def test_noise_of_the_map_is_that_of_its_beams_added_up() -> None:
+    """White noise through the inversion: rms of 4,000 draws against the floor of an empty map, 3 %."""
+    rng = np.random.default_rng(0)
+    draws = rng.standard_normal((2, 25, 4000)) * np.sqrt(0.5)
+    measured = np.sqrt(np.mean(np.abs(CELLS.values(draws[0] + 1j * draws[1])) ** 2, axis=1))
+    empty = CELLS.floor(np.zeros((25, 1)), np.ones(1))[:, 0]
+    np.testing.assert_allclose(measured, empty, rtol=0.06)
+    assert np.median(np.abs(measured / empty - 1.0)) < 0.02
+
+
+def test_what_bounds_the_beams_bounds_the_map() -> None:
+    rng = np.random.default_rng(1)
+    magnitude = rng.exponential(1.0, (25, 64))
+    signal = magnitude * np.exp(2j * np.pi * rng.random((25, 64)))
+    assert (np.abs(CELLS.values(signal)) <= CELLS.bounds(magnitude) * (1.0 + 1e-6)).all()
