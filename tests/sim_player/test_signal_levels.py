@@ -37,6 +37,10 @@ SMALL = RadarSetup(radar=RadarParams(samples_per_chirp=512, chirps_per_beam=4))
 OVERLAP = 2.0 * 109.42 / SPEED_OF_LIGHT_MPS / RadarParams().chirp_period_s
 
 
+def louder(paths: Paths, factor: float) -> Paths:
+    return replace(paths, amplitude=paths.amplitude * factor)
+
+
 def some_paths(count: int, longest_m: float, seed: int = 0, two_ways: bool = False, speed_mps: float = 0.0) -> Paths:
     """Random echoes all around and a little up and down."""
     rng = np.random.default_rng(seed)
@@ -167,7 +171,7 @@ def test_recorded_beams_are_the_plain_chain_s() -> None:
     radar = RadarParams(samples_per_chirp=512, chirps_per_beam=8)
     setup = RadarSetup(radar=radar)
     paths = some_paths(40, 6.0, speed_mps=20.0)
-    paths = paths.scaled(np.full(40, 100.0))
+    paths = louder(paths, 100.0)
     bank = noise_bank(radar, 1)
     carrier, basis, share = slow_time_terms(radar, paths.radial_speed_mps)
     beats = chirp_beats(radar, paths.length_m, share * beam_weights(setup, paths, slice(7, 8)))
@@ -369,7 +373,7 @@ def test_leakage_spurs_and_imbalance_at_both_levels(beat_sign: int, imbalance: b
         spurs=(Spur(frequency_hz=60.1e6, power_dbm=-70.0), Spur(frequency_hz=-31.7e6, power_dbm=-72.0)),
     )
     effects = SignalEffects(leakage=True, spurs=True, iq_imbalance=imbalance, chirp_overlap=True, thermal_noise=False)
-    paths = some_paths(30, 6.0, seed=9).scaled(np.full(30, 30.0))
+    paths = louder(some_paths(30, 6.0, seed=9), 30.0)
     kernel = kernel_profiles(setup, paths, effects, faults, 80, seed=4)
     bank = noise_bank(setup.radar, 1)
     for beam in range(2):
@@ -410,11 +414,11 @@ def test_objections_look_twice_before_they_say_clipped() -> None:
     setup = RadarSetup(radar=SMALL.radar, beams=BeamGrid(azimuth_deg=(0.0,)))
     paths = some_paths(1000, 6.0, seed=2)
     total = np.abs(swept_echoes(setup, paths, PLAIN, FrontEnd()).weights).sum()
-    paths = paths.scaled(np.full(1000, 2.0 * 0.1 / total))  # full scale: -20 dBm, 0.1 sqrt(mW)
+    paths = louder(paths, 2.0 * 0.1 / total)  # full scale: -20 dBm, 0.1 sqrt(mW)
     peak = np.abs(beam_beats(setup, paths)).max()
     assert peak < 0.09
     assert kernel_objections(setup, paths) == []
-    assert kernel_objections(setup, paths.scaled(np.full(1000, 0.11 / peak))) != []
+    assert kernel_objections(setup, louder(paths, 0.11 / peak)) != []
 
 
 def test_echo_profiles_of_negative_bins() -> None:
