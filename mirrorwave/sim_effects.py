@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -64,11 +65,14 @@ def _print_plan(plan: Plan, name: str) -> None:
     print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
     if not len(plan.echoes):
         typer.echo(f"{name}: no echo reaches the radar, its map holds noise alone", err=True)
-    spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
-    print_line(
-        f"{name}: {sum(e.used for e in plan.effects)} of {len(plan.effects)} effects, {len(plan.echoes)} of "
-        f"{plan.traced} paths; what was left out changes {spent} at most (budget {plan.budget_db:g} dB)"
+    used = (
+        f"{sum(e.used for e in plan.effects)} of {len(plan.effects)} effects, {len(plan.echoes)} of {plan.traced} paths"
     )
+    if math.isinf(plan.budget_db):
+        print_line(f"{name}: {used}; chosen by hand, nothing bounded")
+        return
+    spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
+    print_line(f"{name}: {used}; what was left out changes {spent} at most (budget {plan.budget_db:g} dB)")
 
 
 def _db(value: float | None) -> str:
@@ -132,8 +136,6 @@ def _path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
 
 
 def _path_line(found: Any, index: int, power_mw: float) -> tuple[object, ...]:
-    import math
-
     return (
         _kind(found, index),
         int(found.order[index]),
