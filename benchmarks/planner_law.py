@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from models.physics.waveform import WINDOW_TAPS
+from models.physics.waveform import window_noise_gain
 from msgs.radar import RadarSetup
 from sim_player.cells import cells_of
 from sim_player.effect_names import ALL_EFFECTS
@@ -38,7 +38,7 @@ BUDGETS_DB = (-10.0, -20.0, -30.0)
 def noise_rms(setup: RadarSetup, plan: Plan) -> np.ndarray:
     front_end = plan.view.world.scene.radar.front_end
     density = noise_density_mw(setup, np.arange(512), plan.signal, front_end)
-    return np.sqrt(density * np.sum(np.square(WINDOW_TAPS["hann"])))
+    return np.sqrt(density * window_noise_gain("hann"))
 
 
 def whole(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:

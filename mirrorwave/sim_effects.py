@@ -30,6 +30,8 @@ def effects(
     as_json: AsJson = False,
 ) -> None:
     """Which effects a scene calls for, what each could change, and why it is used or skipped."""
+    import msgspec
+
     from sim_player.effect_names import ALL_EFFECTS
     from sim_player.planner import choose, chosen, plan_world
     from sim_player.ray_tracing import BASIC_EFFECTS, prepare
@@ -43,10 +45,7 @@ def effects(
         found = choose(world, loaded.setup, choice, budget_db)
         plan = found or chosen(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
     if as_json:
-        rows = [
-            {"name": e.name, "used": e.used, "bound_db": e.bound_db, "cost_s": e.cost_s, "reason": e.reason}
-            for e in plan.effects
-        ]
+        rows = msgspec.to_builtins(plan.effects)
         print_json({"budget_db": plan.budget_db, "effects": rows, "paths": len(plan.echoes), "traced": plan.traced})
         return
     _print_plan(plan, loaded.name)

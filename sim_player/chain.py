@@ -9,16 +9,15 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from models.physics.waveform import WINDOW_TAPS
+from models.physics.waveform import window_noise_gain
 from msgs.radar import RadarSetup
 from sim_player.as_paths import as_paths, weights
 from sim_player.cells import cells_of
 from sim_player.echoes import Echoes, join_echoes
 from sim_player.effect_names import ALL_EFFECTS, SIGNAL_EFFECTS, bit
-from sim_player.effects import PATHS
-from sim_player.effects.tracing import Tracing
 from sim_player.envelope import STEPS, Envelope, swept_pattern
 from sim_player.paths import Paths
+from sim_player.ray_tracing import trace_echoes
 from sim_player.signal_effects import SignalEffects
 from sim_player.signal_levels import RANGE_BINS, kernel_profiles, noise_density_mw
 from sim_player.world import World, snapshot
@@ -45,20 +44,10 @@ class Chain:
         self.shape = (len(setup.beams), RANGE_BINS)
         #: Bound of everything that was dropped, [beams, bins].
         self.spent = np.zeros(self.shape)
-        self.echoes = self._trace()
+        self.echoes = trace_echoes(self.view, ALL_EFFECTS)
         every = np.ones(len(self.echoes), bool)
         #: Which echoes squint and overlap.
         self.squints, self.overlaps = every.copy(), every.copy()
-
-    def _trace(self) -> Echoes:
-        """Every path that any effect makes."""
-        tracing = Tracing(self.view, frozenset(self.used))
-        for name, effect in PATHS.items():
-            if effect.absent(self.world) is None:
-                tracing.echoes[name] = effect.apply(tracing)
-        if not tracing.echoes:
-            tracing.echoes["los_objects"] = PATHS["los_objects"].apply(tracing)
-        return join_echoes(list(tracing.echoes.values()))
 
     def begin(self, exact: bool) -> None:
         """Look at all echoes, and find a lower bound of the law's denominator in every cell.
@@ -70,7 +59,7 @@ class Chain:
         self.envelope = Envelope(self.setup, RANGE_BINS, float(paths.length_m.max(initial=1.0)))
         self.look()
         density = noise_density_mw(self.setup, np.arange(RANGE_BINS), flags, self.front_end)
-        self.noise_rms = np.sqrt(density * np.sum(np.square(WINDOW_TAPS["hann"])))
+        self.noise_rms = np.sqrt(density * window_noise_gain("hann"))
         shown = msgspec.structs.replace(flags, **({"motion": False} if exact else STEADY))
         profiles = kernel_profiles(self.setup, paths, shown, self.front_end, precision="float32")
         unknown = np.full(len(paths), not exact)

@@ -13,7 +13,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from models.physics.waveform import WINDOW_TAPS, range_profile, window_noise_gain
+from models.physics.waveform import range_profile, window_noise_gain
 from msgs.perception import SceneTruth
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 from msgs.units import ratio_from_db
@@ -24,12 +24,14 @@ from sim_player.planner import Plan, chosen, plan_world
 from sim_player.planner import clean_profiles as planned_echoes
 from sim_player.ray_tracing import BASIC_EFFECTS, prepare, trace
 from sim_player.scene import Scene
-from sim_player.signal_levels import kernel_objections, noise_profiles
+from sim_player.signal_effects import IDEAL
+from sim_player.signal_levels import RANGE_BINS, kernel_objections, noise_profiles
 from sim_player.truth import best_power_mw, hidden_objects, scene_truth, visible_paths
 from sim_player.world import World
 
-RANGE_BINS = 512
 WINDOW = "hann"
+#: The receiver of the basic signal chain: its converter does not round.
+THERMAL = msgspec.structs.replace(IDEAL, thermal_noise=True)
 #: What the planner decides under a budget, everything, the plain signal chain, or effects by name.
 EffectChoice = Literal["auto", "all", "basic"] | frozenset[str]
 #: What the basic signal chain has: its paths, the array as built, thermal noise.
@@ -92,13 +94,8 @@ def clean_profiles(setup: RadarSetup, paths: Paths, range_bins: int = RANGE_BINS
 
 
 def profile_noise(setup: RadarSetup, seed: int, range_bins: int = RANGE_BINS) -> np.ndarray:
-    """Receiver noise of all beams as the profiles see it: white per bin, then the window's taps; [beams, bins]."""
-    radar, taps = setup.radar, WINDOW_TAPS[WINDOW]
-    power = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
-    rng = np.random.default_rng([seed, 6])
-    draws = rng.standard_normal((2, len(setup.beams), range_bins + len(taps) - 1)) * np.sqrt(0.5 * power)
-    white = draws[0] + 1j * draws[1]
-    return sum(tap * white[:, i : i + range_bins] for i, tap in enumerate(taps))
+    """Thermal noise of all beams as the profiles see it, and nothing else of the receiver; [beams, bins]."""
+    return noise_profiles(setup, seed, THERMAL, range_bins=range_bins)
 
 
 def noise_power_mw(setup: RadarSetup) -> float:

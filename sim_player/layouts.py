@@ -50,7 +50,7 @@ LANE_END: tuple[RelayKind, ...] = (*HOUSE, "curved_wall", "corner", "corner")
 GARDEN: tuple[RelayKind, ...] = ("brick_wall", "concrete_wall", "hedge", "hedge", "trees")
 #: Heights of walls around gardens, and of houses.
 GARDEN_M, HOUSE_M = (1.2, 2.2), (5.0, 9.0)
-BAY_WIDTH_M, BAY_DEPTH_M = 2.5, 5.0
+BAY_WIDTH_M = 2.5
 
 
 @dataclass(frozen=True)

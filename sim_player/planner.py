@@ -18,6 +18,7 @@ import math
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -76,17 +77,17 @@ class Plan:
     spent_db: float | None
     timing_s: dict[str, float]
 
-    @property
+    @cached_property
     def used(self) -> frozenset[str]:
         """Names of the effects that are used, wholly or in part."""
         return frozenset(effect.name for effect in self.effects if effect.used)
 
-    @property
+    @cached_property
     def paths(self) -> Paths:
         """The planned paths, as the radar has them."""
         return as_paths(self.view, self.echoes, self.used)
 
-    @property
+    @cached_property
     def signal(self) -> SignalEffects:
         """The planned effects of antenna, waveform and receiver."""
         return signal_effects(self.used)
@@ -277,7 +278,7 @@ class _Planner:
             elif not self._decide(name, count, what):
                 self.chain.keep(~mine)
                 if name == "curved_wall":
-                    self.chain.add(as_chords(Tracing(self.chain.view, frozenset(self.chain.used))))
+                    self.chain.add(as_chords(Tracing(self.chain.view)))
 
     def _prune(self) -> None:
         """Drop the paths that are too weak to matter even together: effects used in part."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sim_player.as_paths import as_paths
 from sim_player.echoes import Echoes, echo_amplitude, join_echoes
-from sim_player.effects import PATH_EFFECTS, PATHS
+from sim_player.effects import PATHS
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.tracing import Tracing
 from sim_player.paths import Paths
@@ -39,12 +39,10 @@ def trace_echoes(view: Snapshot, effects: frozenset[str]) -> Echoes:
 
 def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
     """The echoes of every path effect asked for, by name."""
-    tracing = Tracing(view, effects)
-    for name in PATH_EFFECTS:
-        if name in effects and PATHS[name].absent(view.world) is None:
-            tracing.echoes[name] = PATHS[name].apply(tracing)
+    tracing, echoes = Tracing(view), dict[str, Echoes]()
+    for name, effect in PATHS.items():
+        if name in effects and effect.absent(view.world) is None:
+            echoes[name] = effect.apply(tracing)
         elif name == "curved_wall" and "specular_relay" in effects:
-            tracing.echoes[name] = as_chords(tracing)
-    if not tracing.echoes:
-        tracing.echoes["los_objects"] = PATHS["los_objects"].apply(tracing)
-    return tracing.echoes
+            echoes[name] = as_chords(tracing)
+    return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}

@@ -195,8 +195,7 @@ def noise_profiles(
 ) -> np.ndarray:
     """Noise of all beams as Hann-windowed profiles: thermal, flicker, rounding; complex128 [beams, bins].
 
-    Independent draws per bin, scaled to `noise_density_mw`, then the window's taps. Without flicker, rounding and
-    I/Q imbalance: the draws of `sim_player.dataset.profile_noise`.
+    Independent draws per bin, scaled to `noise_density_mw`, then the window's taps.
     """
     taps = WINDOW_TAPS["hann"]
     power = noise_density_mw(setup, np.arange(-1, range_bins + 1), effects, front_end)

@@ -10,7 +10,7 @@ import numpy as np
 from models.physics.antenna import setup_weights, two_way_pattern
 from msgs.perception import PathClass, SceneTruth, TruthObject, TruthSurface
 from msgs.radar import RadarSetup, RangeAzimuthGrid
-from sim_player.effect_names import bit
+from sim_player.effect_names import bits
 from sim_player.fmcw import departure
 from sim_player.paths import Paths
 from sim_player.world import World, radar_pose
@@ -22,9 +22,8 @@ VISIBLE_SNR_DB = 10.0
 
 
 #: Ways that a map shows too, but that no truth point stands for: mixtures, bends, light of other objects, ...
-UNLABELLED = sum(
-    bit(name)
-    for name in ("non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce")
+UNLABELLED = bits(
+    frozenset({"non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce"})
 )
 
 

@@ -87,6 +87,11 @@ class World:
         return self.is_mirror & (np.abs(self.wall_curvature_per_m) * chord >= STRAIGHT)
 
     @property
+    def is_flat(self) -> np.ndarray:
+        """Which pieces of wall are mirrors that do not bend; bool [W]."""
+        return self.is_mirror & ~self.is_curved
+
+    @property
     def ground(self) -> Surface | None:
         """The scene's ground, if it names one."""
         return next((surface for surface in self.scene.surfaces if surface.role == "ground"), None)

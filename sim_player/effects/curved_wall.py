@@ -42,7 +42,7 @@ def apply(tracing: Tracing) -> Echoes:
 
 def change(chain: Chain) -> np.ndarray:
     """Bound of its paths and of those that chords would put in their place."""
-    return np.asarray(chain.path_change(NAME) + chain.bound_of(as_chords(Tracing(chain.view, frozenset(chain.used)))))
+    return np.asarray(chain.path_change(NAME) + chain.bound_of(as_chords(Tracing(chain.view))))
 
 
 def as_chords(tracing: Tracing) -> Echoes:

@@ -70,7 +70,7 @@ def _mirrored(view: Snapshot, owner: np.ndarray) -> Routes:
     """Antenna -> wall and ground, in the order that heights decide -> centre."""
     world, centre = view.world, view.centre
     low = centre * [1.0, 1.0, -1.0]
-    found = plane_bounces(view, view.antenna, low, world.is_mirror & ~world.is_curved)
+    found = plane_bounces(view, view.antenna, low, world.is_flat)
     end, image = centre[found.target], found.image
     reach = norm(found.specular[:, :2] - view.origin)
     total = norm(image[:, :2] - view.origin)

@@ -67,7 +67,7 @@ def _flashes(view: Snapshot) -> Echoes:
     along = world.wall_b - world.wall_a
     share = dot(foot - world.wall_a, along) / dot(along, along)
     met = (share >= 0.0) & (share <= 1.0) & (world.wall_height_m > view.antenna[2]) & (distance > NEAREST_M)
-    wall = np.flatnonzero(met & world.is_mirror & ~world.is_curved)
+    wall = np.flatnonzero(met & world.is_flat)
     point = _level(view, foot[wall])
     legs = passage(view.antenna, point, view.blockers)
     direction = np.column_stack([-view.normal[wall], np.zeros(len(wall))])

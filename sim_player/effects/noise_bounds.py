@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from models.physics.waveform import WINDOW_TAPS
+from models.physics.waveform import window_noise_gain
 from msgs.radar import RadarParams
 
 #: Noise draws reach this many rms once in 10^13 cells.
@@ -15,8 +15,7 @@ FAR_SIGMAS = 5.5
 
 def wider(radar: RadarParams, added_mw: np.ndarray) -> np.ndarray:
     """Change of the rms of a Hann-windowed profile's bins when a power per sample is added to thermal noise; [bins]."""
-    taps = np.sum(np.square(WINDOW_TAPS["hann"]))
-    gain = math.sqrt(taps / (radar.samples_per_chirp * radar.chirps_per_beam))
+    gain = math.sqrt(window_noise_gain("hann") / (radar.samples_per_chirp * radar.chirps_per_beam))
     change = np.sqrt(radar.noise_power_mw + added_mw) - math.sqrt(radar.noise_power_mw)
     # neighbouring bins come in through the window's taps: take the largest
     padded = np.pad(change, 1, mode="edge")

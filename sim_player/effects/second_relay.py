@@ -37,7 +37,7 @@ DARKEST = 0.02
 
 def absent(world: World) -> str | None:
     """It takes two walls."""
-    count = int(_mirrors(world).sum())
+    count = int(world.is_flat.sum())
     return None if count >= 2 else f"{count} straight wall{'' if count == 1 else 's'}: none faces another"
 
 
@@ -154,7 +154,7 @@ def _corners(view: Snapshot) -> Routes:
 
 def _neighbours(world: World) -> tuple[np.ndarray, np.ndarray]:
     """All ordered pairs of straight walls that share an end."""
-    walls = np.flatnonzero(_mirrors(world))
+    walls = np.flatnonzero(world.is_flat)
     ends = np.concatenate([world.wall_a[walls], world.wall_b[walls]])
     one, two = np.nonzero(norm(ends[:, None] - ends[None]) <= SAME_END_M)
     first, second = np.tile(walls, 2)[one], np.tile(walls, 2)[two]
@@ -185,16 +185,11 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     world = view.world
     which = np.flatnonzero((world.speck_length_m == 0.0) & (world.wall_height_m[world.speck_wall] > view.antenna[2]))
     point = np.column_stack([world.speck_m[which], np.full(len(which), view.antenna[2])])
-    routes, legs = mirror_routes(view, point, _mirrors(world), np.full(len(which), -1, np.int32))
+    routes, legs = mirror_routes(view, point, world.is_flat, np.full(len(which), -1, np.int32))
     routes = routes.take(legs.free & (world.speck_wall[which[routes.target]] != routes.wall))
     speck = which[routes.target]
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
     return surface_echoes(view, routes, weight, point[routes.target], routes.wall, bit(NAME) | bit("los_surfaces"))
-
-
-def _mirrors(world: World) -> np.ndarray:
-    """Straight walls."""
-    return world.is_mirror & ~world.is_curved
 
 
 def _cut(start: np.ndarray, end: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
@@ -211,7 +206,7 @@ def _cross(left: np.ndarray, right: np.ndarray) -> np.ndarray:
 def _candidates(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """First wall, second wall and target of all routes that the law of reflection allows, ends included."""
     world = view.world
-    walls = np.flatnonzero(_mirrors(world))
+    walls = np.flatnonzero(world.is_flat)
     a, b = world.wall_a[walls], world.wall_b[walls]
     plan = np.ascontiguousarray(point_m[:, :2])
     found = _search(view.origin, plan, a, b, view.normal[walls], view.offset[walls])

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from sim_player.echoes import Echoes
 from sim_player.legs import Passage
 from sim_player.routes import Routes, join_routes, mirror_routes, no_routes, straight_routes
 from sim_player.world import Snapshot
@@ -15,12 +14,10 @@ from sim_player.world import Snapshot
 
 @dataclass
 class Tracing:
-    """A snapshot, the one-way routes to scattering centres that effects have found so far, and their echoes."""
+    """A snapshot, and the one-way routes to scattering centres that effects have found so far."""
 
     view: Snapshot
-    effects: frozenset[str]
     routes: dict[str, Routes] = field(default_factory=dict)
-    echoes: dict[str, Echoes] = field(default_factory=dict)
 
     def clear_routes(self, *names: str) -> Routes:
         """Routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
@@ -35,8 +32,7 @@ class Tracing:
     @cached_property
     def mirrored(self) -> tuple[Routes, Passage]:
         """To all centres by every straight piece of wall, whatever stands between; and what stands between."""
-        mirrors = self.view.world.is_mirror & ~self.view.world.is_curved
-        return mirror_routes(self.view, self.view.centre, mirrors, self.owner)
+        return mirror_routes(self.view, self.view.centre, self.view.world.is_flat, self.owner)
 
     @property
     def owner(self) -> np.ndarray:

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.physics.waveform import WINDOW_TAPS
+from models.physics.waveform import window_noise_gain
 from sim_player import planner
 from sim_player.cells import cells_of
 from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
@@ -49,7 +49,7 @@ def off(asked: Scene, plan: Plan, seed: int) -> float:
         for one in (everything, plan)
     ]
     density = noise_density_mw(setup, np.arange(512), everything.signal, front_end)
-    rms = np.sqrt(density * np.sum(np.square(WINDOW_TAPS["hann"])))
+    rms = np.sqrt(density * window_noise_gain("hann"))
     return float(cells_of(setup).off(maps[0], maps[1], rms).max())
 
 

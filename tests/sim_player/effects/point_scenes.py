@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from sim_player.effects import PATH_EFFECTS, PATHS
 from sim_player.effects.tracing import Tracing
 from sim_player.routes import Routes
 from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
-from sim_player.world import World, prepare, snapshot
+from sim_player.world import Snapshot, World, prepare, snapshot
 
 RADAR = RadarParams()
 WAVENUMBER = 2.0 * math.pi / RADAR.wavelength_m
@@ -66,14 +67,20 @@ def points_world(
     )
 
 
-def traced(world: World, *names: str, time_s: float = 0.0) -> Tracing:
+class Traced(NamedTuple):
+    view: Snapshot
+    routes: dict[str, Routes]
+    echoes: dict[str, Echoes]
+
+
+def traced(world: World, *names: str, time_s: float = 0.0) -> Traced:
     """The effects asked for, in their order, with their routes and echoes."""
-    tracing = Tracing(snapshot(world, time_s), frozenset(names))
+    tracing, echoes = Tracing(snapshot(world, time_s)), {}
     for name in PATH_EFFECTS:
         if name in names:
             assert PATHS[name].absent(world) is None
-            tracing.echoes[name] = PATHS[name].apply(tracing)
-    return tracing
+            echoes[name] = PATHS[name].apply(tracing)
+    return Traced(tracing.view, tracing.routes, echoes)
 
 
 def unit_weight(echoes: Echoes) -> np.ndarray:

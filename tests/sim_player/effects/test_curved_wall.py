@@ -92,7 +92,7 @@ def test_the_radars_own_image_in_an_arc() -> None:
 def test_skipped_arcs_mirror_like_their_chords() -> None:
     """`as_chords` gives the flat wall's echo in place of the arc's, not stopped by the arc itself."""
     world = points_world([POINT], wall(*ENDS, curvature_per_m=0.02))
-    tracing = Tracing(snapshot(world), frozenset())
+    tracing = Tracing(snapshot(world))
     echoes = as_chords(tracing)
     flat = traced(points_world([POINT], wall(*ENDS)), "specular_relay").echoes["specular_relay"]
     np.testing.assert_allclose(unit_weight(echoes), unit_weight(flat), rtol=1e-12)
