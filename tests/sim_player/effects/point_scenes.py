@@ -12,6 +12,7 @@ from msgs.radar import RadarParams
 from sim_player.echoes import Echoes
 from sim_player.effects import PATH_EFFECTS, PATHS
 from sim_player.effects.tracing import Tracing
+from sim_player.legs import Passage
 from sim_player.routes import Routes
 from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.world import Snapshot, World, prepare, snapshot
@@ -70,6 +71,7 @@ def points_world(
 class Traced(NamedTuple):
     view: Snapshot
     routes: dict[str, Routes]
+    straight: tuple[Routes, Passage]
     echoes: dict[str, Echoes]
 
 
@@ -80,7 +82,7 @@ def traced(world: World, *names: str, time_s: float = 0.0) -> Traced:
         if name in names:
             assert PATHS[name].absent(world) is None
             echoes[name] = PATHS[name].apply(tracing)
-    return Traced(tracing.view, tracing.routes, echoes)
+    return Traced(tracing.view, tracing.routes, tracing.straight, echoes)
 
 
 def unit_weight(echoes: Echoes) -> np.ndarray:
