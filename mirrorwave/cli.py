@@ -24,6 +24,7 @@ _VERBS = {
     "process": "mirrorwave.process:process",
     "view": "mirrorwave.view:view",
     "export": "mirrorwave.export:export",
+    "eval": "mirrorwave.evaluate:evaluate",
     "doctor": "mirrorwave.doctor:doctor",
 }
 #: Verb group -> module and `typer.Typer`.
@@ -32,6 +33,7 @@ _GROUPS = {
     "train": "mirrorwave.train:app",
     "bag": "mirrorwave.bag:app",
     "can": "mirrorwave.can:app",
+    "import": "mirrorwave.import_:app",
     "topic": "mirrorwave.topic:app",
     "node": "mirrorwave.node:app",
 }

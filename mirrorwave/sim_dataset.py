@@ -36,6 +36,13 @@ class PresetOption(StrEnum):
     MILLIMETRE = "77ghz"
 
 
+class ShiftOption(StrEnum):
+    """What a series differs in from the one that networks are trained on."""
+
+    NONE = "none"
+    HARD = "hard"
+
+
 class ExecutorOption(StrEnum):
     """Where shards are made."""
 
@@ -57,6 +64,9 @@ def dataset(
         typer.Option(metavar="auto|all|basic|LIST", help="Default auto; basic for street_v1.", show_default=False),
     ] = None,
     budget_db: Annotated[float, typer.Option(help="What planned effects may leave out, in any cell.")] = -20.0,
+    shift: Annotated[
+        ShiftOption, typer.Option(help="hard: rougher walls, clutter, gain and phase errors, dead beams.")
+    ] = ShiftOption.NONE,
     executor: Annotated[
         ExecutorOption, typer.Option(help="Processes here, a Ray cluster (RAY_ADDRESS), a Slurm job array.")
     ] = ExecutorOption.LOCAL,
@@ -69,7 +79,13 @@ def dataset(
     """Labelled range profiles of random places; resumable, the same bytes for any executor and number of workers."""
     from sim_player.dataset import Recipe, write_dataset
 
-    recipe = Recipe(places=places.value, preset=preset.value, effects=parse_effects(effects), budget_db=budget_db)
+    recipe = Recipe(
+        places=places.value,
+        preset=preset.value,
+        effects=parse_effects(effects),
+        budget_db=budget_db,
+        shift=shift.value,
+    )
     report = _Report(out, count)
     with report.progress:
         write_dataset(

@@ -61,7 +61,7 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Wall(msgspec.Struct, frozen=True, kw_only=True):
-    """A straight wall segment: n.x + offset_m = 0 with n towards the radar; radar frame."""
+    """A wall segment, or an arc over it: n.x + offset_m = 0 on the chord with n towards the radar; radar frame."""
 
     normal: tuple[float, float]
     offset_m: float
@@ -70,9 +70,11 @@ class Wall(msgspec.Struct, frozen=True, kw_only=True):
     #: Standard deviation of the fitted direction and of the offset at the segment's middle.
     angle_std_rad: float = 0.0
     offset_std_m: float = 0.0
+    #: Of an arc through the ends, positive where it is hollow towards the radar.
+    curvature_per_m: float = 0.0
 
     def __post_init__(self) -> None:
-        require_finite("wall", *self.normal, self.offset_m, *self.ends_m[0], *self.ends_m[1])
+        require_finite("wall", *self.normal, self.offset_m, *self.ends_m[0], *self.ends_m[1], self.curvature_per_m)
         if abs(math.hypot(*self.normal) - 1.0) > 1e-6:
             raise ValueError(f"wall.normal must have length 1, got {self.normal}")
 

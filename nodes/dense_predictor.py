@@ -8,10 +8,11 @@ from typing import Literal
 import msgspec
 
 from models.perception.cfar import CfarParams
-from models.perception.detectors import CfarDetector, Detector, NetworkDetector
+from models.perception.detectors import CfarDetector, Detector, NetworkDetector, Refine
 from models.perception.named import NamedParams
 from models.perception.onnx_model import DEFAULT_MODEL
 from models.perception.peaks import PeakParams
+from models.perception.refinement import RefinementParams
 from msgs.bus import Outgoing, Received
 from msgs.radar import RadarSetup, RangeAzimuthMap
 from nodes.node import Node
@@ -24,8 +25,9 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported network with its card beside it; None: the committed one.
     model: str | None = None
     threads: int = 1
-    #: Peaks on the ridges of the map that the heatmap names; False: the published local maxima of the heatmap.
-    refine: bool = True
+    #: How a network's peaks are placed: "none" (false), "ridge" or "likelihood"; true: the best measured.
+    refine: bool | Refine = True
+    refinement: RefinementParams = RefinementParams()
     named: NamedParams = NamedParams()
     peaks: PeakParams = PeakParams()
     cfar: CfarParams = CfarParams()
@@ -60,7 +62,7 @@ class DensePredictorNode(Node):
             return CfarDetector(setup, self._params.cfar)
         model = DEFAULT_MODEL if self._params.model is None else Path(self._params.model)
         own = self._params
-        return NetworkDetector(setup, model, own.threads, own.peaks, own.named, own.refine)
+        return NetworkDetector(setup, model, own.threads, own.peaks, own.named, own.refine, own.refinement)
 
 
 def create(params: Params) -> DensePredictorNode:

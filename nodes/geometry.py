@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import msgspec
 
 from models.perception.geometry import GeometryParams, recover_bev
+from models.perception.residual_model import LearnedResidual
 from msgs.bus import Outgoing, Received
 from msgs.perception import BevFrame, Peaks
 from msgs.vehicle import VehicleState
@@ -14,6 +17,9 @@ from nodes.state_history import StateHistory
 
 class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage."""
+
+    #: An exported residual network with its card beside it; `none`: the mirror law alone.
+    residual: str = "none"
 
 
 class GeometryNode(Node):
@@ -25,6 +31,8 @@ class GeometryNode(Node):
     def __init__(self, params: Params) -> None:
         super().__init__()
         self._params = params
+        # loaded here: a missing or broken file shows at start, not at the first scan
+        self._residual = None if params.residual == "none" else LearnedResidual(Path(params.residual))
         self._states = StateHistory()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
@@ -40,7 +48,7 @@ class GeometryNode(Node):
 
     def _view(self, peaks: Peaks) -> BevFrame:
         with self.stages("geometry"):
-            view = recover_bev(peaks, self._params)
+            view = recover_bev(peaks, self._params, self._residual)
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
 

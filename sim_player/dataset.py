@@ -2,16 +2,19 @@
 
 A new data set has all four types of place (`sim_player.places.random_place`), and for each scene the effects that its
 map calls for under -20 dB. The first series, random streets with the basic effects, is `places="street_v1"`: its
-profiles and first labels are what this module wrote when it knew no other series.
+profiles and first labels are what this module wrote when it knew no other series. `shift="hard"` is the second test
+set: the same places rougher and fuller, seen by a faulty board (`sim_player.shifted`).
 
-A folder holds `series.json` (generator, preset, effects, budget: another series is refused), shards, and
+A folder holds `series.json` (generator, preset, effects, budget, shift: another series is refused), shards, and
 `manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n scenes:
 
 - profiles c8 [n, beams, 512], noise_power_mw [n] (thermal, a bin), gain_db [n] of the echoes, scene_yaml [n];
 - facts [n]: JSON with place, relays, objects (classes), hidden (indices of those seen in mirrors alone), surfaces;
 - plan [n]: JSON with the effects used, the number of paths and, for planned scenes, bound and reason of every effect;
 - offset int64 [n + 1] into the points of all scenes: range_m, azimuth_rad, path_class, hidden_xy_m, power_mw, order,
-  range_bin, azimuth_bin, point_m, image_m, object_index, object_class (`sim_player.labelled_scan.Labels`).
+  range_bin, azimuth_bin, point_m, image_m, object_index, object_class (`sim_player.labelled_scan.Labels`);
+- of a shifted series alone: missing_beams bool [n, beams], whose profiles hold zeros; beam_gain c16 [n, beams], the
+  board's errors, which a receiver does not know.
 
 Bytes depend neither on the executor nor on the number of workers nor on interruptions.
 """

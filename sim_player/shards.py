@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -18,6 +19,7 @@ from sim_player.layouts import PlaceKind
 from sim_player.places import draw_place
 from sim_player.relays import Preset
 from sim_player.scene import PRESETS, Scene, scene_to_yaml
+from sim_player.shifted import HARD, SHIFTS, BoardFaults, Shift, draw_faults, faulty_profiles, shifted_scene
 from sim_player.streets import random_street
 
 #: Any type of place or one of them; `street_v1` is the first series, of `sim_player.streets.random_street`.
@@ -36,13 +38,15 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """What fixes the bytes of a data set beside its seed and length; ValueError names what cannot be.
 
     effects: "auto" (planned per scene under `budget_db`), "all", "basic" (the signal chain of `sim_player.fmcw`), or
-    names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes.
+    names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes. shift: "hard" makes the places
+    rougher and fuller, and the board faulty (`sim_player.shifted`).
     """
 
     places: Places = "any"
     preset: Preset = "xband"
     effects: str | tuple[str, ...] | None = None
     budget_db: float = -20.0
+    shift: Shift = "none"
     scenes_per_shard: int = SCENES_PER_SHARD
     format: int = FORMAT
 
@@ -51,6 +55,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"places must be one of {', '.join(PLACES)}, got {self.places!r}")
         if self.preset not in PRESETS:
             raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+        if self.shift not in SHIFTS:
+            raise ValueError(f"shift must be one of {', '.join(SHIFTS)}, got {self.shift!r}")
         if self.places == "street_v1" and self.preset != "xband":
             raise ValueError(f"preset must be xband for places street_v1, got {self.preset!r}")
         if not -200.0 <= self.budget_db < 0.0:
@@ -80,6 +86,11 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
         plain["budget_db"] = self.budget_db if choice == "auto" else None
         plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
+        # series from before there was a shift never said so
+        del plain["shift"]
+        if self.shift == "hard":
+            # as JSON gives it back: lists, no tuples
+            plain["shift"] = {"name": self.shift} | msgspec.json.decode(msgspec.json.encode(HARD))
         return dict(sorted(plain.items()))
 
     def shard_name(self, first: int) -> str:
@@ -196,11 +207,15 @@ def write_whole(path: Path, content: bytes) -> None:
 
 def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
     """Arrays of scenes first..first+count-1 of the series of a seed; `sim_player.dataset` says which."""
-    profiles, labels, texts, gains, noise, facts, plans = [], [], [], [], [], [], []
+    profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
     for index in range(first, first + count):
         scene, place = draw_scene(recipe, seed, index)
         gain_db = float(np.random.default_rng([seed, index, 7]).uniform(-GAIN_DB, GAIN_DB))
-        scan = labelled_scan(scene, scene_seed(seed, index), recipe.choice, recipe.budget_db, gain_db)
+        scan_seed = scene_seed(seed, index)
+        scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db)
+        if recipe.shift == "hard":
+            boards.append(draw_faults(_shift_rng(seed, index, 1), len(scan.profiles)))
+            scan = replace(scan, profiles=faulty_profiles(scan.profiles, boards[-1], scene.setup, scan_seed))
         profiles.append(scan.profiles)
         labels.append(scan.labels)
         texts.append(scene_to_yaml(scene))
@@ -217,16 +232,21 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         "plan": np.array(plans),
         "offset": np.concatenate([[0], np.cumsum([len(points.range_m) for points in labels])]).astype(np.int64),
         **{name: _joined(labels, name) for name in LABELS},
+        **_board_arrays(boards),
     }
 
 
 def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, Any]]:
     """Scene number `index` of a series, with its type of place and the kinds of its walls."""
     if recipe.places == "street_v1":
-        return random_street(seed, index), {"place": "street_v1", "relays": []}
-    kind: PlaceKind | None = None if recipe.places == "any" else recipe.places
-    place = draw_place(seed, index, recipe.preset, kind)
-    return place.scene, {"place": place.kind, "relays": place.relays}
+        scene, facts = random_street(seed, index), {"place": "street_v1", "relays": []}
+    else:
+        kind: PlaceKind | None = None if recipe.places == "any" else recipe.places
+        place = draw_place(seed, index, recipe.preset, kind)
+        scene, facts = place.scene, {"place": place.kind, "relays": place.relays}
+    if recipe.shift == "hard":
+        scene = shifted_scene(scene, _shift_rng(seed, index, 0))
+    return scene, facts
 
 
 def scene_facts(scene: Scene) -> dict[str, Any]:
@@ -252,6 +272,21 @@ def _plan_line(recipe: Recipe, scan: LabelledScan) -> bytes:
     if plan is not None and recipe.choice == "auto":
         line |= {"budget_db": plan.budget_db, "spent_db": plan.spent_db}
     return msgspec.json.encode(line)
+
+
+def _shift_rng(seed: int, index: int, part: int) -> np.random.Generator:
+    """Draws of a scene's shift, apart from all that make the scene: part 0 its place, 1 its board."""
+    return np.random.default_rng([seed, index, 11, part])
+
+
+def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
+    """What a shard says of faulty boards; nothing where there are none."""
+    if not boards:
+        return {}
+    return {
+        "missing_beams": np.stack([board.dead for board in boards]),
+        "beam_gain": np.stack([board.gain for board in boards]),
+    }
 
 
 def _joined(labels: list[Labels], name: str) -> np.ndarray:

@@ -43,10 +43,19 @@ class CompactUNetConfig:
             raise ValueError(f"widths[-1] must be a multiple of attention_heads, got {self.widths[-1]}")
 
     @property
+    def output_shape(self) -> tuple[int, int, int]:
+        """(classes, range, azimuth) of one answer."""
+        return self.classes, self.range_bins, self.columns * self.azimuth_factor
+
+    @property
     def bottleneck_shape(self) -> tuple[int, int]:
         """(range, azimuth) cells at the bottom."""
         step = 2 ** (len(self.widths) - 1)
         return self.range_bins // (2 * step), self.columns // step
+
+
+#: Four times the parameters, for accuracy.
+WIDE = CompactUNetConfig(widths=(48, 96, 192, 256))
 
 
 class ResidualBlock(nn.Module):

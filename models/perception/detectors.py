@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Protocol
+from typing import Literal, Protocol, get_args
 
 import msgspec
 
@@ -12,8 +12,15 @@ from models.perception.named import NamedParams, named_peaks
 from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.peaks import PeakParams, find_peaks
+from models.perception.refinement import EchoRefiner, RefinementParams, refined_peaks
 from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
+
+#: Where a network's peaks lie: at the heatmap's own maxima; on the ridges of the map; on the ridges, then where the
+#: complex map makes point echoes likeliest.
+Refine = Literal["none", "ridge", "likelihood"]
+#: What `True` means: the best of the three on validation maps (docs/figures.md).
+DEFAULT_REFINE: Refine = "likelihood"
 
 
 class Detector(Protocol):
@@ -26,8 +33,9 @@ class Detector(Protocol):
 class NetworkDetector:
     """Dense prediction (section 3.1.1): a heatmap of LOS and mirrored returns, then peaks.
 
-    `refine` takes peaks from the ridges of the map that the heatmap names, which are sharper than the heatmap, and the
-    heatmap's own maxima only where the map has no ridge; without it they are the published local maxima.
+    `refine` ("ridge") takes peaks from the ridges of the map that the heatmap names, which are sharper than the
+    heatmap, and the heatmap's own maxima only where the map has no ridge; "likelihood" (True) then moves them below
+    the cell on the complex map. "none" (False) are the published local maxima. Raises ValueError for another word.
     """
 
     def __init__(
@@ -37,20 +45,34 @@ class NetworkDetector:
         threads: int = 1,
         params: PeakParams | None = None,
         named: NamedParams | None = None,
-        refine: bool = True,
+        refine: bool | Refine = True,
+        refinement: RefinementParams | None = None,
     ) -> None:
+        way = refine_way(refine)
         self._predictor = DensePredictor(model, threads)
-        self._params, self._named, self._refine = params or PeakParams(), named or NamedParams(), refine
+        self._params, self._named, self._refine = params or PeakParams(), named or NamedParams(), way
+        self._refiner = EchoRefiner(setup, refinement) if way == "likelihood" else None
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Classified peaks of one map."""
         heatmap = self._predictor.predict(ra_map)
-        if self._refine:
-            peaks = named_peaks(heatmap, ra_map, self._params, self._named)
-        else:
+        if self._refine == "none":
             peaks = find_peaks(heatmap, ra_map, self._params)
+        else:
+            peaks = named_peaks(heatmap, ra_map, self._params, self._named)
+        if self._refiner is not None:
+            peaks = refined_peaks(peaks, ra_map, self._refiner)
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
+
+
+def refine_way(refine: bool | Refine) -> Refine:
+    """The way that a switch or a word stands for; raises ValueError for another word."""
+    if isinstance(refine, bool):
+        return DEFAULT_REFINE if refine else "none"
+    if refine not in get_args(Refine):
+        raise ValueError(f"refine must be a bool or one of {', '.join(get_args(Refine))}, got {refine!r}")
+    return refine
 
 
 class CfarDetector:

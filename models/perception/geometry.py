@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 
@@ -14,10 +16,10 @@ from models.perception.recovery import (
     Residual,
     cartesian_covariance,
     corrected,
-    hidden_mask,
     recover,
     reflection_state,
 )
+from models.perception.rejection import hidden_mask
 from models.perception.walls import WallParams, find_walls
 from msgs.arrays import require_positive
 from msgs.frames import xy_from_polar
@@ -40,6 +42,36 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         require_positive("geometry.cluster_min_points", self.cluster_min_points)
 
 
+#: The published back end: DBSCAN, RANSAC lines of two returns or more within 0.3 m, the wall of the direct return
+#: nearest in angle, Eq. (19), nothing rejected. Every baseline is evaluated with it.
+PUBLISHED = GeometryParams(
+    cluster_eps_m=4.0,
+    cluster_min_points=2,
+    walls=WallParams(
+        error_model="euclidean",
+        rounds=200,
+        inlier_m=0.3,
+        min_inliers=2,
+        min_length_m=0.0,
+        max_gap_m=1e3,
+        max_angle_std_rad=math.pi,
+        min_offset_m=0.0,
+        min_score=0.0,
+        max_walls=64,
+        joined=False,
+        curved=False,
+        open_gap_m=0.0,
+    ),
+    recovery=RecoveryParams(
+        association="buddy",
+        second_order=False,
+        reject_on_wall=False,
+        reject_at_return=False,
+        reject_on_vehicle=False,
+    ),
+)
+
+
 def recover_bev(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> BevFrame:
     """Peaks -> walls -> images folded back, Eqs. (18) and (19) -> hidden objects; tracks are added by the tracker."""
     returns, walls = direct_structure(peaks, params)
@@ -51,7 +83,7 @@ def recover_bev(peaks: Peaks, params: GeometryParams, residual: Residual | None 
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,
         walls=tuple(walls),
-        points=hidden.as_hidden_points(),
+        points=recovered.as_hidden_points(),
         objects=form_objects(hidden, walls, params.objects),
         los_points_m=returns.points_m.astype(np.float32),
         grid=params.grid,

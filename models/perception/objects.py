@@ -13,7 +13,9 @@ import msgspec
 import numpy as np
 
 from models.perception.clustering import dbscan, fits_box
-from models.perception.recovery import Recovered, in_open_view, wall_arrays
+from models.perception.mirrors import wall_arrays
+from models.perception.recovery import Recovered
+from models.perception.rejection import in_open_view
 from models.physics.mirror import segment_distance_m
 from msgs.arrays import require_positive
 from msgs.frames import polar_from_xy

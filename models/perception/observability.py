@@ -11,7 +11,7 @@ import math
 import msgspec
 import numpy as np
 
-from models.perception.recovery import RADAR, WallArrays, wall_arrays
+from models.perception.mirrors import RADAR, WallArrays, wall_arrays
 from models.physics.antenna import row_field
 from models.physics.mirror import blocked, reflect
 from models.physics.waveform import window_noise_gain

@@ -1,18 +1,28 @@
-"""The dense network as the vehicle runs it: an ONNX file, and the card that says what it is."""
+"""A dense network as the vehicle runs it: an ONNX file, and the card that says what it is."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
 import onnxruntime
 
-from models.perception.encoding import CHANNELS, Encoding, encode_map
+from models.perception.anchors import CHANNELS as ANCHOR_CHANNELS
+from models.perception.anchors import anchor_points
+from models.perception.calibration import ScoreTable, check_table
+from models.perception.encoding import Encoding, encode_map
+from models.perception.peaks import local_maxima
+from msgs.perception import PathClass
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 
+#: What a session raises for bytes that are no network.
+_NO_NETWORK = tuple(
+    getattr(onnxruntime.capi.onnxruntime_pybind11_state, name)
+    for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
+)
 #: The network in use unless another is named.
 DEFAULT_MODEL = Path(__file__).parents[1] / "weights" / "compact_unet.onnx"
 
@@ -34,13 +44,36 @@ class ScoresAt(msgspec.Struct, frozen=True, kw_only=True):
     mirrored: ClassScores
 
 
+class Fidelity(msgspec.Struct, frozen=True, kw_only=True):
+    """How far a file is from the torch network it was made from."""
+
+    #: Largest difference of a probability on encoded maps of the training split.
+    largest_difference: float
+    #: Macro-F1 at the card's threshold that the fp32 export has on the same frames.
+    macro_f1_fp32: float
+    #: How much of it this file lacks, in points (hundredths).
+    lost_points: float
+    #: Encoded maps of the training split that set the ranges of an int8 file.
+    calibration_maps: int = 0
+
+
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
-    """What a network file is: how it was made, what it takes, how good it is; a JSON file beside the ONNX file."""
+    """What a network file is: how it was made, what it takes, how good it is; a JSON file beside the ONNX file.
+
+    Fields that are not listed here are ignored: an older card loads, with the defaults of what it lacks.
+    """
 
     name: str
     sha256: str
     parameters: int
-    channels: tuple[str, ...] = CHANNELS
+    #: Family of the network.
+    network: str = "compact_unet"
+    #: Of weights and arithmetic; input and output are float32 always.
+    precision: Literal["fp32", "fp16", "int8"] = "fp32"
+    #: A heatmap answers probabilities on the map's own cells; anchors answer logits and offsets (see `anchors`).
+    head: Literal["heatmap", "anchors"] = "heatmap"
+    #: Cells from anchor to anchor.
+    anchor_stride: int = 1
     encoding: Encoding
     grid: RangeAzimuthGrid
     input_shape: tuple[int, ...]
@@ -49,15 +82,27 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     threshold: float
     #: On test scenes that neither trained nor chose the network.
     scores: tuple[ScoresAt, ...]
+    fidelity: Fidelity | None = None
+    #: What share of peaks with a score is true (validation scenes, 2 m gate); empty where it was not fitted.
+    calibration: ScoreTable = ()
     #: How training and test scenes were made, and how many.
     data: dict[str, str | int]
     #: Training command, chosen epoch, and the resolved configuration of data, schedule and network.
     training: dict[str, Any]
 
     def __post_init__(self) -> None:
-        if self.channels != CHANNELS:
-            raise ValueError(f"card.channels must be {CHANNELS}, got {self.channels}")
+        if self.anchor_stride < 1:
+            raise ValueError(f"card.anchor_stride must be at least 1, got {self.anchor_stride}")
         self.encoding.check_grid(self.grid)
+        check_table("card.calibration", self.calibration)
+
+    @property
+    def answer_shape(self) -> tuple[int, int, int, int]:
+        """Shape of the network's answer to one map: of all cells it sees, or of its anchors."""
+        cells = self.encoding.range_bins, self.grid.azimuth_bins
+        if self.head == "heatmap":
+            return 1, len(PathClass), *cells
+        return 1, ANCHOR_CHANNELS, cells[0] // self.anchor_stride, cells[1] // self.anchor_stride
 
 
 def card_path(model_path: Path) -> Path:
@@ -74,11 +119,22 @@ def load_card(model_path: Path) -> ModelCard:
         raise ValueError(f"{path}: {error}") from None
 
 
-class DensePredictor:
-    """Confidence of LOS and mirrored returns in every cell of a map.
+class Points(msgspec.Struct, frozen=True, kw_only=True):
+    """What a network points at in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
 
-    The session is warm when the constructor returns. Raises `ValueError` when the file, its card and its shapes do not
-    belong together.
+    LOS before mirrored, strongest first within a class.
+    """
+
+    cells: np.ndarray
+    score: np.ndarray
+    path_class: np.ndarray
+
+
+class DensePredictor:
+    """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
+
+    The session is warm when the constructor returns. Raises `ValueError` naming file and field when the file, its card
+    and its shapes do not belong together.
     """
 
     def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1) -> None:
@@ -87,23 +143,50 @@ class DensePredictor:
         model_path = Path(model_path)
         self.card = load_card(model_path)
         self._session = _open_session(model_path, self.card.sha256, threads)
-        _check_shapes(model_path, self.card, self._session)
-        self._infer(np.zeros(self.card.input_shape, np.float32))
+        _check_session(model_path, self.card, self._session)
+        self._input = self._session.get_inputs()[0].name
+        self.infer(np.zeros(self.card.input_shape[1:], np.float32))
 
     def predict(self, ra_map: RangeAzimuthMap) -> np.ndarray:
         """Probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the network sees.
 
-        Raises `ValueError` when the map's grid is not the card's.
+        Raises `ValueError` when the map's grid is not the card's, or the network answers at anchors.
         """
-        if ra_map.grid != self.card.grid:
-            raise ValueError(f"map.grid must be the {self.card.name} card's, {self.card.grid}, got {ra_map.grid}")
-        seen = self._infer(encode_map(self.card.encoding, ra_map)[None])[0]
+        if self.card.head != "heatmap":
+            raise ValueError(f"{self.card.name}: card.head must be heatmap for a heatmap, got {self.card.head}")
+        seen = self.answer(ra_map)
         confidence = np.zeros((len(seen), *ra_map.grid.shape), np.float32)
         confidence[:, : seen.shape[1]] = seen
         return confidence
 
-    def _infer(self, encoded: np.ndarray) -> np.ndarray:
-        return self._session.run(None, {self._session.get_inputs()[0].name: encoded})[0]
+    def points(self, ra_map: RangeAzimuthMap, threshold: float, min_distance: int) -> Points:
+        """What the answer itself points at: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
+
+        Raises `ValueError` when the map's grid is not the card's.
+        """
+        return answered_points(self.card, self.answer(ra_map), threshold, min_distance)
+
+    def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
+        """The network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
+        if ra_map.grid != self.card.grid:
+            raise ValueError(f"map.grid must be the {self.card.name} card's, {self.card.grid}, got {ra_map.grid}")
+        return self.infer(encode_map(self.card.encoding, ra_map))
+
+    def infer(self, encoded: np.ndarray) -> np.ndarray:
+        """The network's answer to an encoded map [channels, range, columns]."""
+        return self._session.run(None, {self._input: encoded[None]})[0][0]
+
+
+def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_distance: int) -> Points:
+    """Points of one answer [channels, rows, columns] with at least a score of `threshold`."""
+    if card.head == "anchors":
+        cells, score, path_class = anchor_points(answer, card.anchor_stride, threshold, min_distance)
+        return Points(cells=cells, score=score, path_class=path_class)
+    maxima = [local_maxima(channel, threshold, min_distance) for channel in answer]
+    at = np.concatenate(maxima)
+    path_class = np.repeat(np.arange(len(answer), dtype=np.uint8), [len(of_class) for of_class in maxima])
+    score = answer[path_class, at[:, 0], at[:, 1]].astype(np.float64)
+    return Points(cells=at.astype(np.float64), score=score, path_class=path_class)
 
 
 def _open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
@@ -119,18 +202,24 @@ def _open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.In
     options.inter_op_num_threads = 1
     # a spinning worker would take its core from the other nodes between two maps
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    try:
+        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    except _NO_NETWORK as error:
+        raise ValueError(f"{model_path} must be a whole ONNX file: {' '.join(str(error).split())}") from None
 
 
-def _check_shapes(model_path: Path, card: ModelCard, session: onnxruntime.InferenceSession) -> None:
-    """Raise `ValueError` unless file, card and encoding agree on every shape."""
-    seen_cells = (card.encoding.range_bins, card.grid.azimuth_bins)
-    checks = (
-        ("input of the network", tuple(session.get_inputs()[0].shape), card.input_shape),
-        ("output of the network", tuple(session.get_outputs()[0].shape), card.output_shape),
-        ("card.input_shape", card.input_shape, (1, *card.encoding.shape)),
-        ("card.output_shape", card.output_shape, (1, 2, *seen_cells)),
-    )
-    for what, found, wanted in checks:
-        if found != wanted:
-            raise ValueError(f"{model_path}: {what} must be {wanted}, got {found}")
+def _check_session(model_path: Path, card: ModelCard, session: onnxruntime.InferenceSession) -> None:
+    """Raise `ValueError` unless file, card and encoding agree on type and every shape."""
+    card_file = card_path(model_path)
+    entries = {"input": session.get_inputs(), "output": session.get_outputs()}
+    shapes = {"input": card.input_shape, "output": card.output_shape}
+    for end, found in entries.items():
+        if len(found) != 1 or found[0].type != "tensor(float)":
+            raise ValueError(f"{model_path}: {end} must be one float32 array, got {[one.type for one in found]}")
+        shape = tuple(found[0].shape)
+        if shape != shapes[end]:
+            raise ValueError(f"{model_path}: {end} must be {shapes[end]} as its card says, got {shape}")
+    wanted = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
+    for end, shape in wanted.items():
+        if shapes[end] != shape:
+            raise ValueError(f"{card_file}: card.{end}_shape must be {shape}, got {shapes[end]}")

@@ -49,7 +49,7 @@ def find_ridges(
     cells = ridge_cells(np.where(found, level_db, -np.inf), params.spacing)
     cells = cells[~side_lobes(cells, level_db[cells[:, 0], cells[:, 1]], params)]
     fractional = cells.astype(np.float64)
-    fractional[:, 1] = _lobe_azimuth(level_db, cells)
+    fractional[:, 1] = lobe_azimuth(level_db, cells)
     return cells, fractional
 
 
@@ -61,7 +61,7 @@ def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
     return cells[keep_apart(cells, spacing)]
 
 
-def _lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
+def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
     """Fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either side."""
     reach = 3
     inner = np.clip(cells[:, 1], reach, level_db.shape[1] - 1 - reach)

@@ -12,20 +12,17 @@ walls along the line of sight.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Literal
 
 import msgspec
 import numpy as np
 
+from models.perception.arcs import ArcParams, with_arcs
 from models.perception.clustering import NOISE
+from models.perception.lines import INLIER_SIGMAS, LineFit, fit_line, line_gain
 from msgs.arrays import require_positive
 from msgs.perception import Wall
 
-#: An inlier's residual stays within this many standard deviations.
-INLIER_SIGMAS = 3.0
-#: Density of scattered points about a line: one in this many metres across it.
-SCATTER_WIDTH_M = 8.0
 #: Hypotheses that are refit and compared in each round of the search.
 FINALISTS = 4
 #: Log likelihood a point must add to continue a wall.
@@ -52,6 +49,14 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     #: Log likelihood ratio against scattered points.
     min_score: float = 9.0
     max_walls: int = 12
+    #: Lines of different clusters join, grow and hide each other; without it they stay as RANSAC leaves them.
+    joined: bool = True
+    #: A wall is cut at a gap this wide through which so many returns of another wall are seen; 0: never.
+    open_gap_m: float = 2.0
+    seen_through_points: int = 2
+    #: Walls that an arc explains better than lines are arcs.
+    curved: bool = True
+    arcs: ArcParams = ArcParams()
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -59,36 +64,6 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
             require_positive(f"walls.{name}", getattr(self, name))
         if self.min_inliers < 2:
             raise ValueError(f"walls.min_inliers must be at least 2, got {self.min_inliers!r}")
-
-
-@dataclass(frozen=True)
-class LineFit:
-    """A fitted line n.x + offset = 0 with n towards the radar, the points it stands on and its uncertainty."""
-
-    normal: np.ndarray
-    offset_m: float
-    members: np.ndarray
-    score: float
-    ends_m: np.ndarray
-    angle_std_rad: float
-    offset_std_m: float
-
-    @property
-    def length_m(self) -> float:
-        """Extent of the supporting points along the line."""
-        return float(np.hypot(*(self.ends_m[1] - self.ends_m[0])))
-
-    def as_wall(self) -> Wall:
-        """The value that travels."""
-        (ax, ay), (bx, by) = self.ends_m.tolist()
-        return Wall(
-            normal=(float(self.normal[0]), float(self.normal[1])),
-            offset_m=self.offset_m,
-            ends_m=((ax, ay), (bx, by)),
-            inliers=len(self.members),
-            angle_std_rad=self.angle_std_rad,
-            offset_std_m=self.offset_std_m,
-        )
 
 
 def find_walls(
@@ -104,16 +79,29 @@ def find_walls(
     fits: list[LineFit] = []
     for label in range(int(labels.max(initial=NOISE)) + 1):
         fits += _walls_of_cluster(points_m, covariance_m2, np.flatnonzero(labels == label), params, rng)
-    fits = _merge_duplicates(points_m, covariance_m2, fits, params)
-    sparse = msgspec.structs.replace(params, max_gap_m=params.sparse_gap_m, min_score=params.sparse_min_score)
-    fits += _walls_of_cluster(points_m, covariance_m2, _unclaimed(len(points_m), fits), sparse, rng)
-    fits = [_extended(points_m, covariance_m2, fit, _unclaimed(len(points_m), fits), params) for fit in fits]
-    fits.sort(key=lambda fit: (-len(fit.members), fit.offset_m))
-    fits = _drop_walls_behind_walls(fits)[: params.max_walls]
+    if params.joined:
+        fits = _one_building(points_m, covariance_m2, fits, params, rng)
+    fits = fits[: params.max_walls]
     wall_of_point = np.full(len(points_m), -1, np.int64)
     for index, fit in reversed(list(enumerate(fits))):
         wall_of_point[fit.members] = index
     return [fit.as_wall() for fit in fits], wall_of_point
+
+
+def _one_building(
+    points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: WallParams, rng: np.random.Generator
+) -> list[LineFit]:
+    """Walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best first."""
+    fits = _merge_duplicates(points_m, covariance_m2, fits, params)
+    sparse = msgspec.structs.replace(params, max_gap_m=params.sparse_gap_m, min_score=params.sparse_min_score)
+    fits += _walls_of_cluster(points_m, covariance_m2, _unclaimed(len(points_m), fits), sparse, rng)
+    fits = [_extended(points_m, covariance_m2, fit, _unclaimed(len(points_m), fits), params) for fit in fits]
+    if params.curved:
+        fits = with_arcs(points_m, covariance_m2, fits, params.arcs)
+    if params.open_gap_m > 0.0:
+        fits = [part for fit in fits for part in _opened(points_m, covariance_m2, fit, fits, params)]
+    fits.sort(key=lambda fit: (-len(fit.members), fit.offset_m))
+    return _drop_walls_behind_walls(fits)
 
 
 def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
@@ -180,52 +168,6 @@ def _hypotheses(points_m: np.ndarray, rounds: int, rng: np.random.Generator) -> 
     along, first, length_m = along[apart], first[apart], length_m[apart]
     normals = np.stack([-along[:, 1], along[:, 0]], axis=1) / length_m[:, None]
     return normals, -np.einsum("hi,hi->h", normals, points_m[first])
-
-
-def line_gain(
-    points_m: np.ndarray, covariance_m2: np.ndarray, normals: np.ndarray, offsets_m: np.ndarray
-) -> np.ndarray:
-    """What each point [N] adds to each line's [H] score, zero for outliers; float64 [H, N].
-
-    log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) with sigma^2 = n' C n, the error across the line.
-    """
-    residual = normals @ points_m.T + offsets_m[:, None]
-    # n' C n written out: the three products of the normal against the three entries of each covariance
-    squares = np.stack([normals[:, 0] ** 2, 2.0 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
-    entries = np.stack([covariance_m2[:, 0, 0], covariance_m2[:, 0, 1], covariance_m2[:, 1, 1]])
-    variance = squares @ entries
-    normed = residual**2 / variance
-    gain = np.log(SCATTER_WIDTH_M / math.sqrt(2.0 * math.pi)) - 0.5 * np.log(variance) - 0.5 * normed
-    return np.where(normed <= INLIER_SIGMAS**2, np.maximum(gain, 0.0), 0.0)
-
-
-def fit_line(
-    points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int = 3
-) -> tuple[np.ndarray, float, float, float]:
-    """Weighted total least squares: normal [2], offset [m], angle and offset standard deviation at the middle.
-
-    Weights are the inverse variances across the line, so they follow the line: iterated. The uncertainty is that of
-    the weights, inflated where the residuals are larger than they promise. Needs two distinct points.
-    """
-    xx, xy, yy = covariance_m2[:, 0, 0], covariance_m2[:, 0, 1], covariance_m2[:, 1, 1]
-    weights = 1.0 / (xx + yy)
-    for _ in range(rounds):
-        centre = weights @ points_m / weights.sum()
-        dx, dy = (points_m - centre).T
-        # principal axis of the weighted scatter, in closed form
-        angle_rad = 0.5 * math.atan2(2.0 * weights @ (dx * dy), weights @ (dx * dx - dy * dy))
-        normal = np.array([-math.sin(angle_rad), math.cos(angle_rad)])
-        weights = 1.0 / (normal[0] ** 2 * xx + 2.0 * normal[0] * normal[1] * xy + normal[1] ** 2 * yy)
-    offset_m = -float(normal @ centre)
-    if offset_m < 0.0:  # the radar, at the origin, stands on the side the normal points to
-        normal, offset_m = -normal, -offset_m
-    along = (points_m - centre) @ np.array([-normal[1], normal[0]])
-    chi_square = float(weights @ (points_m @ normal + offset_m) ** 2)
-    inflate = max(1.0, chi_square / max(len(points_m) - 2, 1))
-    angle_variance = inflate / max(float(weights @ along**2), 1e-12)
-    middle = 0.5 * (along.min() + along.max())
-    offset_variance = inflate / float(weights.sum()) + middle**2 * angle_variance
-    return normal, offset_m, math.sqrt(angle_variance), math.sqrt(offset_variance)
 
 
 def _segments(
@@ -342,6 +284,39 @@ def _extended(
             fit = longer
         free = np.delete(free, taken)
     return fit
+
+
+def _opened(
+    points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams
+) -> list[LineFit]:
+    """The parts of a wall between the gaps through which another wall is seen: what is seen behind proves an opening.
+
+    Arcs, which their own returns bend, stay whole; a part that cannot stand on its own is no wall.
+    """
+    if fit.curvature_per_m != 0.0:
+        return [fit]
+    reach = np.sort(points_m[fit.members] @ fit.tangent)
+    wide = np.flatnonzero(np.diff(reach) >= params.open_gap_m)
+    through = np.zeros(len(wide), int)
+    for other in fits:
+        if other is not fit:
+            foot = _passed_at(fit, points_m[other.members])[:, None]
+            through = np.maximum(through, ((foot > reach[wide]) & (foot < reach[wide + 1])).sum(axis=0))
+    cuts = 0.5 * (reach[wide] + reach[wide + 1])[through >= params.seen_through_points]
+    if len(cuts) == 0:
+        return [fit]
+    part_of = np.searchsorted(cuts, points_m[fit.members] @ fit.tangent)
+    runs = [fit.members[part_of == part] for part in range(len(cuts) + 1)]
+    parts = [_supported(points_m, covariance_m2, run, params) for run in runs]
+    return [part for part in parts if part is not None]
+
+
+def _passed_at(fit: LineFit, points_m: np.ndarray) -> np.ndarray:
+    """Where along a wall's line the rays pass to those of the points [N, 2] that lie a metre or more behind it; [M]."""
+    depth_m = -(points_m @ fit.normal + fit.offset_m)
+    points_m, depth_m = points_m[depth_m > 1.0], depth_m[depth_m > 1.0]
+    # the height over the line falls from offset_m at the radar to -depth_m
+    return np.asarray((points_m * (fit.offset_m / (fit.offset_m + depth_m))[:, None]) @ fit.tangent)
 
 
 def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:

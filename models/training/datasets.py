@@ -1,27 +1,22 @@
-"""Training maps: beam profiles from disk to encoded network inputs and heatmaps.
+"""Training samples: scans from disk to encoded network inputs and truth cells.
 
-Maps are formed once, by the code that forms them on the vehicle, and kept as their sampled columns: 80 KiB each, so a
-few thousand stay in memory and every epoch only encodes.
+Profiles stay in memory (100 KiB a scene). Maps are formed anew at every use by the code that forms them on the vehicle,
+which takes a millisecond, so that every epoch sees each scene through another imperfect radar.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from itertools import pairwise
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
 from models.perception.coarray import AzimuthInterpolator
 from models.perception.encoding import Encoding, encode_columns, sample_columns
-from models.training.targets import class_heatmaps
+from models.training.frames import DataSet, Scan, Splits, fixed_splits, scan_map
+from models.training.selection import Selection, select
 from msgs.radar import RadarSetup, RangeAzimuthGrid
-
-#: What is read of a shard: profiles complex64 [scenes, beams, bins], noise [scenes], and the truth points of all scenes
-#: in one row, those of scene i at offset[i]..offset[i + 1].
-SHARD_ARRAYS = ("profiles", "noise_power_mw", "offset", "range_m", "azimuth_rad", "path_class")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,17 +29,7 @@ class PointLabels:
 
     def flipped(self, azimuth_bins: int) -> PointLabels:
         """The same points with left and right exchanged."""
-        return PointLabels(row=self.row, column=azimuth_bins - 1 - self.column, path_class=self.path_class)
-
-
-@dataclass(frozen=True, kw_only=True)
-class BeamScan:
-    """One scan of a shard: beam profiles complex64 [beams, bins], a beam's noise per bin, and the truth."""
-
-    profiles: np.ndarray
-    noise_power_mw: float
-    labels: PointLabels
-    missing_beams: tuple[int, ...] = ()
+        return replace(self, column=azimuth_bins - 1 - self.column)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,103 +57,124 @@ class Perturbation:
 
 @dataclass(frozen=True, kw_only=True)
 class DataConfig:
-    """How a data set becomes training data."""
+    """What is trained on and how it is seen; its fields travel in the run folder and the card."""
 
-    #: Of the split and of the perturbations.
+    #: The data set whose fixed splits train, choose and test; and further ones that only train.
+    directory: str = ""
+    more: tuple[str, ...] = ()
+    #: At most this many training scenes (0: all), drawn once.
+    limit: int = 0
+    #: Scenes with these relays or objects are left out of training and validation.
+    selection: Selection = field(default_factory=Selection)
+    #: Of the perturbations.
     seed: int = 0
-    validation_share: float = 0.1
-    #: Perturbed variants of each training scene beside the clean one.
-    perturbed_copies: int = 1
+    #: Share of the training samples seen through a perfect radar.
+    clean_share: float = 0.5
     perturbation: Perturbation = Perturbation()
     encoding: Encoding = field(default_factory=Encoding)
     grid: RangeAzimuthGrid = field(default_factory=RangeAzimuthGrid)
 
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.clean_share <= 1.0:
+            raise ValueError(f"data.clean_share must be in 0..1, got {self.clean_share}")
+        if self.limit < 0:
+            raise ValueError(f"data.limit must not be negative, got {self.limit}")
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingData:
-    """Formed maps: for training a list of variants a scene, for validation one map a scene."""
+    """Scans to train on and formed maps to validate on."""
 
-    train: list[list[DenseSample]]
+    train: list[Scan]
     validation: list[DenseSample]
     config: DataConfig
 
 
-def load_training_data(directory: Path, config: DataConfig) -> TrainingData:
-    """Form the maps of a data set, split by scene.
+def load_training_data(config: DataConfig) -> TrainingData:
+    """Scenes of the training and validation splits, and all of the further data sets.
 
-    Raises `ValueError` where the folder holds no shards or a shard lacks an array.
+    Raises `ValueError` where a folder holds no data set, maps of another grid than the configuration's, or, in a
+    further one, a scene of the validation or test split.
     """
-    interpolator = AzimuthInterpolator(RadarSetup(), config.grid)
-    scans = read_scans(directory, config.grid)
-    train, validation = split_scenes(len(scans), config.validation_share, config.seed)
-
-    def variants(scene: int) -> list[DenseSample]:
-        # each scene its own draws, whatever the split
-        rng = np.random.default_rng([config.seed, scene])
-        copies = [perturb_scan(scans[scene], config.perturbation, rng) for _ in range(config.perturbed_copies)]
-        return [form_sample(scan, interpolator, config.encoding) for scan in (scans[scene], *copies)]
-
-    return TrainingData(
-        train=[variants(scene) for scene in train],
-        validation=[form_sample(scans[scene], interpolator, config.encoding) for scene in validation],
-        config=config,
-    )
-
-
-def load_samples(directory: Path, config: DataConfig) -> list[DenseSample]:
-    """Form all maps of a data set as they are; raises `ValueError` as above."""
-    interpolator = AzimuthInterpolator(RadarSetup(), config.grid)
-    return [form_sample(scan, interpolator, config.encoding) for scan in read_scans(directory, config.grid)]
+    data, splits = DataSet(Path(config.directory)), fixed_splits(Path(config.directory))
+    _check_grid(data, config.grid)
+    train = _chosen(data, splits.of("train"), config.selection)
+    for directory in config.more:
+        more = DataSet(Path(directory))
+        _check_grid(more, config.grid)
+        _refuse_leaks(data, splits, more)
+        train += _chosen(more, np.arange(len(more)), config.selection)
+    if 0 < config.limit < len(train):
+        kept = np.sort(np.random.default_rng(config.seed).permutation(len(train))[: config.limit])
+        train = [train[index] for index in kept]
+    former = SampleFormer(config)
+    validation = _chosen(data, splits.of("validation"), config.selection)
+    return TrainingData(train=train, validation=[former.sample(scan) for scan in validation], config=config)
 
 
-def read_scans(directory: Path, grid: RangeAzimuthGrid) -> list[BeamScan]:
-    """All scans of a data set's shards (`shard-*.npz`), in order; raises `ValueError` as above."""
-    paths = sorted(directory.glob("shard-*.npz"))
-    if not paths:
-        raise ValueError(f"{directory} must hold shards (shard-*.npz), found none")
-    _check_radar(directory / "series.json")
-    return [scan for path in paths for scan in _shard_scans(path, grid)]
+def load_samples(config: DataConfig, split: str) -> list[DenseSample]:
+    """Formed maps of one split of the configuration's data set, with nothing left out; raises `ValueError` as above."""
+    data, splits = DataSet(Path(config.directory)), fixed_splits(Path(config.directory))
+    _check_grid(data, config.grid)
+    former = SampleFormer(config)
+    return [former.sample(data.scan(int(index))) for index in splits.of(split)]
 
 
-def _check_radar(series: Path) -> None:
-    """ValueError where a data set says that it was simulated with another radar than the one maps are formed for."""
-    if not series.exists():
-        return
-    try:
-        preset = msgspec.json.decode(series.read_bytes(), type=dict).get("preset", "xband")
-    except msgspec.DecodeError as error:
-        raise ValueError(f"{series}: {error}") from None
-    if preset != "xband":
-        raise ValueError(f"{series}: preset must be xband to train on, got {preset!r}")
+def _check_grid(data: DataSet, grid: RangeAzimuthGrid) -> None:
+    if data.grid != grid:
+        raise ValueError(f"{data.directory}: grid must be {grid}, got {data.grid}")
 
 
-def _shard_scans(path: Path, grid: RangeAzimuthGrid) -> Iterator[BeamScan]:
-    with np.load(path, allow_pickle=False) as shard:
-        missing = [name for name in SHARD_ARRAYS if name not in shard.files]
-        if missing:
-            raise ValueError(f"{path} must hold the arrays {', '.join(SHARD_ARRAYS)}; it lacks {', '.join(missing)}")
-        arrays = {name: shard[name] for name in SHARD_ARRAYS}
-    row, column = grid.range_index(arrays["range_m"]), grid.azimuth_index(arrays["azimuth_rad"])
-    for scene, (first, last) in enumerate(pairwise(arrays["offset"])):
+def _chosen(data: DataSet, indices: np.ndarray, selection: Selection) -> list[Scan]:
+    scans = [data.scan(int(index)) for index in indices]
+    return [scans[index] for index in select(scans, range(len(scans)), selection)]
+
+
+def _refuse_leaks(data: DataSet, splits: Splits, more: DataSet) -> None:
+    held_out = {data.fingerprint(index): index for index in (*splits.validation, *splits.test)}
+    for index in range(len(more)):
+        if (found := held_out.get(more.fingerprint(index))) is not None:
+            raise ValueError(
+                f"{more.directory}: no scene may be held out in {data.directory}, {index} is its scene {found}"
+            )
+
+
+class SampleFormer:
+    """Forms the maps of scans and keeps the columns the network sees."""
+
+    def __init__(self, config: DataConfig) -> None:
+        self.config = config
+        self._interpolator = AzimuthInterpolator(RadarSetup(), config.grid)
+
+    def sample(self, scan: Scan, rng: np.random.Generator | None = None) -> DenseSample:
+        """The map of a scan; with a generator, seen through an imperfect radar and augmented."""
+        config = self.config
+        if rng is not None and scan.profiles is not None and rng.random() >= config.clean_share:
+            scan = perturb_scan(scan, config.perturbation, rng)
+        ra_map = scan_map(scan, self._interpolator)
         labels = PointLabels(
-            row=row[first:last], column=column[first:last], path_class=arrays["path_class"][first:last]
+            row=config.grid.range_index(scan.labels.range_m),
+            column=config.grid.azimuth_index(scan.labels.azimuth_rad),
+            path_class=scan.labels.path_class,
         )
-        yield BeamScan(
-            profiles=arrays["profiles"][scene], noise_power_mw=float(arrays["noise_power_mw"][scene]), labels=labels
+        sample = DenseSample(
+            columns=sample_columns(config.encoding, ra_map.values),
+            noise_power_mw=ra_map.noise_power_mw,
+            labels=labels,
         )
+        return sample if rng is None else augment(sample, config.grid.azimuth_bins, rng)
+
+    def encode(self, samples: Sequence[DenseSample]) -> np.ndarray:
+        """Network inputs, float32 [batch, channels, range, columns]."""
+        columns = np.stack([sample.columns for sample in samples])
+        noise_power_mw = np.array([sample.noise_power_mw for sample in samples])
+        return encode_columns(self.config.encoding, columns, noise_power_mw)
 
 
-def split_scenes(count: int, validation_share: float, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Fixed disjoint scene indices for training and validation, both sorted."""
-    if not 0.0 < validation_share < 1.0 or count < 2:
-        raise ValueError(f"validation_share must be in (0, 1) of at least 2 scenes, got {validation_share} of {count}")
-    order = np.random.default_rng(seed).permutation(count)
-    held_out = min(max(round(count * validation_share), 1), count - 1)
-    return np.sort(order[held_out:]), np.sort(order[:held_out])
-
-
-def perturb_scan(scan: BeamScan, perturbation: Perturbation, rng: np.random.Generator) -> BeamScan:
+def perturb_scan(scan: Scan, perturbation: Perturbation, rng: np.random.Generator) -> Scan:
     """The same scene seen by a less perfect radar: beam gains, phases and receiver noise differ."""
+    if scan.profiles is None:
+        raise ValueError(f"scene {scan.index} must hold beam profiles to be perturbed, holds a map")
     beams, bins = scan.profiles.shape
     gain = 10.0 ** (rng.normal(0.0, perturbation.gain_std_db, beams) / 20.0)
     phase_rad = np.tile(rng.normal(0.0, perturbation.phase_std_rad, (beams, 1)), bins)
@@ -180,56 +186,41 @@ def perturb_scan(scan: BeamScan, perturbation: Perturbation, rng: np.random.Gene
     noise = np.sqrt(added_mw / 2.0) * rng.standard_normal((*scan.profiles.shape, 2)) @ (1.0, 1.0j)
     profiles = gain[:, None] * np.exp(1j * phase_rad) * scan.profiles + noise
     missing = (int(rng.integers(beams)),) if rng.random() < perturbation.missing_share else ()
-    return BeamScan(
+    return replace(
+        scan,
         profiles=profiles.astype(np.complex64),
         noise_power_mw=scan.noise_power_mw + added_mw,
-        labels=scan.labels,
-        missing_beams=missing,
+        missing_beams=tuple(sorted({*scan.missing_beams, *missing})),
     )
-
-
-def form_sample(scan: BeamScan, interpolator: AzimuthInterpolator, encoding: Encoding) -> DenseSample:
-    """Form the map of a scan and keep the columns the network sees; noise is the map's, as on the vehicle."""
-    values, _ = interpolator.interpolate(scan.profiles, scan.noise_power_mw, scan.missing_beams)
-    return DenseSample(
-        columns=sample_columns(encoding, values),
-        noise_power_mw=scan.noise_power_mw * interpolator.noise_gain(scan.missing_beams),
-        labels=scan.labels,
-    )
-
-
-def encode_batch(
-    samples: list[DenseSample], encoding: Encoding, grid: RangeAzimuthGrid
-) -> tuple[np.ndarray, np.ndarray]:
-    """Network inputs float32 [batch, channels, range, columns] and heatmaps float32 [batch, 2, range, azimuth]."""
-    columns = np.stack([sample.columns for sample in samples])
-    noise_power_mw = np.array([sample.noise_power_mw for sample in samples])
-    shape = encoding.range_bins, grid.azimuth_bins
-    heatmaps = [class_heatmaps(shape, s.labels.row, s.labels.column, s.labels.path_class) for s in samples]
-    return encode_columns(encoding, columns, noise_power_mw), np.stack(heatmaps)
 
 
 def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) -> DenseSample:
-    """Mirror left and right half of the time, and misjudge the noise by a decibel or so."""
+    """Mirror left and right half of the time, turn the phase, and misjudge the noise by a decibel or so."""
     columns, labels = sample.columns, sample.labels
     if rng.random() < 0.5:
         columns, labels = columns[:, ::-1], labels.flipped(azimuth_bins)
     return DenseSample(
-        columns=columns, noise_power_mw=sample.noise_power_mw * 10.0 ** (rng.normal(0.0, 0.1)), labels=labels
+        columns=columns * np.complex64(np.exp(2j * np.pi * rng.random())),
+        noise_power_mw=sample.noise_power_mw * 10.0 ** (rng.normal(0.0, 0.1)),
+        labels=labels,
     )
 
 
 def shuffled_batches(
-    variants: list[list[DenseSample]],
+    scans: Sequence[Scan],
+    former: SampleFormer,
     batch_size: int,
-    encoding: Encoding,
-    grid: RangeAzimuthGrid,
-    seed: int | tuple[int, ...],
-) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """One epoch of augmented batches over scenes, each given as its variants; a remainder is left out."""
-    rng = np.random.default_rng(seed)
-    order = rng.permutation(len(variants))
+    seed: tuple[int, ...],
+    rank: int = 0,
+    ranks: int = 1,
+) -> Iterator[tuple[np.ndarray, np.ndarray, list[PointLabels]]]:
+    """One epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out.
+
+    Of several ranks each takes its part of every batch, and all together what one alone would.
+    """
+    order = np.random.default_rng(seed).permutation(len(scans))
     for start in range(0, len(order) - batch_size + 1, batch_size):
-        chosen = [variants[scene] for scene in order[start : start + batch_size]]
-        samples = [augment(scene[rng.integers(len(scene))], grid.azimuth_bins, rng) for scene in chosen]
-        yield encode_batch(samples, encoding, grid)
+        mine = order[start : start + batch_size][rank::ranks]
+        # each scene its own draws, whoever forms it
+        samples = [former.sample(scans[scene], np.random.default_rng((*seed, int(scene)))) for scene in mine]
+        yield mine, former.encode(samples), [sample.labels for sample in samples]

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import copy
 import hashlib
+import shutil
+import tempfile
 import warnings
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -12,39 +18,77 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
-from models.networks.compact_unet import CompactUNet
-from models.perception.encoding import encode_columns
+from models.perception.detectors import NetworkDetector
+from models.perception.encoding import encode_map
 from models.perception.metrics import Counts
-from models.perception.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
-from models.training.datasets import DenseSample, load_samples
-from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
+from models.perception.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
+from models.perception.peaks import PeakParams
+from models.training.calibration import fit_table, peak_outcomes
+from models.training.datasets import PointLabels
+from models.training.families import FAMILIES, INPUTS
+from models.training.frames import DataSet, Frame, fixed_splits
+from models.training.quantize import quantize_int8
+from models.training.schedules import SCHEDULES
+from models.training.scoring import DEFAULT_THRESHOLD, Detections, DetectionTally
 from models.training.train_dense import RunConfig, load_best
 from msgs.perception import PathClass
+from msgs.radar import RadarSetup
 
 OPSET = 17
-#: Largest difference between torch and ONNX Runtime, in probability, that an export may show.
+#: Largest difference between torch and ONNX Runtime, in probability, that an fp32 export may show.
 PARITY = 1e-4
+#: Encoded maps that parity is checked on beside random inputs.
+PARITY_MAPS = 8
+
+Precision = Literal["fp32", "fp16", "int8"]
+Head = Literal["heatmap", "anchors"]
 
 
-class Confidence(nn.Module):
-    """The network with its sigmoid: what is exported answers probabilities."""
+class Exported(nn.Module):
+    """A network as its file answers: probabilities of a heatmap, or logits and offsets of anchors.
 
-    def __init__(self, network: CompactUNet) -> None:
+    `half` computes in float16 inside; what goes in and comes out is float32 either way.
+    """
+
+    def __init__(self, network: nn.Module, head: Head = "heatmap", half: bool = False) -> None:
         super().__init__()
-        self.network = network
+        self.network = copy.deepcopy(network).half() if half else network
+        self.head, self.half_precision = head, half
+        self.eval()
 
     def forward(self, x: Tensor) -> Tensor:
-        """Encoded maps to probabilities."""
-        return torch.sigmoid(self.network(x))
+        """Encoded maps to answers."""
+        answer = self.network(x.half() if self.half_precision else x).float()
+        return torch.sigmoid(answer) if self.head == "heatmap" else answer
 
 
-def export_onnx(network: CompactUNet, path: Path) -> str:
-    """Write a network for one map at a time as ONNX fp32, checked against torch; returns the file's sha256.
+@dataclass(frozen=True, kw_only=True)
+class ExportConfig:
+    """What is exported from a run and what it is scored on."""
 
-    Raises `ValueError` when ONNX Runtime's probabilities differ from torch's by more than 1e-4.
+    #: Data set of the run, for its splits and the card's words; None: the folder that the run names.
+    data_dir: Path | None = None
+    #: Data set whose scenes all score the export; None: a split of `data_dir`.
+    test_dir: Path | None = None
+    split: str = "test"
+    precision: Precision = "fp32"
+    #: Encoded maps of the training split that set the ranges of int8.
+    calibration_maps: int = 64
+
+    def __post_init__(self) -> None:
+        if self.precision not in ("fp32", "fp16", "int8"):
+            raise ValueError(f"export.precision must be fp32, fp16 or int8, got {self.precision!r}")
+        if self.calibration_maps < 1:
+            raise ValueError(f"export.calibration_maps must be at least 1, got {self.calibration_maps}")
+
+
+def export_onnx(model: Exported, path: Path, maps: Iterable[np.ndarray] = ()) -> str:
+    """Write a network for one map at a time as ONNX; returns the file's sha256.
+
+    Raises `ValueError` when, in fp32, ONNX Runtime's probabilities differ from torch's by more than 1e-4 over random
+    inputs and the encoded `maps` [channels, range, columns].
     """
-    config = network.config
-    model = Confidence(network).eval()
+    config = model.network.config
     example = torch.zeros(1, config.in_channels, config.range_bins, config.columns)
     path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
@@ -57,55 +101,87 @@ def export_onnx(network: CompactUNet, path: Path) -> str:
             dynamo=False,
             opset_version=OPSET,
             input_names=["encoded"],
-            output_names=["confidence"],
+            output_names=["confidence" if model.head == "heatmap" else "answer"],
         )
-    difference = parity(model, path)
-    if difference > PARITY:
+    if not model.half_precision and not (difference := parity(model, path, maps)) <= PARITY:
         raise ValueError(f"{path}: probabilities must agree with torch within {PARITY}, differ by {difference}")
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def parity(model: nn.Module, path: Path, seed: int = 0) -> float:
-    """Largest difference of the probabilities of torch and ONNX Runtime over random inputs."""
-    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
-    entry = session.get_inputs()[0]
+def parity(model: Exported, path: Path, maps: Iterable[np.ndarray] = (), seed: int = 0) -> float:
+    """Largest difference of the answers of torch and ONNX Runtime over random inputs and encoded maps."""
+    shape = model.network.config.in_channels, model.network.config.range_bins, model.network.config.columns
     rng = np.random.default_rng(seed)
+    random = [(scale * rng.standard_normal(shape)).astype(np.float32) for scale in (0.0, 1.0, 10.0)]
+    return largest_difference(model, path, [*random, *maps])
+
+
+def largest_difference(model: Exported, path: Path, inputs: Iterable[np.ndarray]) -> float:
+    """Largest difference of the answers of torch and of a file to inputs [channels, range, columns].
+
+    Probabilities are compared, and offsets of anchors relative to the largest one (at least a cell).
+    """
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     differences = []
-    for scale in (0.0, 1.0, 10.0):
-        encoded = (scale * rng.standard_normal(entry.shape)).astype(np.float32)
+    for encoded in inputs:
         with torch.no_grad():
-            wanted = model(torch.from_numpy(encoded)).numpy()
-        differences.append(float(np.abs(session.run(None, {entry.name: encoded})[0] - wanted).max()))
-    return max(differences)
+            wanted = model(torch.from_numpy(encoded[None])).numpy()
+        found = session.run(None, {session.get_inputs()[0].name: encoded[None]})[0]
+        differences.append(_difference(wanted[0], found[0], model.head))
+    # a value that is no number makes the largest one none either
+    return float(np.max(differences))
 
 
-def export_run(run_dir: Path, test_dir: Path, model_path: Path, data_dir: Path) -> ModelCard:
-    """Export the best network of a run and write its card, with its scores on the scenes of `test_dir`.
+def _difference(wanted: np.ndarray, found: np.ndarray, head: Head) -> float:
+    if head == "heatmap":
+        return float(np.abs(found - wanted).max())
+    classes = len(PathClass) + 1
+    probabilities = [torch.softmax(torch.from_numpy(one[:classes]), dim=0).numpy() for one in (wanted, found)]
+    largest_cells = max(1.0, float(np.abs(wanted[classes:]).max()))
+    offsets = np.abs(found[classes:] - wanted[classes:]).max() / largest_cells
+    return float(max(np.abs(probabilities[0] - probabilities[1]).max(), offsets))
 
-    The scores are those of the exported file. `data_dir` is the data set the run was trained on: the card tells how it
-    was made. Raises `ValueError` where a folder holds no run or no data set, or when the export differs from torch.
+
+def export_run(
+    run_dir: Path, model_path: Path, config: ExportConfig, report: Callable[[str], None] = lambda _: None
+) -> ModelCard:
+    """Export the best network of a run and write its card; the scores are those of the exported file.
+
+    `report` hears what is being done. Nothing is written at `model_path` before all is done. Raises `ValueError` where
+    a folder holds no run or no data set, or when an fp32 export differs from torch.
     """
     network, run, epoch = load_best(run_dir)
-    samples = load_samples(test_dir, run.data)
-    sha256 = export_onnx(network, model_path)
-    card = ModelCard(
-        name=model_path.stem,
-        sha256=sha256,
-        parameters=sum(parameter.numel() for parameter in network.parameters()),
-        encoding=run.data.encoding,
-        grid=run.data.grid,
-        input_shape=(1, *run.data.encoding.shape),
-        output_shape=(1, len(PathClass), run.data.encoding.range_bins, run.data.grid.azimuth_bins),
-        threshold=DEFAULT_THRESHOLD,
-        scores=_scores(_tally(model_path, samples, run)),
-        data={"training": _command(data_dir), "test": _command(test_dir), "test_scenes": len(samples)},
-        training={
-            "command": f"mirrorwave train dense --data {data_dir} --out {run_dir} --epochs {run.training.epochs} "
-            f"--seed {run.training.seed}",
-            "chosen_epoch": epoch,
-            "config": msgspec.json.decode(msgspec.json.encode(run)),
-        },
-    )
+    data_dir = config.data_dir or Path(run.data.directory)
+    test, indices = _test_scenes(data_dir, config)
+    maps = _training_maps(data_dir, run, config)
+    model = Exported(network, _head(run))
+    with tempfile.TemporaryDirectory() as directory:
+        reference, file = Path(directory) / "reference.onnx", Path(directory) / "export.onnx"
+        report(f"exporting in {config.precision}")
+        export_onnx(model, reference, maps[:PARITY_MAPS])
+        _convert(model, reference, file, config.precision, maps)
+        draft = _draft(model, run, epoch, run_dir, config)
+        for path in (reference, file):
+            write_card(msgspec.structs.replace(draft, sha256=_sha256(path)), path)
+        report(f"scoring on {len(indices)} scenes")
+        exact, own = score_files((reference, file), test.frames(indices))
+        report("reading scores as probabilities on the validation scenes")
+        card = msgspec.structs.replace(
+            draft,
+            name=model_path.stem,
+            sha256=_sha256(file),
+            scores=_scores(own),
+            fidelity=Fidelity(
+                largest_difference=largest_difference(model, file, maps[:PARITY_MAPS]),
+                macro_f1_fp32=round(exact.macro_f1(), 4),
+                lost_points=round(100.0 * (exact.macro_f1() - own.macro_f1()), 2),
+                calibration_maps=len(maps) if config.precision == "int8" else 0,
+            ),
+            calibration=_score_table(file, draft.head, data_dir),
+            data=_provenance(data_dir, config, len(indices)),
+        )
+        model_path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, model_path)
     write_card(card, model_path)
     return card
 
@@ -115,14 +191,116 @@ def write_card(card: ModelCard, model_path: Path) -> None:
     card_path(model_path).write_bytes(msgspec.json.format(msgspec.json.encode(card), indent=2) + b"\n")
 
 
-def _tally(model_path: Path, samples: list[DenseSample], run: RunConfig) -> DetectionTally:
-    """Detections of an exported file, as the vehicle runs it."""
-    session = onnxruntime.InferenceSession(model_path, providers=["CPUExecutionProvider"])
-    tally = DetectionTally(run.data.grid)
-    for sample in samples:
-        encoded = encode_columns(run.data.encoding, sample.columns, np.array(sample.noise_power_mw))
-        tally.add(session.run(None, {session.get_inputs()[0].name: encoded[None]})[0][0], sample.labels)
-    return tally
+def score_files(paths: Sequence[Path], frames: Iterable[Frame]) -> list[DetectionTally]:
+    """Detections of exported files, as the vehicle runs them, over the same frames."""
+    predictors = [DensePredictor(path) for path in paths]
+    tallies = [DetectionTally(predictor.card.grid) for predictor in predictors]
+    for frame in frames:
+        for predictor, tally in zip(predictors, tallies, strict=True):
+            points = predictor.points(frame.ra_map, min(tally.counts), PeakParams().min_distance)
+            tally.add_points(Detections(points.cells, points.score, points.path_class), _labels(frame))
+    return tallies
+
+
+def _labels(frame: Frame) -> PointLabels:
+    grid, truth = frame.ra_map.grid, frame.labels
+    return PointLabels(
+        row=grid.range_index(truth.range_m),
+        column=grid.azimuth_index(truth.azimuth_rad),
+        path_class=truth.path_class,
+    )
+
+
+def _convert(model: Exported, reference: Path, file: Path, precision: Precision, maps: np.ndarray) -> None:
+    """The file of a precision, from the network or from its fp32 export."""
+    if precision == "int8":
+        quantize_int8(reference, file, maps)
+    elif precision == "fp16":
+        export_onnx(Exported(model.network, model.head, half=True), file)
+    else:
+        shutil.copyfile(reference, file)
+
+
+def _draft(model: Exported, run: RunConfig, epoch: int, run_dir: Path, config: ExportConfig) -> ModelCard:
+    """The card without what the file and its scores decide."""
+    training = run.training
+    draft = ModelCard(
+        name=run_dir.name,
+        sha256="",
+        parameters=sum(parameter.numel() for parameter in model.network.parameters()),
+        network=training.network.family,
+        precision=config.precision,
+        head=model.head,
+        anchor_stride=training.objective.anchor_stride if model.head == "anchors" else 1,
+        encoding=run.data.encoding,
+        grid=run.data.grid,
+        input_shape=(1, *run.data.encoding.shape),
+        output_shape=(),
+        threshold=DEFAULT_THRESHOLD,
+        scores=(),
+        data={},
+        training={
+            "command": _training_command(run, run_dir),
+            "chosen_epoch": epoch,
+            "config": msgspec.json.decode(msgspec.json.encode(run)),
+        },
+    )
+    return msgspec.structs.replace(draft, output_shape=draft.answer_shape)
+
+
+def _training_command(run: RunConfig, run_dir: Path) -> str:
+    """The command of a run so far as its folder tells; `config` on the card says all of it."""
+    choice, schedule = run.training.network, run.training.schedule
+    resolved, channels = choice.resolved, run.data.encoding.channels
+    sizes = FAMILIES[choice.family].sizes.items()
+    size = next((name for name, one in sizes if replace(one, in_channels=len(channels)) == resolved), "")
+    inputs = next((name for name, one in INPUTS.items() if one == channels), "")
+    options = {
+        "data": run.data.directory,
+        "out": run_dir,
+        "network": f"{choice.family}:{size}".rstrip(":"),
+        "input": inputs,
+        "objective": run.training.objective.kind,
+        "schedule": next((name for name, one in SCHEDULES.items() if one.kind == schedule.kind), ""),
+        "epochs": schedule.epochs,
+        "batch-size": schedule.batch_size,
+        "learning-rate": schedule.learning_rate,
+        "init": run.training.init,
+        "seed": run.training.seed,
+    }
+    given = "".join(f" --{name} {value}" for name, value in options.items() if value != "")
+    return "mirrorwave train dense" + given + "".join(f" --more {folder}" for folder in run.data.more)
+
+
+def _head(run: RunConfig) -> Head:
+    return "anchors" if run.training.objective.kind == "anchors" else "heatmap"
+
+
+def _test_scenes(data_dir: Path, config: ExportConfig) -> tuple[DataSet, np.ndarray]:
+    """The scenes that score the export: all of another data set, or a split of the run's own."""
+    if config.test_dir is None:
+        return DataSet(data_dir), fixed_splits(data_dir).of(config.split)
+    test = DataSet(config.test_dir)
+    return test, np.arange(len(test))
+
+
+def _training_maps(data_dir: Path, run: RunConfig, config: ExportConfig) -> np.ndarray:
+    """Encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
+    count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
+    scenes = np.random.default_rng(run.training.seed).permutation(fixed_splits(data_dir).of("train"))[:count]
+    return np.stack([encode_map(run.data.encoding, frame.ra_map) for frame in DataSet(data_dir).frames(scenes)])
+
+
+def _score_table(file: Path, head: Head, data_dir: Path) -> tuple[tuple[float, float], ...]:
+    """What the scores of the live detector's peaks are worth on the validation scenes; none for anchors."""
+    if head == "anchors":
+        return ()
+    scenes = DataSet(data_dir).frames(fixed_splits(data_dir).of("validation"))
+    return fit_table(*peak_outcomes(NetworkDetector(RadarSetup(), file), scenes))
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
@@ -140,6 +318,18 @@ def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
     )
 
 
+def _provenance(data_dir: Path, config: ExportConfig, scenes: int) -> dict[str, str | int]:
+    """How training and test scenes were made, and which the latter are."""
+    if config.test_dir is not None:
+        return {"training": _command(data_dir), "test": _command(config.test_dir), "test_scenes": scenes}
+    return {
+        "training": _command(data_dir),
+        "test": f"its {config.split} split",
+        "test_scenes": scenes,
+        "test_sha256": fixed_splits(data_dir).test_sha256,
+    }
+
+
 #: What a series says of itself and the command takes.
 _RECIPE = ("places", "preset", "effects", "budget_db")
 
@@ -148,6 +338,8 @@ def _command(data_dir: Path) -> str:
     """The command that makes a data set again, from what its folder says."""
     try:
         series = msgspec.json.decode((data_dir / "series.json").read_bytes())
+        if series.get("format") == "maps":
+            return f"maps made elsewhere, imported to {data_dir}"
         shards = (data_dir / "manifest.jsonl").read_bytes().splitlines()
         count = sum(msgspec.json.decode(line)["scenes"] for line in shards)
     except (OSError, KeyError, msgspec.DecodeError) as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from models.perception.metrics import Counts, dense_counts
@@ -15,6 +17,23 @@ DEFAULT_THRESHOLD = 0.3
 THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7)
 
 
+@dataclass(frozen=True)
+class Detections:
+    """Points read from an answer: fractional cells [N, 2], scores and classes [N]."""
+
+    cells: np.ndarray
+    score: np.ndarray
+    path_class: np.ndarray
+
+
+def confidence_points(confidence: np.ndarray, floor: float) -> Detections:
+    """Local maxima of a confidence map [classes, range, azimuth] with at least this score, section 3.1.1."""
+    cells = [local_maxima(channel, floor, PeakParams().min_distance) for channel in confidence]
+    at = np.concatenate(cells)
+    path_class = np.repeat(np.arange(len(confidence)), [len(of_class) for of_class in cells])
+    return Detections(at.astype(np.float64), confidence[path_class, at[:, 0], at[:, 1]], path_class)
+
+
 class DetectionTally:
     """Counts of each class over all frames, for each threshold; no frame is skipped."""
 
@@ -24,15 +43,15 @@ class DetectionTally:
 
     def add(self, confidence: np.ndarray, labels: PointLabels) -> None:
         """Count one frame: confidence [classes, range, azimuth] against its truth (one to one, 2 m gate)."""
-        reach = PeakParams().min_distance
-        cells = [local_maxima(channel, min(self.counts), reach) for channel in confidence]
-        score = np.concatenate([channel[tuple(at.T)] for channel, at in zip(confidence, cells, strict=True)])
-        path_class = np.repeat(np.arange(len(confidence)), [len(at) for at in cells])
-        found_m = positions_m(self.grid, *np.concatenate(cells).T)
+        self.add_points(confidence_points(confidence, min(self.counts)), labels)
+
+    def add_points(self, found: Detections, labels: PointLabels) -> None:
+        """Count one frame: points against its truth."""
+        found_m = positions_m(self.grid, *found.cells.T)
         truth_m = positions_m(self.grid, labels.row, labels.column)
         for threshold, total in self.counts.items():
-            kept = score >= threshold
-            frame = dense_counts(found_m[kept], path_class[kept], truth_m, labels.path_class)
+            kept = found.score >= threshold
+            frame = dense_counts(found_m[kept], found.path_class[kept], truth_m, labels.path_class)
             for k in PathClass:
                 total[k] += frame[k]
 

@@ -40,3 +40,14 @@ def class_heatmaps(
     return np.stack(
         [gaussian_heatmap(shape, row[path_class == k], column[path_class == k], sigma_px) for k in range(classes)]
     )
+
+
+def class_masks(
+    shape: tuple[int, int], row: np.ndarray, column: np.ndarray, path_class: np.ndarray, classes: int = 2
+) -> np.ndarray:
+    """One mask per path class, float32 [classes, rows, columns]: 1 in the cell of each point, 0 elsewhere."""
+    masks = np.zeros((classes, *shape), np.float32)
+    cells = np.stack([np.rint(row), np.rint(column)], axis=-1).astype(np.int64)
+    inside = ((cells >= 0) & (cells < shape)).all(axis=-1)
+    masks[path_class[inside], cells[inside, 0], cells[inside, 1]] = 1.0
+    return masks

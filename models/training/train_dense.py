@@ -1,4 +1,4 @@
-"""Training of the dense network: schedule, checkpoints, validation."""
+"""Training of dense networks: epochs, checkpoints, validation, and going on after a kill."""
 
 from __future__ import annotations
 
@@ -12,39 +12,38 @@ import numpy as np
 import torch
 from torch import nn
 
-from models.networks.compact_unet import CompactUNet, CompactUNetConfig
-from models.training.datasets import DataConfig, TrainingData, encode_batch, shuffled_batches
-from models.training.losses import heatmap_focal_loss
+from models.training.datasets import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
+from models.training.families import FAMILIES, NetworkChoice
+from models.training.objectives import ObjectiveConfig, objective_of
+from models.training.ranks import Ranks
+from models.training.schedules import ScheduleConfig, optimiser_of
 from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
 from msgs.perception import PathClass
 
-LAST, BEST, CONFIG, CURVES = "last.pt", "best.pt", "config.json", "curves.json"
+LAST, BEST, CONFIG, CURVES, SUMMARY = "last.pt", "best.pt", "config.json", "curves.json", "summary.json"
+#: Thresholds of the validation of every epoch; the first is the least confident peak that is looked at.
+WATCHED_THRESHOLDS = (0.1, 0.2, DEFAULT_THRESHOLD, 0.4, 0.5)
+#: A score that rises by more than this over the last fifth of a run has not converged.
+CONVERGED_RISE = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainDenseConfig:
-    """Schedule of a run. The published one (Adam, 1e-4, 100 epochs) is for a network 40 times as large."""
+    """What is trained and how."""
 
-    epochs: int = 20
+    network: NetworkChoice
+    objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
+    schedule: ScheduleConfig = field(default_factory=ScheduleConfig)
     seed: int = 0
-    batch_size: int = 8
-    learning_rate: float = 2e-3
-    weight_decay: float = 1e-3
-    clip_norm: float = 1.0
-    #: Share of the steps in which the learning rate rises.
-    warm_up: float = 0.15
     threads: int = 1
-    #: Convolutions in bfloat16 (the published training uses mixed precision as well).
+    #: Arithmetic in bfloat16 where it is safe (section 3.3: mixed precision).
     mixed_precision: bool = True
-    network: CompactUNetConfig = field(default_factory=CompactUNetConfig)
+    #: Weights to start from, a file.
+    init: str = ""
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch_size", "threads"):
-            if getattr(self, name) < 1:
-                raise ValueError(f"train.{name} must be at least 1, got {getattr(self, name)}")
-        for name in ("learning_rate", "clip_norm"):
-            if not getattr(self, name) > 0.0:
-                raise ValueError(f"train.{name} must be positive, got {getattr(self, name)}")
+        if self.threads < 1:
+            raise ValueError(f"train.threads must be at least 1, got {self.threads}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,20 +54,22 @@ class RunConfig:
     data: DataConfig
 
     def __post_init__(self) -> None:
-        network, data = self.training.network, self.data
-        takes = network.in_channels, network.range_bins, network.columns
-        if takes != data.encoding.shape:
-            raise ValueError(f"network must take the encoding's shape {data.encoding.shape}, takes {takes}")
-        if network.columns * network.azimuth_factor != data.grid.azimuth_bins:
+        config, encoding = self.training.network.resolved, self.data.encoding
+        takes = config.in_channels, config.range_bins, config.columns
+        if takes != encoding.shape:
+            raise ValueError(f"network must take the encoding's shape {encoding.shape}, takes {takes}")
+        stride = getattr(config, "anchor_stride", 1)
+        answers = tuple(stride * cells for cells in config.output_shape[1:])
+        if answers != (encoding.range_bins, self.data.grid.azimuth_bins):
             raise ValueError(
-                f"network.azimuth_factor must spread {network.columns} columns to {data.grid.azimuth_bins} azimuths, "
-                f"got {network.azimuth_factor}"
+                f"network must answer on {encoding.range_bins} ranges and the grid's {self.data.grid.azimuth_bins} "
+                f"azimuths, answers on {answers}"
             )
 
 
 @dataclass(frozen=True, kw_only=True)
 class EpochReport:
-    """What one epoch brought."""
+    """What one epoch brought; scores are on the validation scenes at the published threshold."""
 
     epoch: int
     train_loss: float
@@ -76,7 +77,29 @@ class EpochReport:
     macro_f1: float
     los_f1: float
     mirrored_f1: float
+    #: The best of the watched thresholds, and its score: what chooses the checkpoint.
+    best_threshold: float
+    best_macro_f1: float
     is_best: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSummary:
+    """The budget of a run and what it came to."""
+
+    family: str
+    parameters: int
+    scenes: int
+    epochs: int
+    #: Samples that went through the network in training.
+    sample_steps: int
+    best: EpochReport
+    #: The validation score rose by more than 0.01 over the last fifth.
+    unconverged: bool
+
+
+class NonFiniteLossError(ValueError):
+    """A loss that is no number, with the batch that did it."""
 
 
 class DenseTraining:
@@ -86,74 +109,139 @@ class DenseTraining:
     killed goes on where it stood and ends with the same weights as one that was not.
     """
 
-    def __init__(self, config: TrainDenseConfig, data: TrainingData, run_dir: Path) -> None:
+    def __init__(self, config: TrainDenseConfig, data: TrainingData, run_dir: Path, ranks: Ranks | None = None) -> None:
         self.run_config = RunConfig(training=config, data=data.config)
-        if len(data.train) < config.batch_size:
-            raise ValueError(f"train.batch_size must be at most the {len(data.train)} scenes, got {config.batch_size}")
+        self.config, self.data, self.run_dir, self.ranks = config, data, run_dir, ranks or Ranks()
+        self._check_batches()
         torch.set_num_threads(config.threads)
         torch.manual_seed(config.seed)
-        self.config, self.data, self.run_dir = config, data, run_dir
-        self.network = CompactUNet(config.network).to(memory_format=torch.channels_last)
-        self.optimiser = torch.optim.AdamW(
-            self.network.parameters(), config.learning_rate, weight_decay=config.weight_decay
-        )
-        self.schedule = torch.optim.lr_scheduler.OneCycleLR(
-            self.optimiser,
-            max_lr=config.learning_rate,
-            total_steps=config.epochs * (len(data.train) // config.batch_size),
-            pct_start=config.warm_up,
-        )
+        family = FAMILIES[config.network.family]
+        self.network = config.network.build().to(self.ranks.device, memory_format=torch.channels_last)
+        self.former = SampleFormer(data.config)
+        self.objective = objective_of(config.objective, config.network.resolved)
+        self.steps_per_epoch = len(data.train) // config.schedule.batch_size
+        self.optimiser, self.schedule = optimiser_of(self.network, config.schedule, family.head, self.steps_per_epoch)
         self.reports: list[EpochReport] = []
         run_dir.mkdir(parents=True, exist_ok=True)
         self._adopt_config()
         if (run_dir / LAST).exists():
             self._resume()
+        elif config.init:
+            from models.training.pretrained import load_initial
 
-    def run(self, report: Callable[[EpochReport], None]) -> EpochReport:
-        """Train the epochs that are left, reporting each; returns the best one."""
-        for epoch in range(len(self.reports), self.config.epochs):
-            train_loss = self._train_epoch(epoch)
-            self.reports.append(self._validate(epoch, train_loss))
-            self._save()
-            report(self.reports[-1])
-        return max(self.reports, key=lambda r: r.macro_f1)
+            load_initial(self.network, Path(config.init))
+        self._shared = self.ranks.shared(self.network)
 
-    def _train_epoch(self, epoch: int) -> float:
-        config, data = self.config, self.data
-        self.network.train()
+    def _check_batches(self) -> None:
+        size, ranks = self.config.schedule.batch_size, self.ranks.count
+        if len(self.data.train) < size:
+            raise ValueError(f"schedule.batch_size must be at most the {len(self.data.train)} scenes, got {size}")
+        if size % ranks:
+            raise ValueError(f"schedule.batch_size must be a multiple of the {ranks} processes, got {size}")
+
+    def run(
+        self,
+        report: Callable[[EpochReport], None] = lambda _: None,
+        on_step: Callable[[int, int], None] = lambda done, steps: None,
+    ) -> None:
+        """Train the epochs that are left, reporting each; `on_step` hears of every batch (done, of how many).
+
+        Raises `NonFiniteLossError` naming epoch, batch and scenes where a loss is no number.
+        """
+        for epoch in range(len(self.reports), self.config.schedule.epochs):
+            train_loss = self._train_epoch(epoch, on_step)
+            if self.ranks.leads:
+                self.reports.append(self._validate(epoch, train_loss))
+                self._save()
+                report(self.reports[-1])
+
+    def summary(self) -> RunSummary:
+        """What the run came to so far; raises `ValueError` before the first epoch."""
+        if not self.reports:
+            raise ValueError(f"{self.run_dir} must hold at least one epoch, holds none")
+        scores = [report.best_macro_f1 for report in self.reports]
+        earlier = scores[: max(len(scores) - max(len(scores) // 5, 1), 1)]
+        return RunSummary(
+            family=self.config.network.family,
+            parameters=sum(parameter.numel() for parameter in self.network.parameters()),
+            scenes=len(self.data.train),
+            epochs=len(self.reports),
+            sample_steps=len(self.reports) * self.steps_per_epoch * self.config.schedule.batch_size,
+            best=max(self.reports, key=lambda report: report.best_macro_f1),
+            unconverged=max(scores) - max(earlier) > CONVERGED_RISE,
+        )
+
+    def _train_epoch(self, epoch: int, on_step: Callable[[int, int], None]) -> float:
+        config = self.config
+        self._shared.train()
         losses = []
         # the epoch's own seed: a resumed run draws what it would have drawn
+        torch.manual_seed(config.seed + 1_000_003 * epoch + self.ranks.rank)
         batches = shuffled_batches(
-            data.train, config.batch_size, data.config.encoding, data.config.grid, seed=(config.seed, epoch)
+            self.data.train,
+            self.former,
+            config.schedule.batch_size,
+            (config.seed, epoch),
+            self.ranks.rank,
+            self.ranks.count,
         )
-        for inputs, heatmaps in batches:
+        for step, (scenes, inputs, labels) in enumerate(batches):
             self.optimiser.zero_grad()
-            loss = heatmap_focal_loss(self._logits(inputs), torch.from_numpy(heatmaps))
+            loss = self.objective.loss(self._answer(inputs), labels)
+            losses.append(loss.item())
+            self._refuse_non_finite(losses[-1], epoch, step, scenes)
             loss.backward()
-            nn.utils.clip_grad_norm_(self.network.parameters(), config.clip_norm)
+            nn.utils.clip_grad_norm_(self.network.parameters(), config.schedule.clip_norm)
             self.optimiser.step()
             self.schedule.step()
-            losses.append(loss.item())
-        return float(np.mean(losses))
+            on_step(step + 1, self.steps_per_epoch)
+        return self.ranks.mean(float(np.mean(losses)))
 
-    def _logits(self, inputs: np.ndarray) -> torch.Tensor:
-        batch = torch.from_numpy(inputs).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.config.mixed_precision):
-            logits = self.network(batch)
-        return logits.float()
+    def _refuse_non_finite(self, loss: float, epoch: int, step: int, scenes: np.ndarray) -> None:
+        if not np.isfinite(loss):
+            names = ", ".join(str(self.data.train[scene].index) for scene in scenes)
+            raise NonFiniteLossError(
+                f"{self.run_dir}: loss must be finite, got {loss} in epoch {epoch}, batch {step}, scenes {names}"
+            )
+
+    def _answer(self, inputs: np.ndarray) -> torch.Tensor:
+        network = self._shared if self._shared.training else self.network
+        device = self.ranks.device
+        batch = torch.from_numpy(inputs).to(device).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(device.type, torch.bfloat16, enabled=self.config.mixed_precision):
+            answer = network(batch)
+        return answer.float()
 
     def _validate(self, epoch: int, train_loss: float) -> EpochReport:
-        loss, tally = evaluate_network(self._logits, self.network, self.data, self.config.batch_size)
-        scores = tally.counts[DEFAULT_THRESHOLD]
+        loss, tally = self.evaluate()
+        published = tally.counts[DEFAULT_THRESHOLD]
+        threshold = max(tally.counts, key=tally.macro_f1)
         return EpochReport(
             epoch=epoch,
             train_loss=train_loss,
             validation_loss=loss,
             macro_f1=tally.macro_f1(),
-            los_f1=scores[PathClass.LOS].f1,
-            mirrored_f1=scores[PathClass.MIRRORED].f1,
-            is_best=tally.macro_f1() > max((r.macro_f1 for r in self.reports), default=-1.0),
+            los_f1=published[PathClass.LOS].f1,
+            mirrored_f1=published[PathClass.MIRRORED].f1,
+            best_threshold=threshold,
+            best_macro_f1=tally.macro_f1(threshold),
+            is_best=tally.macro_f1(threshold) > max((r.best_macro_f1 for r in self.reports), default=-1.0),
         )
+
+    def evaluate(self) -> tuple[float, DetectionTally]:
+        """Mean loss a batch and detection scores over the validation maps."""
+        self._shared.eval()
+        tally = DetectionTally(self.data.config.grid, WATCHED_THRESHOLDS)
+        losses, size = [], self.config.schedule.batch_size
+        with torch.no_grad():
+            for start in range(0, len(self.data.validation), size):
+                samples = self.data.validation[start : start + size]
+                answer = self._answer(self.former.encode(samples))
+                labels: list[PointLabels] = [sample.labels for sample in samples]
+                losses.append(self.objective.loss(answer, labels).item())
+                for one, truth in zip(answer.cpu().numpy(), labels, strict=True):
+                    tally.add_points(self.objective.detections(one, WATCHED_THRESHOLDS[0]), truth)
+        return float(np.mean(losses)), tally
 
     def _adopt_config(self) -> None:
         """Write the resolved configuration, or insist that the run's own is the same."""
@@ -161,7 +249,8 @@ class DenseTraining:
         wanted = _json(self.run_config)
         if path.exists() and path.read_bytes() != wanted:
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
-        path.write_bytes(wanted)
+        if self.ranks.leads:
+            path.write_bytes(wanted)
 
     def _save(self) -> None:
         state = {
@@ -173,36 +262,19 @@ class DenseTraining:
         if self.reports[-1].is_best:
             _write(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
         (self.run_dir / CURVES).write_bytes(_json(self.reports))
+        (self.run_dir / SUMMARY).write_bytes(_json(self.summary()))
         # last of all: a run killed before this line repeats the epoch
         _write(self.run_dir / LAST, state)
 
     def _resume(self) -> None:
-        state = torch.load(self.run_dir / LAST, weights_only=True)
+        state = torch.load(self.run_dir / LAST, weights_only=True, map_location=self.ranks.device)
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
         self.reports = [EpochReport(**report) for report in state["reports"]]
 
 
-def evaluate_network(
-    logits_of: Callable[[np.ndarray], torch.Tensor], network: nn.Module, data: TrainingData, batch_size: int
-) -> tuple[float, DetectionTally]:
-    """Mean loss a batch and detection scores over the validation maps."""
-    network.eval()
-    tally = DetectionTally(data.config.grid)
-    losses = []
-    with torch.no_grad():
-        for start in range(0, len(data.validation), batch_size):
-            samples = data.validation[start : start + batch_size]
-            inputs, heatmaps = encode_batch(samples, data.config.encoding, data.config.grid)
-            logits = logits_of(inputs)
-            losses.append(heatmap_focal_loss(logits, torch.from_numpy(heatmaps)).item())
-            for sample, confidence in zip(samples, torch.sigmoid(logits).numpy(), strict=True):
-                tally.add(confidence, sample.labels)
-    return float(np.mean(losses)), tally
-
-
-def load_best(run_dir: Path) -> tuple[CompactUNet, RunConfig, int]:
+def load_best(run_dir: Path) -> tuple[nn.Module, RunConfig, int]:
     """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
 
     Raises `ValueError` where the folder holds none.
@@ -211,8 +283,8 @@ def load_best(run_dir: Path) -> tuple[CompactUNet, RunConfig, int]:
         if not (run_dir / name).exists():
             raise ValueError(f"{run_dir / name} must exist: the run folder holds no trained network")
     config = msgspec.json.decode((run_dir / CONFIG).read_bytes(), type=RunConfig)
-    network = CompactUNet(config.training.network)
-    state = torch.load(run_dir / BEST, weights_only=True)
+    network = config.training.network.build()
+    state = torch.load(run_dir / BEST, weights_only=True, map_location="cpu")
     network.load_state_dict(state["network"])
     return network.eval(), config, int(state["epoch"])
 

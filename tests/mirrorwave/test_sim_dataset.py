@@ -13,6 +13,7 @@ from mirrorwave.sim_dataset import (
     ExecutorOption,
     PlacesOption,
     PresetOption,
+    ShiftOption,
     dataset,
     parse_effects,
     parse_slurm,
@@ -55,10 +56,12 @@ def test_options_are_those_of_the_simulator() -> None:
     from sim_player.executors import EXECUTORS
     from sim_player.scene import PRESETS
     from sim_player.shards import PLACES
+    from sim_player.shifted import SHIFTS
 
     assert tuple(option.value for option in PlacesOption) == PLACES
     assert tuple(option.value for option in ExecutorOption) == EXECUTORS
     assert {option.value for option in PresetOption} == set(PRESETS)
+    assert tuple(option.value for option in ShiftOption) == SHIFTS
 
 
 def test_texts_of_options() -> None:

@@ -21,6 +21,7 @@ def recovered(points: np.ndarray, score: float = 0.8, snr_db: float = 30.0, std_
         points_m=points, images_m=np.stack([60.0 - points[:, 0], points[:, 1]], axis=1),
         image_covariance_m2=np.tile(std_m**2 * np.eye(2), (count, 1, 1)),
         wall_covariance_m2=np.tile(0.05**2 * np.eye(2), (count, 1, 1)), wall=np.zeros(count, np.int64),
+        second=np.full(count, -1),
         score=np.full(count, score), snr_db=np.full(count, snr_db), stamp_ns=np.arange(count, dtype=np.int64) * 10,
     )  # fmt: skip
 

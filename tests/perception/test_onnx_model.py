@@ -8,9 +8,12 @@ import pytest
 import torch
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
+from models.networks.radar_tensor_network import RadarTensorNetwork, RadarTensorNetworkConfig
+from models.perception.anchors import anchor_points
 from models.perception.encoding import Encoding, encode_map
 from models.perception.onnx_model import ClassScores, DensePredictor, ModelCard, ScoresAt, card_path
-from models.training.export_onnx import PARITY, export_onnx, write_card
+from models.perception.peaks import local_maxima
+from models.training.export_onnx import PARITY, Exported, export_onnx, write_card
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
@@ -42,7 +45,7 @@ def network() -> CompactUNet:
 @pytest.fixture
 def model(network: CompactUNet, tmp_path: Path) -> Path:
     path = tmp_path / "net.onnx"
-    sha256 = export_onnx(network, path)
+    sha256 = export_onnx(Exported(network), path)
     best = ClassScores(precision=1.0, recall=1.0, f1=1.0)
     card = ModelCard(
         name="net",
@@ -98,11 +101,20 @@ def test_file_that_is_not_the_cards_is_refused(model: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"input_shape": [1, 5, 32, 16]}, r"input of the network must be \(1, 5, 32, 16\), got \(1, 5, 32, 8\)"),
-        ({"output_shape": [1, 3, 32, 64]}, r"output of the network must be \(1, 3, 32, 64\), got \(1, 2, 32, 64\)"),
-        ({"encoding": {"range_bins": 16, "columns": 8}}, r"card\.input_shape must be \(1, 5, 16, 8\)"),
-        ({"grid": {"range_bins": 48, "azimuth_bins": 128}}, r"card\.output_shape must be \(1, 2, 32, 128\)"),
-        ({"channels": ["level"]}, r"net\.json: card\.channels must be"),
+        (
+            {"input_shape": [1, 5, 32, 16]},
+            r"net\.onnx: input must be \(1, 5, 32, 16\) as its card says, got \(1, 5, 32, 8",
+        ),
+        (
+            {"output_shape": [1, 3, 32, 64]},
+            r"net\.onnx: output must be \(1, 3, 32, 64\) as its card says, got \(1, 2, 32",
+        ),
+        ({"encoding": {"range_bins": 16, "columns": 8}}, r"net\.json: card\.input_shape must be \(1, 5, 16, 8\)"),
+        ({"grid": {"range_bins": 48, "azimuth_bins": 128}}, r"net\.json: card\.output_shape must be \(1, 2, 32, 128\)"),
+        ({"head": "anchors"}, r"net\.json: card\.output_shape must be \(1, 5, 32, 64\), got \(1, 2, 32, 64\)"),
+        ({"anchor_stride": 0}, r"net\.json: card\.anchor_stride must be at least 1, got 0"),
+        ({"precision": "fp8"}, r"net\.json: Invalid enum value 'fp8' - at `\$\.precision`"),
+        ({"calibration": [[0.5, 0.2], [0.4, 0.9]]}, r"net\.json: card\.calibration must be empty or rise"),
         ({"sha256": 3}, r"net\.json: Expected `str`, got `int` - at `\$\.sha256`"),
     ],
 )
@@ -110,6 +122,55 @@ def test_card_that_does_not_fit_is_refused(model: Path, changes: dict[str, objec
     change_card(model, **changes)
     with pytest.raises(ValueError, match=message):
         DensePredictor(model)
+
+
+def test_older_card_with_fields_of_its_own_loads(model: Path) -> None:
+    """Cards once named their channels beside the encoding, and knew neither head nor precision."""
+    card = msgspec.json.decode(card_path(model).read_bytes())
+    for name in ("network", "precision", "head", "anchor_stride", "fidelity", "calibration"):
+        del card[name]
+    card_path(model).write_bytes(msgspec.json.encode(card | {"channels": ["level"]}))
+    loaded = DensePredictor(model).card
+    assert (loaded.network, loaded.precision, loaded.head) == ("compact_unet", "fp32", "heatmap")
+    assert loaded.calibration == ()
+
+
+def test_points_of_a_heatmap_are_its_maxima(model: Path) -> None:
+    predictor = DensePredictor(model)
+    answer, points = predictor.answer(ra_map()), predictor.points(ra_map(), threshold=0.1, min_distance=3)
+    cells = [local_maxima(channel, 0.1, 3) for channel in answer]
+    np.testing.assert_array_equal(points.cells, np.concatenate(cells))
+    assert points.path_class.tolist() == [0] * len(cells[0]) + [1] * len(cells[1])
+    assert len(points.score) > 0
+    np.testing.assert_array_equal(points.score[: len(cells[0])], answer[0][tuple(cells[0].T)])
+
+
+def test_network_with_anchors_answers_points_and_no_heatmap(model: Path, tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    config = RadarTensorNetworkConfig(
+        in_channels=5, range_bins=32, columns=64, anchor_stride=2, widths=(4, 8), blocks=(1, 1), neck_width=4
+    )
+    path = tmp_path / "rtn.onnx"
+    card = msgspec.structs.replace(
+        DensePredictor(model).card,
+        name="rtn",
+        sha256=export_onnx(Exported(RadarTensorNetwork(config), "anchors"), path),
+        head="anchors",
+        anchor_stride=2,
+        encoding=Encoding(range_bins=32, columns=64),
+        input_shape=(1, 5, 32, 64),
+        output_shape=(1, 5, 16, 32),
+    )
+    write_card(card, path)
+    predictor = DensePredictor(path)
+    points = predictor.points(ra_map(), threshold=0.1, min_distance=3)
+    cells, score, path_class = anchor_points(predictor.answer(ra_map()), 2, 0.1, 3)
+    assert len(cells) > 0
+    np.testing.assert_array_equal(points.cells, cells)
+    np.testing.assert_array_equal(points.score, score)
+    np.testing.assert_array_equal(points.path_class, path_class)
+    with pytest.raises(ValueError, match=r"rtn: card\.head must be heatmap for a heatmap, got anchors"):
+        predictor.predict(ra_map())
 
 
 def test_missing_files_are_named(model: Path) -> None:

@@ -6,19 +6,17 @@ import numpy as np
 import pytest
 
 from models.perception.geometry import GeometryParams, recover_bev
+from models.perception.association import RecoveryParams, associate_crossing, seen_through
 from models.perception.recovery import (
     NO_WALL,
     DirectReturns,
-    RecoveryParams,
-    associate_crossing,
     cartesian_covariance,
-    fold_covariance,
-    hidden_mask,
+    folded,
     recover,
     reflection_state,
-    seen_through,
     wall_arrays,
 )
+from models.perception.rejection import hidden_mask
 from models.physics.mirror import reflect, wall_from_ends
 from msgs.frames import polar_from_xy, xy_from_polar
 from msgs.perception import PathClass, Peaks, Wall
@@ -78,14 +76,14 @@ def test_equation_19_folds_an_image_back_exactly():
 def test_the_nearest_wall_the_ray_passes_through_is_the_images():
     """Both walls stand before the image; the ray at 16 degrees passes through the long one only."""
     walls = [wall((10.0, -8.0), (10.0, -3.0)), wall(*FACADE)]
-    got = associate_crossing(np.array([[28.0, 8.0]]), np.array([0.02]), wall_arrays(walls), RecoveryParams())
+    got, _ = associate_crossing(np.array([[28.0, 8.0]]), np.array([0.02]), wall_arrays(walls), RecoveryParams())
     assert got.tolist() == [1]
 
 
 @pytest.mark.parametrize(("beyond_m", "expected"), [(0.9, 0), (6.0, NO_WALL)])
 def test_a_narrow_miss_of_the_end_counts_a_wide_one_does_not(beyond_m, expected):
     image = np.array([[28.0, (10.0 + beyond_m) * 28.0 / 20.0]])
-    got = associate_crossing(image, np.array([1e-4]), wall_arrays([wall(*FACADE)]), RecoveryParams())
+    got, _ = associate_crossing(image, np.array([1e-4]), wall_arrays([wall(*FACADE)]), RecoveryParams())
     assert got.tolist() == [expected]
 
 
@@ -94,13 +92,13 @@ def test_the_margin_grows_with_the_angular_error():
     image = np.array([[28.0, 12.0 * 28.0 / 20.0]])
     walls = wall_arrays([wall(*FACADE)])
     wide, narrow = (
-        associate_crossing(image, np.array([math.radians(deg)]), walls, RecoveryParams()) for deg in (1.5, 0.1)
+        associate_crossing(image, np.array([math.radians(deg)]), walls, RecoveryParams())[0] for deg in (1.5, 0.1)
     )
     assert (wide.tolist(), narrow.tolist()) == ([0], [NO_WALL])
 
 
 def test_an_image_in_front_of_the_wall_has_none():
-    got = associate_crossing(np.array([[19.0, 0.0]]), np.array([0.02]), wall_arrays([wall(*FACADE)]), RecoveryParams())
+    got, _ = associate_crossing(np.array([[19.0, 0.0]]), np.array([0.02]), wall_arrays([wall(*FACADE)]), RecoveryParams())
     assert got.tolist() == [NO_WALL]
 
 
@@ -108,8 +106,8 @@ def test_a_path_that_a_third_wall_cuts_is_none():
     """The way from the facade at (20, 7.1) back to (6, 12) passes through a wall at y = 9, that to the facade not."""
     walls = [wall(*FACADE), wall((4.0, 9.0), (16.0, 9.0))]
     image = image_of([6.0, 12.0], *FACADE)[None]
-    assert associate_crossing(image, np.array([0.02]), wall_arrays(walls[:1]), RecoveryParams()).tolist() == [0]
-    assert associate_crossing(image, np.array([0.02]), wall_arrays(walls), RecoveryParams()).tolist() == [NO_WALL]
+    assert associate_crossing(image, np.array([0.02]), wall_arrays(walls[:1]), RecoveryParams())[0].tolist() == [0]
+    assert associate_crossing(image, np.array([0.02]), wall_arrays(walls), RecoveryParams())[0].tolist() == [NO_WALL]
 
 
 def test_covariance_is_that_of_sampled_errors():
@@ -121,8 +119,8 @@ def test_covariance_is_that_of_sampled_errors():
     image = np.array([[28.0, 8.0]])
     range_m, azimuth_rad = polar_from_xy(image)
     polar = np.diag([0.1**2, math.radians(1.5) ** 2])[None]
-    own, common = fold_covariance(
-        image, cartesian_covariance(range_m, azimuth_rad, polar), wall_arrays([one]), np.zeros(1, int)
+    fold = folded(
+        image, cartesian_covariance(range_m, azimuth_rad, polar), wall_arrays([one]), np.zeros(1, int), np.full(1, NO_WALL)
     )
     draws = 40_000
     images = xy_from_polar(
@@ -134,7 +132,7 @@ def test_covariance_is_that_of_sampled_errors():
     normals = np.stack([nx * np.cos(turn) - ny * np.sin(turn), nx * np.sin(turn) + ny * np.cos(turn)], axis=1)
     offsets = -normals @ middle + rng.normal(0.0, 0.1, draws)
     sampled = np.cov(reflect(images, normals, offsets).T)
-    np.testing.assert_allclose((own + common)[0], sampled, atol=0.04 * np.trace(sampled))
+    np.testing.assert_allclose((fold.own_m2 + fold.common_m2)[0], sampled, atol=0.04 * np.trace(sampled))
 
 
 def test_covariances_are_positive_definite():
@@ -212,7 +210,7 @@ def test_what_is_seen_behind_a_line_proves_that_it_is_no_wall() -> None:
     arrays = wall_arrays([row, facade])
     assert seen_through(arrays, returns, RecoveryParams()).tolist() == [True, False]
     image, error = np.array([[30.0, 1.0]]), np.array([0.01])
-    assert associate_crossing(image, error, arrays, RecoveryParams(), np.array([False, True])).tolist() == [1]
+    assert associate_crossing(image, error, arrays, RecoveryParams(), np.array([False, True]))[0].tolist() == [1]
     # two returns are not proof enough
     few = DirectReturns(points[:4], np.full(4, 30.0), np.zeros(4, np.int64), np.array([0, 0, 1, 1]))
     assert not seen_through(arrays, few, RecoveryParams()).any()

@@ -1,48 +1,57 @@
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from models.perception.encoding import Encoding
 from models.training.datasets import (
-    BeamScan,
+    DataConfig,
     DenseSample,
     Perturbation,
     PointLabels,
+    SampleFormer,
     augment,
-    encode_batch,
+    load_training_data,
     perturb_scan,
     shuffled_batches,
-    split_scenes,
 )
+from models.training.frames import FrameLabels, Scan, fixed_splits
 from msgs.radar import RangeAzimuthGrid
+from sim_player.dataset import write_dataset
 
-GRID = RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
+GRID = RangeAzimuthGrid(azimuth_bins=64, range_bins=32)
 ENCODING = Encoding(range_bins=32, columns=8)
-
-
-def labels(row: float, column: float) -> PointLabels:
-    return PointLabels(row=np.array([row]), column=np.array([column]), path_class=np.array([1], np.uint8))
 
 
 def sample(column: float = 20.0) -> DenseSample:
     columns = np.zeros((32, 8), np.complex64)
     columns[10, int(column) // 8] = 1.0
-    return DenseSample(columns=columns, noise_power_mw=1e-3, labels=labels(10.0, column))
+    truth = PointLabels(row=np.array([10.0]), column=np.array([column]), path_class=np.array([1], np.uint8))
+    return DenseSample(columns=columns, noise_power_mw=1e-3, labels=truth)
 
 
-def test_split_is_fixed_disjoint_and_complete() -> None:
-    train, validation = split_scenes(100, 0.15, seed=3)
-    assert len(validation) == 15
-    assert sorted([*train, *validation]) == list(range(100))
-    np.testing.assert_array_equal(validation, split_scenes(100, 0.15, seed=3)[1])
-    assert validation.tolist() != split_scenes(100, 0.15, seed=4)[1].tolist()
-
-
-@pytest.mark.parametrize(("count", "share"), [(1, 0.5), (10, 0.0), (10, 1.0)])
-def test_split_that_leaves_a_side_empty_is_refused(count: int, share: float) -> None:
-    with pytest.raises(ValueError, match="validation_share must be in"):
-        split_scenes(count, share, seed=0)
+def scan_of(profiles: np.ndarray, noise_power_mw: float = 0.0, index: int = 0) -> Scan:
+    one = np.ones(1)
+    labels = FrameLabels(
+        range_m=2.0 * one,
+        azimuth_rad=0.1 * one,
+        path_class=one.astype(np.uint8),
+        order=one,
+        hidden_xy_m=np.ones((1, 2)),
+        power_mw=one,
+        object_index=one,
+        object_class=np.array(["car"]),
+    )
+    return Scan(
+        index=index,
+        profiles=profiles,
+        values=None,
+        noise_power_mw=noise_power_mw,
+        missing_beams=(),
+        labels=labels,
+    )
 
 
 def test_flip_moves_map_and_truth_together() -> None:
@@ -61,7 +70,7 @@ def test_perturbed_noise_is_as_strong_as_it_says() -> None:
     """Layout: an empty scan of 25 x 4096 bins. Added power is the stated noise less the original; the relative
     standard deviation of a mean over 102400 cells is 0.3 %. Tolerance: five of those.
     """
-    scan = BeamScan(profiles=np.zeros((25, 4096), np.complex64), noise_power_mw=2.0, labels=labels(1, 1))
+    scan = scan_of(np.zeros((25, 4096), np.complex64), 2.0)
     noisy = perturb_scan(scan, Perturbation(), np.random.default_rng(1))
     added_mw = noisy.noise_power_mw - 2.0
     assert added_mw > 0.5
@@ -75,7 +84,7 @@ def test_perturbation_changes_beams_not_ranges() -> None:
     """
     rng = np.random.default_rng(2)
     profiles = (rng.standard_normal((25, 64)) + 1j * rng.standard_normal((25, 64))).astype(np.complex64)
-    scan = BeamScan(profiles=profiles, noise_power_mw=0.0, labels=labels(1, 1))
+    scan = scan_of(profiles)
     factors = perturb_scan(scan, Perturbation(moving_share=0.0), rng).profiles / profiles
     np.testing.assert_allclose(factors, factors[:, :1] * np.ones(64), rtol=1e-5)
     assert np.abs(20 * np.log10(np.abs(factors))).max() < 2.0
@@ -86,7 +95,7 @@ def test_motion_turns_the_phase_from_beam_to_beam_in_one_stretch_of_range() -> N
     """Outside the stretch nothing turns; inside, neighbouring beams differ by one and the same phase, and magnitudes
     stay. Tolerance: complex64 rounding.
     """
-    scan = BeamScan(profiles=np.ones((25, 64), np.complex64), noise_power_mw=0.0, labels=labels(1, 1))
+    scan = scan_of(np.ones((25, 64), np.complex64))
     moved = Perturbation(gain_std_db=0.0, phase_std_rad=0.0, moving_share=1.0, missing_share=0.0)
     profiles = perturb_scan(scan, moved, np.random.default_rng(3)).profiles
     turn = profiles[1:] * profiles[:-1].conj()
@@ -97,20 +106,46 @@ def test_motion_turns_the_phase_from_beam_to_beam_in_one_stretch_of_range() -> N
     np.testing.assert_allclose(np.abs(profiles), 1.0, atol=1e-6)
 
 
-def test_batch_shapes_and_peaks() -> None:
-    inputs, heatmaps = encode_batch([sample(20.0), sample(33.0)], ENCODING, GRID)
-    assert inputs.shape == (2, *ENCODING.shape)
-    assert heatmaps.shape == (2, 2, 32, 64)
-    assert heatmaps[0, 1, 10, 20] == heatmaps[1, 1, 10, 33] == 1.0
+def scans(count: int) -> list[Scan]:
+    rng = np.random.default_rng(4)
+    shape = (25, GRID.range_bins, 2)
+    return [
+        scan_of((rng.standard_normal(shape) @ (1.0, 1.0j)).astype(np.complex64), 0.1, index) for index in range(count)
+    ]
 
 
 def test_epoch_visits_every_scene_once_and_repeats_with_its_seed() -> None:
-    scenes = [[sample(float(column))] for column in range(0, 64, 8)]
-    first = list(shuffled_batches(scenes, 4, ENCODING, GRID, seed=5))
-    again = list(shuffled_batches(scenes, 4, ENCODING, GRID, seed=5))
-    other = list(shuffled_batches(scenes, 4, ENCODING, GRID, seed=6))
-    assert len(first) == 2
-    for (inputs, heatmaps), (same_inputs, same_heatmaps) in zip(first, again, strict=True):
+    former = SampleFormer(DataConfig(encoding=ENCODING, grid=GRID))
+    first, again, other = (list(shuffled_batches(scans(8), former, 4, (seed, 0))) for seed in (5, 5, 6))
+    assert sorted(np.concatenate([scenes for scenes, _, _ in first])) == list(range(8))
+    for (_, inputs, labels), (_, same_inputs, same_labels) in zip(first, again, strict=True):
         np.testing.assert_array_equal(inputs, same_inputs)
-        np.testing.assert_array_equal(heatmaps, same_heatmaps)
-    assert any((a[0] != b[0]).any() for a, b in zip(first, other, strict=True))
+        assert [truth.column for truth in labels] == [truth.column for truth in same_labels]
+    assert any((a[1] != b[1]).any() for a, b in zip(first, other, strict=True))
+
+
+def test_ranks_share_a_batch_without_overlap() -> None:
+    """Two ranks together see, sample for sample, what one alone would."""
+    former = SampleFormer(DataConfig(encoding=ENCODING, grid=GRID))
+    alone = list(shuffled_batches(scans(8), former, 4, (1, 0)))
+    parts = [list(shuffled_batches(scans(8), former, 4, (1, 0), rank, 2)) for rank in (0, 1)]
+    for whole, even, odd in zip(alone, *parts, strict=True):
+        np.testing.assert_array_equal(whole[0][0::2], even[0])
+        np.testing.assert_array_equal(whole[1][0::2], even[1])
+        np.testing.assert_array_equal(whole[1][1::2], odd[1])
+
+
+def test_validation_is_seen_as_it_is_and_the_same_scene_leaks_nowhere(tmp_path: Path) -> None:
+    """Layout: a data set of 10 scenes; the same again as a further one, which holds scenes held out in the first."""
+    write_dataset(tmp_path / "data", count=10, seed=1)
+    write_dataset(tmp_path / "more", count=3, seed=2)
+    splits = fixed_splits(tmp_path / "data")
+    config = DataConfig(directory=str(tmp_path / "data"), more=(str(tmp_path / "more"),))
+    loaded = load_training_data(config)
+    assert len(loaded.train) == len(splits.train) + 3
+    assert len(loaded.validation) == len(splits.validation)
+    leaking = DataConfig(directory=str(tmp_path / "data"), more=(str(tmp_path / "data"),))
+    with pytest.raises(ValueError, match=r"no scene may be held out in .*data, \d is its scene \d"):
+        load_training_data(leaking)
+    with pytest.raises(ValueError, match=r"grid must be RangeAzimuthGrid"):
+        load_training_data(DataConfig(directory=str(tmp_path / "data"), grid=GRID))

@@ -1,28 +1,30 @@
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
+import torch
 
 from models.networks.compact_unet import CompactUNetConfig
 from models.perception.encoding import Encoding
 from models.perception.onnx_model import DensePredictor, load_card
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile
-from models.training.datasets import DataConfig, load_samples, load_training_data, read_scans
-from models.training.export_onnx import export_run
-from models.training.train_dense import DenseTraining, TrainDenseConfig
+from models.training.datasets import DataConfig
+from models.training.export_onnx import PARITY, ExportConfig, export_run
+from models.training.families import NetworkChoice
+from models.training.train_dense import BEST, CONFIG, RunConfig, TrainDenseConfig, load_best
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
-DATA = DataConfig(encoding=Encoding(range_bins=32, columns=8), grid=GRID, validation_share=0.25)
+ENCODING = Encoding(range_bins=32, columns=8)
 NETWORK = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
 
 
-def write_shards(directory: Path, seed: int, scenes: int = 8) -> Path:
+def write_shards(directory: Path, seed: int, scenes: int = 12) -> Path:
     """A data set of one strong direct return a scene, in two shards, as the simulator writes them."""
     setup = RadarSetup()
     rng = np.random.default_rng(seed)
@@ -41,65 +43,86 @@ def write_shards(directory: Path, seed: int, scenes: int = 8) -> Path:
             azimuth_rad=azimuth_rad[chosen].astype(np.float32),
             path_class=np.zeros(len(chosen), np.uint8),
         )
-    (directory / "series.json").write_bytes(msgspec.json.encode({"seed": seed}))
+    (directory / "series.json").write_bytes(msgspec.json.encode({"seed": seed, "grid": msgspec.to_builtins(GRID)}))
     (directory / "manifest.jsonl").write_bytes(b'{"scenes": %d}\n' % scenes)
     return directory
 
 
 @pytest.fixture
-def train_dir(tmp_path: Path) -> Path:
-    return write_shards(tmp_path / "train", seed=1)
+def data_dir(tmp_path: Path) -> Path:
+    return write_shards(tmp_path / "data", seed=1)
 
 
-def test_truth_lies_where_the_map_peaks(train_dir: Path) -> None:
-    """Layout: one scatterer a scene. The map peaks in its cell, to the rounding and, towards the sides, the slope of
-    the element pattern within the beam: 1 bin in range, 3 deg = 1.6 cells of this grid and its rounding in azimuth.
-    """
-    config = replace(DATA, encoding=Encoding(range_bins=48, columns=32))
-    for sample in load_samples(train_dir, config):
-        row, column = np.unravel_index(np.abs(sample.columns).argmax(), sample.columns.shape)
-        assert abs(row - sample.labels.row[0]) <= 1.0
-        # column j of 32 is centred on azimuths 2 j + 0.5
-        assert abs(2 * column + 0.5 - sample.labels.column[0]) <= 3.0
+@pytest.fixture
+def run_dir(tmp_path: Path, data_dir: Path) -> Path:
+    """A run folder as training leaves it, of a network that learned nothing: half of what it sees is over 0.1."""
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    choice = NetworkChoice(family="compact_unet", config=asdict(NETWORK))
+    data = DataConfig(directory=str(data_dir), encoding=ENCODING, grid=GRID)
+    run = RunConfig(training=TrainDenseConfig(network=choice, seed=5), data=data)
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / CONFIG).write_bytes(msgspec.json.encode(run))
+    torch.save({"network": choice.build().state_dict(), "epoch": 3}, folder / BEST)
+    return folder
 
 
-def test_scenes_are_split_and_varied(train_dir: Path) -> None:
-    data = load_training_data(train_dir, replace(DATA, perturbed_copies=2))
-    assert len(data.train) == 6
-    assert len(data.validation) == 2
-    assert all(len(variants) == 3 for variants in data.train)
-    again = load_training_data(train_dir, replace(DATA, perturbed_copies=2))
-    np.testing.assert_array_equal(data.train[0][1].columns, again.train[0][1].columns)
-    assert (data.train[0][0].columns != data.train[0][1].columns).any()
-
-
-def test_folder_without_a_data_set_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"must hold shards \(shard-\*\.npz\), found none"):
-        read_scans(tmp_path, GRID)
-    np.savez(tmp_path / "shard-00000.npz", profiles=np.zeros(1))
-    with pytest.raises(ValueError, match=r"shard-00000\.npz must hold the arrays .* it lacks noise_power_mw, offset"):
-        read_scans(tmp_path, GRID)
-
-
-def test_export_writes_a_model_that_its_card_describes(train_dir: Path, tmp_path: Path) -> None:
-    test_dir = write_shards(tmp_path / "test", seed=2)
-    config = TrainDenseConfig(epochs=1, batch_size=4, network=NETWORK, mixed_precision=False)
-    DenseTraining(config, load_training_data(train_dir, DATA), tmp_path / "run").run(lambda report: None)
+def test_export_writes_a_model_that_its_card_describes(run_dir: Path, data_dir: Path, tmp_path: Path) -> None:
     model = tmp_path / "net.onnx"
-    card = export_run(tmp_path / "run", test_dir, model, train_dir)
+    card = export_run(run_dir, model, ExportConfig())
     assert load_card(model) == card
     assert DensePredictor(model).card.grid == GRID
+    assert (card.name, card.network, card.precision, card.head) == ("net", "compact_unet", "fp32", "heatmap")
+    assert card.fidelity is not None
+    assert card.fidelity.largest_difference <= PARITY
+    assert (card.fidelity.lost_points, card.fidelity.calibration_maps) == (0.0, 0)
     # a folder that names no recipe holds the first generator's streets
-    recipe = "--places street_v1"
-    assert card.data["training"] == f"mirrorwave sim dataset --out {train_dir} --count 8 --seed 1 {recipe}"
-    assert card.data["test"] == f"mirrorwave sim dataset --out {test_dir} --count 8 --seed 2 {recipe}"
+    made = f"mirrorwave sim dataset --out {data_dir} --count 12 --seed 1 --places street_v1"
+    assert card.data["training"] == made
+    assert (card.data["test"], card.data["test_scenes"]) == ("its test split", 2)
     assert card.threshold in [line.threshold for line in card.scores]
-    assert card.training["config"]["training"]["network"]["widths"] == [8, 16]
+    assert card.training["command"].startswith(f"mirrorwave train dense --data {data_dir} --out {run_dir}")
+    assert (card.training["chosen_epoch"], card.training["config"]["training"]["seed"]) == (3, 5)
 
 
-def test_export_needs_to_know_how_the_data_was_made(train_dir: Path, tmp_path: Path) -> None:
-    config = TrainDenseConfig(epochs=1, batch_size=4, network=NETWORK, mixed_precision=False)
-    DenseTraining(config, load_training_data(train_dir, DATA), tmp_path / "run").run(lambda report: None)
-    (train_dir / "series.json").unlink()
-    with pytest.raises(ValueError, match=r"train must hold a whole data set: .*series\.json"):
-        export_run(tmp_path / "run", train_dir, tmp_path / "net.onnx", train_dir)
+def test_all_scenes_of_another_data_set_can_score_it(run_dir: Path, tmp_path: Path) -> None:
+    other = write_shards(tmp_path / "other", seed=2, scenes=4)
+    card = export_run(run_dir, tmp_path / "net.onnx", ExportConfig(test_dir=other))
+    assert card.data["test"] == f"mirrorwave sim dataset --out {other} --count 4 --seed 2 --places street_v1"
+    assert card.data["test_scenes"] == 4
+
+
+@pytest.mark.parametrize("precision", ["fp16", "int8"])
+def test_smaller_numbers_say_what_they_cost(run_dir: Path, tmp_path: Path, precision: str) -> None:
+    """A thousandth of a probability for 11 bits, a few hundredths for 8; the card tells both."""
+    small, whole = tmp_path / "small.onnx", tmp_path / "fp32.onnx"
+    card = export_run(run_dir, small, ExportConfig(precision=precision, calibration_maps=4))  # type: ignore[arg-type]
+    exact = export_run(run_dir, whole, ExportConfig())
+    assert DensePredictor(small).card.precision == precision
+    assert card.fidelity is not None
+    assert 1e-6 < card.fidelity.largest_difference < {"fp16": 1e-2, "int8": 1e-1}[precision]
+    assert card.fidelity.calibration_maps == (4 if precision == "int8" else 0)
+    at, own = (next(line.macro_f1 for line in one.scores if line.threshold == one.threshold) for one in (exact, card))
+    assert card.fidelity.macro_f1_fp32 == at
+    assert card.fidelity.lost_points == pytest.approx(100.0 * (at - own), abs=0.02)
+
+
+def test_export_needs_to_know_how_the_data_was_made(run_dir: Path, data_dir: Path, tmp_path: Path) -> None:
+    (data_dir / "manifest.jsonl").unlink()
+    with pytest.raises(ValueError, match=r"data must hold a whole data set: .*manifest\.jsonl"):
+        export_run(run_dir, tmp_path / "net.onnx", ExportConfig())
+    assert not (tmp_path / "net.onnx").exists()
+
+
+def test_run_without_a_network_is_named(run_dir: Path) -> None:
+    (run_dir / BEST).unlink()
+    with pytest.raises(ValueError, match=r"best\.pt must exist"):
+        load_best(run_dir)
+
+
+def test_wrong_wishes_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"export\.precision must be fp32, fp16 or int8, got 'fp8'"):
+        ExportConfig(precision="fp8")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"export\.calibration_maps must be at least 1, got 0"):
+        ExportConfig(calibration_maps=0)

@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,39 +12,63 @@ import torch
 
 from models.networks.compact_unet import CompactUNetConfig
 from models.perception.encoding import Encoding
-from models.training.datasets import DataConfig, DenseSample, PointLabels, TrainingData
-from models.training.train_dense import CURVES, DenseTraining, EpochReport, TrainDenseConfig, load_best
+from models.training.datasets import DataConfig, Perturbation, SampleFormer, TrainingData
+from models.training.families import NetworkChoice, choice_of
+from models.training.frames import FrameLabels, Scan
+from models.training.schedules import ScheduleConfig
+from models.training.train_dense import CURVES, SUMMARY, DenseTraining, EpochReport, TrainDenseConfig, load_best
 from msgs.radar import RangeAzimuthGrid
+from sim_player.dataset import write_dataset
 
 GRID = RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
 ENCODING = Encoding(range_bins=32, columns=8)
 NETWORK = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
+DATA = DataConfig(encoding=ENCODING, grid=GRID, clean_share=1.0, perturbation=Perturbation())
 
 
-def scene(rng: np.random.Generator) -> DenseSample:
+def scene(rng: np.random.Generator, index: int = 0) -> Scan:
     """One bright return: LOS where nothing stands nearer, mirrored behind a second one in the same direction."""
-    columns = 1e-2 * (rng.standard_normal((32, 8)) + 1j * rng.standard_normal((32, 8)))
+    values = 1e-2 * (rng.standard_normal((32, 64)) + 1j * rng.standard_normal((32, 64)))
     column = int(rng.integers(8))
     rows = np.array([rng.integers(2, 12), rng.integers(18, 30)])
-    columns[rows, column] = 1.0
-    labels = PointLabels(
-        row=rows.astype(float), column=np.full(2, 8 * column + 4.0), path_class=np.array([0, 1], np.uint8)
+    values[rows, 8 * column : 8 * column + 8] = 1.0
+    two = np.full(2, np.nan)
+    labels = FrameLabels(
+        range_m=GRID.range_at(rows),
+        azimuth_rad=GRID.azimuth_at(np.full(2, 8 * column + 4.0)),
+        path_class=np.array([0, 1], np.uint8),
+        order=two,
+        hidden_xy_m=np.full((2, 2), np.nan),
+        power_mw=two,
+        object_index=two,
+        object_class=np.array(["", ""]),
     )
-    return DenseSample(columns=columns.astype(np.complex64), noise_power_mw=1e-4, labels=labels)
+    return Scan(
+        index=index,
+        profiles=None,
+        values=values.astype(np.complex64),
+        noise_power_mw=1e-4,
+        missing_beams=(),
+        labels=labels,
+    )
 
 
 def data(count: int = 16) -> TrainingData:
     rng = np.random.default_rng(0)
+    former = SampleFormer(DATA)
     return TrainingData(
-        train=[[scene(rng)] for _ in range(count)],
-        validation=[scene(rng) for _ in range(4)],
-        config=DataConfig(encoding=ENCODING, grid=GRID),
+        train=[scene(rng, index) for index in range(count)],
+        validation=[former.sample(scene(rng)) for _ in range(4)],
+        config=DATA,
     )
 
 
-def config(**changes: object) -> TrainDenseConfig:
-    settings: dict[str, object] = {"epochs": 3, "batch_size": 8, "mixed_precision": False, "network": NETWORK}
-    return TrainDenseConfig(**settings | changes)  # type: ignore[arg-type]
+def config(network: CompactUNetConfig = NETWORK, **schedule: float) -> TrainDenseConfig:
+    return TrainDenseConfig(
+        network=choice_of("compact_unet", network),
+        schedule=ScheduleConfig(**{"epochs": 3, "batch_size": 8} | schedule),  # type: ignore[arg-type]
+        mixed_precision=False,
+    )
 
 
 class KilledError(Exception):
@@ -52,14 +78,15 @@ class KilledError(Exception):
 def test_learns_which_return_stands_behind_another(tmp_path: Path) -> None:
     """32 scenes, 40 epochs of a tiny network: chance level of the class is 0.5, so 0.8 means that it was learned."""
     training = DenseTraining(config(epochs=40, learning_rate=1e-2, batch_size=4), data(32), tmp_path)
-    best = training.run(lambda report: None)
+    training.run()
+    best = training.summary().best
     assert best.macro_f1 > 0.8
     assert training.reports[-1].train_loss < 0.3 * training.reports[0].train_loss
 
 
 def test_killed_run_ends_as_one_that_was_not(tmp_path: Path) -> None:
     whole = DenseTraining(config(), data(), tmp_path / "whole")
-    whole.run(lambda report: None)
+    whole.run()
 
     def kill(report: EpochReport) -> None:
         raise KilledError
@@ -68,7 +95,7 @@ def test_killed_run_ends_as_one_that_was_not(tmp_path: Path) -> None:
         DenseTraining(config(), data(), tmp_path / "killed").run(kill)
     resumed = DenseTraining(config(), data(), tmp_path / "killed")
     assert len(resumed.reports) == 1
-    resumed.run(lambda report: None)
+    resumed.run()
     assert resumed.reports == whole.reports
     for name, wanted in whole.network.state_dict().items():
         assert torch.equal(resumed.network.state_dict()[name], wanted), name
@@ -76,7 +103,8 @@ def test_killed_run_ends_as_one_that_was_not(tmp_path: Path) -> None:
 
 def test_run_folder_holds_curves_and_the_best_network(tmp_path: Path) -> None:
     training = DenseTraining(config(), data(), tmp_path)
-    best = training.run(lambda report: None)
+    training.run()
+    best = training.summary().best
     assert [row["epoch"] for row in json.loads((tmp_path / CURVES).read_text())] == [0, 1, 2]
     network, run_config, epoch = load_best(tmp_path)
     assert epoch == best.epoch
@@ -98,14 +126,64 @@ def test_folder_without_a_network_is_named(tmp_path: Path) -> None:
 def test_network_must_fit_encoding_and_grid(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"network must take the encoding's shape \(5, 32, 8\), takes \(5, 64, 8\)"):
         DenseTraining(config(network=replace(NETWORK, range_bins=64)), data(), tmp_path)
-    with pytest.raises(ValueError, match=r"azimuth_factor must spread 8 columns to 64 azimuths, got 4"):
+    with pytest.raises(ValueError, match=r"answer on 32 ranges and the grid.s 64 azimuths, answers on \(32, 32\)"):
         DenseTraining(config(network=replace(NETWORK, azimuth_factor=4)), data(), tmp_path)
 
 
 def test_settings_out_of_range_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"train\.epochs must be at least 1, got 0"):
+    with pytest.raises(ValueError, match=r"schedule\.epochs must be positive, got 0"):
         config(epochs=0)
-    with pytest.raises(ValueError, match=r"train\.learning_rate must be positive, got -1\.0"):
+    with pytest.raises(ValueError, match=r"schedule\.learning_rate must be positive, got -1\.0"):
         config(learning_rate=-1.0)
-    with pytest.raises(ValueError, match=r"train\.batch_size must be at most the 4 scenes, got 8"):
+    with pytest.raises(ValueError, match=r"schedule\.batch_size must be at most the 4 scenes, got 8"):
         DenseTraining(config(), data(4), tmp_path)
+    with pytest.raises(ValueError, match=r"network must be one of compact_unet, .*, got 'resnet'"):
+        NetworkChoice(family="resnet", config={})
+    with pytest.raises(ValueError, match=r"network compact_unet: .*range_bins"):
+        _ = NetworkChoice(family="compact_unet", config={"range_bins": "many"}).resolved
+
+
+def test_loss_that_is_no_number_stops_with_its_batch(tmp_path: Path) -> None:
+    training = DenseTraining(config(), data(), tmp_path)
+    with torch.no_grad():
+        training.network.head.bias.fill_(torch.nan)
+    with pytest.raises(ValueError, match=r"loss must be finite, got nan in epoch 0, batch 0, scenes \d+, "):
+        training.run()
+    assert not (tmp_path / CURVES).exists()
+
+
+def test_summary_tells_the_budget_and_whether_the_score_still_rises(tmp_path: Path) -> None:
+    training = DenseTraining(config(), data(), tmp_path)
+    training.run()
+    summary = json.loads((tmp_path / SUMMARY).read_text())
+    assert summary["sample_steps"] == 3 * 16
+    assert summary["scenes"] == 16
+    rising = [replace(training.reports[0], best_macro_f1=0.05 * epoch) for epoch in range(10)]
+    training.reports = rising
+    assert training.summary().unconverged
+    training.reports = [replace(report, best_macro_f1=min(report.best_macro_f1, 0.2)) for report in rising]
+    assert not training.summary().unconverged
+
+
+@pytest.mark.parametrize("kind", ["one_cycle", "constant", "steps"])
+def test_learning_rate_follows_its_schedule(kind: str) -> None:
+    """Layout: 10 epochs of 10 steps. One cycle: up over 15 steps, then down to nothing; steps: a tenth from epoch 5."""
+    schedule = ScheduleConfig(kind=kind, epochs=10, step_epoch=5)  # type: ignore[arg-type]
+    factors = [schedule.factor(step, 10) for step in range(100)]
+    wanted = {"one_cycle": (0.04, 1.0, 1e-3), "constant": (1.0, 1.0, 1.0), "steps": (1.0, 1.0, 0.1)}[kind]
+    assert (factors[0], max(factors), factors[-1]) == pytest.approx(wanted, abs=2e-3)
+    if kind == "one_cycle":
+        assert int(np.argmax(factors)) == 15
+
+
+def test_two_processes_train_one_network(tmp_path: Path) -> None:
+    """Layout: torchrun starts two processes on this CPU for two epochs of 12 simulated scenes."""
+    write_dataset(tmp_path / "data", count=12, seed=1)
+    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29577"]
+    arguments = ["--data", str(tmp_path / "data"), "--out", str(tmp_path / "run"), "--epochs", "2", "--json"]
+    done = subprocess.run(
+        [*command, "-m", "mirrorwave.cli", "train", "dense", *arguments], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert json.loads((tmp_path / "run" / SUMMARY).read_text())["epochs"] == 2
+    assert "not converged" not in done.stdout

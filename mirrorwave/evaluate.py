@@ -1,0 +1,175 @@
+"""`mirrorwave eval`: every method on the same frames, with the same back ends, in one table with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.console import AsJson, print_json, print_line, print_table
+
+if TYPE_CHECKING:
+    from mirrorwave.evaluate_methods import Method
+    from mirrorwave.evaluate_report import Context
+    from mirrorwave.evaluate_run import Run, SweepPoint, Tick
+    from models.perception.evaluation import FrameTruth
+    from models.training.frames import DataSet, Frame, Splits
+
+DEFAULT_METHODS = ("cfar", "cfar-nlos", "ours=models/weights/compact_unet.onnx,refine")
+
+
+class SplitOption(StrEnum):
+    """Scenes of the fixed splits."""
+
+    TEST = "test"
+    VALIDATION = "validation"
+    TRAIN = "train"
+    ALL = "all"
+
+
+class TruthOption(StrEnum):
+    """Truth points that a map can tell apart, every labelled echo over the noise, or both."""
+
+    THINNED = "thinned"
+    ALL = "all"
+    BOTH = "both"
+
+
+def evaluate(
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Data set of `sim dataset` or `import xradarnlos`.")],
+    method: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]SPEC",
+            help="cfar, cfar-nlos or FILE.onnx, then with commas: refine, residual=FILE, "
+            "geometry=ours|ours-all|published, threshold=T, GROUP.KEY=VALUE. May be given again.",
+            show_default=False,
+        ),
+    ] = None,
+    split: Annotated[SplitOption, typer.Option(help="Scenes to evaluate.")] = SplitOption.TEST,
+    truth: Annotated[TruthOption, typer.Option(help="Truth before thinning traces each scene again.")] = (
+        TruthOption.THINNED
+    ),
+    threshold: Annotated[
+        float | None,
+        typer.Option(min=0.001, max=0.999, help="For networks whose method names none; else their card's."),
+    ] = None,
+    reference: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Method the others are compared with; default the last.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="results.json, results.md, pr.png, scenes.png, qualitative.png.")
+    ] = None,
+    sweep: Annotated[int, typer.Option(min=0, help="Thresholds of the precision-recall curves; 0: none.")] = 8,
+    draws: Annotated[int, typer.Option(min=1, help="Bootstrap draws of the intervals.")] = 1000,
+    limit: Annotated[int | None, typer.Option(min=1, help="Only the first N frames of the split.")] = None,
+    threads: Annotated[int, typer.Option(min=1, help="CPU threads of each network.")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Score methods on a data set: dense and recovered F1, Chamfer, curves, groups, times; no frame is skipped."""
+    from mirrorwave.evaluate_report import Context, make_report, write_report
+    from models.training.frames import DataSet, fixed_splits
+
+    methods = _methods(method or list(DEFAULT_METHODS), threshold, threads)
+    named = _reference(reference, methods)
+    dataset, splits = DataSet(data), fixed_splits(data)
+    run, sweeps = _run(dataset, splits, methods, split, truth, sweep if out is not None else 0, limit)
+    context = Context(
+        data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=draws, threads=threads,
+        reference=named,
+    )  # fmt: skip
+    report = make_report(run, sweeps, context)
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        write_report(report, out)
+        _draw(report, run, dataset, context, out)
+    _show(report, out, as_json)
+
+
+def _methods(texts: list[str], threshold: float | None, threads: int) -> list[Method]:
+    from mirrorwave.evaluate_methods import build_method, parse_method
+
+    specs = [parse_method(text) for text in texts]
+    names = [spec.name for spec in specs]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"--method names must differ, got {name!r} twice: put NAME= before one")
+    return [build_method(spec, threshold, threads) for spec in specs]
+
+
+def _reference(name: str | None, methods: list[Method]) -> str:
+    names = [method.name for method in methods]
+    if name is not None and name not in names:
+        raise ValueError(f"--reference must be one of {', '.join(names)}, got {name!r}")
+    return name or names[-1]
+
+
+def _run(
+    dataset: DataSet,
+    splits: Splits,
+    methods: list[Method],
+    split: SplitOption,
+    truth: TruthOption,
+    sweep_count: int,
+    limit: int | None,
+) -> tuple[Run, dict[str, list[SweepPoint]]]:
+    """All frames, then the curves."""
+    from mirrorwave.evaluate_run import checked_frames, retraced_truth, run_methods, sweep, truth_of_labels
+
+    indices = splits.of(split.value)[:limit]
+    truth_of: dict[str, Callable[[Frame], FrameTruth]] = {}
+    if truth is not TruthOption.ALL:
+        truth_of["thinned"] = truth_of_labels
+    if truth is not TruthOption.THINNED:
+        truth_of["all"] = retraced_truth(dataset)
+    with _bar("frames", len(indices)) as tick:
+        run = run_methods(methods, checked_frames(dataset, indices, methods), truth_of, sweep_count > 0, tick)
+    sweeps: dict[str, list[SweepPoint]] = {}
+    if sweep_count:
+        with _bar("curves", len(methods)) as tick:
+            for one in run.runs:
+                sweeps[one.method.name] = sweep(one, run.truth, sweep_count)
+                tick()
+    return run, sweeps
+
+
+@contextmanager
+def _bar(name: str, total: int) -> Iterator[Tick]:
+    """A bar on stderr with the time left; gives what advances it."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(name, total=total)
+        yield lambda: progress.advance(task)
+
+
+def _draw(report: dict[str, Any], run: Run, dataset: DataSet, context: Context, out: Path) -> None:
+    from mirrorwave.evaluate_figures import draw_curves, draw_groups, draw_scenes, shown_frames
+
+    if report["methods"][0]["sweep"]:
+        draw_curves(report, out / "pr.png")
+    if report["methods"][0]["groups"]:
+        draw_groups(report, out / "scenes.png")
+    if positions := shown_frames(run):
+        frames = [dataset.frame(run.facts[position].index) for position in positions]
+        draw_scenes(run, frames, positions, context.reference, out / "qualitative.png")
+
+
+def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:
+    from mirrorwave.evaluate_report import headline_columns, headline_rows
+
+    if as_json:
+        print_json({key: value for key, value in report.items() if key != "per_frame"})
+        return
+    print_line(f"{report['frames']} frames of {report['split']}; test set {report['test_sha256']}")
+    for truth in report["methods"][0]["measures"]:
+        print_line(f"against {truth} truth:")
+        print_table(headline_columns(), headline_rows(report, truth))
+    if out is not None:
+        print_line(f"{out}: results.json, results.md and figures")

@@ -1,0 +1,71 @@
+"""`mirrorwave import`: captures of others as data sets."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line
+
+app = typer.Typer(no_args_is_help=True, help="Bring captures of others into data sets.")
+
+
+class KindOption(StrEnum):
+    """What the folder holds."""
+
+    SIM = "sim"
+    REAL = "real"
+
+
+@app.callback()
+def _group() -> None:
+    """Bring captures of others into data sets."""
+
+
+@app.command()
+def xradarnlos(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder in the published layout.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Data set to write; must be empty or new.")],
+    kind: Annotated[KindOption, typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")] = (
+        KindOption.SIM
+    ),
+    keys: Annotated[
+        str, typer.Option(metavar="LOS,IMAGE,TRUE", help="Arrays of a simulated points file, by what they are.")
+    ] = "L,G,T",
+    skip_broken: Annotated[bool, typer.Option(help="Count captures that cannot be read; exit code 3.")] = False,
+    as_json: AsJson = False,
+) -> int:
+    """The published simulated maps or real captures as a data set of maps, for `train` and `eval`."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from models.training.xradarnlos import SimKeys, import_folder
+
+    named = [name.strip() for name in keys.split(",")]
+    if len(named) != 3 or not all(named) or len(set(named)) != 3:
+        raise ValueError(f"--keys must be three different names with commas between them, got {keys!r}")
+    if not folder.is_dir():
+        raise NotADirectoryError(20, "must be a folder", str(folder))
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("captures", total=None)
+        summary = import_folder(
+            folder,
+            out,
+            kind.value,
+            SimKeys(direct=named[0], image=named[1], true_place=named[2]),
+            skip_broken,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    for reason in summary.broken:
+        typer.echo(f"mirrorwave: left out: {reason}", err=True)
+    if as_json:
+        print_json({"folder": str(out), "kind": kind.value, **vars(summary)})
+    else:
+        print_line(
+            f"{out}: {summary.frames} frames, {summary.los_points} LOS and {summary.mirrored_points} mirrored points, "
+            f"{summary.negative_cells} cells below zero, {len(summary.broken)} captures left out"
+        )
+    return ExitCode.DONE_WITH_LOSS if summary.broken else ExitCode.DONE

@@ -1,0 +1,61 @@
+"""ResidualReflectNet: what the mirror law of a fitted wall leaves over, Table 4, 120,706 parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import torch
+from torch import Tensor, nn
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResidualReflectNetConfig:
+    """Shape of a `ResidualReflectNet`; widths are those of Table 4."""
+
+    #: LOS points in the patch of each image.
+    neighbours: int = 16
+
+    def __post_init__(self) -> None:
+        if self.neighbours < 1:
+            raise ValueError(f"neighbours must be at least 1, got {self.neighbours}")
+
+    @property
+    def output_shape(self) -> tuple[int]:
+        """(x, y) of one residual."""
+        return (2,)
+
+
+class ResidualReflectNet(nn.Module):
+    """Images with their patch of LOS points and their wall to the correction of the mirror law, Eqs. (20)-(21)."""
+
+    def __init__(self, config: ResidualReflectNetConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or ResidualReflectNetConfig()
+        self.patch_encoder = _perceptron(2, 64, 128, 128)
+        self.query_encoder = _perceptron(2, 64, 128)
+        self.state_encoder = _perceptron(6, 64, 64)
+        self.decoder = _perceptron(192, 256, 128, 2)
+
+    def forward(self, images: Tensor, patch: Tensor, state: Tensor) -> Tensor:
+        """Residuals [batch, 2] in metres of images [batch, 2], patches [batch, neighbours, 2] and states [batch, 6].
+
+        Images and patch are in metres in the radar frame. A state is the image, the wall's normal and offset_m, and 1
+        where the image had no wall of its own, else 0.
+        """
+        # [batch, neighbours, 128]
+        points = self.patch_encoder(patch - images[:, None])
+        query = self.query_encoder(images)
+        # Eq. (20); softmax subtracts the largest score, so no score is too large for it. [batch, neighbours, 1]
+        attention = torch.softmax(points @ query[:, :, None], dim=1)
+        # [batch, 128]
+        patch_feature = (attention * points).sum(dim=1)
+        return self.decoder(torch.cat((patch_feature, self.state_encoder(state)), dim=1))
+
+
+def _perceptron(*widths: int) -> nn.Sequential:
+    """Linear layers with a ReLU between."""
+    layers: list[nn.Module] = []
+    for into, out in pairwise(widths):
+        layers += [nn.Linear(into, out), nn.ReLU()]
+    return nn.Sequential(*layers[:-1])

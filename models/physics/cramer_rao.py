@@ -1,0 +1,131 @@
+"""Cramer-Rao bounds of range and azimuth: what no unbiased estimate from one scan of beams can beat.
+
+An echo of complex amplitude a at fractional range bin q and azimuth A puts a s_n(q) g_k(A) into sample n of beam k,
+noise white and equal in all of them. Data is a product of range and azimuth, so the Fisher information of any number
+of echoes is made of products of small Gram matrices. Unknown are amplitude (two parts), range and azimuth of each
+echo; the phase of the amplitude is free, so the carrier says nothing about range.
+
+The amplitude is that of an ideal beam steered at the echo, on its bin, at the start of the chirp; element gain is
+part of it. Noise is a beam's
+per bin of the windowed profile. A cell of the default map has 0.58 of that noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.physics.antenna import column_response, setup_weights
+from models.physics.waveform import WINDOW_TAPS, tone_profile, window_noise_gain
+from msgs.arrays import require_positive
+from msgs.radar import RadarSetup
+
+#: Step of the central differences, in bins and in radians: errors of 1e-8 of a slope.
+_STEP = 1e-4
+#: Value and slope, in order: what stands for (Re a, Im a, range, azimuth), and with which factor.
+_TANGENTS = ((0, 0, 1.0), (0, 0, 1.0j), (1, 0, 1.0), (0, 1, 1.0))
+
+
+def raw_bound(
+    setup: RadarSetup, range_bin: np.ndarray, azimuth_rad: np.ndarray, amplitude: np.ndarray, noise_power_mw: float
+) -> np.ndarray:
+    """Covariance bound [P, 2, 2] of (range [m], azimuth [rad]) of P echoes seen together, from the raw samples.
+
+    No window, every sample: nothing that the receiver delivers is lost. `amplitude` complex [P] in sqrt(mW);
+    `noise_power_mw` that of a Hann bin, 1.5 times what the samples put in a bin. Raises ValueError where that is not
+    positive.
+    """
+    count = setup.radar.samples_per_chirp
+    turns = np.arange(count) / count
+    tone = np.exp(2j * np.pi * np.multiply.outer(np.asarray(range_bin, np.float64), turns)) / np.sqrt(count)
+    # a slope about the middle of the chirp: there range and phase do not mix
+    slope = 2j * np.pi * (turns - turns.mean()) * tone
+    white = noise_power_mw / window_noise_gain("hann")
+    return _bound(setup, np.stack([tone, slope]), azimuth_rad, amplitude, white)
+
+
+def windowed_bound(
+    setup: RadarSetup,
+    range_bin: np.ndarray,
+    azimuth_rad: np.ndarray,
+    amplitude: np.ndarray,
+    noise_power_mw: float,
+    bins: np.ndarray,
+    window: str = "hann",
+) -> np.ndarray:
+    """The same from some consecutive `bins` of the windowed range profiles, noise as the window correlates it.
+
+    Many bins undo the window and come to the raw bound; few cannot.
+    """
+    at = np.asarray(range_bin, np.float64)
+    count, first = setup.radar.samples_per_chirp, int(bins[0])
+    before, here, after = (tone_profile(count, at + k * _STEP, len(bins), window, first) for k in (-1, 0, 1))
+    white = np.linalg.inv(np.linalg.cholesky(window_covariance(window, len(bins))))
+    response = np.stack([here, (after - before) / (2.0 * _STEP)]) @ white.T
+    return _bound(setup, response, azimuth_rad, amplitude, noise_power_mw)
+
+
+def periodogram_range_loss(window: str = "hann", samples: int = 4096) -> float:
+    """Standard deviation of the peak of a windowed periodogram relative to the raw bound (Hann: 1.531).
+
+    The usual way, window and all: sqrt(sum w^2 t^2 sum t^2) / sum w t^2 over the chirp.
+    """
+    t = (np.arange(samples) + 0.5) / samples - 0.5
+    reach = len(WINDOW_TAPS[window]) // 2
+    # taps alternate in sign for a window that is centred in the chirp
+    order = np.arange(-reach, reach + 1)
+    signed = np.array(WINDOW_TAPS[window]) * (-1.0) ** order
+    w = np.cos(2.0 * np.pi * np.multiply.outer(t, order)) @ signed
+    return float(np.sqrt(np.sum((w * t) ** 2) * np.sum(t**2)) / np.sum(w * t**2))
+
+
+def window_covariance(window: str, bins: int) -> np.ndarray:
+    """Covariance [bins, bins] of neighbouring bins of white noise after a window, relative to its power in a bin."""
+    taps = np.array(WINDOW_TAPS[window])
+    lags = np.correlate(taps, taps, "full")[len(taps) - 1 :] / np.sum(taps**2)
+    apart = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+    return np.append(lags, 0.0)[np.minimum(apart, len(lags))]
+
+
+def azimuth_response(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
+    """Recorded two-way field of unit echoes in all beams, as set, without element gain; complex128 [echoes, beams].
+
+    An ideal beam steered at the echo would hold 1.
+    """
+    azimuth_rad = np.asarray(azimuth_rad, np.float64)
+    columns = column_response(setup.array, setup.radar.wavelength_m, azimuth_rad, np.zeros_like(azimuth_rad))
+    return ((columns @ setup_weights(setup).T / setup.array.columns) ** 2).conj()
+
+
+def fisher_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    """Information [4P, 4P] at unit noise, ordered Re a, Im a, range, azimuth of all P echoes each.
+
+    Parts are value and slope, complex [2, P, rows] and [2, P, beams].
+    """
+    in_range = np.einsum("kim,ljm->klij", range_parts.conj(), range_parts)
+    in_azimuth = np.einsum("kim,ljm->klij", azimuth_parts.conj(), azimuth_parts)
+    factor = [np.full(len(amplitude), f) if k < 2 else amplitude for k, (_, _, f) in enumerate(_TANGENTS)]
+    blocks = [
+        [
+            2.0 * np.real(np.multiply.outer(left.conj(), right) * in_range[q, p] * in_azimuth[a, b])
+            for (p, b, _), right in zip(_TANGENTS, factor, strict=True)
+        ]
+        for (q, a, _), left in zip(_TANGENTS, factor, strict=True)
+    ]
+    return np.block(blocks)
+
+
+def _bound(
+    setup: RadarSetup, range_parts: np.ndarray, azimuth_rad: np.ndarray, amplitude: np.ndarray, noise_power_mw: float
+) -> np.ndarray:
+    require_positive("noise_power_mw", noise_power_mw)
+    azimuth_rad = np.asarray(azimuth_rad, np.float64)
+    before, here, after = (azimuth_response(setup, azimuth_rad + k * _STEP) for k in (-1, 0, 1))
+    azimuth_parts = np.stack([here, (after - before) / (2.0 * _STEP)])
+    scaled = np.asarray(amplitude, np.complex128) / np.sqrt(noise_power_mw)
+    covariance = np.linalg.inv(fisher_information(range_parts, azimuth_parts, scaled))
+    count = len(scaled)
+    own = np.arange(count)
+    blocks = covariance.reshape(4, count, 4, count)
+    place = np.stack([[blocks[row, own, column, own] for column in (2, 3)] for row in (2, 3)])
+    metres = np.array([setup.radar.range_bin_m, 1.0])
+    return np.moveaxis(place, -1, 0) * np.multiply.outer(metres, metres)

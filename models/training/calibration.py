@@ -1,0 +1,76 @@
+"""Fit of the table that turns scores into probabilities, and how far scores are from being some."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from scipy.optimize import isotonic_regression
+
+from models.perception.calibration import ScoreTable
+from models.perception.detectors import Detector
+from models.perception.metrics import match_points
+from models.training.frames import Frame
+from msgs.perception import PathClass
+
+#: A peak is true within this of a truth point of its class, one to one.
+GATE_M = 2.0
+#: Peaks a group, at least: the standard error of a group's share stays below 0.1.
+GROUP = 30
+
+
+def peak_outcomes(detector: Detector, frames: Iterable[Frame]) -> tuple[np.ndarray, np.ndarray]:
+    """Score [N] of every peak in the frames, and whether it is true [N]."""
+    score: list[np.ndarray] = []
+    is_true: list[np.ndarray] = []
+    for frame in frames:
+        peaks, labels = detector.detect(frame.ra_map), frame.labels
+        hit = np.zeros(len(peaks.score), bool)
+        found_m = _places_m(peaks.range_m, peaks.azimuth_rad)
+        truth_m = _places_m(labels.range_m, labels.azimuth_rad)
+        for path_class in PathClass:
+            mine = np.flatnonzero(peaks.path_class == path_class)
+            pairs = match_points(found_m[mine], truth_m[labels.path_class == path_class], GATE_M)
+            hit[mine[pairs[:, 0]]] = True
+        score.append(peaks.score)
+        is_true.append(hit)
+    return np.concatenate([np.zeros(0), *score]), np.concatenate([np.zeros(0, bool), *is_true])
+
+
+def fit_table(score: np.ndarray, is_true: np.ndarray, groups: int = 20) -> ScoreTable:
+    """Knots of the monotone table: mean score and share of true peaks of groups of equal size, isotonic.
+
+    Groups that would fall are pooled (isotonic regression), so the table rises strictly: ranks stay. Below the first
+    group it falls to (0, 0), above the last it rises to (1, 1). Empty where there are too few peaks for two groups.
+    Raises `ValueError` where scores leave 0..1.
+    """
+    if not ((score >= 0.0) & (score <= 1.0)).all():
+        raise ValueError(f"score must lie in 0..1, got {score.min()}..{score.max()}")
+    groups = min(groups, len(score) // GROUP)
+    if groups < 2:
+        return ()
+    order = np.argsort(score, kind="stable")
+    parts = np.array_split(order, groups)
+    # one peak more of each kind (Laplace): no group is surer than its size allows
+    share = np.array([(is_true[part].sum() + 1.0) / (len(part) + 2.0) for part in parts])
+    weight = np.array([len(part) for part in parts], np.float64)
+    fitted = isotonic_regression(share, weights=weight)
+    knots = [(0.0, 0.0)]
+    for first, last in zip(fitted.blocks[:-1], fitted.blocks[1:], strict=True):
+        at = float(score[np.concatenate(parts[first:last])].mean())
+        if knots[-1][0] < at < 1.0:
+            knots.append((round(at, 6), round(float(fitted.x[first]), 6)))
+    return (*knots, (1.0, 1.0))
+
+
+def calibration_error(probability: np.ndarray, is_true: np.ndarray, groups: int = 10) -> float:
+    """Expected calibration error: |mean probability - share of true| over groups of equal size, weighted by size."""
+    if len(probability) == 0:
+        return 0.0
+    parts = np.array_split(np.argsort(probability, kind="stable"), min(groups, len(probability)))
+    gaps = [abs(probability[part].mean() - is_true[part].mean()) * len(part) for part in parts]
+    return float(sum(gaps) / len(probability))
+
+
+def _places_m(range_m: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
+    return np.stack([range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad)], axis=-1)

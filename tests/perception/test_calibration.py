@@ -1,0 +1,56 @@
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.perception.calibration import calibrated, calibrated_peaks, check_table
+from msgs.perception import Peaks
+
+TABLE = ((0.0, 0.0), (0.5, 0.2), (1.0, 1.0))
+
+
+def test_linear_between_knots_and_flat_beyond() -> None:
+    table = ((0.2, 0.1), (0.6, 0.5))
+    np.testing.assert_allclose(calibrated(table, np.array([0.0, 0.2, 0.4, 0.6, 1.0])), [0.1, 0.1, 0.3, 0.5, 0.5])
+
+
+def test_no_table_changes_nothing() -> None:
+    score = np.array([0.3, 0.9])
+    assert calibrated((), score) is score
+
+
+def test_only_the_scores_of_peaks_change() -> None:
+    peaks = Peaks(
+        stamp_ns=1,
+        scan_id=2,
+        range_m=np.array([3.0, 4.0]),
+        azimuth_rad=np.array([0.1, 0.2]),
+        score=np.array([0.5, 0.75]),
+        path_class=np.array([0, 1], np.uint8),
+        covariance=np.zeros((2, 2, 2)),
+        peak_stamp_ns=np.zeros(2, np.int64),
+        snr_db=np.zeros(2),
+    )
+    found = calibrated_peaks(TABLE, peaks)
+    np.testing.assert_allclose(found.score, [0.2, 0.6])
+    kept = [name for name in peaks.__struct_fields__ if name != "score"]
+    assert all(getattr(found, name) is getattr(peaks, name) for name in kept)
+    assert msgspec.structs.replace(found, score=peaks.score).scan_id == 2
+
+
+@pytest.mark.parametrize(
+    ("table", "rule"),
+    [
+        (((0.0, 0.0), (0.5, 1.1)), r"card\.calibration must lie in 0\.\.1"),
+        (((0.0, 0.0), (0.5, float("nan"))), r"card\.calibration must lie in 0\.\.1"),
+        (((0.0, 0.5), (0.5, 0.5)), r"card\.calibration must be empty or rise in score and in probability"),
+        (((0.5, 0.1), (0.5, 0.2)), r"card\.calibration must be empty or rise"),
+        (((0.5, 0.1),), r"card\.calibration must be empty or rise"),
+    ],
+)
+def test_tables_that_would_change_ranks_are_refused(table: tuple[tuple[float, float], ...], rule: str) -> None:
+    with pytest.raises(ValueError, match=rule):
+        check_table("card.calibration", table)
+    check_table("card.calibration", TABLE)
+    check_table("card.calibration", ())

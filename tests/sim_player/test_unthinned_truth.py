@@ -1,0 +1,36 @@
+"""Scenes traced again give the labels they gave, and more before thinning."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sim_player.dataset import Recipe, read_shard, write_dataset
+from sim_player.truth import visible_paths
+from sim_player.unthinned_truth import DrawnScene, labelled_paths, trace_again
+
+
+@pytest.mark.parametrize("recipe", [Recipe(), Recipe(places="street_v1"), Recipe(effects=("los_objects",))])
+def test_labels_come_back_and_lie_among_all_echoes(recipe: Recipe, tmp_path: Path) -> None:
+    """Planned, basic and chosen effects: thinned ranges are equal to the last bit, and each is one of all."""
+    folder = write_dataset(tmp_path / "data", 2, 4, recipe).parent
+    shard, series = read_shard(folder / "shard-00000.npz"), json.loads((folder / "series.json").read_text())
+    for index in range(2):
+        drawn = DrawnScene(
+            scene_yaml=str(shard["scene_yaml"][index]), index=index, gain_db=shard["gain_db"][index], series=series
+        )
+        paths, range_m = labelled_paths(drawn)
+        own = slice(*shard["offset"][index : index + 2])
+        assert np.array_equal(range_m, shard["range_m"][own])
+        assert len(paths) >= len(range_m)
+        assert np.isin(range_m, (0.5 * paths.length_m).astype(np.float32)).all()
+        # thinning the echoes themselves gives as many: nothing else was left out
+        assert len(visible_paths(drawn.setup, paths)) == len(range_m)
+
+
+def test_a_series_of_another_maker_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"series.json must say effects"):
+        trace_again(DrawnScene(scene_yaml="", index=0, gain_db=0.0, series={"seed": 1}))

@@ -1,0 +1,177 @@
+"""Files that are not what they say: cut off, exchanged, of another shape, without a card; and extreme answers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from hashlib import sha256
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import onnx
+import pytest
+import torch
+from onnx import TensorProto, helper
+
+from models.networks.compact_unet import CompactUNet, CompactUNetConfig
+from models.perception.encoding import Encoding
+from models.perception.onnx_model import DensePredictor, ModelCard, card_path
+from models.training.export_onnx import Exported, export_onnx, parity, write_card
+from models.training.quantize import quantize_int8
+from msgs.radar import RangeAzimuthGrid
+
+CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
+
+
+@pytest.fixture(scope="module")
+def network() -> CompactUNet:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    return CompactUNet(CONFIG).eval()
+
+
+@pytest.fixture(scope="module")
+def exported(network: CompactUNet, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("model") / "net.onnx"
+    export_onnx(Exported(network), path)
+    return path.read_bytes()
+
+
+def put(path: Path, model: bytes) -> Path:
+    """A file and the card that fits it."""
+    path.write_bytes(model)
+    card = ModelCard(
+        name=path.stem,
+        sha256=sha256(model).hexdigest(),
+        parameters=1,
+        encoding=Encoding(range_bins=32, columns=8),
+        grid=RangeAzimuthGrid(range_bins=48, azimuth_bins=64),
+        input_shape=(1, 5, 32, 8),
+        output_shape=(1, 2, 32, 64),
+        threshold=0.3,
+        scores=(),
+        data={},
+        training={},
+    )
+    write_card(card, path)
+    return path
+
+
+def cut(model: Path) -> None:
+    model.write_bytes(model.read_bytes()[:-1000])
+
+
+def cut_with_its_card(model: Path) -> None:
+    """Cut off before the card was written: the checksum holds, the file does not."""
+    put(model, model.read_bytes()[:-1000])
+
+
+def empty_with_its_card(model: Path) -> None:
+    put(model, b"")
+
+
+def card_of_another_file(model: Path) -> None:
+    other = put(model.with_name("other.onnx"), model.read_bytes() + b"\0")
+    card_path(model).write_bytes(card_path(other).read_bytes())
+
+
+def no_card(model: Path) -> None:
+    card_path(model).unlink()
+
+
+def cut_card(model: Path) -> None:
+    card_path(model).write_bytes(card_path(model).read_bytes()[:200])
+
+
+def card_with(**changes: object) -> Callable[[Path], None]:
+    def change(model: Path) -> None:
+        card = msgspec.json.decode(card_path(model).read_bytes())
+        card_path(model).write_bytes(msgspec.json.encode(card | changes))
+
+    return change
+
+
+def network_of_another_type(model: Path) -> None:
+    """Same shapes, but what goes in and comes out is float64."""
+    ends = [
+        helper.make_tensor_value_info(name, TensorProto.DOUBLE, shape)
+        for name, shape in (("encoded", (1, 5, 32, 8)), ("confidence", (1, 2, 32, 64)))
+    ]
+    shape = helper.make_tensor("shape", TensorProto.INT64, [4], [1, 2, 32, 64])
+    nodes = [
+        helper.make_node("Concat", ["encoded"] * 4, ["wide"], axis=3),
+        helper.make_node("Slice", ["wide", "from", "to", "axes"], ["cut"]),
+        helper.make_node("Concat", ["cut"] * 2, ["whole"], axis=3),
+        helper.make_node("Reshape", ["whole", "shape"], ["confidence"]),
+    ]
+    bounds = [helper.make_tensor(n, TensorProto.INT64, [1], [v]) for n, v in (("from", 0), ("to", 2), ("axes", 1))]
+    graph = helper.make_graph(nodes, "other", ends[:1], ends[1:], [shape, *bounds])
+    opset = [helper.make_opsetid("", 17)]
+    put(model, helper.make_model(graph, opset_imports=opset, ir_version=8).SerializeToString())
+
+
+@pytest.mark.parametrize(
+    ("harm", "message"),
+    [
+        (cut, r"net\.onnx: sha256 must be [0-9a-f]{64} as its card says, got [0-9a-f]{64}"),
+        (cut_with_its_card, r"net\.onnx must be a whole ONNX file: .*"),
+        (empty_with_its_card, r"net\.onnx must be a whole ONNX file: .*"),
+        (card_of_another_file, r"net\.onnx: sha256 must be"),
+        (no_card, r"net\.json: .*No such file"),
+        (cut_card, r"net\.json: Input data was truncated"),
+        (card_with(input_shape=[1, 5, 64, 8]), r"net\.onnx: input must be \(1, 5, 64, 8\) as its card says, got"),
+        (card_with(encoding={"channels": ["level", "warmth"]}), r"net\.json: encoding\.channels must be .*'warmth'"),
+        (
+            card_with(encoding={"range_bins": -1}),
+            r"net\.json: encoding\.range_bins must be finite and positive, got -1",
+        ),
+        (card_with(grid={"azimuth_bins": 60}), r"net\.json: grid\.azimuth_bins must be a multiple of 16, got 60"),
+        (network_of_another_type, r"net\.onnx: input must be one float32 array, got \['tensor\(double\)'\]"),
+    ],
+)
+def test_what_does_not_belong_together_is_refused(
+    exported: bytes, tmp_path: Path, harm: Callable[[Path], None], message: str
+) -> None:
+    """One line that names the file and what is wrong with it."""
+    model = put(tmp_path / "net.onnx", exported)
+    DensePredictor(model)
+    harm(model)
+    with pytest.raises(ValueError, match=message) as caught:
+        DensePredictor(model)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("logit", [-1e4, -100.0, 100.0, 1e4])
+def test_sure_answers_stay_probabilities_in_every_precision(network: CompactUNet, tmp_path: Path, logit: float) -> None:
+    """A head that says the same everywhere: exp(1e4) leaves every float, 1e4 and its sum still fit float16."""
+    sure = Exported(network)
+    weight, bias = sure.network.head.weight.detach().clone(), sure.network.head.bias.detach().clone()
+    torch.nn.init.zeros_(network.head.weight)
+    torch.nn.init.constant_(network.head.bias, logit)
+    try:
+        paths = [tmp_path / f"{name}.onnx" for name in ("fp32", "fp16", "int8")]
+        export_onnx(sure, paths[0])
+        export_onnx(Exported(network, half=True), paths[1])
+        quantize_int8(paths[0], paths[2], np.zeros((1, 5, 32, 8), np.float32))
+        assert max(parity(sure, path) for path in paths) <= 1e-6
+    finally:
+        with torch.no_grad():
+            network.head.weight.copy_(weight)
+            network.head.bias.copy_(bias)
+
+
+def test_calibration_on_empty_maps_leaves_a_network_that_answers(exported: bytes, tmp_path: Path) -> None:
+    """Maps of zeros give ranges of no width; the file must load and answer numbers in 0..1 all the same."""
+    source, target = tmp_path / "fp32.onnx", tmp_path / "int8.onnx"
+    source.write_bytes(exported)
+    quantize_int8(source, target, np.zeros((2, 5, 32, 8), np.float32))
+    predictor = DensePredictor(put(tmp_path / "net.onnx", target.read_bytes()))
+    for scale in (0.0, 1.0, 1e30):
+        answer = predictor.infer(np.full((5, 32, 8), scale, np.float32))
+        assert ((answer >= 0.0) & (answer <= 1.0)).all()
+
+
+def test_files_hold_no_path_of_the_machine_that_wrote_them(exported: bytes) -> None:
+    root = str(Path(__file__).resolve().parents[2]).encode()
+    assert root not in exported
+    assert all(not node.doc_string for node in onnx.load_from_string(exported).graph.node)

@@ -1,0 +1,67 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from models.networks.compact_unet import CompactUNet, CompactUNetConfig
+from models.training.export_onnx import Exported, export_onnx
+from models.training.quantize import quantize_int8
+
+CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
+MAPS = np.random.default_rng(0).standard_normal((4, 5, 32, 8)).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    path = tmp_path_factory.mktemp("fp32") / "net.onnx"
+    export_onnx(Exported(CompactUNet(CONFIG)), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def quantized(exported: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("int8") / "net.onnx"
+    quantize_int8(exported, path, MAPS)
+    return path
+
+
+def answers(path: Path) -> np.ndarray:
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    return np.stack([session.run(None, {"encoded": one[None]})[0][0] for one in MAPS])
+
+
+def test_int8_answers_what_fp32_answers_within_its_steps(exported: Path, quantized: Path) -> None:
+    """256 steps an activation: probabilities near 0.1 move by less than a hundredth, and by more than rounding."""
+    difference = np.abs(answers(quantized) - answers(exported)).max()
+    assert 1e-6 < difference < 1e-2
+
+
+def test_learned_weights_are_bytes_and_attention_is_not(quantized: Path) -> None:
+    graph = onnx.load(quantized).graph
+    convolved = {node.input[1] for node in graph.node if node.op_type == "Conv"}
+    made_by = {node.output[0]: node for node in graph.node}
+    assert all(made_by[weight].op_type == "DequantizeLinear" for weight in convolved)
+    stored = {tensor.name: tensor.data_type for tensor in graph.initializer}
+    assert {stored[made_by[weight].input[0]] for weight in convolved} == {onnx.TensorProto.INT8}
+    # a product of two activations is attention's
+    softmax = [node.output[0] for node in graph.node if node.op_type == "Softmax"]
+    products = [node for node in graph.node if node.op_type == "MatMul" and set(node.input) & set(softmax)]
+    assert len(products) == CONFIG.attention_blocks
+
+
+def test_same_maps_give_the_same_file(exported: Path, quantized: Path, tmp_path: Path) -> None:
+    quantize_int8(exported, tmp_path / "again.onnx", MAPS)
+    assert (tmp_path / "again.onnx").read_bytes() == quantized.read_bytes()
+
+
+@pytest.mark.parametrize("maps", [MAPS[:0], MAPS[:, :3]])
+def test_maps_that_the_network_does_not_take_are_refused(exported: Path, tmp_path: Path, maps: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"maps must have shape \(at least 1, 5, 32, 8\), got \("):
+        quantize_int8(exported, tmp_path / "net.onnx", maps)
