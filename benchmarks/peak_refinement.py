@@ -7,7 +7,7 @@ start from the strongest cell within two bins and five azimuth cells of the echo
 `two points`: equal echoes, random phases, same range; both ways start within 0.5 bins and 5 cells (0.4 of the distance
 for near ones) of the truth, which is knowledge the bound does not have: where it is wider than that, errors lie below
 it. Medians are shown there, for the bound of a pair has no mean to speak of when the phases agree.
-`--data DIR` holds the three ways of `NetworkDetector` against the validation frames of a data set: peaks against the
+`--data DIR` holds the ways of `NetworkDetector` against the validation frames of a data set: peaks against the
 truth points matched to them (one to one, same class, 2 m), dense and recovered F1 within 0.5, 1 and 2 m, and what
 likelihood adds to the ridge with the standard deviation of that over 500 redraws of the frames.
 Run from the root of the checkout:

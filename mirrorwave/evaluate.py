@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from enum import StrEnum
@@ -45,8 +46,8 @@ def evaluate(
         list[str] | None,
         typer.Option(
             metavar="[NAME=]SPEC",
-            help="cfar, cfar-nlos or FILE.onnx, then with commas: refine, residual=FILE, "
-            "geometry=ours|ours-all|published, threshold=T, GROUP.KEY=VALUE. May be given again.",
+            help="cfar, cfar-nlos, truth or FILE.onnx, then with commas: refine[=WAY], residual=FILE, "
+            "geometry=ours|published, threshold=T, GROUP.KEY=VALUE. May be given again.",
             show_default=False,
         ),
     ] = None,
@@ -140,11 +141,11 @@ def _run(
 
 @contextmanager
 def _bar(name: str, total: int) -> Iterator[Tick]:
-    """A bar on stderr with the time left; gives what advances it."""
+    """A bar with the time left where stderr is a terminal; gives what advances it."""
     from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
         task = progress.add_task(name, total=total)
         yield lambda: progress.advance(task)
 

@@ -70,7 +70,7 @@ def draw_groups(report: dict[str, Any], out: Path) -> None:
         for index, method in enumerate(report["methods"]):
             value, low, high = np.array([one[measure] for one in method["groups"]], float).reshape(-1, 3).T
             # a sum over few frames may lie outside its own percentile interval
-            reach = np.maximum(np.stack([value - low, high - value]), 0.0)
+            reach = np.nan_to_num(np.maximum(np.stack([value - low, high - value]), 0.0))
             colour, mark = _style(index)
             at = np.arange(len(value)) + 0.8 * ((index + 0.5) / len(report["methods"]) - 0.5)
             axes.errorbar(

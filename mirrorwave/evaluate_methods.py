@@ -2,12 +2,15 @@
 
 A method is `NAME=SOURCE` or `SOURCE`, then words and key=value pairs with commas between them:
 
-- SOURCE: `cfar`, `cfar-nlos` (told the true LOS points, section 4.1), or a network as FILE.onnx;
-- `refine`: a network's peaks are placed on the ridges of the map; without it they are the published local maxima;
+- SOURCE: `cfar`, `cfar-nlos` (told the true LOS points, section 4.1), `truth` (the labels themselves: what a back end
+  makes of perfect peaks), or a network as FILE.onnx;
+- `refine`, `refine=WAY`: where a network's peaks are placed (`models.perception.detectors.Refine`); without it they
+  are the published local maxima;
 - `residual=FILE.onnx`: learned correction of folded places, Eq. (18);
-- `geometry=ours` (default), `geometry=ours-all` (the same, no place rejected), `geometry=published`;
+- `geometry=ours` (default) or `geometry=published`;
 - `threshold=T`: score a peak must have; default: the network's card, none for CFAR;
-- `peaks.KEY=`, `named.KEY=`, `cfar.KEY=`, `nlos.KEY=`, `geometry.KEY[.KEY]=`: any parameter of that stage.
+- `peaks.KEY=`, `named.KEY=`, `refinement.KEY=`, `cfar.KEY=`, `nlos.KEY=`, `geometry.KEY[.KEY]=`: any parameter of
+  that stage.
 """
 
 from __future__ import annotations
@@ -16,7 +19,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -24,29 +27,38 @@ import yaml
 
 from models.perception.cfar import CfarParams
 from models.perception.cfar_nlos import CfarNlosParams, privileged_peaks
-from models.perception.detectors import CfarDetector, NetworkDetector
-from models.perception.geometry import GeometryParams, direct_structure, recover_bev
+from models.perception.detectors import CfarDetector, NetworkDetector, Refine, refine_way
+from models.perception.geometry import GeometryParams, direct_structure
 from models.perception.named import NamedParams
 from models.perception.onnx_model import load_card
 from models.perception.peaks import PeakParams
 from models.perception.published_geometry import PublishedParams, recover_published
 from models.perception.recovery import Residual, corrected, recover, reflection_state
+from models.perception.refinement import RefinementParams
+from models.perception.rejection import hidden_mask
 from models.perception.residual_model import LearnedResidual
 from models.training.frames import Frame
+from models.training.residual_samples import truth_peaks
 from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 
 #: Lowest score that a precision-recall curve looks at.
 FLOOR = 0.05
-GEOMETRIES = ("ours", "ours-all", "published")
+GEOMETRIES = ("ours", "published")
 #: Parameter groups that a source can take beside `geometry`.
-GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), ".onnx": ("peaks", "named")}
-WORDS = ("refine", "residual=FILE", "geometry=" + "|".join(GEOMETRIES), "threshold=T")
+GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), "truth": (), ".onnx": ("peaks", "named", "refinement")}
+WORDS = (
+    "refine",
+    "refine=" + "|".join(get_args(Refine)),
+    "residual=FILE",
+    "geometry=" + "|".join(GEOMETRIES),
+    "threshold=T",
+)
 
 _S = TypeVar("_S", bound=msgspec.Struct)
 Detect = Callable[[Frame], Peaks]
-#: Peaks -> recovered places [N, 2] in metres.
-Place = Callable[[Peaks], np.ndarray]
+#: Peaks -> places of all images [N, 2] in metres, and which of them are hidden, bool [N].
+Place = Callable[[Peaks], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,7 +68,7 @@ class MethodSpec:
     name: str
     source: str
     text: str
-    refine: bool = False
+    refine: bool | Refine = False
     residual: Path | None = None
     geometry: str = "ours"
     threshold: float | None = None
@@ -101,7 +113,7 @@ def parse_method(text: str) -> MethodSpec:
     if not separator:
         name, source = (Path(first).stem if first.endswith(".onnx") else first), first
     if not name or (source not in GROUPS and not source.endswith(".onnx")):
-        raise ValueError(f"--method {text!r}: source must be cfar, cfar-nlos or FILE.onnx, got {source!r}")
+        raise ValueError(f"--method {text!r}: source must be cfar, cfar-nlos, truth or FILE.onnx, got {source!r}")
     found: dict[str, Any] = {"parameters": {}}
     for word in rest:
         _take(found, text, word)
@@ -116,6 +128,8 @@ def _take(found: dict[str, Any], text: str, word: str) -> None:
     group, dot, path = key.partition(".")
     if word == "refine":
         found["refine"] = True
+    elif key == "refine" and value in get_args(Refine):
+        found["refine"] = value
     elif separator and dot and path and value:
         found["parameters"].setdefault(group, {})[path] = yaml.safe_load(value)
     elif key == "residual" and value:
@@ -141,7 +155,7 @@ def _check(spec: MethodSpec) -> None:
     for group in spec.parameters:
         if group not in groups:
             raise ValueError(f"--method {spec.text!r}: group must be one of {', '.join(groups)}, got {group!r}")
-    if spec.refine and spec.kind != ".onnx":
+    if spec.refine is not False and spec.kind != ".onnx":
         raise ValueError(f"--method {spec.text!r}: refine must go with a network, got {spec.source}")
 
 
@@ -163,13 +177,13 @@ def _built(spec: MethodSpec, threshold: float | None, threads: int) -> Method:
         detect, detect_all = _network(spec, at, threads)
     else:
         at = spec.threshold or 0.0
-        detect = _cfar(spec) if spec.kind == "cfar" else _cfar_nlos(spec)
+        detect = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec)
     return Method(
         name=spec.name,
         text=spec.text,
         threshold=at,
         parameters=weights or None,
-        privileged=spec.kind == "cfar-nlos",
+        privileged=spec.kind in ("cfar-nlos", "truth"),
         grid=grid,
         detect=detect,
         detect_all=detect_all,
@@ -181,6 +195,8 @@ def _network(spec: MethodSpec, threshold: float, threads: int) -> tuple[Detect, 
     """`detect` and `detect_all` of a method."""
     peaks = overridden(PeakParams(), "peaks", spec.parameters)
     named = overridden(NamedParams(), "named", spec.parameters)
+    refinement = overridden(RefinementParams(), "refinement", spec.parameters)
+    refined = refine_way(spec.refine) != "none"
 
     def at(peak: float, name: float) -> Detect:
         detector = NetworkDetector(
@@ -190,12 +206,13 @@ def _network(spec: MethodSpec, threshold: float, threads: int) -> tuple[Detect, 
             msgspec.structs.replace(peaks, threshold=peak),
             msgspec.structs.replace(named, threshold=name),
             spec.refine,
+            refinement,
         )
         return lambda frame: detector.detect(frame.ra_map)
 
     floor = at(min(FLOOR, threshold), min(FLOOR, named.threshold))
     # local maxima over a threshold are those over a lower one whose score reaches it; ridges are not
-    return (at(threshold, named.threshold), floor) if spec.refine else (floor, None)
+    return (at(threshold, named.threshold), floor) if refined else (floor, None)
 
 
 def _cfar(spec: MethodSpec) -> Detect:
@@ -215,6 +232,10 @@ def _cfar_nlos(spec: MethodSpec) -> Detect:
     return detect
 
 
+def _truth(_: MethodSpec) -> Detect:
+    return lambda frame: truth_peaks(frame.labels)
+
+
 def peaks_above(peaks: Peaks, threshold: float) -> Peaks:
     """The peaks whose score reaches a threshold."""
     keep = peaks.score >= threshold
@@ -225,26 +246,26 @@ def peaks_above(peaks: Peaks, threshold: float) -> Peaks:
 def _back_end(spec: MethodSpec, residual: Residual | None) -> Place:
     if spec.geometry == "published":
         published = overridden(PublishedParams(), "geometry", spec.parameters)
-        return lambda peaks: recover_published(peaks, published, residual).points_m
+        return lambda peaks: _published_places(peaks, published, residual)
     params = overridden(GeometryParams(), "geometry", spec.parameters)
-    if spec.geometry == "ours-all":
-        return lambda peaks: _all_places(peaks, params, residual)
-    return lambda peaks: _hidden_places(peaks, params, residual)
+    return lambda peaks: _our_places(peaks, params, residual)
 
 
-def _hidden_places(peaks: Peaks, params: GeometryParams, residual: Residual | None) -> np.ndarray:
-    """What the vehicle publishes: places that nothing in direct sight explains."""
-    frame = recover_bev(peaks, params, residual)
-    return np.array([(point.x_m, point.y_m) for point in frame.points], np.float64).reshape(-1, 2)
+def _published_places(
+    peaks: Peaks, params: PublishedParams, residual: Residual | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """The published back end rejects nothing."""
+    recovered = recover_published(peaks, params, residual)
+    return recovered.points_m, np.ones(len(recovered), bool)
 
 
-def _all_places(peaks: Peaks, params: GeometryParams, residual: Residual | None) -> np.ndarray:
-    """The places of all images that found a wall, those of objects in plain sight too."""
+def _our_places(peaks: Peaks, params: GeometryParams, residual: Residual | None) -> tuple[np.ndarray, np.ndarray]:
+    """What `recover_bev` forms its points and objects from, without the objects and the visibility mask."""
     returns, walls = direct_structure(peaks, params)
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
-    return recovered.points_m
+    return recovered.points_m, hidden_mask(recovered, walls, returns, params.recovery)
 
 
 def _residual(path: Path | None, threads: int) -> tuple[Residual | None, int]:

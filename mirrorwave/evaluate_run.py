@@ -126,9 +126,9 @@ def _step(run: MethodRun, frame: Frame, sweeping: bool) -> None:
     detected = method.detect(frame)
     peaks = method.answer(detected)
     detected_ns = time.perf_counter_ns()
-    places_m = method.place(peaks)
+    placed = method.place(peaks)
     placed_ns = time.perf_counter_ns()
-    run.answers.append(answer_of(peaks, places_m))
+    run.answers.append(answer_of(peaks, *placed))
     run.milliseconds.append(
         (MS_PER_S * s_from_ns(detected_ns - start_ns), MS_PER_S * s_from_ns(placed_ns - detected_ns))
     )
@@ -136,10 +136,10 @@ def _step(run: MethodRun, frame: Frame, sweeping: bool) -> None:
         run.peaks.append(detected if method.detect_all is None else method.detect_all(frame))
 
 
-def answer_of(peaks: Peaks, places_m: np.ndarray) -> FrameAnswer:
-    """Peaks and recovered places in metres."""
+def answer_of(peaks: Peaks, places_m: np.ndarray, hidden: np.ndarray) -> FrameAnswer:
+    """Peaks and recovered places [N, 2] in metres, those of a mask [N] held for hidden."""
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
-    return FrameAnswer(points_m=points_m, path_class=peaks.path_class, recovered_m=places_m)
+    return FrameAnswer(points_m=points_m, path_class=peaks.path_class, recovered_m=places_m, hidden_m=places_m[hidden])
 
 
 def facts_of(frame: Frame) -> FrameFacts:
@@ -183,7 +183,7 @@ def sweep(run: MethodRun, truth: list[FrameTruth], count: int, tick: Tick = lamb
 def _again(run: MethodRun, peaks: Peaks, threshold: float) -> FrameAnswer:
     """A frame's answer at another threshold."""
     kept = peaks_above(peaks, threshold)
-    return answer_of(kept, run.method.place(kept))
+    return answer_of(kept, *run.method.place(kept))
 
 
 def retraced_truth(data: DataSet) -> Callable[[Frame], FrameTruth]:

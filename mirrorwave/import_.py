@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -49,7 +50,7 @@ def xradarnlos(
         raise ValueError(f"--keys must be three different names with commas between them, got {keys!r}")
     if not folder.is_dir():
         raise NotADirectoryError(20, "must be a folder", str(folder))
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
         task = progress.add_task("captures", total=None)
         summary = import_folder(
             folder,

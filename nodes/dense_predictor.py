@@ -25,7 +25,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported network with its card beside it; None: the committed one.
     model: str | None = None
     threads: int = 1
-    #: How a network's peaks are placed: "none" (false), "ridge" or "likelihood"; true: the best measured.
+    #: How a network's peaks are placed (`models.perception.detectors.Refine`): true is "likelihood", false "none".
     refine: bool | Refine = True
     refinement: RefinementParams = RefinementParams()
     named: NamedParams = NamedParams()

@@ -109,7 +109,8 @@ def faulty_profiles(profiles: np.ndarray, faults: BoardFaults, setup: RadarSetup
 
     Weaker echoes meet the same thermal noise: what the gain takes of it is drawn anew, so the noise stays as stated.
     """
-    refill = np.sqrt(1.0 - np.abs(faults.gain[:, None]) ** 2)
+    # a gain of one may be over it by a rounding
+    refill = np.sqrt(np.maximum(1.0 - np.abs(faults.gain[:, None]) ** 2, 0.0))
     # a seed of its own: the same draw again would add up in amplitude
     noise = profile_noise(setup, seed ^ 1, profiles.shape[1])
     changed = faults.gain[:, None] * profiles + refill * noise

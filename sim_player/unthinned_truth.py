@@ -30,8 +30,10 @@ class DrawnScene(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def setup(self) -> RadarSetup:
-        """The scene's radar, with so much more power as the data set gave it."""
+        """The scene's radar, with so much more power as the data set gave it; basic effects judge echoes without."""
         setup, gain = self.scene.setup, ratio_from_db(self.gain_db)
+        if self.series.get("effects") == "basic":
+            return setup
         radar = msgspec.structs.replace(setup.radar, transmit_power_w=gain * setup.radar.transmit_power_w)
         return msgspec.structs.replace(setup, radar=radar)
 

@@ -108,7 +108,7 @@ TABLE_3 = SwinUNetConfig()
 #: The same parameters on the map itself: half the work.
 NATIVE = SwinUNetConfig(columns=256, crop_columns=0)
 #: 0.94 M parameters for one CPU core, on the range that streets need. Patches of 8 columns: the azimuth carries only 15
-#: degrees of freedom, so no 32 columns are lost between them. The bottleneck is one window over the whole scene.
+#: degrees of freedom, so 32 columns of tokens keep them all. The bottleneck is one window over the whole scene.
 COMPACT = SwinUNetConfig(
     in_channels=5,
     range_bins=320,

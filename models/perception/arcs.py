@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from models.perception.lines import LineFit, residual_gain
+from models.perception.lines import LineFit, fit_line, residual_gain
 from models.physics.mirror import wall_from_ends
 from msgs.arrays import require_positive
 
@@ -23,13 +23,16 @@ class ArcParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     #: Curvature over its own standard deviation, and log likelihood over that of the lines it replaces.
     min_sigmas: float = 3.0
-    min_gain: float = 10.0
+    min_gain: float = 5.0
+    #: Two lines become one arc that explains at least this share of what they do: it has a parameter less.
+    pair_share: float = 1.0
     min_points: int = 6
     #: Most curvature, and the most the wall turns from end to end.
     max_curvature_per_m: float = 0.07
     max_turn_rad: float = 1.4
     #: Along the arc the next return is at most this far off.
     max_gap_m: float = 6.5
+    pair_gap_m: float = 12.0
     rounds: int = 8
 
     def __post_init__(self) -> None:
@@ -48,6 +51,11 @@ class _Frame:
     @classmethod
     def of(cls, fit: LineFit) -> _Frame:
         return cls(fit.ends_m.mean(axis=0), np.array([-fit.normal[1], fit.normal[0]]), fit.normal)
+
+    @classmethod
+    def through(cls, points_m: np.ndarray, covariance_m2: np.ndarray) -> _Frame:
+        normal, _, _, _ = fit_line(points_m, covariance_m2)
+        return cls(points_m.mean(axis=0), np.array([-normal[1], normal[0]]), normal)
 
     def point(self, s: float, d: float) -> np.ndarray:
         return self.origin + s * self.tangent + d * self.normal
@@ -70,27 +78,48 @@ def with_arcs(
     found: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
     while lines:
-        seed, *others = lines
         taken = np.concatenate([np.zeros(0, int), *[fit.members for fit in found]])
         free = np.setdiff1d(np.arange(len(points_m)), taken)
-        arc = _grown(points_m, covariance_m2, seed, free, params)
-        eaten = [] if arc is None else [fit for fit in others if np.isin(fit.members, arc.members).mean() > 0.5]
-        if arc is not None and arc.gain.sum() >= seed.score + sum(fit.score for fit in eaten) + params.min_gain:
-            found.append(_as_fit(points_m, seed, arc))
-            lines = [fit for fit in others if not any(fit is one for one in eaten)]
-        else:
-            found.append(seed)
-            lines = others
+        arc, eaten = _best_arc(points_m, covariance_m2, lines, free, params)
+        found.append(lines[0] if arc is None else arc)
+        lines = [fit for fit in lines[1:] if not any(fit is one for one in eaten)]
     return found
 
 
+def _best_arc(
+    points_m: np.ndarray, covariance_m2: np.ndarray, lines: list[LineFit], free: np.ndarray, params: ArcParams
+) -> tuple[LineFit | None, list[LineFit]]:
+    """The arc that explains most beyond the lines it replaces, from the first line alone or with another; those lines."""
+    best: tuple[float, LineFit | None, list[LineFit]] = (-math.inf, None, [])
+    for other in lines:
+        seeds = np.union1d(lines[0].members, other.members)
+        frame = _Frame.of(lines[0]) if other is lines[0] else _Frame.through(points_m[seeds], covariance_m2[seeds])
+        pair = other is not lines[0]
+        if pair and float(lines[0].normal @ other.normal) < math.cos(params.max_turn_rad / 2.0):
+            continue
+        gap_m = params.pair_gap_m if pair else params.max_gap_m
+        arc = _grown(points_m, covariance_m2, frame, seeds, free, msgspec.structs.replace(params, max_gap_m=gap_m))
+        if arc is None:
+            continue
+        eaten = [fit for fit in lines if np.isin(fit.members, arc.members).mean() > 0.5]
+        rival = sum(fit.score for fit in eaten)
+        gain = float(arc.gain.sum()) - (params.pair_share * rival if pair else rival + params.min_gain)
+        if len(eaten) == 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in eaten):
+            best = gain, _as_fit(points_m, frame, arc), eaten
+    return best[1], best[2]
+
+
 def _grown(
-    points_m: np.ndarray, covariance_m2: np.ndarray, seed: LineFit, free: np.ndarray, params: ArcParams
+    points_m: np.ndarray,
+    covariance_m2: np.ndarray,
+    frame: _Frame,
+    members: np.ndarray,
+    free: np.ndarray,
+    params: ArcParams,
 ) -> _Arc | None:
-    """The arc through a line's returns and the free ones that continue it; None where it is not clearly bent."""
-    frame = _Frame.of(seed)
+    """The arc through members and the free returns that continue it; None where it is not clearly bent."""
     s, d = (points_m - frame.origin) @ frame.tangent, (points_m - frame.origin) @ frame.normal
-    members, arc = seed.members, None
+    arc = None
     for _ in range(params.rounds):
         if len(members) < max(params.min_points, 4):
             return None
@@ -153,9 +182,8 @@ def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray, params: ArcParams) -
     )
 
 
-def _as_fit(points_m: np.ndarray, seed: LineFit, arc: _Arc) -> LineFit:
+def _as_fit(points_m: np.ndarray, frame: _Frame, arc: _Arc) -> LineFit:
     """The arc as a wall: its chord, its curvature, and how well its direction and place are known."""
-    frame = _Frame.of(seed)
     reach = (points_m[arc.members] - frame.origin) @ frame.tangent
     low, high = float(reach.min()), float(reach.max())
     c0, c1, c2 = arc.coefficients

@@ -17,9 +17,9 @@ from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
 
 #: Where a network's peaks lie: at the heatmap's own maxima; on the ridges of the map; on the ridges, then where the
-#: complex map makes point echoes likeliest.
-Refine = Literal["none", "ridge", "likelihood"]
-#: What `True` means: the best of the three on validation maps (docs/figures.md).
+#: complex map makes point echoes likeliest; at the maxima, then there too.
+Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood"]
+#: What `True` means: the better of the two ways over ridges (`benchmarks.peak_refinement --data`).
 DEFAULT_REFINE: Refine = "likelihood"
 
 
@@ -35,7 +35,8 @@ class NetworkDetector:
 
     `refine` ("ridge") takes peaks from the ridges of the map that the heatmap names, which are sharper than the
     heatmap, and the heatmap's own maxima only where the map has no ridge; "likelihood" (True) then moves them below
-    the cell on the complex map. "none" (False) are the published local maxima. Raises ValueError for another word.
+    the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood" moves those. Raises
+    ValueError for another word.
     """
 
     def __init__(
@@ -51,13 +52,13 @@ class NetworkDetector:
         way = refine_way(refine)
         self._predictor = DensePredictor(model, threads)
         self._params, self._named, self._refine = params or PeakParams(), named or NamedParams(), way
-        self._refiner = EchoRefiner(setup, refinement) if way == "likelihood" else None
+        self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Classified peaks of one map."""
         heatmap = self._predictor.predict(ra_map)
-        if self._refine == "none":
+        if self._refine in ("none", "maxima_likelihood"):
             peaks = find_peaks(heatmap, ra_map, self._params)
         else:
             peaks = named_peaks(heatmap, ra_map, self._params, self._named)

@@ -56,11 +56,14 @@ class FrameTruth:
 
 @dataclass(frozen=True, kw_only=True)
 class FrameAnswer:
-    """What a method says of one frame: peaks [N, 2] with `PathClass` [N], and recovered places [M, 2]."""
+    """What a method says of one frame, in metres."""
 
+    #: Peaks [N, 2], and the `PathClass` of each [N].
     points_m: np.ndarray
     path_class: np.ndarray
+    #: Places of all images folded back [M, 2]; and those it holds for hidden, all where it rejects none [H, 2].
     recovered_m: np.ndarray
+    hidden_m: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -91,7 +94,7 @@ def _counts(answer: FrameAnswer, truth: FrameTruth) -> list[tuple[int, int, int]
     counted = [dense[path_class] for path_class in PathClass]
     counted += [recovered_counts(answer.recovered_m, truth.places_m, gate_m) for gate_m in RECOVERED_GATES_M]
     counted += [one_to_one_counts(answer.recovered_m, truth.places_m, gate_m) for gate_m in RECOVERED_GATES_M]
-    counted += [recovered_counts(answer.recovered_m, truth.hidden_m, gate_m) for gate_m in RECOVERED_GATES_M]
+    counted += [recovered_counts(answer.hidden_m, truth.hidden_m, gate_m) for gate_m in RECOVERED_GATES_M]
     return [(one.true_positives, one.false_positives, one.false_negatives) for one in counted]
 
 
@@ -104,7 +107,7 @@ def one_to_one_counts(predicted_m: np.ndarray, truth_m: np.ndarray, gate_m: floa
 def _distances(answer: FrameAnswer, truth: FrameTruth) -> list[tuple[float, float, float, float]]:
     """The quadruples of one frame."""
     sides = [(answer.points_m[answer.path_class == k], truth.points_m[truth.path_class == k]) for k in PathClass]
-    sides += [(answer.recovered_m, truth.places_m), (answer.recovered_m, truth.hidden_m)]
+    sides += [(answer.recovered_m, truth.places_m), (answer.hidden_m, truth.hidden_m)]
     found = []
     for predicted_m, truth_m in sides:
         released, capped = chamfer(predicted_m, truth_m), capped_chamfer(predicted_m, truth_m)

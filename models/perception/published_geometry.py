@@ -54,7 +54,7 @@ def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual 
     labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
     walls, wall_of_point = published_walls(points_m[direct], labels, params)
     returns = DirectReturns(points_m[direct], peaks.snr_db[direct], labels, wall_of_point)
-    recovered = recover(peaks, walls, returns, RecoveryParams(association="buddy"))
+    recovered = recover(peaks, walls, returns, RecoveryParams(association="buddy", second_order=False))
     if residual is None or len(recovered) == 0:
         return recovered
     return corrected(recovered, residual(reflection_state(recovered, walls, returns)))

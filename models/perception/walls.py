@@ -340,3 +340,6 @@ def _hides(wall: LineFit, points_m: np.ndarray) -> bool:
     low, high = np.sort(wall.ends_m @ tangent)
     reach = foot @ tangent
     return bool(((reach >= low) & (reach <= high)).all())
+
+
+__all__ = ["LineFit", "WallParams", "find_walls", "fit_line", "line_gain"]

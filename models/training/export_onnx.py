@@ -50,10 +50,13 @@ class Exported(nn.Module):
     `half` computes in float16 inside; what goes in and comes out is float32 either way.
     """
 
-    def __init__(self, network: nn.Module, head: Head = "heatmap", half: bool = False) -> None:
+    def __init__(self, network: nn.Module, half: bool = False) -> None:
         super().__init__()
         self.network = copy.deepcopy(network).half() if half else network
-        self.head, self.half_precision = head, half
+        self.half_precision = half
+        # only networks with anchors have a stride
+        self.anchor_stride: int | None = getattr(network.config, "anchor_stride", None)
+        self.head: Head = "heatmap" if self.anchor_stride is None else "anchors"
         self.eval()
 
     def forward(self, x: Tensor) -> Tensor:
@@ -142,6 +145,15 @@ def _difference(wanted: np.ndarray, found: np.ndarray, head: Head) -> float:
     return float(max(np.abs(probabilities[0] - probabilities[1]).max(), offsets))
 
 
+class _Scenes:
+    """The run's data set with its splits, read and checked once, and the scenes that score the export."""
+
+    def __init__(self, directory: Path, config: ExportConfig) -> None:
+        self.data, self.splits = DataSet(directory), fixed_splits(directory)
+        self.test = self.data if config.test_dir is None else DataSet(config.test_dir)
+        self.tested = self.splits.of(config.split) if config.test_dir is None else np.arange(len(self.test))
+
+
 def export_run(
     run_dir: Path, model_path: Path, config: ExportConfig, report: Callable[[str], None] = lambda _: None
 ) -> ModelCard:
@@ -151,10 +163,9 @@ def export_run(
     a folder holds no run or no data set, or when an fp32 export differs from torch.
     """
     network, run, epoch = load_best(run_dir)
-    data_dir = config.data_dir or Path(run.data.directory)
-    test, indices = _test_scenes(data_dir, config)
-    maps = _training_maps(data_dir, run, config)
-    model = Exported(network, _head(run))
+    scenes = _Scenes(config.data_dir or Path(run.data.directory), config)
+    maps = _training_maps(scenes, run, config)
+    model = Exported(network)
     with tempfile.TemporaryDirectory() as directory:
         reference, file = Path(directory) / "reference.onnx", Path(directory) / "export.onnx"
         report(f"exporting in {config.precision}")
@@ -163,8 +174,10 @@ def export_run(
         draft = _draft(model, run, epoch, run_dir, config)
         for path in (reference, file):
             write_card(msgspec.structs.replace(draft, sha256=_sha256(path)), path)
-        report(f"scoring on {len(indices)} scenes")
-        exact, own = score_files((reference, file), test.frames(indices))
+        report(f"scoring on {len(scenes.tested)} scenes")
+        paths = (file,) if config.precision == "fp32" else (reference, file)
+        tallies = score_files(paths, scenes.test.frames(scenes.tested))
+        exact, own = tallies[0], tallies[-1]
         report("reading scores as probabilities on the validation scenes")
         card = msgspec.structs.replace(
             draft,
@@ -177,8 +190,8 @@ def export_run(
                 lost_points=round(100.0 * (exact.macro_f1() - own.macro_f1()), 2),
                 calibration_maps=len(maps) if config.precision == "int8" else 0,
             ),
-            calibration=_score_table(file, draft.head, data_dir),
-            data=_provenance(data_dir, config, len(indices)),
+            calibration=_score_table(file, draft.head, scenes),
+            data=_provenance(scenes, config),
         )
         model_path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(file, model_path)
@@ -216,7 +229,7 @@ def _convert(model: Exported, reference: Path, file: Path, precision: Precision,
     if precision == "int8":
         quantize_int8(reference, file, maps)
     elif precision == "fp16":
-        export_onnx(Exported(model.network, model.head, half=True), file)
+        export_onnx(Exported(model.network, half=True), file)
     else:
         shutil.copyfile(reference, file)
 
@@ -231,7 +244,7 @@ def _draft(model: Exported, run: RunConfig, epoch: int, run_dir: Path, config: E
         network=training.network.family,
         precision=config.precision,
         head=model.head,
-        anchor_stride=training.objective.anchor_stride if model.head == "anchors" else 1,
+        anchor_stride=model.anchor_stride or 1,
         encoding=run.data.encoding,
         grid=run.data.grid,
         input_shape=(1, *run.data.encoding.shape),
@@ -272,31 +285,19 @@ def _training_command(run: RunConfig, run_dir: Path) -> str:
     return "mirrorwave train dense" + given + "".join(f" --more {folder}" for folder in run.data.more)
 
 
-def _head(run: RunConfig) -> Head:
-    return "anchors" if run.training.objective.kind == "anchors" else "heatmap"
-
-
-def _test_scenes(data_dir: Path, config: ExportConfig) -> tuple[DataSet, np.ndarray]:
-    """The scenes that score the export: all of another data set, or a split of the run's own."""
-    if config.test_dir is None:
-        return DataSet(data_dir), fixed_splits(data_dir).of(config.split)
-    test = DataSet(config.test_dir)
-    return test, np.arange(len(test))
-
-
-def _training_maps(data_dir: Path, run: RunConfig, config: ExportConfig) -> np.ndarray:
+def _training_maps(scenes: _Scenes, run: RunConfig, config: ExportConfig) -> np.ndarray:
     """Encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
     count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
-    scenes = np.random.default_rng(run.training.seed).permutation(fixed_splits(data_dir).of("train"))[:count]
-    return np.stack([encode_map(run.data.encoding, frame.ra_map) for frame in DataSet(data_dir).frames(scenes)])
+    chosen = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
+    return np.stack([encode_map(run.data.encoding, frame.ra_map) for frame in scenes.data.frames(chosen)])
 
 
-def _score_table(file: Path, head: Head, data_dir: Path) -> tuple[tuple[float, float], ...]:
+def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, float], ...]:
     """What the scores of the live detector's peaks are worth on the validation scenes; none for anchors."""
     if head == "anchors":
         return ()
-    scenes = DataSet(data_dir).frames(fixed_splits(data_dir).of("validation"))
-    return fit_table(*peak_outcomes(NetworkDetector(RadarSetup(), file), scenes))
+    validation = scenes.data.frames(scenes.splits.of("validation"))
+    return fit_table(*peak_outcomes(NetworkDetector(RadarSetup(), file), validation))
 
 
 def _sha256(path: Path) -> str:
@@ -318,16 +319,12 @@ def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
     )
 
 
-def _provenance(data_dir: Path, config: ExportConfig, scenes: int) -> dict[str, str | int]:
+def _provenance(scenes: _Scenes, config: ExportConfig) -> dict[str, str | int]:
     """How training and test scenes were made, and which the latter are."""
+    said: dict[str, str | int] = {"training": _command(scenes.data.directory), "test_scenes": len(scenes.tested)}
     if config.test_dir is not None:
-        return {"training": _command(data_dir), "test": _command(config.test_dir), "test_scenes": scenes}
-    return {
-        "training": _command(data_dir),
-        "test": f"its {config.split} split",
-        "test_scenes": scenes,
-        "test_sha256": fixed_splits(data_dir).test_sha256,
-    }
+        return said | {"test": _command(config.test_dir)}
+    return said | {"test": f"its {config.split} split", "test_sha256": scenes.splits.test_sha256}
 
 
 #: What a series says of itself and the command takes.

@@ -303,11 +303,11 @@ def import_folder(
     """
     if kind not in KINDS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
+    if out.exists() and any(out.iterdir()):
+        raise ValueError(f"{out} must be empty or new, holds {next(out.iterdir()).name}")
     captures, faults = find_captures(directory, kind)
     if faults and not skip_broken:
         raise ValueError(faults[0])
-    if out.exists() and any(out.iterdir()):
-        raise ValueError(f"{out} must be empty or new, holds {next(out.iterdir()).name}")
     out.mkdir(parents=True, exist_ok=True)
     summary, sources = ImportSummary(broken=faults), []
     shard: list[ImportedFrame] = []

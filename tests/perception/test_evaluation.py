@@ -36,10 +36,13 @@ def truth(points: list[tuple[float, float, int]], places: list[tuple[float, floa
     )
 
 
-def answer(points: list[tuple[float, float, int]], places: list[tuple[float, float]]) -> FrameAnswer:
+def answer(
+    points: list[tuple[float, float, int]], places: list[tuple[float, float]], hidden: int | None = None
+) -> FrameAnswer:
     rows = np.array(points, float).reshape(-1, 3)
+    places_m = np.array(places, float).reshape(-1, 2)
     return FrameAnswer(
-        points_m=rows[:, :2], path_class=rows[:, 2].astype(int), recovered_m=np.array(places, float).reshape(-1, 2)
+        points_m=rows[:, :2], path_class=rows[:, 2].astype(int), recovered_m=places_m, hidden_m=places_m[:hidden]
     )
 
 
@@ -78,11 +81,14 @@ def test_frame_with_nothing_hidden_counts_its_false_alarms() -> None:
 
 
 def test_hidden_scores_ask_for_hidden_objects_alone() -> None:
-    """Two places recovered exactly, one of a hidden object: the other is right for one score and false for the other."""
+    """Two places recovered exactly, one of a hidden object: the other is right for one score, false for the other."""
     scores = score_frames([(answer([], [(0, 5), (9, 9)]), truth([], [(0, 5), (9, 9)], hidden=1))])
     found = measures(scores)
     assert found["recovered_1m_f1"][0] == 1.0
     assert found["hidden_1m_f1"][0] == pytest.approx(2 / 3)
+    # who rejects the other is right in both
+    rejecting = score_frames([(answer([], [(0, 5), (9, 9)], hidden=1), truth([], [(0, 5), (9, 9)], hidden=1))])
+    assert measures(rejecting)["recovered_1m_f1"][0] == measures(rejecting)["hidden_1m_f1"][0] == 1.0
 
 
 def test_chamfer_with_empty_sides() -> None:

@@ -154,7 +154,7 @@ def test_network_with_anchors_answers_points_and_no_heatmap(model: Path, tmp_pat
     card = msgspec.structs.replace(
         DensePredictor(model).card,
         name="rtn",
-        sha256=export_onnx(Exported(RadarTensorNetwork(config), "anchors"), path),
+        sha256=export_onnx(Exported(RadarTensorNetwork(config)), path),
         head="anchors",
         anchor_stride=2,
         encoding=Encoding(range_bins=32, columns=64),

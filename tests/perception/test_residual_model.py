@@ -69,7 +69,7 @@ def model(network: ResidualReflectNet, tmp_path: Path) -> Path:
 
 
 def test_wall_coordinates_of_a_facade() -> None:
-    """Foot of the radar at (12, 0), normal back to the radar: along is y (its size: the image's side), across 12 - x."""
+    """Foot of the radar at (12, 0), normal back to it: along is |y|, across 12 - x."""
     frames = image_frames(STATE, "wall")
     seen = in_frames(STATE, frames)
     np.testing.assert_allclose(seen.images_m, [[3.0, -8.0], [4.0, -4.0]], atol=1e-12)

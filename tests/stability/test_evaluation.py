@@ -177,7 +177,7 @@ def test_broken_spectra(content: dict[str, np.ndarray], fault: str, tmp_path: Pa
 
 def test_capture_without_its_points_is_refused_by_file(tmp_path: Path) -> None:
     np.savez(tmp_path / SPECTRUM, Pxx=np.ones((512, 256)))
-    with pytest.raises(ValueError, match="los.npy: must be a readable numpy file: No such file"):
+    with pytest.raises(ValueError, match=r"los\.npy: must be a readable numpy file: No such file"):
         import_folder(tmp_path, tmp_path / "out", "real")
     (tmp_path / POINTS_FOLDER).mkdir()
     for name in ("los", "mirrored_nlos", "nlos"):

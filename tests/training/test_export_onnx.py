@@ -92,10 +92,10 @@ def test_anchors_answer_logits_and_offsets(tmp_path: Path) -> None:
     network = RadarTensorNetwork(ANCHORS).eval()
     path = tmp_path / "rtn.onnx"
     encoded = np.random.default_rng(0).standard_normal((3, 16, 8)).astype(np.float32)
-    export_onnx(Exported(network, "anchors"), path, [encoded])
+    export_onnx(Exported(network), path, [encoded])
     session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
     with torch.no_grad():
         wanted = network(torch.from_numpy(encoded[None])).numpy()
     np.testing.assert_allclose(session.run(None, {"encoded": encoded[None]})[0], wanted, atol=1e-4)
     nn.init.constant_(network.locate.bias, 1.0)
-    assert parity(Exported(network, "anchors"), path) > PARITY
+    assert parity(Exported(network), path) > PARITY

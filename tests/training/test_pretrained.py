@@ -175,7 +175,7 @@ def test_swin_t_fills_the_encoder_and_its_mirror(tmp_path: Path) -> None:
 def test_biases_linear_in_the_offset_stay_linear() -> None:
     """A table a + b row + c column over offsets of window 7 becomes the same plane over the offsets of 8 x 5.
 
-    torch's cubic kernel leaves a plane by up to 5 % of a step (0.02 here) and flattens near the edge, which is left out;
+    torch's cubic kernel leaves a plane by up to 5 % of a step (0.02 here) and flattens near the edge, left out here;
     swapped axes or shifted nodes would miss by a step, 0.3. The centre is no offset in both.
     """
     offset = torch.linspace(-1.0, 1.0, 13)

@@ -109,6 +109,17 @@ def test_run_folder_holds_configuration_curves_and_networks(tmp_path: Path) -> N
     assert not network.training
 
 
+def test_a_run_may_start_from_the_weights_of_another(tmp_path: Path) -> None:
+    data = images(64), images(32, 1)
+    first = ResidualTraining(config(epochs=1), *data, tmp_path / "first")
+    first.run(lambda report: None)
+    second = ResidualTraining(config(seed=1, init=str(tmp_path / "first" / BEST)), *data, tmp_path / "second")
+    for name, wanted in first.network.state_dict().items():
+        assert torch.equal(second.network.state_dict()[name], wanted), name
+    with pytest.raises(ValueError, match=r"nowhere\.pt must be a checkpoint file"):
+        ResidualTraining(config(init=str(tmp_path / "nowhere.pt")), *data, tmp_path / "third")
+
+
 def test_loss_that_is_no_number_names_its_batch(tmp_path: Path) -> None:
     """97 images in batches of 32: the one with the broken patch, alone in scene 9, is in the epoch's batch."""
     data = images(97)
