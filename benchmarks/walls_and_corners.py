@@ -2,8 +2,8 @@
 
 Scenes are built and simulated here; labels, with the polar errors of good peaks (0.06 m, 0.7 degrees), are the peaks.
 The error is that of a mirrored label's recovered point from its true place; a label that is not recovered counts as
-infinitely far. A car stands before a wall of 20 m, 24 m ahead, bent by -0.025..0.025 1/m (hollow to the radar: +); or in
-a corner of two walls, 12..45 m ahead.
+infinitely far. A vehicle stands before a wall of 20 m, 24 m ahead, bent by -0.025..0.025 1/m (hollow to the radar: +); or in
+a corner of two walls, 14..24 m ahead.
 Usage: python -m benchmarks.walls_and_corners [--draws 6] [--residual FILE] [--figure FILE] [--json]
 """
 
@@ -31,9 +31,9 @@ from sim_player.labelled_scan import Labels, labelled_scan
 from sim_player.scene import Scene, SceneObject, Surface
 
 CURVATURES_PER_M = tuple(np.linspace(-0.025, 0.025, 11).round(4).tolist())
-CORNERS_M = (12.0, 18.0, 24.0, 30.0, 36.0, 45.0)
+CORNERS_M = (14.0, 16.0, 18.0, 20.0, 22.0, 24.0)
 RANGE_STD_M, AZIMUTH_STD_DEG = 0.06, 0.7
-WALL = {"role": "relay", "material": "concrete", "height_m": 6.0, "thickness_mm": 250.0, "roughness_mm": 0.5}
+WALL = {"role": "relay", "material": "concrete", "height_m": 6.0, "thickness_mm": 250.0, "roughness_mm": 1.0}
 
 
 class Row(msgspec.Struct, kw_only=True):
@@ -63,8 +63,8 @@ def curved_scene(curvature_per_m: float, rng: np.random.Generator) -> Scene:
 def corner_scene(distance_m: float, rng: np.random.Generator) -> Scene:
     """A car before the right angle of two walls, the far one across the way."""
     polyline = [[distance_m, -8.0], [distance_m, 6.0], [distance_m - 10.0, 6.0]]
-    x, y, yaw = distance_m - rng.uniform(5.0, 8.0), rng.uniform(-1.0, 2.5), rng.uniform(-90.0, 90.0)
-    car = SceneObject(class_="car", x_m=x, y_m=y, yaw_deg=yaw)
+    x, y, yaw = distance_m - rng.uniform(5.0, 8.0), rng.uniform(-1.0, 2.0), rng.uniform(-90.0, 90.0)
+    car = SceneObject(class_="van", x_m=x, y_m=y, yaw_deg=yaw)
     return Scene(name="corner", surfaces=(msgspec.convert({**WALL, "polyline_m": polyline}, Surface),), objects=(car,))
 
 
@@ -153,7 +153,10 @@ def draw_figure(rows: list[Row], path: Path) -> None:
     for way in dict.fromkeys(row.way for row in rows if row.scene == "curved"):
         own = [row for row in rows if row.scene == "curved" and row.order == 1 and row.way == way]
         left.plot(
-            [row.at for row in own], [math.nan if row.median_m is None else row.median_m for row in own], "o-", label=way
+            [row.at for row in own],
+            [math.nan if row.median_m is None else row.median_m for row in own],
+            "o-",
+            label=way,
         )
     left.set(
         xlabel="curvature of the wall, 1/m (bulging  -  |  +  hollow towards the radar)",

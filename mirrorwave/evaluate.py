@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from models.perception.evaluation import FrameTruth
     from models.training.frames import DataSet, Frame, Splits
 
-DEFAULT_METHODS = ("cfar", "cfar-nlos", "ours=models/weights/compact_unet.onnx,refine")
-
 
 class SplitOption(StrEnum):
     """Scenes of the fixed splits."""
@@ -76,7 +74,7 @@ def evaluate(
     from mirrorwave.evaluate_report import Context, make_report, write_report
     from models.training.frames import DataSet, fixed_splits
 
-    methods = _methods(method or list(DEFAULT_METHODS), threshold, threads)
+    methods = _methods(method or _default_methods(), threshold, threads)
     named = _reference(reference, methods)
     dataset, splits = DataSet(data), fixed_splits(data)
     run, sweeps = _run(dataset, splits, methods, split, truth, sweep if out is not None else 0, limit)
@@ -90,6 +88,13 @@ def evaluate(
         write_report(report, out)
         _draw(report, run, dataset, context, out)
     _show(report, out, as_json)
+
+
+def _default_methods() -> list[str]:
+    """Both classical ways, and the network in use as the vehicle runs it."""
+    from models.perception.onnx_model import DEFAULT_MODEL
+
+    return ["cfar", "cfar-nlos", f"ours={DEFAULT_MODEL},refine"]
 
 
 def _methods(texts: list[str], threshold: float | None, threads: int) -> list[Method]:

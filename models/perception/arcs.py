@@ -71,9 +71,7 @@ class _Arc:
     gain: np.ndarray
 
 
-def with_arcs(
-    points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: ArcParams
-) -> list[LineFit]:
+def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: ArcParams) -> list[LineFit]:
     """Lines of points [N, 2] with covariances [N, 2, 2], those that an arc explains better replaced by it."""
     found: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
@@ -104,7 +102,7 @@ def _best_arc(
         eaten = [fit for fit in lines if np.isin(fit.members, arc.members).mean() > 0.5]
         rival = sum(fit.score for fit in eaten)
         gain = float(arc.gain.sum()) - (params.pair_share * rival if pair else rival + params.min_gain)
-        if len(eaten) == 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in eaten):
+        if len(eaten) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in eaten):
             best = gain, _as_fit(points_m, frame, arc), eaten
     return best[1], best[2]
 

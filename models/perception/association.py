@@ -97,7 +97,7 @@ def associate_crossing(
     to the true place. Rays that pass just off a wall's end count by a margin that grows with the angular error;
     a wall truly passed comes before one narrowly missed. Of several passed the last is the mirror: that its returns
     came at all shows that the nearer ones do not reach this far. Walls that are not `opaque` [W] count for nothing.
-    Where another wall cuts the way on, it is the second mirror, if the rest of the way is free.
+    Where another wall cuts the way on, it is the second mirror, if both are longer than a vehicle and the rest is free.
     """
     nothing = np.full(len(images_m), NO_WALL)
     if len(walls) == 0 or len(images_m) == 0:
@@ -119,7 +119,8 @@ def associate_crossing(
     later = 1e3 * (missed_m > 0.0) + 2e3 * (walls.length_m <= params.vehicle_length_m) + missed_m - to_wall_m
     second = np.full(whole.shape, NO_WALL)
     if params.second_order:
-        rows, columns = np.nonzero(possible & ~whole)
+        sure = (missed_m == 0.0) & (walls.length_m > params.vehicle_length_m)
+        rows, columns = np.nonzero(possible & ~whole & sure)
         second[rows, columns] = ways.second(rows, columns)
     cost = np.where(whole, later, np.where(second != NO_WALL, later, np.inf))
     first = _cheapest(cost)
@@ -169,7 +170,8 @@ class _Ways:
         start, end = self.mirror_m[image, first], self.place_m[image, first]
         met = hits(start, end, self.walls)
         on = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
-        on &= self.opaque & (behind(end[:, None], met.normal, met.offset_m) > self.params.min_depth_m)
+        on &= self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
+        on &= behind(end[:, None], met.normal, met.offset_m) > self.params.min_depth_m
         on &= np.arange(len(self.walls)) != first[:, None]
         nearest = _cheapest(np.where(on, met.along_ray, np.inf))
         row = np.arange(len(image))

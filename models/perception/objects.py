@@ -12,6 +12,7 @@ import math
 import msgspec
 import numpy as np
 
+from models.perception.calibration import ScoreTable, calibrated, check_table
 from models.perception.clustering import dbscan, fits_box
 from models.perception.mirrors import wall_arrays
 from models.perception.recovery import Recovered
@@ -59,10 +60,13 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     side_length_m: float = 12.5
     min_length_m: float = 1.5
     min_width_m: float = 0.8
+    #: From the joint score to the share of such objects that are true; empty: the joint score itself.
+    score_table: ScoreTable = ()
 
     def __post_init__(self) -> None:
         for name in ("eps_m", "vehicle_length_m", "min_points", "max_length_m", "min_length_m", "min_width_m"):
             require_positive(f"objects.{name}", getattr(self, name))
+        check_table("objects.score_table", self.score_table)
 
 
 def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) -> tuple[HiddenObject, ...]:
@@ -222,7 +226,7 @@ def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
         length_m=float(np.clip(length_m, params.min_length_m, params.max_length_m)),
         width_m=float(np.clip(width_m, params.min_width_m, params.max_length_m)),
         yaw_rad=_half_turn(yaw_rad),
-        score=joint_score(cluster.score),
+        score=float(calibrated(params.score_table, np.array([joint_score(cluster.score)]))[0]),
         cov_m2=((xx, xy), (xy, yy)),
         stamp_ns=int(cluster.stamp_ns[0]) + int(np.mean(cluster.stamp_ns - cluster.stamp_ns[0])),
         points=len(cluster),

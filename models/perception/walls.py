@@ -12,6 +12,7 @@ walls along the line of sight.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Literal
 
 import msgspec
@@ -54,6 +55,9 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     #: A wall is cut at a gap this wide through which so many returns of another wall are seen; 0: never.
     open_gap_m: float = 2.0
     seen_through_points: int = 2
+    #: A wall reaches on to the end of another that lies on its line, this far off at most, unless something is seen
+    #: through it there; 0: never.
+    corner_reach_m: float = 10.0
     #: Walls that an arc explains better than lines are arcs.
     curved: bool = True
     arcs: ArcParams = ArcParams()
@@ -100,6 +104,8 @@ def _one_building(
         fits = with_arcs(points_m, covariance_m2, fits, params.arcs)
     if params.open_gap_m > 0.0:
         fits = [part for fit in fits for part in _opened(points_m, covariance_m2, fit, fits, params)]
+    if params.corner_reach_m > 0.0:
+        fits = [_to_corner(points_m, fit, fits, params) for fit in fits]
     fits.sort(key=lambda fit: (-len(fit.members), fit.offset_m))
     return _drop_walls_behind_walls(fits)
 
@@ -309,6 +315,25 @@ def _opened(
     runs = [fit.members[part_of == part] for part in range(len(cuts) + 1)]
     parts = [_supported(points_m, covariance_m2, run, params) for run in runs]
     return [part for part in parts if part is not None]
+
+
+def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams) -> LineFit:
+    """The wall drawn on to the corner it makes with another: what stands before a corner hides the walls' returns."""
+    if fit.curvature_per_m != 0.0 or len(fits) < 2:
+        return fit
+    low, high = np.sort(fit.ends_m @ fit.tangent)
+    seen = _passed_at(fit, points_m)
+    for other in fits:
+        # walls along one another make no corner
+        if other is fit or abs(float(fit.normal @ other.normal)) > 0.5:
+            continue
+        for end in other.ends_m[np.abs(other.ends_m @ fit.normal + fit.offset_m) <= 1.0]:
+            at = float(end @ fit.tangent)
+            between = (seen > min(at, high)) & (seen < max(at, low)) & ((seen < low) | (seen > high))
+            if max(low - at, at - high) <= params.corner_reach_m and between.sum() < params.seen_through_points:
+                low, high = min(low, at), max(high, at)
+    ends_m = np.array([low, high])[:, None] * fit.tangent - fit.offset_m * fit.normal
+    return replace(fit, ends_m=ends_m)
 
 
 def _passed_at(fit: LineFit, points_m: np.ndarray) -> np.ndarray:

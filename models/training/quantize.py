@@ -32,8 +32,8 @@ def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
     """Write an fp32 network as int8: static, weights per output channel, ranges of activations from `maps`.
 
     `maps` are encoded inputs float32 [maps, channels, range, columns]; ranges are the smallest and the largest value
-    seen. Percentiles, which cut the rare strong cells that are the returns, lose more. Input and output stay float32.
-    Raises `ValueError` without maps or with maps of another shape.
+    seen: percentiles cut the rare strong cells, which are the returns (99.999 % is no nearer to fp32, 99.99 % further).
+    Input and output stay float32. Raises `ValueError` without maps or with maps of another shape.
     """
     entry = onnx.load(source).graph.input[0]
     shape = tuple(axis.dim_value for axis in entry.type.tensor_type.shape.dim)

@@ -21,7 +21,7 @@ app.command()(residual)
 @pytest.fixture(scope="module")
 def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("scenes")
-    write_dataset(folder, 8, seed=3)
+    write_dataset(folder, 6, seed=3)
     return folder
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.association import RecoveryParams, associate_crossing, seen_through
+from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.recovery import (
     NO_WALL,
     DirectReturns,
@@ -98,7 +98,8 @@ def test_the_margin_grows_with_the_angular_error():
 
 
 def test_an_image_in_front_of_the_wall_has_none():
-    got, _ = associate_crossing(np.array([[19.0, 0.0]]), np.array([0.02]), wall_arrays([wall(*FACADE)]), RecoveryParams())
+    image, facade = np.array([[19.0, 0.0]]), wall_arrays([wall(*FACADE)])
+    got, _ = associate_crossing(image, np.array([0.02]), facade, RecoveryParams())
     assert got.tolist() == [NO_WALL]
 
 
@@ -120,9 +121,8 @@ def test_covariance_is_that_of_sampled_errors():
     image = np.array([[28.0, 8.0]])
     range_m, azimuth_rad = polar_from_xy(image)
     polar = np.diag([0.1**2, math.radians(1.5) ** 2])[None]
-    fold = folded(
-        image, cartesian_covariance(range_m, azimuth_rad, polar), wall_arrays([one]), np.zeros(1, int), np.full(1, NO_WALL)
-    )
+    covariance = cartesian_covariance(range_m, azimuth_rad, polar)
+    fold = folded(image, covariance, wall_arrays([one]), np.zeros(1, int), np.full(1, NO_WALL))
     draws = 40_000
     images = xy_from_polar(
         range_m + rng.normal(0.0, 0.1, draws), azimuth_rad + rng.normal(0.0, math.radians(1.5), draws)

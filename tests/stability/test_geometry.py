@@ -1,0 +1,218 @@
+"""Hard cases of the geometry stage: two mirrors, arcs, openings, the published preset and empty scans."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from models.perception.arcs import ArcParams
+from models.perception.association import RecoveryParams, associate_crossing, facing_radar
+from models.perception.clustering import dbscan
+from models.perception.geometry import PUBLISHED, GeometryParams, recover_bev
+from models.perception.mirrors import RADAR, hits, wall_arrays
+from models.perception.objects import ObjectParams
+from models.perception.recovery import NO_WALL, cartesian_covariance, folded
+from models.perception.walls import WallParams, find_walls
+from models.physics.curved_mirror import arc_points, fermat_points
+from models.physics.mirror import reflect, wall_from_ends
+from msgs.frames import polar_from_xy, xy_from_polar
+from msgs.perception import PathClass, Peaks, Wall
+
+RANGE_STD_M, AZIMUTH_STD_RAD = 0.06, math.radians(0.7)
+FAR, SIDE = ((20.0, -8.0), (20.0, 6.0)), ((8.0, 6.0), (20.0, 6.0))
+
+
+def wall(a, b, curvature_per_m: float = 0.0) -> Wall:
+    normal, offset_m = wall_from_ends(np.array(a), np.array(b), np.zeros(2))
+    return Wall(
+        normal=(float(normal[0]), float(normal[1])), offset_m=offset_m, ends_m=(a, b), inliers=9,
+        angle_std_rad=0.01, offset_std_m=0.05, curvature_per_m=curvature_per_m,
+    )  # fmt: skip
+
+
+def mirrored(point, one: Wall) -> np.ndarray:
+    return reflect(np.asarray(point, np.float64), np.array(one.normal), one.offset_m)
+
+
+def peaks_of(direct: np.ndarray, images: np.ndarray) -> Peaks:
+    points = np.concatenate([np.reshape(direct, (-1, 2)), np.reshape(images, (-1, 2))]).astype(np.float64)
+    range_m, azimuth_rad = polar_from_xy(points)
+    count = len(points)
+    return Peaks(
+        stamp_ns=0, scan_id=0, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
+        path_class=np.repeat(np.array([0, 1], np.uint8), [len(direct), count - len(direct)]),
+        covariance=np.tile(np.diag([RANGE_STD_M**2, AZIMUTH_STD_RAD**2]), (count, 1, 1)),
+        peak_stamp_ns=np.zeros(count, np.int64), snr_db=np.full(count, 30.0),
+    )  # fmt: skip
+
+
+def spread(a, b, count: int) -> np.ndarray:
+    return np.array(a) + np.linspace(0.0, 1.0, count)[:, None] * (np.array(b) - np.array(a))
+
+
+def measured(points: np.ndarray, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    range_m, azimuth_rad = polar_from_xy(points)
+    return xy_from_polar(
+        range_m + rng.normal(0.0, RANGE_STD_M, len(points)), azimuth_rad + rng.normal(0.0, AZIMUTH_STD_RAD, len(points))
+    )
+
+
+def walls_of(points: np.ndarray, params: WallParams | None = None) -> list[Wall]:
+    polar = np.broadcast_to(np.diag([RANGE_STD_M**2, AZIMUTH_STD_RAD**2]), (len(points), 2, 2))
+    errors = cartesian_covariance(*polar_from_xy(points), polar)
+    return find_walls(points, errors, dbscan(points, 4.0, 2), params or WallParams())[0]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_image_in_two_walls_is_folded_twice_and_only_with_the_switch(order):
+    """Place (14, 1) in the corner of x = 20 and y = 6: seen by way of both, image (26, 11), by whichever the ray meets
+    first: exact to rounding. Folded once about x = 20 it would stand at (14, 11), behind y = 6."""
+    walls = [wall(*FAR), wall(*SIDE)][::order]
+    image = mirrored(mirrored([14.0, 1.0], walls[0]), walls[1])[None]
+    np.testing.assert_allclose(image, [[26.0, 11.0]], atol=1e-12)
+    arrays = wall_arrays(walls)
+    first, second = associate_crossing(image, np.array([0.01]), arrays, RecoveryParams())
+    assert sorted([int(first[0]), int(second[0])]) == [0, 1]
+    place = folded(image, np.eye(2)[None], arrays, first, second).points_m
+    np.testing.assert_allclose(place, [[14.0, 1.0]], atol=1e-9)
+    once = associate_crossing(image, np.array([0.01]), arrays, RecoveryParams(second_order=False))
+    assert [index.tolist() for index in once] == [[NO_WALL], [NO_WALL]]
+
+
+def test_covariance_through_two_folds_is_that_of_sampled_errors():
+    """No error of the walls: two reflections turn the image's errors, 20 000 draws, 5 % of the trace."""
+    walls = wall_arrays([wall(*FAR), wall(*SIDE)])
+    image, covariance = np.array([[26.0, 11.0]]), np.array([[[0.3, 0.1], [0.1, 0.05]]])
+    fold = folded(image, covariance, walls, np.zeros(1, int), np.ones(1, int))
+    draws = np.random.default_rng(2).multivariate_normal(image[0], covariance[0], 20_000)
+    count = np.zeros(len(draws), int)
+    places = folded(draws, np.tile(covariance, (len(draws), 1, 1)), walls, count, count + 1).points_m
+    np.testing.assert_allclose(fold.own_m2[0], np.cov(places.T), atol=0.05 * np.trace(covariance[0]))
+    assert (np.linalg.eigvalsh(fold.common_m2[0]) > 0.0).all()
+
+
+@pytest.mark.parametrize("curvature", [-0.025, -0.01, 0.01, 0.025])
+def test_an_image_in_an_arc_folds_back_to_its_place(curvature):
+    """The simulator's Fermat point gives range and azimuth of the image of (12, 3): folded back to within 1 mm."""
+    a, b, place = np.array([24.0, -10.0]), np.array([24.0, 10.0]), np.array([[12.0, 3.0]])
+    _, share, _ = fermat_points(RADAR, place, a, b, curvature)
+    at = arc_points(a, b, curvature, share[:1])[0]
+    length_m = np.hypot(*at) + np.hypot(*(place[0] - at))
+    image = (length_m * at / np.hypot(*at))[None]
+    arrays = wall_arrays([wall((24.0, -10.0), (24.0, 10.0), curvature)])
+    fold = folded(image, np.eye(2)[None] * 1e-4, arrays, np.zeros(1, int), np.full(1, NO_WALL))
+    np.testing.assert_allclose(fold.points_m, place, atol=1e-3)
+
+
+def test_covariance_through_an_arc_is_that_of_sampled_errors():
+    """Curvature 0.02, errors 0.05 m and 0.3 degrees: 20 000 draws, second order below 2 %: 6 % of the trace."""
+    arrays = wall_arrays([wall((24.0, -10.0), (24.0, 10.0), 0.02)])
+    image = np.array([[36.0, 5.0]])
+    range_m, azimuth_rad = polar_from_xy(image)
+    covariance = cartesian_covariance(range_m, azimuth_rad, np.diag([0.05**2, math.radians(0.3) ** 2])[None])
+    fold = folded(image, covariance, arrays, np.zeros(1, int), np.full(1, NO_WALL))
+    draws = np.random.default_rng(3).multivariate_normal(image[0], covariance[0], 20_000)
+    count = np.zeros(len(draws), int)
+    places = folded(draws, np.tile(covariance, (len(draws), 1, 1)), arrays, count, count + NO_WALL).points_m
+    sampled = np.cov(places.T)
+    np.testing.assert_allclose(fold.own_m2[0], sampled, atol=0.06 * np.trace(sampled))
+    flat = folded(image, covariance, wall_arrays([wall((24.0, -10.0), (24.0, 10.0))]), np.zeros(1, int), count[:1] - 1)
+    assert abs(np.trace(flat.own_m2[0]) / np.trace(sampled) - 1.0) > 0.1, "the bend must matter here"
+
+
+@pytest.mark.parametrize("curvature", [-0.025, -0.015, 0.015, 0.025])
+def test_bent_walls_are_found_as_arcs(curvature):
+    """20 returns over 20 m at 24 m, errors of good peaks: curvature to 0.006 1/m, over twice its own error."""
+    a, b = np.array([24.0, -10.0]), np.array([24.0, 10.0])
+    points = measured(arc_points(a, b, curvature, np.linspace(0.0, 1.0, 20)), 1)
+    found = walls_of(points)[0]
+    assert found.inliers >= 16
+    assert found.curvature_per_m == pytest.approx(curvature, abs=0.006)
+
+
+def test_straight_walls_stay_straight():
+    """In 30 draws of a faced wall and of an oblique one: 3 sigma and 5 nepers leave none bent."""
+    for seed in range(30):
+        for a, b in (((20.0, -9.0), (20.0, 9.0)), ((6.0, -7.0), (28.0, -7.0))):
+            assert all(one.curvature_per_m == 0.0 for one in walls_of(measured(spread(a, b, 18), seed)))
+
+
+def test_a_ray_that_misses_the_circle_has_no_hit():
+    """The circle of a wall bulging at 24 m with a radius of 40 m ends at azimuth 39 degrees."""
+    bulging = wall_arrays([wall((24.0, -9.0), (24.0, 9.0), -0.025)])
+    met = hits(RADAR, xy_from_polar(np.full(2, 40.0), np.radians([5.0, 75.0])), bulging)
+    assert np.isfinite(met.along_ray[0, 0])
+    assert np.isnan(met.along_ray[1, 0])
+    assert np.isinf(met.missed_m(np.array([18.0]))[1, 0])
+
+
+def test_what_is_seen_through_a_gap_opens_the_wall():
+    """Two fences of 6 m along one line, 6 m apart, and a wall seen through the gap: one fence of 18 m, or two of 6 m."""
+    fences = np.concatenate([spread((4.0, 4.0), (10.0, 4.0), 9), spread((16.0, 4.0), (22.0, 4.0), 9)])
+    back = spread((19.0, 5.0), (19.0, 7.5), 7)
+    open_walls = walls_of(np.concatenate([fences, back]), WallParams(max_gap_m=7.0))
+    closed = walls_of(np.concatenate([fences, back]), WallParams(max_gap_m=7.0, open_gap_m=0.0))
+    assert [len(closed), len(open_walls)] == [2, 3]
+    assert max(math.dist(*one.ends_m) for one in closed) == pytest.approx(18.0, abs=0.1)
+    assert max(math.dist(*one.ends_m) for one in open_walls) == pytest.approx(6.0, abs=0.1)
+
+
+def test_the_published_preset_is_plain():
+    """An image nearest in angle to a return of no wall: folded about the facing line through that return, never
+    rejected, even on the return itself."""
+    direct, image = np.array([[10.0, 0.0]]), np.array([[10.4, 0.0]])
+    bev = recover_bev(peaks_of(direct, image), PUBLISHED)
+    assert [(point.x_m, point.y_m) for point in bev.points] == [(pytest.approx(9.6), pytest.approx(0.0))]
+    assert bev.walls == ()
+    assert recover_bev(peaks_of(direct, image), GeometryParams()).points == ()
+
+
+@pytest.mark.parametrize("params", [GeometryParams(), PUBLISHED], ids=["ours", "published"])
+@pytest.mark.parametrize(("direct", "images"), [(0, 0), (0, 3), (5, 0), (1, 1)])
+def test_empty_and_tiny_scans_give_a_view(params, direct, images):
+    peaks = peaks_of(spread((9.0, 0.0), (9.0, 4.0), direct), spread((20.0, 0.0), (20.0, 4.0), images))
+    bev = recover_bev(peaks, params)
+    assert len(bev.los_points_m) == direct
+
+
+def test_a_return_at_the_radar_itself_faces_back():
+    normal, offset_m = facing_radar(np.array([[0.0, 0.0], [3.0, 4.0]]))
+    np.testing.assert_allclose(normal, [[-1.0, 0.0], [-0.6, -0.8]])
+    np.testing.assert_allclose(offset_m, [0.0, 5.0])
+    bev = recover_bev(peaks_of(np.array([[0.0, 0.0]]), np.array([[20.0, 1.0]])), PUBLISHED)
+    assert all(math.isfinite(point.x_m) for point in bev.points)
+
+
+def test_points_hold_images_of_what_is_seen_and_objects_do_not():
+    """A car in plain sight before a wall: its image is a point, no hidden object."""
+    car = spread((12.0, 3.0), (12.0, 4.6), 4)
+    images = np.array([mirrored(place, wall(*FAR)) for place in car])
+    bev = recover_bev(peaks_of(np.concatenate([spread(*FAR, 15), car]), images), GeometryParams())
+    assert len(bev.points) == 4
+    assert bev.objects == ()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: ArcParams(max_gap_m=0.0), "arcs.max_gap_m"),
+        (lambda: ObjectParams(score_table=((0.5, 0.2), (0.4, 0.3))), "objects.score_table"),
+        (lambda: Wall(normal=(1.0, 0.0), offset_m=0.0, ends_m=((0.0, 0.0), (0.0, 1.0)), inliers=2,
+                      curvature_per_m=math.nan), "wall"),
+    ],
+)  # fmt: skip
+def test_bad_parameters_are_named(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
+def test_same_peaks_same_view():
+    rng = np.random.default_rng(0)
+    points = xy_from_polar(rng.uniform(4.0, 60.0, 60), rng.uniform(-1.0, 1.0, 60))
+    peaks = peaks_of(points[:35], points[35:])
+    assert peaks.path_class[0] == PathClass.LOS
+    one, two = (recover_bev(peaks, GeometryParams()) for _ in range(2))
+    assert (one.points, one.objects, one.walls) == (two.points, two.objects, two.walls)
