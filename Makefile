@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test lint bench tables fdtd-figures clean
+.PHONY: help setup setup-dev demo test lint bench tables fdtd-figures results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -46,6 +46,12 @@ tables: setup  ## the shipped reflectance table, simulated again (minutes; goes 
 fdtd-figures: setup  ## the pictures of docs/fdtd.md
 	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
+
+results: setup-dev  ## every network of the specification and ours, trained and compared on two CPU cores (hours; goes on if stopped)
+	$(BIN)/python -m benchmarks.learned_table
+
+results-gpu: setup-dev  ## the same at full size and for the published 100 epochs, on a GPU
+	$(BIN)/python -m benchmarks.learned_table --budget gpu --lanes 1 --work runs/table-gpu --out runs/table-gpu/results
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

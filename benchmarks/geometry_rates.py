@@ -1,7 +1,7 @@
 """What the observability mask and the objects' scores are worth: rates of detection, and calibration of the scores.
 
-Mask: each vehicle (car, van, truck, bus: the RCS the mask speaks of or more) that is out of sight, by what the mask says
-of the cell it stands in, and the share of them found as an object within 2 m. Scores: the share of objects that are
+Mask: each vehicle (car, van, truck, bus: the RCS the mask speaks of or more) that is out of sight, by what the mask
+says of the cell it stands in, and the share of them found as an object within 2 m. Scores: the share of objects that are
 true against their mean score, before and after the table fitted on the validation scenes.
 Usage: python -m benchmarks.geometry_rates DATA [--count N] [--thresholds 13 20 ...] [--peaks truth|detected] [--json]
 """

@@ -2,8 +2,8 @@
 
 Scenes are built and simulated here; labels, with the polar errors of good peaks (0.06 m, 0.7 degrees), are the peaks.
 The error is that of a mirrored label's recovered point from its true place; a label that is not recovered counts as
-infinitely far. A vehicle stands before a wall of 20 m, 24 m ahead, bent by -0.025..0.025 1/m (hollow to the radar: +); or in
-a corner of two walls, 14..24 m ahead.
+infinitely far. A vehicle stands before a wall of 20 m, 24 m ahead, bent by -0.025..0.025 1/m (hollow to the radar: +);
+or in a corner of two walls, 14..24 m ahead.
 Usage: python -m benchmarks.walls_and_corners [--draws 6] [--residual FILE] [--figure FILE] [--json]
 """
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.console import print_json, print_line
+from mirrorwave.train_residual import residual
 
 if TYPE_CHECKING:
     from models.training.objectives import ObjectiveConfig
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from msgs.radar import RangeAzimuthGrid
 
 app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set.")
+app.command()(residual)
 
 
 @app.command()

@@ -28,6 +28,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: How a network's peaks are placed (`models.perception.detectors.Refine`): true is "likelihood", false "none".
     refine: bool | Refine = True
     refinement: RefinementParams = RefinementParams()
+    #: Scores become probabilities, by the table of the model's card.
+    calibrate: bool = False
     named: NamedParams = NamedParams()
     peaks: PeakParams = PeakParams()
     cfar: CfarParams = CfarParams()
@@ -62,7 +64,9 @@ class DensePredictorNode(Node):
             return CfarDetector(setup, self._params.cfar)
         model = DEFAULT_MODEL if self._params.model is None else Path(self._params.model)
         own = self._params
-        return NetworkDetector(setup, model, own.threads, own.peaks, own.named, own.refine, own.refinement)
+        return NetworkDetector(
+            setup, model, own.threads, own.peaks, own.named, own.refine, own.refinement, own.calibrate
+        )
 
 
 def create(params: Params) -> DensePredictorNode:

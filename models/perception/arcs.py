@@ -87,7 +87,7 @@ def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFi
 def _best_arc(
     points_m: np.ndarray, covariance_m2: np.ndarray, lines: list[LineFit], free: np.ndarray, params: ArcParams
 ) -> tuple[LineFit | None, list[LineFit]]:
-    """The arc that explains most beyond the lines it replaces, from the first line alone or with another; those lines."""
+    """The arc through the first line, alone or with another, that explains most beyond what it replaces; those lines."""
     best: tuple[float, LineFit | None, list[LineFit]] = (-math.inf, None, [])
     for other in lines:
         seeds = np.union1d(lines[0].members, other.members)
@@ -101,7 +101,7 @@ def _best_arc(
             continue
         eaten = [fit for fit in lines if np.isin(fit.members, arc.members).mean() > 0.5]
         rival = sum(fit.score for fit in eaten)
-        gain = float(arc.gain.sum()) - (params.pair_share * rival if pair else rival + params.min_gain)
+        gain = float(arc.gain.sum()) - (params.pair_share * rival if len(eaten) > 1 else rival + params.min_gain)
         if len(eaten) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in eaten):
             best = gain, _as_fit(points_m, frame, arc), eaten
     return best[1], best[2]

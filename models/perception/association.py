@@ -153,7 +153,8 @@ class _Ways:
     def cut(self, origin_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
         """Which legs [N, W, 2] a wall other than their own cuts; bool [N, W]."""
         own = np.broadcast_to(np.arange(len(self.walls)), origin_m.shape[:2]).ravel()
-        return self._cuts(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own).any(axis=1).reshape(origin_m.shape[:2])
+        cuts = self._cuts(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own)
+        return np.asarray(cuts.any(axis=1)).reshape(origin_m.shape[:2])
 
     def _cuts(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Which walls cut which legs [M, 2] that touch the wall `own` [M]; bool [M, W].
@@ -208,7 +209,7 @@ def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectRetu
 
 
 def facing_radar(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals [N, 2] and offsets [N] of walls through points [N, 2] that face the radar; one at the radar faces back."""
+    """Normals [N, 2] and offsets [N] of walls through points [N, 2], facing the radar; one at the radar faces back."""
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])
     away = np.where(range_m[:, None] > 0.0, points_m, [1.0, 0.0])
     return -away / np.hypot(away[:, 0], away[:, 1])[:, None], range_m

@@ -6,12 +6,14 @@ from pathlib import Path
 from typing import Literal, Protocol, get_args
 
 import msgspec
+import numpy as np
 
+from models.perception.calibration import calibrated_peaks
 from models.perception.cfar import CfarParams, cfar_peaks
 from models.perception.named import NamedParams, named_peaks
 from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor
-from models.perception.peaks import PeakParams, find_peaks
+from models.perception.peaks import PeakParams, find_peaks, peaks_at
 from models.perception.refinement import EchoRefiner, RefinementParams, refined_peaks
 from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
@@ -35,8 +37,9 @@ class NetworkDetector:
 
     `refine` ("ridge") takes peaks from the ridges of the map that the heatmap names, which are sharper than the
     heatmap, and the heatmap's own maxima only where the map has no ridge; "likelihood" (True) then moves them below
-    the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood" moves those. Raises
-    ValueError for another word.
+    the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood" moves those; both
+    also take networks that answer at anchors. `calibrate` turns scores into probabilities by the table of the model's
+    card. Raises ValueError for another word.
     """
 
     def __init__(
@@ -48,23 +51,33 @@ class NetworkDetector:
         named: NamedParams | None = None,
         refine: bool | Refine = True,
         refinement: RefinementParams | None = None,
+        calibrate: bool = False,
     ) -> None:
         way = refine_way(refine)
         self._predictor = DensePredictor(model, threads)
         self._params, self._named, self._refine = params or PeakParams(), named or NamedParams(), way
         self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
+        self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Classified peaks of one map."""
-        heatmap = self._predictor.predict(ra_map)
-        if self._refine in ("none", "maxima_likelihood"):
-            peaks = find_peaks(heatmap, ra_map, self._params)
-        else:
-            peaks = named_peaks(heatmap, ra_map, self._params, self._named)
+        peaks = self._own_peaks(ra_map)
         if self._refiner is not None:
             peaks = refined_peaks(peaks, ra_map, self._refiner)
+        peaks = calibrated_peaks(self._table, peaks)
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
+
+
+    def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
+        """Peaks before any refinement on the complex map."""
+        if self._refine not in ("none", "maxima_likelihood"):
+            return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._named)
+        if self._predictor.card.head == "heatmap":
+            return find_peaks(self._predictor.predict(ra_map), ra_map, self._params)
+        points = self._predictor.points(ra_map, self._params.threshold, self._params.min_distance)
+        cells = np.rint(points.cells).astype(np.int64)
+        return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
 
 
 def refine_way(refine: bool | Refine) -> Refine:

@@ -142,7 +142,7 @@ class DensePredictor:
             raise ValueError(f"threads must be at least 1, got {threads}")
         model_path = Path(model_path)
         self.card = load_card(model_path)
-        self._session = _open_session(model_path, self.card.sha256, threads)
+        self._session = open_session(model_path, self.card.sha256, threads)
         _check_session(model_path, self.card, self._session)
         self._input = self._session.get_inputs()[0].name
         self.infer(np.zeros(self.card.input_shape[1:], np.float32))
@@ -189,7 +189,8 @@ def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_d
     return Points(cells=at.astype(np.float64), score=score, path_class=path_class)
 
 
-def _open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
+def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
+    """A session for a file with this checksum; raises `ValueError` naming the file."""
     try:
         model = model_path.read_bytes()
     except OSError as error:

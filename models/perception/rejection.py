@@ -1,7 +1,7 @@
 """Which folded places are hidden: what is seen directly explains the others.
 
-A place on a wall, at a direct return or on a vehicle in plain sight may be true all the same, seen twice: it stays among
-the points and makes no hidden object.
+A place on a wall, at a direct return or on a vehicle in plain sight may be true all the same, seen twice: it stays
+among the points and makes no hidden object.
 """
 
 from __future__ import annotations

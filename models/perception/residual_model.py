@@ -9,7 +9,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from models.perception.onnx_model import _open_session, card_path
+from models.perception.onnx_model import open_session, card_path
 from models.perception.recovery import ReflectionState
 
 #: Coordinates the network sees: the radar's, those of each image's own wall, or the radar's with the axes of the
@@ -130,7 +130,7 @@ class LearnedResidual:
             raise ValueError(f"max_shift_m must be positive, got {max_shift_m}")
         self._path, self._max_shift_m = Path(model_path), max_shift_m
         self.card = load_residual_card(self._path)
-        self._session = _open_session(self._path, self.card.sha256, threads)
+        self._session = open_session(self._path, self.card.sha256, threads)
         self._check_shapes()
         self._infer(ReflectionState(*(np.zeros((1, *shape)) for shape in self._shapes().values())))
 

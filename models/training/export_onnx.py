@@ -29,8 +29,8 @@ from models.training.families import FAMILIES, INPUTS
 from models.training.frames import DataSet, Frame, fixed_splits
 from models.training.quantize import quantize_int8
 from models.training.schedules import SCHEDULES
-from models.training.scoring import DEFAULT_THRESHOLD, Detections, DetectionTally
-from models.training.train_dense import RunConfig, load_best
+from models.training.scoring import Detections, DetectionTally
+from models.training.train_dense import RunConfig, load_best, load_summary
 from msgs.perception import PathClass
 from msgs.radar import RadarSetup
 
@@ -249,7 +249,7 @@ def _draft(model: Exported, run: RunConfig, epoch: int, run_dir: Path, config: E
         grid=run.data.grid,
         input_shape=(1, *run.data.encoding.shape),
         output_shape=(),
-        threshold=DEFAULT_THRESHOLD,
+        threshold=load_summary(run_dir).best.best_threshold,
         scores=(),
         data={},
         training={

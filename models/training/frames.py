@@ -7,6 +7,7 @@ elsewhere (`series.json` then says `"format": "maps"` and the grid).
 from __future__ import annotations
 
 import hashlib
+import zipfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
@@ -212,7 +213,7 @@ def _open(path: Path) -> list[str]:
         # numpy would leave a file open in which it finds no archive
         with path.open("rb") as file, np.load(file, allow_pickle=False) as shard:
             return list(shard.files)
-    except (OSError, ValueError, EOFError, AttributeError) as error:
+    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} must be a shard (npz): {' '.join(str(error).split())}") from None
 
 

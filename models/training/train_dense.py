@@ -289,6 +289,14 @@ def load_best(run_dir: Path) -> tuple[nn.Module, RunConfig, int]:
     return network.eval(), config, int(state["epoch"])
 
 
+def load_summary(run_dir: Path) -> RunSummary:
+    """What a run came to; raises `ValueError` where it has not finished an epoch."""
+    try:
+        return msgspec.json.decode((run_dir / SUMMARY).read_bytes(), type=RunSummary)
+    except (OSError, msgspec.DecodeError) as error:
+        raise ValueError(f"{run_dir / SUMMARY}: {error}") from None
+
+
 def _json(value: object) -> bytes:
     return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"
 

@@ -150,7 +150,7 @@ def test_a_ray_that_misses_the_circle_has_no_hit():
 
 
 def test_what_is_seen_through_a_gap_opens_the_wall():
-    """Two fences of 6 m along one line, 6 m apart, and a wall seen through the gap: one fence of 18 m, or two of 6 m."""
+    """Two fences of 6 m along one line, 6 m apart, a wall seen through the gap: one fence of 18 m, or two of 6 m."""
     fences = np.concatenate([spread((4.0, 4.0), (10.0, 4.0), 9), spread((16.0, 4.0), (22.0, 4.0), 9)])
     back = spread((19.0, 5.0), (19.0, 7.5), 7)
     open_walls = walls_of(np.concatenate([fences, back]), WallParams(max_gap_m=7.0))
