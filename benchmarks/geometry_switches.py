@@ -49,6 +49,7 @@ SWITCHES: dict[str, GeometryParams] = {
     "association buddy": switched("recovery", association="buddy"),
     "no second order": switched("recovery", second_order=False),
     "no arcs": switched("walls", curved=False),
+    "no corners": switched("walls", corner_reach_m=0.0),
     "no openings": switched("walls", open_gap_m=0.0),
     "walls not joined": switched("walls", joined=False),
     "keep places on walls": switched("recovery", reject_on_wall=False),

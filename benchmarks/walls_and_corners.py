@@ -169,7 +169,10 @@ def draw_figure(rows: list[Row], path: Path) -> None:
             own = [row for row in rows if row.scene == "corner" and row.order == order and row.way == way]
             mirrors = "one wall" if order == 1 else "two walls"
             right.plot(
-                [row.at for row in own], [row.within_1m for row in own], style, label=f"image in {mirrors}, {way}"
+                [row.at for row in own],
+                [row.within_1m if row.labels else math.nan for row in own],
+                style,
+                label=f"image in {mirrors}, {way}",
             )
     right.set(
         xlabel="distance to the corner, m",

@@ -24,8 +24,8 @@ class ArcParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     #: Curvature over its own standard deviation, and log likelihood over that of the lines it replaces.
     min_sigmas: float = 3.0
     min_gain: float = 5.0
-    #: Two lines become one arc that explains at least this share of what they do: it has a parameter less.
-    pair_share: float = 1.0
+    #: Log likelihood a parameter is worth: lines have two each, the arc in place of several has three.
+    parameter_gain: float = 1.5
     min_points: int = 6
     #: Most curvature, and the most the wall turns from end to end.
     max_curvature_per_m: float = 0.07
@@ -87,7 +87,7 @@ def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFi
 def _best_arc(
     points_m: np.ndarray, covariance_m2: np.ndarray, lines: list[LineFit], free: np.ndarray, params: ArcParams
 ) -> tuple[LineFit | None, list[LineFit]]:
-    """The arc through the first line, alone or with another, that explains most beyond what it replaces; those lines."""
+    """The arc through the first line, alone or with another, that explains most beyond what it replaces."""
     best: tuple[float, LineFit | None, list[LineFit]] = (-math.inf, None, [])
     for other in lines:
         seeds = np.union1d(lines[0].members, other.members)
@@ -101,7 +101,8 @@ def _best_arc(
             continue
         eaten = [fit for fit in lines if np.isin(fit.members, arc.members).mean() > 0.5]
         rival = sum(fit.score for fit in eaten)
-        gain = float(arc.gain.sum()) - (params.pair_share * rival if len(eaten) > 1 else rival + params.min_gain)
+        spared = params.parameter_gain * (2 * len(eaten) - 3) if len(eaten) > 1 else -params.min_gain
+        gain = float(arc.gain.sum()) - rival + spared
         if len(eaten) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in eaten):
             best = gain, _as_fit(points_m, frame, arc), eaten
     return best[1], best[2]

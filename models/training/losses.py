@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 from torch.nn import functional
@@ -12,15 +14,36 @@ def heatmap_focal_loss(
 ) -> Tensor:
     """Focal loss of Eq. (23), a scalar; `logits` and `heatmap` have the same shape, `heatmap` is 1 at each peak.
 
-    Written on logits: log c = logsigmoid(z), log(1 - c) = logsigmoid(-z), so no probability is clamped and gradients
+    Written on logits: log c = logsigmoid(z), log(1 - c) = -softplus(z), so no probability is clamped and gradients
     stay finite for any logit. Divided by the number of peaks; without a peak, the sum of the negatives. `weights`
     (None: all one) multiply the terms they are broadcast to. Raises `ValueError` where shapes differ.
     """
     if logits.shape != heatmap.shape:
         raise ValueError(f"logits must have the heatmap's shape {tuple(heatmap.shape)}, got {tuple(logits.shape)}")
     is_peak = heatmap == 1.0
-    confidence = torch.sigmoid(logits)
-    at_peak = (1.0 - confidence) ** alpha * functional.logsigmoid(logits)
-    elsewhere = (1.0 - heatmap) ** beta * confidence**alpha * functional.logsigmoid(-logits)
-    terms = torch.where(is_peak, at_peak, elsewhere)
-    return -(terms if weights is None else weights * terms).sum() / is_peak.sum().clamp(min=1)
+    weight = torch.ones_like(heatmap) if weights is None else weights.expand_as(heatmap).to(heatmap.dtype)
+    at_peak = logits[is_peak]
+    positive = weight[is_peak] * torch.sigmoid(-at_peak) ** alpha * -functional.logsigmoid(at_peak)
+    # (1 - Y)^beta is zero at the peaks themselves
+    negative = _Negatives.apply(logits, weight * (1.0 - heatmap) ** beta, alpha)
+    return (positive.sum() + negative) / is_peak.sum().clamp(min=1)
+
+
+class _Negatives(torch.autograd.Function):
+    """Sum of w c^alpha softplus(z) with c = sigmoid(z), and its derivative w c^alpha (alpha (1 - c) softplus(z) + c).
+
+    Nearly all cells are negatives and the head is wide: left to autograd, these few products were a quarter of the
+    time of a training step.
+    """
+
+    @staticmethod
+    def forward(ctx: Any, logits: Tensor, weight: Tensor, alpha: float) -> Tensor:
+        confidence, softplus = torch.sigmoid(logits), functional.softplus(logits)
+        scaled = weight * confidence**alpha
+        ctx.save_for_backward(scaled * (alpha * (1.0 - confidence) * softplus + confidence))
+        return (scaled * softplus).sum()
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None, None]:
+        (derivative,) = ctx.saved_tensors
+        return gradient * derivative, None, None
