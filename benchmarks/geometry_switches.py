@@ -25,13 +25,15 @@ import numpy as np
 import yaml
 
 from models.perception.detectors import NetworkDetector
-from models.perception.geometry import PUBLISHED, GeometryParams, recover_bev
+from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.metrics import Counts, chamfer, recovered_counts
+from models.perception.objects import form_objects
 from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL
 from models.perception.peaks import PeakParams, polar_covariance
+from models.perception.published_geometry import PublishedParams, recover_published
 from models.training.frames import DataSet, Frame, fixed_splits
-from msgs.perception import BevFrame, PathClass, Peaks
+from msgs.perception import PathClass, Peaks
 from msgs.radar import RadarSetup
 
 RANGE_STD_M, AZIMUTH_STD_DEG = 0.06, 0.7
@@ -56,8 +58,11 @@ SWITCHES: dict[str, GeometryParams] = {
     "keep places at returns": switched("recovery", reject_at_return=False),
     "keep places on vehicles": switched("recovery", reject_on_vehicle=False),
     "keep all places": switched("recovery", reject_on_wall=False, reject_at_return=False, reject_on_vehicle=False),
-    "published": PUBLISHED,
 }
+
+
+#: The published back end, which forms no objects.
+PUBLISHED = "published"
 
 
 class Row(msgspec.Struct, kw_only=True):
@@ -115,10 +120,17 @@ def hidden_places(frame: Frame) -> list[np.ndarray]:
     ]
 
 
-def object_counts(bev: BevFrame, hidden: list[np.ndarray], gate_m: float = 2.0) -> Counts:
-    """Found objects against hidden ones, one to one, each pair as far apart as its nearest label or centre."""
-    found = np.array([(one.x_m, one.y_m) for one in bev.objects]).reshape(-1, 2)
+def places(setting: str, peaks: Peaks) -> tuple[np.ndarray, np.ndarray]:
+    """All folded places and the centres of the hidden objects formed from them, [N, 2] each."""
+    if setting == PUBLISHED:
+        return recover_published(peaks, PublishedParams()).points_m, np.zeros((0, 2))
+    scan = fold_scan(peaks, SWITCHES[setting])
+    objects = form_objects(scan.recovered.select(scan.hidden), scan.walls, SWITCHES[setting].objects)
+    return scan.recovered.points_m, np.array([(one.x_m, one.y_m) for one in objects]).reshape(-1, 2)
 
+
+def object_counts(found: np.ndarray, hidden: list[np.ndarray], gate_m: float = 2.0) -> Counts:
+    """Found objects against hidden ones, one to one, each pair as far apart as its nearest label or centre."""
     distance = np.array([[np.linalg.norm(one - at, axis=1).min() for at in hidden] for one in found])
     free = set(range(len(hidden)))
     matched = 0
@@ -136,13 +148,12 @@ def score(setting: str, kind: str, frames: list[Frame], peaks: list[Peaks]) -> R
     chamfers, seconds = [], 0.0
     for frame, found in zip(frames, peaks, strict=True):
         start = time.perf_counter()
-        bev = recover_bev(found, SWITCHES[setting])
+        points, hidden = places(setting, found)
         seconds += time.perf_counter() - start
-        points = np.array([(point.x_m, point.y_m) for point in bev.points]).reshape(-1, 2)
         truth = frame.labels.hidden_xy_m[frame.labels.path_class == PathClass.MIRRORED].astype(np.float64)
         near, wide = near + recovered_counts(points, truth, 1.0), wide + recovered_counts(points, truth, 2.0)
         chamfers.append(chamfer(points, truth).metres)
-        objects = objects + object_counts(bev, hidden_places(frame))
+        objects = objects + object_counts(hidden, hidden_places(frame))
     finite = np.isfinite(chamfers)
     return Row(
         peaks=kind,
@@ -168,7 +179,7 @@ def rows(frames: list[Frame], model: Path, noise_mw: list[float]) -> Iterator[Ro
         "detected": [detector.detect(frame.ra_map) for frame in frames],
     }
     for kind, peaks in kinds.items():
-        for setting in SWITCHES:
+        for setting in (*SWITCHES, PUBLISHED):
             yield score(setting, kind, frames, peaks)
 
 

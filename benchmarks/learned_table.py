@@ -128,7 +128,8 @@ def _methods(options: argparse.Namespace) -> list[str]:
     """The rows of the table as `mirrorwave eval` takes them; thresholds were chosen on the validation split."""
 
     def network(label: str, name: str, *words: str) -> str:
-        threshold = json.loads((options.work / name / "summary.json").read_text())["best"]["best_threshold"]
+        scores = json.loads(_model(options, name).with_suffix(".json").read_text())["scores"]
+        threshold = max(scores, key=lambda line: line["macro_f1"])["threshold"]
         return ",".join((f"{label}={_model(options, name)}", f"threshold={threshold}", *words))
 
     def learned(name: str) -> str:

@@ -34,7 +34,7 @@ from rich.progress import track
 
 from models.perception.coarray import AzimuthInterpolator
 from models.perception.detectors import NetworkDetector, Refine
-from models.perception.geometry import GeometryParams, recover_bev
+from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.metrics import dense_counts, match_points, recovered_counts
 from models.perception.peaks import PeakParams, peaks_at
 from models.perception.ra_forming import ScanProfiles, form_map
@@ -290,7 +290,7 @@ def frame_row(frame: Frame, peaks: Peaks) -> tuple[list[list[int]], np.ndarray]:
     for gate_m in GATES_M:
         dense = dense_counts(found_m, peaks.path_class, truth_m, labels.path_class, gate_m)
         counts += [dense[path_class] for path_class in PathClass]
-    points_m = np.array([(point.x_m, point.y_m) for point in recover_bev(peaks, GeometryParams()).points])
+    points_m = fold_scan(peaks, GeometryParams()).recovered.points_m
     hidden_m = labels.hidden_xy_m[labels.path_class == PathClass.MIRRORED].astype(np.float64)
     counts += [recovered_counts(points_m.reshape(-1, 2), hidden_m, gate_m) for gate_m in GATES_M]
     errors = []

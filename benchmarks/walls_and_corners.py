@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.geometry_switches import DEFAULT, machine, switched
-from models.perception.geometry import GeometryParams, recover_bev
+from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.observability import sensitivity_db
 from models.perception.peaks import PeakParams, polar_covariance
 from models.perception.recovery import Residual
@@ -89,9 +89,8 @@ def as_peaks(labels: Labels, noise_power_mw: float, rng: np.random.Generator) ->
 
 def errors_m(peaks: Peaks, labels: Labels, params: GeometryParams, residual: Residual | None) -> np.ndarray:
     """Error of each label [N], infinite where it has no recovered point; direct labels are NaN."""
-    bev = recover_bev(peaks, params, residual)
-    images = np.array([(point.image_x_m, point.image_y_m) for point in bev.points]).reshape(-1, 2)
-    places = np.array([(point.x_m, point.y_m) for point in bev.points]).reshape(-1, 2)
+    recovered = fold_scan(peaks, params, residual).recovered
+    images, places = recovered.images_m, recovered.points_m
     found = np.full(len(peaks), np.inf)
     image_range_m, image_azimuth_rad = polar_from_xy(images)
     # a recovered point keeps its peak's place: that says whose it is

@@ -28,14 +28,13 @@ import yaml
 from models.perception.cfar import CfarParams
 from models.perception.cfar_nlos import CfarNlosParams, privileged_peaks
 from models.perception.detectors import CfarDetector, NetworkDetector, Refine, refine_way
-from models.perception.geometry import GeometryParams, direct_structure
+from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.named import NamedParams
 from models.perception.onnx_model import load_card
 from models.perception.peaks import PeakParams
 from models.perception.published_geometry import PublishedParams, recover_published
-from models.perception.recovery import Residual, corrected, recover, reflection_state
+from models.perception.recovery import Residual
 from models.perception.refinement import RefinementParams
-from models.perception.rejection import hidden_mask
 from models.perception.residual_model import LearnedResidual
 from models.training.frames import Frame
 from models.training.residual_samples import truth_peaks
@@ -261,11 +260,8 @@ def _published_places(
 
 def _our_places(peaks: Peaks, params: GeometryParams, residual: Residual | None) -> tuple[np.ndarray, np.ndarray]:
     """What `recover_bev` forms its points and objects from, without the objects and the visibility mask."""
-    returns, walls = direct_structure(peaks, params)
-    recovered = recover(peaks, walls, returns, params.recovery)
-    if residual is not None:
-        recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
-    return recovered.points_m, hidden_mask(recovered, walls, returns, params.recovery)
+    scan = fold_scan(peaks, params, residual)
+    return scan.recovered.points_m, scan.hidden
 
 
 def _residual(path: Path | None, threads: int) -> tuple[Residual | None, int]:

@@ -68,7 +68,6 @@ class NetworkDetector:
         peaks = calibrated_peaks(self._table, peaks)
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
 
-
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Peaks before any refinement on the complex map."""
         if self._refine not in ("none", "maxima_likelihood"):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import math
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -12,6 +12,7 @@ from models.perception.objects import ObjectParams, form_objects
 from models.perception.observability import VisibilityParams, observability
 from models.perception.recovery import (
     DirectReturns,
+    Recovered,
     RecoveryParams,
     Residual,
     cartesian_covariance,
@@ -42,52 +43,42 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
         require_positive("geometry.cluster_min_points", self.cluster_min_points)
 
 
-#: The published back end: DBSCAN, RANSAC lines of two returns or more within 0.3 m, the wall of the direct return
-#: nearest in angle, Eq. (19), nothing rejected. Every baseline is evaluated with it.
-PUBLISHED = GeometryParams(
-    cluster_eps_m=4.0,
-    cluster_min_points=2,
-    walls=WallParams(
-        error_model="euclidean",
-        rounds=200,
-        inlier_m=0.3,
-        min_inliers=2,
-        min_length_m=0.0,
-        max_gap_m=1e3,
-        max_angle_std_rad=math.pi,
-        min_offset_m=0.0,
-        min_score=0.0,
-        max_walls=64,
-        joined=False,
-        curved=False,
-        open_gap_m=0.0,
-    ),
-    recovery=RecoveryParams(
-        association="buddy",
-        second_order=False,
-        reject_on_wall=False,
-        reject_at_return=False,
-        reject_on_vehicle=False,
-    ),
-)
+@dataclass(frozen=True)
+class FoldedScan:
+    """What a scan's peaks become before objects are formed: direct returns, walls, folded places.
+
+    A place that is not `hidden` (bool [N]) is explained by what is seen directly: it may be true, the image of
+    something in plain sight, and tells nothing new.
+    """
+
+    returns: DirectReturns
+    walls: list[Wall]
+    recovered: Recovered
+    hidden: np.ndarray
 
 
-def recover_bev(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> BevFrame:
-    """Peaks -> walls -> images folded back, Eqs. (18) and (19) -> hidden objects; tracks are added by the tracker."""
+def fold_scan(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> FoldedScan:
+    """Peaks -> walls -> images folded back, Eqs. (18) and (19)."""
     returns, walls = direct_structure(peaks, params)
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
-    hidden = recovered.select(hidden_mask(recovered, walls, returns, params.recovery))
+    return FoldedScan(returns, walls, recovered, hidden_mask(recovered, walls, returns, params.recovery))
+
+
+def recover_bev(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> BevFrame:
+    """Peaks -> folded places -> hidden points and objects; tracks are added by the tracker."""
+    scan = fold_scan(peaks, params, residual)
+    hidden = scan.recovered.select(scan.hidden)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,
-        walls=tuple(walls),
-        points=recovered.as_hidden_points(),
-        objects=form_objects(hidden, walls, params.objects),
-        los_points_m=returns.points_m.astype(np.float32),
+        walls=tuple(scan.walls),
+        points=hidden.as_hidden_points(),
+        objects=form_objects(hidden, scan.walls, params.objects),
+        los_points_m=scan.returns.points_m.astype(np.float32),
         grid=params.grid,
-        visibility=observability(walls, peaks.sensitivity_db, params.grid, params.visibility),
+        visibility=observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility),
         visibility_rcs_dbsm=params.visibility.rcs_dbsm,
         flags=condition_flags(peaks),
     )

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from models.perception.onnx_model import open_session, card_path
+from models.perception.onnx_model import card_path, open_session
 from models.perception.recovery import ReflectionState
 
 #: Coordinates the network sees: the radar's, those of each image's own wall, or the radar's with the axes of the

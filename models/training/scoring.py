@@ -14,7 +14,7 @@ from msgs.radar import RangeAzimuthGrid
 
 #: Threshold of the published evaluation on simulated maps.
 DEFAULT_THRESHOLD = 0.3
-THRESHOLDS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7)
+THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
 
 
 @dataclass(frozen=True)

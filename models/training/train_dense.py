@@ -22,7 +22,7 @@ from msgs.perception import PathClass
 
 LAST, BEST, CONFIG, CURVES, SUMMARY = "last.pt", "best.pt", "config.json", "curves.json", "summary.json"
 #: Thresholds of the validation of every epoch; the first is the least confident peak that is looked at.
-WATCHED_THRESHOLDS = (0.1, 0.2, DEFAULT_THRESHOLD, 0.4, 0.5)
+WATCHED_THRESHOLDS = (0.1, 0.2, DEFAULT_THRESHOLD, 0.4, 0.5, 0.6, 0.7, 0.8)
 #: A score that rises by more than this over the last fifth of a run has not converged.
 CONVERGED_RISE = 0.01
 

@@ -10,9 +10,10 @@ import pytest
 from models.perception.arcs import ArcParams
 from models.perception.association import RecoveryParams, associate_crossing, facing_radar
 from models.perception.clustering import dbscan
-from models.perception.geometry import PUBLISHED, GeometryParams, recover_bev
+from models.perception.geometry import GeometryParams, fold_scan, recover_bev
 from models.perception.mirrors import RADAR, hits, wall_arrays
 from models.perception.objects import ObjectParams
+from models.perception.published_geometry import PublishedParams, recover_published
 from models.perception.recovery import NO_WALL, cartesian_covariance, folded
 from models.perception.walls import WallParams, find_walls
 from models.physics.curved_mirror import arc_points, fermat_points
@@ -160,39 +161,38 @@ def test_what_is_seen_through_a_gap_opens_the_wall():
     assert max(math.dist(*one.ends_m) for one in open_walls) == pytest.approx(6.0, abs=0.1)
 
 
-def test_the_published_preset_is_plain():
+def test_the_published_back_end_is_plain():
     """An image nearest in angle to a return of no wall: folded about the facing line through that return, never
     rejected, even on the return itself."""
-    direct, image = np.array([[10.0, 0.0]]), np.array([[10.4, 0.0]])
-    bev = recover_bev(peaks_of(direct, image), PUBLISHED)
-    assert [(point.x_m, point.y_m) for point in bev.points] == [(pytest.approx(9.6), pytest.approx(0.0))]
-    assert bev.walls == ()
-    assert recover_bev(peaks_of(direct, image), GeometryParams()).points == ()
+    peaks = peaks_of(np.array([[10.0, 0.0]]), np.array([[10.4, 0.0]]))
+    np.testing.assert_allclose(recover_published(peaks, PublishedParams()).points_m, [[9.6, 0.0]], atol=1e-9)
+    assert recover_bev(peaks, GeometryParams()).points == ()
 
 
-@pytest.mark.parametrize("params", [GeometryParams(), PUBLISHED], ids=["ours", "published"])
 @pytest.mark.parametrize(("direct", "images"), [(0, 0), (0, 3), (5, 0), (1, 1)])
-def test_empty_and_tiny_scans_give_a_view(params, direct, images):
+def test_empty_and_tiny_scans_give_a_view(direct, images):
     peaks = peaks_of(spread((9.0, 0.0), (9.0, 4.0), direct), spread((20.0, 0.0), (20.0, 4.0), images))
-    bev = recover_bev(peaks, params)
+    bev = recover_bev(peaks, GeometryParams())
     assert len(bev.los_points_m) == direct
+    assert np.isfinite(recover_published(peaks, PublishedParams()).points_m).all()
 
 
 def test_a_return_at_the_radar_itself_faces_back():
     normal, offset_m = facing_radar(np.array([[0.0, 0.0], [3.0, 4.0]]))
     np.testing.assert_allclose(normal, [[-1.0, 0.0], [-0.6, -0.8]])
     np.testing.assert_allclose(offset_m, [0.0, 5.0])
-    bev = recover_bev(peaks_of(np.array([[0.0, 0.0]]), np.array([[20.0, 1.0]])), PUBLISHED)
-    assert all(math.isfinite(point.x_m) for point in bev.points)
+    peaks = peaks_of(np.array([[0.0, 0.0]]), np.array([[20.0, 1.0]]))
+    assert np.isfinite(recover_published(peaks, PublishedParams()).points_m).all()
 
 
-def test_points_hold_images_of_what_is_seen_and_objects_do_not():
-    """A car in plain sight before a wall: its image is a point, no hidden object."""
+def test_images_of_what_is_seen_are_folded_and_not_hidden():
+    """A car in plain sight before a wall: its image is folded back onto it, and is neither hidden point nor object."""
     car = spread((12.0, 3.0), (12.0, 4.6), 4)
     images = np.array([mirrored(place, wall(*FAR)) for place in car])
-    bev = recover_bev(peaks_of(np.concatenate([spread(*FAR, 15), car]), images), GeometryParams())
-    assert len(bev.points) == 4
-    assert bev.objects == ()
+    peaks = peaks_of(np.concatenate([spread(*FAR, 15), car]), images)
+    assert len(fold_scan(peaks, GeometryParams()).recovered) == 4
+    bev = recover_bev(peaks, GeometryParams())
+    assert (bev.points, bev.objects) == ((), ())
 
 
 @pytest.mark.parametrize(
