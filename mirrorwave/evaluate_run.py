@@ -152,17 +152,21 @@ def truth_of_labels(frame: Frame) -> FrameTruth:
     """The truth a data set holds of a frame; raises `ValueError` where the true place of an image is missing."""
     labels = frame.labels
     mirrored = labels.path_class == PathClass.MIRRORED
-    if not np.isfinite(labels.hidden_xy_m[mirrored]).all():
+    if frame.places_m is None and not np.isfinite(labels.hidden_xy_m[mirrored]).all():
         raise ValueError(f"frame {frame.index}: hidden_xy_m of mirrored points must be finite")
     return make_truth(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), frame)
 
 
 def make_truth(labels: FrameLabels, points_m: np.ndarray, frame: Frame) -> FrameTruth:
     """Truth from labels; where no object is known, everything mirrored counts as hidden."""
+    points = np.asarray(points_m, np.float64)
+    if frame.places_m is not None:
+        places_m = frame.places_m.astype(np.float64)
+        return FrameTruth(points_m=points, path_class=labels.path_class, places_m=places_m, hidden_m=places_m)
     mirrored = labels.path_class == PathClass.MIRRORED
     alone = mirrored & np.isin(labels.object_index, frame.hidden) if frame.objects else mirrored
     return FrameTruth(
-        points_m=np.asarray(points_m, np.float64),
+        points_m=points,
         path_class=labels.path_class,
         places_m=labels.hidden_xy_m[mirrored].astype(np.float64),
         hidden_m=labels.hidden_xy_m[alone].astype(np.float64),

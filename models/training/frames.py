@@ -73,6 +73,8 @@ class Scan:
     scene_yaml: str = ""
     #: Captures of one drive share it: a split never cuts a sequence in two.
     sequence: str = ""
+    #: True places [M, 2] of all images together where they do not pair with them; None: those of the labels.
+    places_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,6 +90,7 @@ class Frame:
     hidden: tuple[int, ...]
     scene_yaml: str
     sequence: str
+    places_m: np.ndarray | None = None
 
 
 class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -141,7 +144,7 @@ class DataSet:
     def frame(self, index: int) -> Frame:
         """One scene as a map with its truth."""
         scan = self.scan(index)
-        names = ("index", "labels", "place", "relays", "objects", "hidden", "scene_yaml", "sequence")
+        names = ("index", "labels", "place", "relays", "objects", "hidden", "scene_yaml", "sequence", "places_m")
         return Frame(ra_map=scan_map(scan, self._interpolator), **{name: getattr(scan, name) for name in names})
 
     def frames(self, indices: Iterable[int]) -> Iterator[Frame]:
@@ -242,6 +245,9 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         hidden=tuple(facts.get("hidden", ())),
         scene_yaml=str(arrays["scene_yaml"][scene]) if "scene_yaml" in arrays else "",
         sequence=str(arrays["sequence"][scene]) if "sequence" in arrays else "",
+        places_m=arrays["places_m"][slice(*arrays["place_offset"][scene : scene + 2])]
+        if "places_m" in arrays
+        else None,
         **measured,
     )
 

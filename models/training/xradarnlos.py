@@ -77,6 +77,8 @@ class ImportedFrame:
     azimuth_rad: np.ndarray
     path_class: np.ndarray
     hidden_xy_m: np.ndarray
+    #: True places [M, 2] of all images together, which need not pair with them (a labelled cloud does not).
+    places_m: np.ndarray
     #: Source files with their SHA-256, and cells that were below zero.
     source: dict[str, Any]
 
@@ -153,7 +155,7 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
     """One capture in our terms.
 
     Raises `ValueError` that names file, field, value and rule: an array missing, of another shape or type, not finite,
-    images without as many true places, points off the grid.
+    images without true places (simulated: without as many), points off the grid.
     """
     if kind == "sim":
         values, negative = _sim_map(capture.map_path), 0
@@ -165,8 +167,9 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
         power, noise = resampled(power)
         values = np.sqrt(power).astype(np.complex64)
     where = capture.point_paths[0] if kind == "sim" else capture.point_paths[1]
-    if len(image) != len(true_place):
+    if bool(len(image)) != bool(len(true_place)) or (kind == "sim" and len(image) != len(true_place)):
         raise ValueError(f"{where}: images and true places must be as many, got {len(image)} and {len(true_place)}")
+    paired = true_place if len(image) == len(true_place) else np.full_like(image, np.nan)
     range_m, azimuth_rad = polar_from_xy(np.concatenate([direct, image]))
     _check_on_grid(capture, range_m, azimuth_rad, grid_of(kind))
     files = (capture.map_path, *capture.point_paths)
@@ -177,7 +180,8 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
         range_m=range_m.astype(np.float32),
         azimuth_rad=azimuth_rad.astype(np.float32),
         path_class=np.repeat(np.array([PathClass.LOS, PathClass.MIRRORED], np.uint8), [len(direct), len(image)]),
-        hidden_xy_m=np.concatenate([direct, true_place]).astype(np.float32),
+        hidden_xy_m=np.concatenate([direct, paired]).astype(np.float32),
+        places_m=true_place.astype(np.float32),
         source={
             "files": {_name(path, directory): hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
             "negative_cells": negative,
@@ -377,6 +381,8 @@ def _write_shard(out: Path, summary: ImportSummary, frames: list[ImportedFrame])
         "path_class": path_class,
         "hidden_xy_m": np.concatenate([frame.hidden_xy_m for frame in frames]),
         "sequence": np.array([frame.sequence for frame in frames]),
+        "place_offset": np.concatenate([[0], np.cumsum([len(frame.places_m) for frame in frames])]).astype(np.int64),
+        "places_m": np.concatenate([frame.places_m for frame in frames]),
     }
     part = out / f"shard-{number:05d}.part"
     with part.open("wb") as file:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mirrorwave.evaluate_run import truth_of_labels
 from models.training.frames import DataSet
 from models.training.xradarnlos import (
     POINTS_FOLDER,
@@ -145,3 +146,17 @@ def test_same_input_same_bytes(tmp_path: Path) -> None:
         import_folder(tmp_path / "in", tmp_path / name)
     for name in ("shard-00000.npz", "series.json"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+
+
+def test_labelled_clouds_need_not_pair(tmp_path: Path) -> None:
+    """Real captures label clouds: two true places for one image. The places are kept together, none given to a label,
+    and the evaluation asks for both."""
+    folder = tmp_path / "in" / "alley" / "capture_1"
+    write_real(folder)
+    np.save(folder / POINTS_FOLDER / "nlos.npy", np.array([(3.0, 8.0), (4.0, 8.0)]))
+    import_folder(tmp_path / "in", tmp_path / "out", "real")
+    frame = DataSet(tmp_path / "out").frame(0)
+    assert np.isnan(frame.labels.hidden_xy_m[frame.labels.path_class == PathClass.MIRRORED]).all()
+    assert frame.places_m is not None
+    assert frame.places_m.tolist() == [[8.0, -3.0], [8.0, -4.0]]
+    assert truth_of_labels(frame).places_m.tolist() == [[8.0, -3.0], [8.0, -4.0]]
