@@ -3,11 +3,15 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from mirrorwave.export import export
 from mirrorwave.train import dense
 from models.perception.onnx_model import DensePredictor
+from models.training.frames import fixed_splits
+from models.training.train_dense import load_best
+from models.training.xradarnlos import POINTS_FOLDER, REAL_RANGE_M, SPECTRUM, grid_of, import_folder
 from sim_player.dataset import write_dataset
 
 
@@ -24,3 +28,36 @@ def test_from_data_set_to_a_model_that_loads(tmp_path: Path, capsys: pytest.Capt
     assert (card.precision, printed["precision"]) == ("int8", "int8")
     assert card.data["test_scenes"] == 2
     assert card.training["config"]["training"]["seed"] == 3
+
+
+def write_capture(folder: Path, seed: int) -> None:
+    """One real capture as published: a bright direct cell 27.7 m away and an image behind it, others noise."""
+    (folder / POINTS_FOLDER).mkdir(parents=True)
+    rng = np.random.default_rng(seed)
+    power = rng.exponential(1.0, (512, 256))
+    power[300, 40] = power[380, 60] = 1e4
+    np.savez(folder / SPECTRUM, Pxx=power)
+    range_m, azimuth_rad = np.linspace(*REAL_RANGE_M, 512), np.radians(np.linspace(-60.0, 60.0, 256))
+    for name, (row, column) in {"los": (300, 40), "mirrored_nlos": (380, 60), "nlos": (250, 200)}.items():
+        at = range_m[row] * np.array([[np.sin(-azimuth_rad[column]), np.cos(azimuth_rad[column])]])
+        np.save(folder / POINTS_FOLDER / f"{name}.npy", at)
+
+
+def test_fine_tuning_on_real_captures_by_sequence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A simulated run, then the released fine-tuning from its weights on four drives of two captures: whole drives are
+    held out, the backbone hardly moves (5e-6), the head ten times as fast, and the result exports on the real grid."""
+    write_dataset(tmp_path / "data", count=12, seed=1)
+    dense(tmp_path / "data", tmp_path / "run", inputs="log", epochs=1, batch_size=4)
+    for drive, capture in np.ndindex(4, 2):
+        write_capture(tmp_path / "captures" / f"drive_{drive}" / f"capture_{capture}", 2 * drive + capture)
+    import_folder(tmp_path / "captures", tmp_path / "real", "real")
+    arguments = {"inputs": "log", "schedule": "fine_tuning", "epochs": 1, "init": tmp_path / "run" / "best.pt"}
+    dense(tmp_path / "real", tmp_path / "tuned", **arguments)  # type: ignore[arg-type]
+    splits = fixed_splits(tmp_path / "real")
+    assert sorted(len(splits.of(name)) for name in ("train", "validation", "test")) == [2, 2, 4]
+    before, after = (load_best(tmp_path / run)[0].state_dict() for run in ("run", "tuned"))
+    moved = {name: (after[name] - before[name]).abs().max().item() for name in ("head.weight", "context.position")}
+    assert 0.0 < moved["context.position"] < 1.5e-5 < moved["head.weight"] < 1.5e-4
+    export(tmp_path / "tuned", tmp_path / "tuned.onnx", as_json=True)
+    assert DensePredictor(tmp_path / "tuned.onnx").card.grid == grid_of("real")
+    capsys.readouterr()

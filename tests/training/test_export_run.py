@@ -16,11 +16,22 @@ from models.physics.waveform import range_profile
 from models.training.datasets import DataConfig
 from models.training.export_onnx import PARITY, ExportConfig, export_run
 from models.training.families import NetworkChoice
-from models.training.train_dense import BEST, CONFIG, RunConfig, TrainDenseConfig, load_best
+from models.training.train_dense import (
+    BEST,
+    CONFIG,
+    SUMMARY,
+    EpochReport,
+    RunConfig,
+    RunSummary,
+    TrainDenseConfig,
+    load_best,
+)
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
 ENCODING = Encoding(range_bins=32, columns=8)
+#: Chosen on the validation scenes.
+THRESHOLD = 0.2
 NETWORK = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
 
 
@@ -65,6 +76,21 @@ def run_dir(tmp_path: Path, data_dir: Path) -> Path:
     folder.mkdir()
     (folder / CONFIG).write_bytes(msgspec.json.encode(run))
     torch.save({"network": choice.build().state_dict(), "epoch": 3}, folder / BEST)
+    best = EpochReport(
+        epoch=3,
+        train_loss=1.0,
+        validation_loss=1.0,
+        macro_f1=0.5,
+        los_f1=0.5,
+        mirrored_f1=0.5,
+        best_threshold=THRESHOLD,
+        best_macro_f1=0.6,
+        is_best=True,
+    )
+    summary = RunSummary(
+        family="compact_unet", parameters=1, scenes=8, epochs=4, sample_steps=32, best=best, unconverged=True
+    )
+    (folder / SUMMARY).write_bytes(msgspec.json.encode(summary))
     return folder
 
 
@@ -72,6 +98,7 @@ def test_export_writes_a_model_that_its_card_describes(run_dir: Path, data_dir: 
     model = tmp_path / "net.onnx"
     card = export_run(run_dir, model, ExportConfig())
     assert load_card(model) == card
+    assert card.threshold == THRESHOLD
     assert DensePredictor(model).card.grid == GRID
     assert (card.name, card.network, card.precision, card.head) == ("net", "compact_unet", "fp32", "heatmap")
     assert card.fidelity is not None
