@@ -31,7 +31,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: Scores become probabilities, by the table of the model's card.
     calibrate: bool = False
     named: NamedParams = NamedParams()
-    peaks: PeakParams = PeakParams()
+    #: None: the released settings with the threshold of the model's card.
+    peaks: PeakParams | None = None
     cfar: CfarParams = CfarParams()
 
 

@@ -103,16 +103,11 @@ def associate_crossing(
     if len(walls) == 0 or len(images_m) == 0:
         return nothing, nothing
     opaque = np.ones(len(walls), bool) if opaque is None else opaque
-    met = hits(RADAR, images_m, walls)  # [N, W]
-    range_m, _ = polar_from_xy(images_m)
-    missed_m = met.missed_m(walls.length_m)
-    incidence = np.abs(np.einsum("ni,nwi->nw", images_m, met.normal)) / np.maximum(range_m, 1e-9)[:, None]
-    to_wall_m = met.along_ray * range_m[:, None]
-    sideways_m = to_wall_m * azimuth_std_rad[:, None] / np.maximum(incidence, 0.1)
-    margin_m = np.minimum(params.end_margin_m + 2.0 * sideways_m, params.max_margin_m)
-    possible = opaque & (behind(images_m[:, None], met.normal, met.offset_m) > params.min_depth_m)
-    possible &= (met.along_ray > 0.0) & (met.along_ray < 1.0) & (missed_m <= margin_m)
-    ways = _Ways.of(images_m, met, walls, opaque, params)
+    passing = Passing.of(images_m, azimuth_std_rad, walls)
+    missed_m, to_wall_m = passing.missed_m, passing.to_wall_m
+    margin_m = np.minimum(params.end_margin_m + 2.0 * passing.sideways_m, params.max_margin_m)
+    possible = opaque & passing.behind(params.min_depth_m) & (missed_m <= margin_m)
+    ways = _Ways.of(images_m, passing.met, walls, opaque, params)
     possible &= ~ways.cut(np.broadcast_to(RADAR, ways.mirror_m.shape), ways.mirror_m)
     whole = possible & ~ways.cut(ways.mirror_m, ways.place_m)
     # the sides of vehicles are poor mirrors: only where nothing longer offers itself
@@ -130,6 +125,40 @@ def associate_crossing(
 def _cheapest(cost: np.ndarray) -> np.ndarray:
     """Index of the least finite cost in each row [N], `NO_WALL` where there is none."""
     return np.where(np.isfinite(cost.min(axis=1)), cost.argmin(axis=1), NO_WALL)
+
+
+@dataclass(frozen=True)
+class Passing:
+    """How the ray of each image passes each wall or its line beyond the ends, arrays [N, W]."""
+
+    met: Hits
+    #: How far beyond the wall's ends.
+    missed_m: np.ndarray
+    #: From the radar; NaN where they never meet.
+    to_wall_m: np.ndarray
+    #: One sigma of where along the wall they meet.
+    sideways_m: np.ndarray
+    #: How deep behind the mirror the image stands.
+    depth_m: np.ndarray
+
+    @classmethod
+    def of(cls, images_m: np.ndarray, azimuth_std_rad: np.ndarray, walls: WallArrays) -> Passing:
+        """Images [N, 2] in metres with their angular errors [N], and walls."""
+        met = hits(RADAR, images_m, walls)
+        range_m, _ = polar_from_xy(images_m)
+        incidence = np.abs(np.einsum("ni,nwi->nw", images_m, met.normal)) / np.maximum(range_m, 1e-9)[:, None]
+        to_wall_m = met.along_ray * range_m[:, None]
+        return cls(
+            met=met,
+            missed_m=met.missed_m(walls.length_m),
+            to_wall_m=to_wall_m,
+            sideways_m=to_wall_m * azimuth_std_rad[:, None] / np.maximum(incidence, 0.1),
+            depth_m=behind(images_m[:, None], met.normal, met.offset_m),
+        )
+
+    def behind(self, depth_m: float) -> np.ndarray:
+        """Where the image stands more than `depth_m` behind a wall that its ray meets on the way; bool [N, W]."""
+        return (self.depth_m > depth_m) & (self.met.along_ray > 0.0) & (self.met.along_ray < 1.0)
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ class NetworkDetector:
     heatmap, and the heatmap's own maxima only where the map has no ridge; "likelihood" (True) then moves them below
     the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood" moves those; both
     also take networks that answer at anchors. `calibrate` turns scores into probabilities by the table of the model's
-    card. Raises ValueError for another word.
+    card. `params` None: the released settings with the card's threshold. Raises ValueError for another word.
     """
 
     def __init__(
@@ -55,7 +55,8 @@ class NetworkDetector:
     ) -> None:
         way = refine_way(refine)
         self._predictor = DensePredictor(model, threads)
-        self._params, self._named, self._refine = params or PeakParams(), named or NamedParams(), way
+        self._params = params or PeakParams(threshold=self._predictor.card.threshold)
+        self._named, self._refine = named or NamedParams(), way
         self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
