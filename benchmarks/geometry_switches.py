@@ -4,7 +4,9 @@ Rows are scored on one set of frames: recovered F1 within 1 m and 2 m and Chamfe
 true places of all mirrored labels, hidden vehicles found within 2 m, objects that are nothing, time a frame. `truth`
 feeds labels as peaks with the polar errors of good ones (0.06 m, 0.7 degrees), so that geometry is judged apart from
 detection; `detected` feeds a detector's.
-Usage: python -m benchmarks.geometry_switches DATA [--split test] [--count N] [--model FILE] [--json]
+`--confidence` adds a row with a fitted model (`mirrorwave train confidence`).
+Usage: python -m benchmarks.geometry_switches DATA [--split test] [--count N] [--model FILE] [--refine WAY]
+    [--confidence FILE] [--json]
 """
 
 from __future__ import annotations
@@ -18,18 +20,19 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import numpy as np
 import yaml
 
-from models.perception.detectors import NetworkDetector
+from models.perception.confidence import PlaceConfidence, load_confidence
+from models.perception.detectors import DEFAULT_REFINE, NetworkDetector, Refine
 from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.metrics import Counts, chamfer, recovered_counts
 from models.perception.objects import form_objects
 from models.perception.observability import sensitivity_db
-from models.perception.onnx_model import DEFAULT_MODEL
+from models.perception.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.peaks import PeakParams, polar_covariance
 from models.perception.published_geometry import PublishedParams, recover_published
 from models.training.frames import DataSet, Frame, fixed_splits
@@ -63,6 +66,8 @@ SWITCHES: dict[str, GeometryParams] = {
 
 #: The published back end, which forms no objects.
 PUBLISHED = "published"
+#: The default with a fitted model.
+CONFIDENT = "confidence"
 
 
 class Row(msgspec.Struct, kw_only=True):
@@ -120,12 +125,13 @@ def hidden_places(frame: Frame) -> list[np.ndarray]:
     ]
 
 
-def places(setting: str, peaks: Peaks) -> tuple[np.ndarray, np.ndarray]:
+def places(setting: str, peaks: Peaks, confidence: PlaceConfidence | None = None) -> tuple[np.ndarray, np.ndarray]:
     """All folded places and the centres of the hidden objects formed from them, [N, 2] each."""
     if setting == PUBLISHED:
         return recover_published(peaks, PublishedParams()).points_m, np.zeros((0, 2))
-    scan = fold_scan(peaks, SWITCHES[setting])
-    objects = form_objects(scan.recovered.select(scan.hidden), scan.walls, SWITCHES[setting].objects)
+    params = SWITCHES.get(setting, DEFAULT)
+    scan = fold_scan(peaks, params, confidence=confidence if setting == CONFIDENT else None)
+    objects = form_objects(scan.recovered.select(scan.hidden), scan.walls, params.objects)
     return scan.recovered.points_m, np.array([(one.x_m, one.y_m) for one in objects]).reshape(-1, 2)
 
 
@@ -142,13 +148,15 @@ def object_counts(found: np.ndarray, hidden: list[np.ndarray], gate_m: float = 2
     return Counts(matched, len(found) - matched, len(hidden) - matched)
 
 
-def score(setting: str, kind: str, frames: list[Frame], peaks: list[Peaks]) -> Row:
+def score(
+    setting: str, kind: str, frames: list[Frame], peaks: list[Peaks], confidence: PlaceConfidence | None = None
+) -> Row:
     """One setting over all frames."""
     near, wide, objects = Counts(), Counts(), Counts()
     chamfers, seconds = [], 0.0
     for frame, found in zip(frames, peaks, strict=True):
         start = time.perf_counter()
-        points, hidden = places(setting, found)
+        points, hidden = places(setting, found, confidence)
         seconds += time.perf_counter() - start
         truth = frame.labels.hidden_xy_m[frame.labels.path_class == PathClass.MIRRORED].astype(np.float64)
         near, wide = near + recovered_counts(points, truth, 1.0), wide + recovered_counts(points, truth, 2.0)
@@ -171,16 +179,21 @@ def score(setting: str, kind: str, frames: list[Frame], peaks: list[Peaks]) -> R
     )
 
 
-def rows(frames: list[Frame], model: Path, noise_mw: list[float]) -> Iterator[Row]:
-    """All settings on both kinds of peaks."""
-    detector = NetworkDetector(RadarSetup(), model)
+def rows(
+    frames: list[Frame],
+    detector: NetworkDetector,
+    noise_mw: list[float],
+    confidence: PlaceConfidence | None = None,
+) -> Iterator[Row]:
+    """All settings on both kinds of peaks; a fitted model on detected ones, which it was fitted to."""
     kinds = {
         "truth": [true_peaks(frame, noise) for frame, noise in zip(frames, noise_mw, strict=True)],
         "detected": [detector.detect(frame.ra_map) for frame in frames],
     }
     for kind, peaks in kinds.items():
-        for setting in (*SWITCHES, PUBLISHED):
-            yield score(setting, kind, frames, peaks)
+        confident = [CONFIDENT] if confidence is not None and kind == "detected" else []
+        for setting in (*SWITCHES, *confident, PUBLISHED):
+            yield score(setting, kind, frames, peaks, confidence)
 
 
 def machine() -> str:
@@ -201,14 +214,22 @@ def main() -> None:
     parser.add_argument("--split", default="test")
     parser.add_argument("--count", type=int, default=0, help="first so many scenes of the split; 0: all")
     parser.add_argument("--model", type=Path, default=DEFAULT_MODEL)
+    parser.add_argument("--refine", choices=get_args(Refine), default=DEFAULT_REFINE)
+    parser.add_argument("--confidence", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     data = DataSet(arguments.data)
     chosen = np.arange(len(data)) if arguments.split == "all" else fixed_splits(arguments.data).of(arguments.split)
     chosen = chosen[: arguments.count or None]
     frames = list(data.frames(chosen))
+    threshold = load_card(arguments.model).threshold
+    detector = NetworkDetector(
+        RadarSetup(), arguments.model, params=PeakParams(threshold=threshold), refine=arguments.refine
+    )
+    confidence = None if arguments.confidence is None else load_confidence(arguments.confidence)
+    noise_mw = [data.scan(int(index)).noise_power_mw for index in chosen]
     table = []
-    for row in rows(frames, arguments.model, [data.scan(int(index)).noise_power_mw for index in chosen]):
+    for row in rows(frames, detector, noise_mw, confidence):
         table.append(msgspec.to_builtins(row))
         if not arguments.json:
             print(line(row), flush=True)

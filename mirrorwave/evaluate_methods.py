@@ -7,6 +7,8 @@ A method is `NAME=SOURCE` or `SOURCE`, then words and key=value pairs with comma
 - `refine`, `refine=WAY`: where a network's peaks are placed (`models.perception.detectors.Refine`); without it they
   are the published local maxima;
 - `residual=FILE.onnx`: learned correction of folded places, Eq. (18);
+- `confidence=FILE.json`: probability of each place (`mirrorwave train confidence`), improbable ones dropped; with
+  `geometry=ours`;
 - `geometry=ours` (default) or `geometry=published`;
 - `threshold=T`: score a peak must have; default: the network's card, none for CFAR;
 - `peaks.KEY=`, `named.KEY=`, `refinement.KEY=`, `cfar.KEY=`, `nlos.KEY=`, `geometry.KEY[.KEY]=`: any parameter of
@@ -27,6 +29,7 @@ import yaml
 
 from models.perception.cfar import CfarParams
 from models.perception.cfar_nlos import CfarNlosParams, privileged_peaks
+from models.perception.confidence import PlaceConfidence, load_confidence
 from models.perception.detectors import CfarDetector, NetworkDetector, Refine, refine_way
 from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.named import NamedParams
@@ -50,6 +53,7 @@ WORDS = (
     "refine",
     "refine=" + "|".join(get_args(Refine)),
     "residual=FILE",
+    "confidence=FILE",
     "geometry=" + "|".join(GEOMETRIES),
     "threshold=T",
 )
@@ -69,6 +73,7 @@ class MethodSpec:
     text: str
     refine: bool | Refine = False
     residual: Path | None = None
+    confidence: Path | None = None
     geometry: str = "ours"
     threshold: float | None = None
     #: group -> dotted key -> value.
@@ -131,8 +136,8 @@ def _take(found: dict[str, Any], text: str, word: str) -> None:
         found["refine"] = value
     elif separator and dot and path and value:
         found["parameters"].setdefault(group, {})[path] = yaml.safe_load(value)
-    elif key == "residual" and value:
-        found["residual"] = Path(value)
+    elif key in ("residual", "confidence") and value:
+        found[key] = Path(value)
     elif key == "geometry" and value in GEOMETRIES:
         found["geometry"] = value
     elif key == "threshold" and _is_share(value):
@@ -156,6 +161,8 @@ def _check(spec: MethodSpec) -> None:
             raise ValueError(f"--method {spec.text!r}: group must be one of {', '.join(groups)}, got {group!r}")
     if spec.refine is not False and spec.kind != ".onnx":
         raise ValueError(f"--method {spec.text!r}: refine must go with a network, got {spec.source}")
+    if spec.confidence is not None and spec.geometry != "ours":
+        raise ValueError(f"--method {spec.text!r}: confidence must go with geometry=ours, got {spec.geometry}")
 
 
 def build_method(spec: MethodSpec, threshold: float | None = None, threads: int = 1) -> Method:
@@ -247,7 +254,8 @@ def _back_end(spec: MethodSpec, residual: Residual | None) -> Place:
         published = overridden(PublishedParams(), "geometry", spec.parameters)
         return lambda peaks: _published_places(peaks, published, residual)
     params = overridden(GeometryParams(), "geometry", spec.parameters)
-    return lambda peaks: _our_places(peaks, params, residual)
+    confidence = None if spec.confidence is None else load_confidence(spec.confidence)
+    return lambda peaks: _our_places(peaks, params, residual, confidence)
 
 
 def _published_places(
@@ -258,9 +266,11 @@ def _published_places(
     return recovered.points_m, np.ones(len(recovered), bool)
 
 
-def _our_places(peaks: Peaks, params: GeometryParams, residual: Residual | None) -> tuple[np.ndarray, np.ndarray]:
-    """What `recover_bev` forms its points and objects from, without the objects and the visibility mask."""
-    scan = fold_scan(peaks, params, residual)
+def _our_places(
+    peaks: Peaks, params: GeometryParams, residual: Residual | None, confidence: PlaceConfidence | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """What `recover_bev` forms its points from, without the objects and the visibility mask."""
+    scan = fold_scan(peaks, params, residual, confidence)
     return scan.recovered.points_m, scan.hidden
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, get_args
 
 import typer
 
 from mirrorwave.console import print_json, print_line
+from mirrorwave.train_confidence import confidence
 from mirrorwave.train_residual import residual
 
 if TYPE_CHECKING:
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set.")
 app.command()(residual)
+app.command()(confidence)
 
 
 @app.command()
@@ -44,7 +46,7 @@ def dense(
         list[str] | None, typer.Option(metavar="relay=KIND|object=CLASS", help="Leave scenes with it out.")
     ] = None,
     init: Annotated[Path | None, typer.Option(metavar="FILE", help="Weights to start from.")] = None,
-    seed: Annotated[int, typer.Option(help="Augmentation and first weights.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Augmentation and first weights.")] = 0,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
     full_precision: Annotated[bool, typer.Option(help="float32 throughout instead of bfloat16 where safe.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
@@ -98,11 +100,12 @@ def dense(
 
 def _run(training: DenseTraining) -> None:
     """Train with a bar for all batches and a line an epoch."""
+    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     epochs, steps = training.config.schedule.epochs, training.steps_per_epoch
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns) as progress:
+    with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task("batches", total=epochs * steps, completed=len(training.reports) * steps)
 
         def show(report: EpochReport) -> None:
@@ -119,12 +122,13 @@ def _objective(default: ObjectiveConfig, kind: str | None, schedule: str) -> Obj
     """The network's objective unless another is asked for; fine-tuning has the released class weights."""
     import msgspec
 
+    from models.training.objectives import ObjectiveKind
+
     weights = (1.5, 1.0) if schedule == "fine_tuning" else default.class_weights
     fields = msgspec.to_builtins(default) | {"class_weights": weights} | ({"kind": kind} if kind else {})
-    try:
-        return msgspec.convert(fields, type(default))
-    except msgspec.ValidationError as error:
-        raise ValueError(f"--objective {kind}: {error}") from None
+    if kind is not None and kind not in get_args(ObjectiveKind):
+        raise ValueError(f"--objective must be one of {', '.join(get_args(ObjectiveKind))}, got {kind!r}")
+    return msgspec.convert(fields, type(default))
 
 
 def _replaced(schedule: ScheduleConfig, given: dict[str, Any]) -> ScheduleConfig:

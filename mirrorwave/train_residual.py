@@ -43,13 +43,15 @@ def residual(
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of torch.")] = 1,
 ) -> None:
     """Train the network that corrects what the mirror law of a fitted wall leaves over."""
+    from rich.console import Console
     from rich.progress import Progress
 
     from models.perception.onnx_model import DEFAULT_MODEL, load_card
     from models.training.export_residual import export_residual_run
     from models.training.frames import fixed_splits
     from models.training.residual_samples import SampleConfig
-    from models.training.train_residual import ResidualRunConfig, ResidualTraining, TrainResidualConfig, adopt_config
+    from models.training.run_folder import adopt_config
+    from models.training.train_residual import ResidualRunConfig, ResidualTraining, TrainResidualConfig
 
     detector = model or DEFAULT_MODEL
     config = ResidualRunConfig(
@@ -64,7 +66,7 @@ def residual(
         },
     )
     adopt_config(out, config)
-    with Progress() as progress:
+    with Progress(console=Console(stderr=True)) as progress:
         folded = _folded(data, detector, config.samples, out, progress)
         training = ResidualTraining(config, folded["train"], folded["validation"], out)
         _run(training, progress)

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from models.perception.confidence import load_confidence
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.residual_model import LearnedResidual
 from msgs.bus import Outgoing, Received
@@ -20,6 +21,8 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
+    #: A fitted `PlaceConfidence`; `none`: all places are kept, with the scores of their peaks.
+    confidence: str = "none"
 
 
 class GeometryNode(Node):
@@ -33,6 +36,7 @@ class GeometryNode(Node):
         self._params = params
         # loaded here: a missing or broken file shows at start, not at the first scan
         self._residual = None if params.residual == "none" else LearnedResidual(Path(params.residual))
+        self._confidence = None if params.confidence == "none" else load_confidence(Path(params.confidence))
         self._states = StateHistory()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
@@ -48,7 +52,7 @@ class GeometryNode(Node):
 
     def _view(self, peaks: Peaks) -> BevFrame:
         with self.stages("geometry"):
-            view = recover_bev(peaks, self._params, self._residual)
+            view = recover_bev(peaks, self._params, self._residual, self._confidence)
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from models.perception.peaks import keep_apart
+from models.perception.peaks import Points, keep_apart
 from msgs.perception import PathClass
 
 #: Class of an anchor without a point; the path classes come before it.
@@ -19,12 +19,10 @@ def anchor_cells(count: int, stride: int) -> np.ndarray:
     return stride * np.arange(count) + 0.5 * (stride - 1)
 
 
-def anchor_points(
-    output: np.ndarray, stride: int, threshold: float, min_distance: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points in an answer [5, rows, columns]: fractional cells [N, 2], score [N] and path class [N].
+def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distance: int) -> Points:
+    """Points in an answer [5, rows, columns], of cells of the map.
 
-    LOS before mirrored, strongest first within a class. A point is an anchor whose class probability is at least
+    A point is an anchor whose class probability is at least
     `threshold` and no less than its neighbours', plus its offset, kept on the map; one within `min_distance` cells (on
     both axes) of a stronger one of its class is left out. Raises ValueError for another shape or values not finite.
     """
@@ -42,7 +40,7 @@ def anchor_points(
         cells.append(points[kept])
         score.append(level[kept])
     path_class = np.repeat(np.arange(NOISE, dtype=np.uint8), [len(at) for at in cells])
-    return np.concatenate(cells), np.concatenate(score), path_class
+    return Points(cells=np.concatenate(cells), score=np.concatenate(score), path_class=path_class)
 
 
 def _require_answer(output: np.ndarray, stride: int) -> None:

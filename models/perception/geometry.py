@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from models.perception.clustering import dbscan
+from models.perception.confidence import PlaceConfidence
 from models.perception.objects import ObjectParams, form_objects
 from models.perception.observability import VisibilityParams, observability
 from models.perception.recovery import (
@@ -57,18 +58,24 @@ class FoldedScan:
     hidden: np.ndarray
 
 
-def fold_scan(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> FoldedScan:
-    """Peaks -> walls -> images folded back, Eqs. (18) and (19)."""
+def fold_scan(
+    peaks: Peaks, params: GeometryParams, residual: Residual | None = None, confidence: PlaceConfidence | None = None
+) -> FoldedScan:
+    """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped."""
     returns, walls = direct_structure(peaks, params)
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+    if confidence is not None:
+        recovered = confidence.probable(recovered, walls, returns, params.recovery)
     return FoldedScan(returns, walls, recovered, hidden_mask(recovered, walls, returns, params.recovery))
 
 
-def recover_bev(peaks: Peaks, params: GeometryParams, residual: Residual | None = None) -> BevFrame:
+def recover_bev(
+    peaks: Peaks, params: GeometryParams, residual: Residual | None = None, confidence: PlaceConfidence | None = None
+) -> BevFrame:
     """Peaks -> folded places -> hidden points and objects; tracks are added by the tracker."""
-    scan = fold_scan(peaks, params, residual)
+    scan = fold_scan(peaks, params, residual, confidence)
     hidden = scan.recovered.select(scan.hidden)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,

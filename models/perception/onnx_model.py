@@ -14,7 +14,7 @@ from models.perception.anchors import CHANNELS as ANCHOR_CHANNELS
 from models.perception.anchors import anchor_points
 from models.perception.calibration import ScoreTable, check_table
 from models.perception.encoding import Encoding, encode_map
-from models.perception.peaks import local_maxima
+from models.perception.peaks import Points, heatmap_points
 from msgs.perception import PathClass
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 
@@ -119,17 +119,6 @@ def load_card(model_path: Path) -> ModelCard:
         raise ValueError(f"{path}: {error}") from None
 
 
-class Points(msgspec.Struct, frozen=True, kw_only=True):
-    """What a network points at in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
-
-    LOS before mirrored, strongest first within a class.
-    """
-
-    cells: np.ndarray
-    score: np.ndarray
-    path_class: np.ndarray
-
-
 class DensePredictor:
     """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
 
@@ -180,13 +169,8 @@ class DensePredictor:
 def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_distance: int) -> Points:
     """Points of one answer [channels, rows, columns] with at least a score of `threshold`."""
     if card.head == "anchors":
-        cells, score, path_class = anchor_points(answer, card.anchor_stride, threshold, min_distance)
-        return Points(cells=cells, score=score, path_class=path_class)
-    maxima = [local_maxima(channel, threshold, min_distance) for channel in answer]
-    at = np.concatenate(maxima)
-    path_class = np.repeat(np.arange(len(answer), dtype=np.uint8), [len(of_class) for of_class in maxima])
-    score = answer[path_class, at[:, 0], at[:, 1]].astype(np.float64)
-    return Points(cells=at.astype(np.float64), score=score, path_class=path_class)
+        return anchor_points(answer, card.anchor_stride, threshold, min_distance)
+    return heatmap_points(answer, threshold, min_distance)
 
 
 def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:

@@ -13,6 +13,17 @@ from msgs.perception import PathClass, Peaks
 from msgs.radar import RangeAzimuthMap
 
 
+class Points(msgspec.Struct, frozen=True, kw_only=True):
+    """What a network points at in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
+
+    LOS before mirrored, strongest first within a class.
+    """
+
+    cells: np.ndarray
+    score: np.ndarray
+    path_class: np.ndarray
+
+
 class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Peak picking (released settings) and the error model of a peak."""
 
@@ -42,12 +53,21 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
         raise ValueError(
             f"probabilities must have shape {(len(PathClass), *ra_map.grid.shape)}, got {probabilities.shape}"
         )
-    cells = [local_maxima(channel, params.threshold, params.min_distance) for channel in probabilities]
-    fractional = np.concatenate([_centroid(channel, at) for channel, at in zip(probabilities, cells, strict=True)])
-    path_class = np.repeat(np.arange(len(PathClass), dtype=np.uint8), [len(at) for at in cells])
-    at = np.concatenate(cells)
-    score = probabilities[path_class, at[:, 0], at[:, 1]].astype(np.float64)
-    return peaks_at(ra_map, at, fractional, score, path_class, params)
+    points = heatmap_points(probabilities, params.threshold, params.min_distance)
+    cells = points.cells.astype(np.int64)
+    fractional = points.cells.copy()
+    for channel, mine in zip(probabilities, (points.path_class == k for k in PathClass), strict=True):
+        fractional[mine] = _centroid(channel, cells[mine])
+    return peaks_at(ra_map, cells, fractional, points.score, points.path_class, params)
+
+
+def heatmap_points(heatmap: np.ndarray, threshold: float, min_distance: int) -> Points:
+    """Local maxima of each class of a heat map [2, range, azimuth], on whole cells (section 3.1.1)."""
+    maxima = [local_maxima(channel, threshold, min_distance) for channel in heatmap]
+    at = np.concatenate(maxima)
+    path_class = np.repeat(np.arange(len(heatmap), dtype=np.uint8), [len(of_class) for of_class in maxima])
+    score = heatmap[path_class, at[:, 0], at[:, 1]].astype(np.float64)
+    return Points(cells=at.astype(np.float64), score=score, path_class=path_class)
 
 
 def peaks_at(

@@ -11,13 +11,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from models.perception.anchors import NOISE, anchor_cells
-
-#: Points of one map: fractional rows [points], fractional columns [points] and path classes [points].
-Points = tuple[np.ndarray, np.ndarray, np.ndarray]
+from models.training.datasets import PointLabels
 
 
 def anchor_targets(
-    points: Sequence[Points], shape: tuple[int, int], stride: int = 1, radius_cells: float | None = None
+    labels: Sequence[PointLabels], shape: tuple[int, int], stride: int = 1, radius_cells: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Class [batch, rows, columns] (int64) and offset [batch, 2, rows, columns] (float32, cells) of every anchor.
 
@@ -28,14 +26,15 @@ def anchor_targets(
     radius = max(1.5, float(stride)) if radius_cells is None else radius_cells
     if radius < stride / math.sqrt(2.0):
         raise ValueError(f"radius_cells must be at least {stride / math.sqrt(2.0):.3f} (stride {stride}), got {radius}")
-    targets = [_map_targets(at, shape, stride, radius) for at in points]
+    targets = [_map_targets(at, shape, stride, radius) for at in labels]
     return np.stack([classes for classes, _ in targets]), np.stack([offsets for _, offsets in targets])
 
 
-def _map_targets(points: Points, shape: tuple[int, int], stride: int, radius: float) -> tuple[np.ndarray, np.ndarray]:
+def _map_targets(
+    labels: PointLabels, shape: tuple[int, int], stride: int, radius: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Targets of one map; points off the map are left out."""
-    row, column, path_class = points
-    at = np.stack([row, column], axis=-1).astype(np.float64)
+    at = np.stack([labels.row, labels.column], axis=-1).astype(np.float64)
     on_map = ((at > -0.5) & (at < stride * np.array(shape) - 0.5)).all(axis=-1)
     anchor, offset, owner = _anchors_about(at[on_map], stride, radius)
     near = ((anchor >= 0) & (anchor < shape)).all(axis=-1) & (np.hypot(*offset.T) <= radius)
@@ -45,7 +44,7 @@ def _map_targets(points: Points, shape: tuple[int, int], stride: int, radius: fl
     i, j = anchor[order].T
     classes = np.full(shape, NOISE, np.int64)
     offsets = np.zeros((2, *shape), np.float32)
-    classes[i, j] = path_class[on_map][owner[order]]
+    classes[i, j] = labels.path_class[on_map][owner[order]]
     offsets[:, i, j] = offset[order].T
     return classes, offsets
 

@@ -11,6 +11,7 @@ from models.perception.calibration import ScoreTable
 from models.perception.detectors import Detector
 from models.perception.metrics import match_points
 from models.training.frames import Frame
+from msgs.frames import xy_from_polar
 from msgs.perception import PathClass
 
 #: A peak is true within this of a truth point of its class, one to one.
@@ -26,8 +27,8 @@ def peak_outcomes(detector: Detector, frames: Iterable[Frame]) -> tuple[np.ndarr
     for frame in frames:
         peaks, labels = detector.detect(frame.ra_map), frame.labels
         hit = np.zeros(len(peaks.score), bool)
-        found_m = _places_m(peaks.range_m, peaks.azimuth_rad)
-        truth_m = _places_m(labels.range_m, labels.azimuth_rad)
+        found_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
+        truth_m = xy_from_polar(labels.range_m, labels.azimuth_rad)
         for path_class in PathClass:
             mine = np.flatnonzero(peaks.path_class == path_class)
             pairs = match_points(found_m[mine], truth_m[labels.path_class == path_class], GATE_M)
@@ -58,8 +59,10 @@ def fit_table(score: np.ndarray, is_true: np.ndarray, groups: int = 20) -> Score
     knots = [(0.0, 0.0)]
     for first, last in zip(fitted.blocks[:-1], fitted.blocks[1:], strict=True):
         at = float(score[np.concatenate(parts[first:last])].mean())
-        if knots[-1][0] < at < 1.0:
-            knots.append((round(at, 6), round(float(fitted.x[first]), 6)))
+        knot = round(at, 6), round(float(fitted.x[first]), 6)
+        # shares that differ by less than what is written down are one
+        if knots[-1][0] < knot[0] < 1.0 and knots[-1][1] < knot[1] < 1.0:
+            knots.append(knot)
     return (*knots, (1.0, 1.0))
 
 
@@ -70,7 +73,3 @@ def calibration_error(probability: np.ndarray, is_true: np.ndarray, groups: int 
     parts = np.array_split(np.argsort(probability, kind="stable"), min(groups, len(probability)))
     gaps = [abs(probability[part].mean() - is_true[part].mean()) * len(part) for part in parts]
     return float(sum(gaps) / len(probability))
-
-
-def _places_m(range_m: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
-    return np.stack([range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad)], axis=-1)

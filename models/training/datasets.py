@@ -14,7 +14,7 @@ import numpy as np
 
 from models.perception.coarray import AzimuthInterpolator
 from models.perception.encoding import Encoding, encode_columns, sample_columns
-from models.training.frames import DataSet, Scan, Splits, fixed_splits, scan_map
+from models.training.frames import DataSet, FrameLabels, Scan, Splits, fixed_splits, scan_map
 from models.training.selection import Selection, select
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 
@@ -30,6 +30,15 @@ class PointLabels:
     def flipped(self, azimuth_bins: int) -> PointLabels:
         """The same points with left and right exchanged."""
         return replace(self, column=azimuth_bins - 1 - self.column)
+
+
+def point_labels(labels: FrameLabels, grid: RangeAzimuthGrid) -> PointLabels:
+    """Truth of a map in cells of its grid."""
+    return PointLabels(
+        row=grid.range_index(labels.range_m),
+        column=grid.azimuth_index(labels.azimuth_rad),
+        path_class=labels.path_class,
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,14 +121,6 @@ def load_training_data(config: DataConfig) -> TrainingData:
     return TrainingData(train=train, validation=[former.sample(scan) for scan in validation], config=config)
 
 
-def load_samples(config: DataConfig, split: str) -> list[DenseSample]:
-    """Formed maps of one split of the configuration's data set, with nothing left out; raises `ValueError` as above."""
-    data, splits = DataSet(Path(config.directory)), fixed_splits(Path(config.directory))
-    _check_grid(data, config.grid)
-    former = SampleFormer(config)
-    return [former.sample(data.scan(int(index))) for index in splits.of(split)]
-
-
 def _check_grid(data: DataSet, grid: RangeAzimuthGrid) -> None:
     if data.grid != grid:
         raise ValueError(f"{data.directory}: grid must be {grid}, got {data.grid}")
@@ -152,15 +153,10 @@ class SampleFormer:
         if rng is not None and scan.profiles is not None and rng.random() >= config.clean_share:
             scan = perturb_scan(scan, config.perturbation, rng)
         ra_map = scan_map(scan, self._interpolator)
-        labels = PointLabels(
-            row=config.grid.range_index(scan.labels.range_m),
-            column=config.grid.azimuth_index(scan.labels.azimuth_rad),
-            path_class=scan.labels.path_class,
-        )
         sample = DenseSample(
             columns=sample_columns(config.encoding, ra_map.values),
             noise_power_mw=ra_map.noise_power_mw,
-            labels=labels,
+            labels=point_labels(scan.labels, config.grid),
         )
         return sample if rng is None else augment(sample, config.grid.azimuth_bins, rng)
 

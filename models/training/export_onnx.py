@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -23,13 +23,15 @@ from models.perception.encoding import encode_map
 from models.perception.metrics import Counts
 from models.perception.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
 from models.perception.peaks import PeakParams
+from models.perception.residual_model import ResidualCard
 from models.training.calibration import fit_table, peak_outcomes
-from models.training.datasets import PointLabels
+from models.training.datasets import point_labels
 from models.training.families import FAMILIES, INPUTS
+from models.training.files import json_lines
 from models.training.frames import DataSet, Frame, fixed_splits
 from models.training.quantize import quantize_int8
 from models.training.schedules import SCHEDULES
-from models.training.scoring import Detections, DetectionTally
+from models.training.scoring import DetectionTally
 from models.training.train_dense import RunConfig, load_best, load_summary
 from msgs.perception import PathClass
 from msgs.radar import RadarSetup
@@ -93,22 +95,20 @@ def export_onnx(model: Exported, path: Path, maps: Iterable[np.ndarray] = ()) ->
     """
     config = model.network.config
     example = torch.zeros(1, config.in_channels, config.range_bins, config.columns)
+    names = {"input_names": ["encoded"], "output_names": ["confidence" if model.head == "heatmap" else "answer"]}
+    write_onnx(model, (example,), path, **names)
+    if not model.half_precision and not (difference := parity(model, path, maps)) <= PARITY:
+        raise ValueError(f"{path}: probabilities must agree with torch within {PARITY}, differ by {difference}")
+    return sha256_of(path)
+
+
+def write_onnx(network: nn.Module, example: tuple[Tensor, ...], path: Path, **names: Any) -> None:
+    """Write a network as torch traces it with an example; `names` of its inputs, outputs and free axes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
         # the exporter that needs no further package; torch announces its successor at every call
         warnings.simplefilter("ignore")
-        torch.onnx.export(
-            model,
-            (example,),
-            str(path),
-            dynamo=False,
-            opset_version=OPSET,
-            input_names=["encoded"],
-            output_names=["confidence" if model.head == "heatmap" else "answer"],
-        )
-    if not model.half_precision and not (difference := parity(model, path, maps)) <= PARITY:
-        raise ValueError(f"{path}: probabilities must agree with torch within {PARITY}, differ by {difference}")
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+        torch.onnx.export(network, example, str(path), dynamo=False, opset_version=OPSET, **names)
 
 
 def parity(model: Exported, path: Path, maps: Iterable[np.ndarray] = (), seed: int = 0) -> float:
@@ -162,6 +162,7 @@ def export_run(
     `report` hears what is being done. Nothing is written at `model_path` before all is done. Raises `ValueError` where
     a folder holds no run or no data set, or when an fp32 export differs from torch.
     """
+    require_onnx(model_path)
     network, run, epoch = load_best(run_dir)
     scenes = _Scenes(config.data_dir or Path(run.data.directory), config)
     maps = _training_maps(scenes, run, config)
@@ -173,7 +174,7 @@ def export_run(
         _convert(model, reference, file, config.precision, maps)
         draft = _draft(model, run, epoch, run_dir, config)
         for path in (reference, file):
-            write_card(msgspec.structs.replace(draft, sha256=_sha256(path)), path)
+            write_card(msgspec.structs.replace(draft, sha256=sha256_of(path)), path)
         report(f"scoring on {len(scenes.tested)} scenes")
         paths = (file,) if config.precision == "fp32" else (reference, file)
         tallies = score_files(paths, scenes.test.frames(scenes.tested))
@@ -182,7 +183,7 @@ def export_run(
         card = msgspec.structs.replace(
             draft,
             name=model_path.stem,
-            sha256=_sha256(file),
+            sha256=sha256_of(file),
             scores=_scores(own),
             fidelity=Fidelity(
                 largest_difference=largest_difference(model, file, maps[:PARITY_MAPS]),
@@ -199,9 +200,15 @@ def export_run(
     return card
 
 
-def write_card(card: ModelCard, model_path: Path) -> None:
+def write_card(card: ModelCard | ResidualCard, model_path: Path) -> None:
     """Write the card beside its network file."""
-    card_path(model_path).write_bytes(msgspec.json.format(msgspec.json.encode(card), indent=2) + b"\n")
+    card_path(model_path).write_bytes(json_lines(card))
+
+
+def require_onnx(model_path: Path) -> None:
+    """Raise `ValueError` unless a path names an ONNX file: its card takes the same name with .json."""
+    if model_path.suffix != ".onnx":
+        raise ValueError(f"{model_path} must end with .onnx, ends with {model_path.suffix!r}")
 
 
 def score_files(paths: Sequence[Path], frames: Iterable[Frame]) -> list[DetectionTally]:
@@ -211,17 +218,8 @@ def score_files(paths: Sequence[Path], frames: Iterable[Frame]) -> list[Detectio
     for frame in frames:
         for predictor, tally in zip(predictors, tallies, strict=True):
             points = predictor.points(frame.ra_map, min(tally.counts), PeakParams().min_distance)
-            tally.add_points(Detections(points.cells, points.score, points.path_class), _labels(frame))
+            tally.add(points, point_labels(frame.labels, frame.ra_map.grid))
     return tallies
-
-
-def _labels(frame: Frame) -> PointLabels:
-    grid, truth = frame.ra_map.grid, frame.labels
-    return PointLabels(
-        row=grid.range_index(truth.range_m),
-        column=grid.azimuth_index(truth.azimuth_rad),
-        path_class=truth.path_class,
-    )
 
 
 def _convert(model: Exported, reference: Path, file: Path, precision: Precision, maps: np.ndarray) -> None:
@@ -300,7 +298,8 @@ def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, 
     return fit_table(*peak_outcomes(NetworkDetector(RadarSetup(), file), validation))
 
 
-def _sha256(path: Path) -> str:
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
-import warnings
+import shutil
+import tempfile
 from pathlib import Path
 
 import msgspec
@@ -11,12 +11,11 @@ import numpy as np
 import torch
 
 from models.networks.residual_reflect_net import ResidualReflectNet
-from models.perception.onnx_model import card_path
 from models.perception.residual_model import INPUTS, LearnedResidual, ResidualCard
+from models.training.export_onnx import require_onnx, sha256_of, write_card, write_onnx
 from models.training.residual_samples import FoldedImages, RecoveredScores, recovered_scores
-from models.training.train_residual import load_best_residual, network_offsets
+from models.training.train_residual import ResidualRunConfig, load_best_residual, network_offsets
 
-OPSET = 17
 #: Largest difference between torch and ONNX Runtime, in metres, that an export may show.
 PARITY_M = 1e-3
 
@@ -26,33 +25,39 @@ def export_residual_onnx(network: ResidualReflectNet, path: Path) -> str:
     neighbours = network.config.neighbours
     # two, because a batch of one may be folded into the graph
     example = (torch.zeros(2, 2), torch.zeros(2, neighbours, 2), torch.zeros(2, 6))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with warnings.catch_warnings():
-        # the exporter that needs no further package; torch announces its successor at every call
-        warnings.simplefilter("ignore")
-        torch.onnx.export(
-            network.eval(),
-            example,
-            str(path),
-            dynamo=False,
-            opset_version=OPSET,
-            input_names=list(INPUTS),
-            output_names=["residual"],
-            dynamic_axes={name: {0: "images"} for name in (*INPUTS, "residual")},
-        )
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    axes = {name: {0: "images"} for name in (*INPUTS, "residual")}
+    names = {"input_names": list(INPUTS), "output_names": ["residual"], "dynamic_axes": axes}
+    write_onnx(network.eval(), example, path, **names)
+    return sha256_of(path)
 
 
 def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, command: str = "") -> ResidualCard:
     """Export the best network of a run and write its card, with the file's own scores on the images of test scenes.
 
-    Raises `ValueError` where the folder holds no run, or when the file's residuals differ from torch's by more than
-    1e-3 m.
+    Nothing is written at `model_path` before all is done. Raises `ValueError` where the folder holds no run, or when
+    the file's residuals differ from torch's by more than 1e-3 m.
     """
+    require_onnx(model_path)
     network, run, epoch = load_best_residual(run_dir)
-    sha256 = export_residual_onnx(network, model_path)
-    card = ResidualCard(
-        name=model_path.stem,
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory) / model_path.name
+        draft = _draft(network, run, epoch, export_residual_onnx(network, file), model_path.stem, command)
+        write_card(draft, file)
+        offsets_m = LearnedResidual(file)(test.reflection)
+        _check_parity(model_path, offsets_m, network_offsets(network, test, run.training.frame))
+        model_path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(file, model_path)
+    card = msgspec.structs.replace(draft, metrics=_metrics(test, offsets_m, run.training.reach_m))
+    write_card(card, model_path)
+    return card
+
+
+def _draft(
+    network: ResidualReflectNet, run: ResidualRunConfig, epoch: int, sha256: str, name: str, command: str
+) -> ResidualCard:
+    """The card without scores."""
+    return ResidualCard(
+        name=name,
         sha256=sha256,
         parameters=sum(parameter.numel() for parameter in network.parameters()),
         frame=run.training.frame,
@@ -65,17 +70,6 @@ def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, com
         metrics={},
         training={"chosen_epoch": epoch, "config": msgspec.json.decode(msgspec.json.encode(run))},
     )
-    write_residual_card(card, model_path)
-    offsets_m = LearnedResidual(model_path)(test.reflection)
-    _check_parity(model_path, offsets_m, network_offsets(network, test, run.training.frame))
-    card = msgspec.structs.replace(card, metrics=_metrics(test, offsets_m, run.training.reach_m))
-    write_residual_card(card, model_path)
-    return card
-
-
-def write_residual_card(card: ResidualCard, model_path: Path) -> None:
-    """Write the card beside its network file."""
-    card_path(model_path).write_bytes(msgspec.json.format(msgspec.json.encode(card), indent=2) + b"\n")
 
 
 def _check_parity(path: Path, offsets_m: np.ndarray, wanted_m: np.ndarray) -> None:

@@ -19,6 +19,8 @@ import numpy as np
 
 from models.perception.coarray import AzimuthInterpolator
 from models.perception.ra_forming import ScanProfiles, form_map
+from models.training.files import write_whole
+from msgs.perception import PathClass
 from msgs.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 #: What every shard holds beside its profiles or values: noise [scenes], and the truth points of all scenes in one row,
@@ -224,7 +226,29 @@ def _open(path: Path) -> list[str]:
 def _arrays(path: Path, changed_ns: int) -> dict[str, np.ndarray]:
     """All arrays of a shard as of its last change; neighbouring scenes come from the same one."""
     with path.open("rb") as file, np.load(file, allow_pickle=False) as shard:
-        return {name: shard[name] for name in shard.files if name != "plan"}
+        arrays = {name: shard[name] for name in shard.files if name != "plan"}
+    _check_arrays(path, arrays)
+    return arrays
+
+
+def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Raise `ValueError` naming the shard and the array that does not fit the others or holds what is no truth."""
+    offset, scenes = arrays["offset"], len(arrays["noise_power_mw"])
+    points = len(arrays["range_m"])
+    if len(offset) != scenes + 1 or offset[0] != 0 or offset[-1] != points or (np.diff(offset) < 0).any():
+        raise ValueError(f"{path}: offset must rise from 0 to {points} points over {scenes} scenes")
+    lengths = dict.fromkeys(("profiles", "values", "facts", "scene_yaml", "sequence", "missing_beams"), scenes)
+    lengths |= {field.name: points for field in fields(FrameLabels)}
+    for name, length in lengths.items():
+        if name in arrays and len(arrays[name]) != length:
+            raise ValueError(f"{path}: {name} must have length {length}, got {len(arrays[name])}")
+    for name in ("noise_power_mw", "range_m", "azimuth_rad"):
+        if not np.isfinite(arrays[name]).all():
+            raise ValueError(
+                f"{path}: {name} must be finite, index {np.flatnonzero(~np.isfinite(arrays[name]))[0]} is not"
+            )
+    if not np.isin(arrays["path_class"], list(PathClass)).all():
+        raise ValueError(f"{path}: path_class must be 0 (LOS) or 1 (mirrored), got {arrays['path_class'].max()}")
 
 
 def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> Scan:
@@ -280,7 +304,7 @@ def fixed_splits(directory: Path, seed: int = 0) -> Splits:
     path = data.directory / "splits.json"
     if not path.exists():
         splits = _draw_splits(data, seed)
-        path.write_bytes(msgspec.json.encode(splits))
+        write_whole(path, msgspec.json.encode(splits))
         return splits
     try:
         splits = msgspec.json.decode(path.read_bytes(), type=Splits)
@@ -320,6 +344,8 @@ def check_splits(data: DataSet, splits: Splits, path: Path) -> None:
     seen: dict[str, tuple[str, int]] = {}
     groups = _groups(data)
     for name in ("train", "validation", "test"):
+        if not getattr(splits, name):
+            raise ValueError(f"{path}: {name} must hold at least one scene, holds none")
         for index in splits.of(name):
             if not 0 <= index < len(data):
                 raise ValueError(f"{path}: {name} must name scenes 0..{len(data) - 1}, got {index}")

@@ -13,12 +13,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from models.perception.anchors import anchor_points
-from models.perception.peaks import PeakParams
+from models.perception.peaks import PeakParams, Points, heatmap_points
 from models.training.anchor_targets import anchor_loss, anchor_targets
 from models.training.datasets import PointLabels
 from models.training.focal import binary_focal_loss
 from models.training.losses import heatmap_focal_loss
-from models.training.scoring import Detections, confidence_points
 from models.training.targets import class_heatmaps, class_masks
 
 #: Gaussian heatmaps and Eq. (23); plain segmentation as section 3.2 tried it; the focal segmentation of Further than
@@ -50,7 +49,7 @@ class Objective(Protocol):
     def loss(self, answer: Tensor, labels: Sequence[PointLabels]) -> Tensor:
         """Scalar loss of answers [batch, ...] against the truth of each map."""
 
-    def detections(self, answer: np.ndarray, floor: float) -> Detections:
+    def points(self, answer: np.ndarray, floor: float) -> Points:
         """Points of one raw answer with at least this score."""
 
 
@@ -58,7 +57,8 @@ def objective_of(config: ObjectiveConfig, network: Any) -> Objective:
     """The objective of a network of this configuration; raises `ValueError` where one has anchors, the other none."""
     stride = getattr(network, "anchor_stride", None)
     if (config.kind == "anchors") != (stride is not None):
-        raise ValueError(f"objective.kind must be anchors for a network with anchors alone, got {config.kind!r}")
+        rule = "not be anchors for a network without anchors" if stride is None else "be anchors for such a network"
+        raise ValueError(f"objective.kind must {rule}, got {config.kind!r}")
     if stride is not None:
         return Anchors(stride, network.output_shape[1:])
     return Heatmaps(config, network.output_shape[1:])
@@ -85,9 +85,9 @@ class Heatmaps:
             return functional.binary_cross_entropy_with_logits(answer, mask)
         return binary_focal_loss(answer, mask, config.alpha)
 
-    def detections(self, answer: np.ndarray, floor: float) -> Detections:
+    def points(self, answer: np.ndarray, floor: float) -> Points:
         """Local maxima of the confidence, section 3.1.1."""
-        return confidence_points(expit(answer), floor)
+        return heatmap_points(expit(answer), floor, PeakParams().min_distance)
 
 
 class Anchors:
@@ -98,12 +98,10 @@ class Anchors:
 
     def loss(self, answer: Tensor, labels: Sequence[PointLabels]) -> Tensor:
         """Scalar loss of answers [batch, 5, rows, columns]."""
-        points = [(p.row, p.column, p.path_class) for p in labels]
-        classes, offsets = anchor_targets(points, self.shape, self.stride)
+        classes, offsets = anchor_targets(labels, self.shape, self.stride)
         device = answer.device
         return anchor_loss(answer, torch.from_numpy(classes).to(device), torch.from_numpy(offsets).to(device))
 
-    def detections(self, answer: np.ndarray, floor: float) -> Detections:
+    def points(self, answer: np.ndarray, floor: float) -> Points:
         """Anchors that are not noise, moved by their offsets."""
-        cells, score, path_class = anchor_points(answer, self.stride, floor, PeakParams().min_distance)
-        return Detections(cells, score, path_class)
+        return anchor_points(answer, self.stride, floor, PeakParams().min_distance)

@@ -16,6 +16,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from models.training.run_folder import load_state
+
 #: Buffers that the published files hold and that follow from the window and the map's size.
 DERIVED = ("relative_position_index", "attn_mask")
 BIAS_TABLE = "relative_position_bias_table"
@@ -111,13 +113,7 @@ def load_initial(network: nn.Module, path: Path) -> InitReport:
 
 def _read(path: Path) -> tuple[dict[str, Tensor], bool]:
     """Tensors of a file by name, and whether they lay in one of our runs."""
-    if not path.is_file():
-        raise ValueError(f"{path} must be a checkpoint file: there is none")
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:
-        # torch lets through whatever its readers raise, each with pages of advice
-        raise ValueError(f"{path} must be a checkpoint of tensors only, torch cannot read it as one") from error
+    content = load_state(path)
     wrapped = isinstance(content, dict) and "network" in content
     for wrapper in ("network", "model"):
         if isinstance(content, dict) and wrapper in content:

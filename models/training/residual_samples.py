@@ -7,7 +7,6 @@ really receives, the peaks a network detects, behind the walls found from them. 
 from __future__ import annotations
 
 import math
-import os
 import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
@@ -22,6 +21,7 @@ from models.perception.geometry import GeometryParams, direct_structure
 from models.perception.metrics import Counts, chamfer, match_points, recovered_counts
 from models.perception.published_geometry import PublishedParams, recover_published
 from models.perception.recovery import Recovered, ReflectionState, recover, reflection_state
+from models.training.files import whole
 from models.training.frames import DataSet, Frame, FrameLabels
 from msgs.frames import xy_from_polar
 from msgs.perception import PathClass, Peaks
@@ -205,10 +205,8 @@ def fold_scenes(
 
 def save_folded(path: Path, folded: FoldedImages) -> None:
     """Write whole or not at all."""
-    partial = path.with_suffix(".partial")
-    with partial.open("wb") as file:
+    with whole(path) as part, part.open("wb") as file:
         np.savez(file, **{field.name: getattr(folded, field.name) for field in fields(FoldedImages)})
-    os.replace(partial, path)
 
 
 def load_folded(path: Path) -> FoldedImages:

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import torch
 from torch import nn
 
 from models.training.datasets import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
 from models.training.families import FAMILIES, NetworkChoice
+from models.training.files import json_lines, write_whole
 from models.training.objectives import ObjectiveConfig, objective_of
+from models.training.pretrained import load_initial
 from models.training.ranks import Ranks
+from models.training.run_folder import (
+    BEST,
+    CURVES,
+    LAST,
+    SUMMARY,
+    adopt_config,
+    load_config,
+    load_json,
+    load_state,
+    save_state,
+)
 from models.training.schedules import ScheduleConfig, optimiser_of
 from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
 from msgs.perception import PathClass
 
-LAST, BEST, CONFIG, CURVES, SUMMARY = "last.pt", "best.pt", "config.json", "curves.json", "summary.json"
 #: Thresholds of the validation of every epoch; the first is the least confident peak that is looked at.
 WATCHED_THRESHOLDS = (0.1, 0.2, DEFAULT_THRESHOLD, 0.4, 0.5, 0.6, 0.7, 0.8)
 #: A score that rises by more than this over the last fifth of a run has not converged.
@@ -44,6 +54,8 @@ class TrainDenseConfig:
     def __post_init__(self) -> None:
         if self.threads < 1:
             raise ValueError(f"train.threads must be at least 1, got {self.threads}")
+        if self.seed < 0:
+            raise ValueError(f"train.seed must not be negative, got {self.seed}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,12 +135,10 @@ class DenseTraining:
         self.optimiser, self.schedule = optimiser_of(self.network, config.schedule, family.head, self.steps_per_epoch)
         self.reports: list[EpochReport] = []
         run_dir.mkdir(parents=True, exist_ok=True)
-        self._adopt_config()
+        adopt_config(run_dir, self.run_config, self.ranks.leads)
         if (run_dir / LAST).exists():
             self._resume()
         elif config.init:
-            from models.training.pretrained import load_initial
-
             load_initial(self.network, Path(config.init))
         self._shared = self.ranks.shared(self.network)
 
@@ -240,17 +250,8 @@ class DenseTraining:
                 labels: list[PointLabels] = [sample.labels for sample in samples]
                 losses.append(self.objective.loss(answer, labels).item())
                 for one, truth in zip(answer.cpu().numpy(), labels, strict=True):
-                    tally.add_points(self.objective.detections(one, WATCHED_THRESHOLDS[0]), truth)
+                    tally.add(self.objective.points(one, WATCHED_THRESHOLDS[0]), truth)
         return float(np.mean(losses)), tally
-
-    def _adopt_config(self) -> None:
-        """Write the resolved configuration, or insist that the run's own is the same."""
-        path = self.run_dir / CONFIG
-        wanted = _json(self.run_config)
-        if path.exists() and path.read_bytes() != wanted:
-            raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
-        if self.ranks.leads:
-            path.write_bytes(wanted)
 
     def _save(self) -> None:
         state = {
@@ -260,14 +261,14 @@ class DenseTraining:
             "reports": [asdict(report) for report in self.reports],
         }
         if self.reports[-1].is_best:
-            _write(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
-        (self.run_dir / CURVES).write_bytes(_json(self.reports))
-        (self.run_dir / SUMMARY).write_bytes(_json(self.summary()))
+            save_state(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
+        write_whole(self.run_dir / CURVES, json_lines(self.reports))
+        write_whole(self.run_dir / SUMMARY, json_lines(self.summary()))
         # last of all: a run killed before this line repeats the epoch
-        _write(self.run_dir / LAST, state)
+        save_state(self.run_dir / LAST, state)
 
     def _resume(self) -> None:
-        state = torch.load(self.run_dir / LAST, weights_only=True, map_location=self.ranks.device)
+        state = load_state(self.run_dir / LAST, self.ranks.device)
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
@@ -277,32 +278,15 @@ class DenseTraining:
 def load_best(run_dir: Path) -> tuple[nn.Module, RunConfig, int]:
     """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
 
-    Raises `ValueError` where the folder holds none.
+    Raises `ValueError` where the folder holds none, naming the file.
     """
-    for name in (CONFIG, BEST):
-        if not (run_dir / name).exists():
-            raise ValueError(f"{run_dir / name} must exist: the run folder holds no trained network")
-    config = msgspec.json.decode((run_dir / CONFIG).read_bytes(), type=RunConfig)
+    config = load_config(run_dir, RunConfig)
     network = config.training.network.build()
-    state = torch.load(run_dir / BEST, weights_only=True, map_location="cpu")
+    state = load_state(run_dir / BEST)
     network.load_state_dict(state["network"])
     return network.eval(), config, int(state["epoch"])
 
 
 def load_summary(run_dir: Path) -> RunSummary:
     """What a run came to; raises `ValueError` where it has not finished an epoch."""
-    try:
-        return msgspec.json.decode((run_dir / SUMMARY).read_bytes(), type=RunSummary)
-    except (OSError, msgspec.DecodeError) as error:
-        raise ValueError(f"{run_dir / SUMMARY}: {error}") from None
-
-
-def _json(value: object) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"
-
-
-def _write(path: Path, state: dict[str, object]) -> None:
-    """Save whole or not at all: a kill in between leaves the old file."""
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    os.replace(partial, path)
+    return load_json(run_dir / SUMMARY, RunSummary)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,9 +14,10 @@ from torch import Tensor, nn
 from models.networks.residual_reflect_net import ResidualReflectNet
 from models.perception.recovery import ReflectionState
 from models.perception.residual_model import ResidualFrame, bounded, image_frames, in_frames
+from models.training.files import json_lines, write_whole
+from models.training.pretrained import load_initial
 from models.training.residual_samples import FoldedImages, SampleConfig, recovered_scores
-
-LAST, BEST, CONFIG, CURVES = "last.pt", "best.pt", "config.json", "curves.json"
+from models.training.run_folder import BEST, CURVES, LAST, adopt_config, load_config, load_state, save_state
 
 
 class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
@@ -42,6 +42,8 @@ class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
         for name in ("epochs", "batch_size", "threads"):
             if getattr(self, name) < 1:
                 raise ValueError(f"train.{name} must be at least 1, got {getattr(self, name)}")
+        if self.seed < 0:
+            raise ValueError(f"train.seed must not be negative, got {self.seed}")
         for name in ("learning_rate", "clip_norm", "reach_m"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"train.{name} must be positive, got {getattr(self, name)}")
@@ -110,8 +112,6 @@ class ResidualTraining:
         if (run_dir / LAST).exists():
             self._resume()
         elif self.config.init:
-            from models.training.pretrained import load_initial
-
             load_initial(self.network, Path(self.config.init))
 
     def run(self, report: Callable[[ResidualEpoch], None]) -> ResidualEpoch:
@@ -167,13 +167,13 @@ class ResidualTraining:
             "reports": [asdict(report) for report in self.reports],
         }
         if self.reports[-1].is_best:
-            _write(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
-        (self.run_dir / CURVES).write_bytes(_json(self.reports))
+            save_state(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
+        write_whole(self.run_dir / CURVES, json_lines(self.reports))
         # last of all: a run killed before this line repeats the epoch
-        _write(self.run_dir / LAST, state)
+        save_state(self.run_dir / LAST, state)
 
     def _resume(self) -> None:
-        state = torch.load(self.run_dir / LAST, weights_only=True)
+        state = load_state(self.run_dir / LAST)
         self.network.load_state_dict(state["network"])
         self.optimiser.load_state_dict(state["optimiser"])
         self.reports = [ResidualEpoch(**report) for report in state["reports"]]
@@ -203,39 +203,13 @@ def _tensor(array: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(array, np.float32))
 
 
-def adopt_config(run_dir: Path, config: ResidualRunConfig) -> None:
-    """Write the resolved configuration, or insist that the run's own is the same."""
-    path, wanted = run_dir / CONFIG, _json(config)
-    if path.exists() and path.read_bytes() != wanted:
-        raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
-    run_dir.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(wanted)
-
-
 def load_best_residual(run_dir: Path) -> tuple[ResidualReflectNet, ResidualRunConfig, int]:
     """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
 
-    Raises `ValueError` where the folder holds none.
+    Raises `ValueError` where the folder holds none, naming the file.
     """
-    for name in (CONFIG, BEST):
-        if not (run_dir / name).exists():
-            raise ValueError(f"{run_dir / name} must exist: the run folder holds no trained residual network")
-    try:
-        config = msgspec.json.decode((run_dir / CONFIG).read_bytes(), type=ResidualRunConfig)
-    except msgspec.DecodeError as error:
-        raise ValueError(f"{run_dir / CONFIG}: {error}") from None
+    config = load_config(run_dir, ResidualRunConfig)
     network = ResidualReflectNet()
-    state = torch.load(run_dir / BEST, weights_only=True)
+    state = load_state(run_dir / BEST)
     network.load_state_dict(state["network"])
     return network.eval(), config, int(state["epoch"])
-
-
-def _json(value: object) -> bytes:
-    return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"
-
-
-def _write(path: Path, state: dict[str, object]) -> None:
-    """Save whole or not at all: a kill in between leaves the old file."""
-    partial = path.with_suffix(".partial")
-    torch.save(state, partial)
-    os.replace(partial, path)

@@ -30,6 +30,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
+from models.training.files import json_lines, whole, write_whole
 from msgs.frames import polar_from_xy
 from msgs.perception import PathClass
 from msgs.radar import RangeAzimuthGrid
@@ -325,7 +326,7 @@ def import_folder(
         _write_shard(out, summary, shard)
     if not sources:
         raise ValueError(f"{directory}: captures must be readable, none is: {summary.broken[0]}")
-    _write(out / "series.json", msgspec.json.format(msgspec.json.encode(_series(kind, keys, sources, summary))))
+    write_whole(out / "series.json", json_lines(_series(kind, keys, sources, summary)))
     return summary
 
 
@@ -384,20 +385,11 @@ def _write_shard(out: Path, summary: ImportSummary, frames: list[ImportedFrame])
         "place_offset": np.concatenate([[0], np.cumsum([len(frame.places_m) for frame in frames])]).astype(np.int64),
         "places_m": np.concatenate([frame.places_m for frame in frames]),
     }
-    part = out / f"shard-{number:05d}.part"
-    with part.open("wb") as file:
+    with whole(out / f"shard-{number:05d}.npz") as part, part.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
         file.flush()
         os.fsync(file.fileno())
-    part.replace(part.with_suffix(".npz"))
     summary.frames += len(frames)
     summary.los_points += int(np.count_nonzero(path_class == PathClass.LOS))
     summary.mirrored_points += int(np.count_nonzero(path_class == PathClass.MIRRORED))
     summary.negative_cells += sum(frame.source["negative_cells"] for frame in frames)
-
-
-def _write(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all."""
-    part = path.with_suffix(".part")
-    part.write_bytes(content)
-    part.replace(path)

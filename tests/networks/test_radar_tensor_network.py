@@ -11,6 +11,7 @@ import torch
 from models.networks.radar_tensor_network import COMPACT, FULL, RadarTensorNetwork, RadarTensorNetworkConfig
 from models.perception.anchors import anchor_points
 from models.training.anchor_targets import anchor_loss, anchor_targets
+from models.training.datasets import PointLabels
 
 TINY = RadarTensorNetworkConfig(
     range_bins=32, columns=16, anchor_stride=2, widths=(4, 6, 8), blocks=(1, 1, 1), neck_width=6
@@ -54,7 +55,7 @@ def test_learns_one_map() -> None:
     """One map with a point a class: the loss falls below a tenth, and both points come back within half a cell."""
     net = network()
     x = torch.randn(1, 3, 32, 16)
-    points = np.array([9.3, 21.8]), np.array([4.6, 11.1]), np.array([0, 1], np.uint8)
+    points = PointLabels(row=np.array([9.3, 21.8]), column=np.array([4.6, 11.1]), path_class=np.array([0, 1], np.uint8))
     classes, offsets = (torch.from_numpy(at) for at in anchor_targets([points], TINY.output_shape[1:], stride=2))
     optimizer = torch.optim.Adam(net.parameters(), 2e-2)
     losses = []
@@ -66,7 +67,8 @@ def test_learns_one_map() -> None:
         losses.append(loss.item())
     assert losses[-1] < 0.1 * losses[0]
     with torch.no_grad():
-        cells, _, path_class = anchor_points(net(x)[0].numpy(), stride=2, threshold=0.5, min_distance=3)
+        found = anchor_points(net(x)[0].numpy(), stride=2, threshold=0.5, min_distance=3)
+        cells, path_class = found.cells, found.path_class
     assert path_class.tolist() == [0, 1]
     np.testing.assert_allclose(cells, [[9.3, 4.6], [21.8, 11.1]], atol=0.5)
 

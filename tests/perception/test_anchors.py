@@ -28,7 +28,8 @@ def test_point_is_its_anchor_plus_its_offset() -> None:
     """Anchor (3, 5) of stride 2 lies on cell (6.5, 10.5). Probability by hand: e^12 / (e^12 + e^10 + 1)."""
     output = quiet()
     put(output, (3, 5), 1, 12.0, (-0.75, 1.25))
-    cells, score, path_class = anchor_points(output, stride=2, threshold=0.3, min_distance=3)
+    found = anchor_points(output, stride=2, threshold=0.3, min_distance=3)
+    cells, score, path_class = found.cells, found.score, found.path_class
     np.testing.assert_allclose(cells, [[5.75, 11.75]], atol=1e-6)
     np.testing.assert_allclose(score, [1.0 / (1.0 + np.exp(-2.0) + np.exp(-12.0))], rtol=1e-6)
     assert path_class.tolist() == [1]
@@ -41,7 +42,8 @@ def test_line_of_sight_first_and_strongest_first() -> None:
     put(output, (6, 1), 0, 11.0, (0.0, 0.0))
     put(output, (1, 6), 0, 13.0, (0.0, 0.0))
     put(output, (6, 6), 1, 14.0, (0.0, 0.0))
-    cells, score, path_class = anchor_points(output, stride=1, threshold=0.3, min_distance=3)
+    found = anchor_points(output, stride=1, threshold=0.3, min_distance=3)
+    cells, score, path_class = found.cells, found.score, found.path_class
     np.testing.assert_array_equal(cells, [[1, 6], [6, 1], [1, 1], [6, 6]])
     assert path_class.tolist() == [0, 0, 1, 1]
     assert score[0] > score[1]
@@ -50,10 +52,10 @@ def test_line_of_sight_first_and_strongest_first() -> None:
 
 def test_noise_and_weak_anchors_are_suppressed() -> None:
     output = quiet()
-    assert len(anchor_points(output, 1, 0.3, 3)[0]) == 0
+    assert len(anchor_points(output, 1, 0.3, 3).cells) == 0
     put(output, (3, 3), 0, 10.0, (0.0, 0.0))  # as likely as noise: 0.5
-    assert len(anchor_points(output, 1, 0.49, 3)[0]) == 1
-    assert len(anchor_points(output, 1, 0.51, 3)[0]) == 0
+    assert len(anchor_points(output, 1, 0.49, 3).cells) == 1
+    assert len(anchor_points(output, 1, 0.51, 3).cells) == 0
 
 
 def test_anchors_that_mean_one_point_give_one() -> None:
@@ -61,7 +63,7 @@ def test_anchors_that_mean_one_point_give_one() -> None:
     output = quiet()
     put(output, (4, 2), 0, 14.0, (0.0, 1.5))
     put(output, (4, 5), 0, 13.0, (0.0, -1.6))
-    cells, _, _ = anchor_points(output, stride=1, threshold=0.3, min_distance=3)
+    cells = anchor_points(output, stride=1, threshold=0.3, min_distance=3).cells
     np.testing.assert_allclose(cells, [[4.0, 3.5]], atol=1e-6)
 
 
@@ -70,7 +72,7 @@ def test_shoulder_of_a_point_is_no_point() -> None:
     output = quiet()
     put(output, (4, 4), 0, 14.0, (0.0, 0.0))
     put(output, (4, 5), 0, 11.0, (-4.0, 0.0))
-    cells, _, _ = anchor_points(output, stride=1, threshold=0.3, min_distance=3)
+    cells = anchor_points(output, stride=1, threshold=0.3, min_distance=3).cells
     np.testing.assert_array_equal(cells, [[4.0, 4.0]])
 
 
@@ -79,7 +81,7 @@ def test_neighbours_that_mean_two_points_give_two() -> None:
     output = quiet()
     put(output, (2, 4), 0, 14.0, (0.0, 0.0))
     put(output, (4, 4), 0, 14.0, (0.0, 0.0))
-    cells, _, _ = anchor_points(output, stride=2, threshold=0.3, min_distance=3)
+    cells = anchor_points(output, stride=2, threshold=0.3, min_distance=3).cells
     np.testing.assert_array_equal(cells, [[4.5, 8.5], [8.5, 8.5]])
 
 
@@ -87,21 +89,22 @@ def test_classes_do_not_suppress_each_other() -> None:
     output = quiet()
     put(output, (4, 3), 0, 14.0, (0.0, 0.0))
     put(output, (4, 4), 1, 14.0, (0.0, 0.0))
-    assert anchor_points(output, 1, 0.3, 3)[2].tolist() == [0, 1]
+    assert anchor_points(output, 1, 0.3, 3).path_class.tolist() == [0, 1]
 
 
 def test_points_stay_on_the_map() -> None:
     output = quiet()
     put(output, (0, 0), 0, 14.0, (-5.0, -1e30))
     put(output, (7, 7), 0, 14.0, (5.0, 1e30))
-    cells, _, _ = anchor_points(output, stride=2, threshold=0.3, min_distance=3)
+    cells = anchor_points(output, stride=2, threshold=0.3, min_distance=3).cells
     np.testing.assert_array_equal(cells, [[0.0, 0.0], [15.0, 15.0]])
 
 
 def test_huge_logits_stay_finite() -> None:
     output = quiet() * 1e30
     put(output, (3, 3), 0, 2e31, (0.0, 0.0))
-    cells, score, _ = anchor_points(output, 1, 0.3, 3)
+    found = anchor_points(output, 1, 0.3, 3)
+    cells, score = found.cells, found.score
     np.testing.assert_array_equal(cells, [[3.0, 3.0]])
     assert score.tolist() == [1.0]
 

@@ -164,7 +164,8 @@ def test_network_with_anchors_answers_points_and_no_heatmap(model: Path, tmp_pat
     write_card(card, path)
     predictor = DensePredictor(path)
     points = predictor.points(ra_map(), threshold=0.1, min_distance=3)
-    cells, score, path_class = anchor_points(predictor.answer(ra_map()), 2, 0.1, 3)
+    found = anchor_points(predictor.answer(ra_map()), 2, 0.1, 3)
+    cells, score, path_class = found.cells, found.score, found.path_class
     assert len(cells) > 0
     np.testing.assert_array_equal(points.cells, cells)
     np.testing.assert_array_equal(points.score, score)

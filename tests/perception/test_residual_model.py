@@ -21,7 +21,8 @@ from models.perception.residual_model import (
     image_frames,
     in_frames,
 )
-from models.training.export_residual import PARITY_M, export_residual_onnx, write_residual_card
+from models.training.export_onnx import write_card
+from models.training.export_residual import PARITY_M, export_residual_onnx
 
 #: A facade 12 m ahead that the radar looks at along its normal.
 STATE = ReflectionState(
@@ -52,7 +53,7 @@ def written(network: ResidualReflectNet, path: Path, frame: ResidualFrame = "rad
         name="residual", sha256=export_residual_onnx(network, path), parameters=1, frame=frame, neighbours=16,
         source="peaks", geometry="ours", seed=0, command="", data={}, metrics={}, training={},
     )  # fmt: skip
-    write_residual_card(card, path)
+    write_card(card, path)
     return path
 
 

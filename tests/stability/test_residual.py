@@ -14,7 +14,8 @@ from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.published_geometry import PublishedParams, recover_published
 from models.perception.recovery import ReflectionState
 from models.perception.residual_model import MAX_SHIFT_M, LearnedResidual, ResidualCard, image_frames, in_frames
-from models.training.export_residual import export_residual_onnx, write_residual_card
+from models.training.export_onnx import write_card
+from models.training.export_residual import export_residual_onnx
 from msgs.bus import Envelope, Received
 from msgs.frames import polar_from_xy
 from msgs.perception import Peaks
@@ -26,7 +27,7 @@ def write_network(network: ResidualReflectNet, path: Path) -> Path:
         name=path.stem, sha256=export_residual_onnx(network, path), parameters=1, frame="wall", neighbours=16,
         source="peaks", geometry="ours", seed=0, command="", data={}, metrics={}, training={},
     )  # fmt: skip
-    write_residual_card(card, path)
+    write_card(card, path)
     return path
 
 

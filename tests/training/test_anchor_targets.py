@@ -8,16 +8,17 @@ import torch
 from torch import Tensor
 
 from models.perception.anchors import NOISE, anchor_points
-from models.training.anchor_targets import Points, anchor_loss, anchor_targets
+from models.training.anchor_targets import anchor_loss, anchor_targets
+from models.training.datasets import PointLabels
 from models.training.focal import binary_focal_loss
 
 LOS, MIRRORED = 0, 1
-NO_POINTS: Points = (np.zeros(0), np.zeros(0), np.zeros(0, np.uint8))
+NO_POINTS = PointLabels(row=np.zeros(0), column=np.zeros(0), path_class=np.zeros(0, np.uint8))
 
 
-def points(*at: tuple[float, float, int]) -> Points:
+def points(*at: tuple[float, float, int]) -> PointLabels:
     row, column, path_class = zip(*at, strict=True)
-    return np.array(row), np.array(column), np.array(path_class, np.uint8)
+    return PointLabels(row=np.array(row), column=np.array(column), path_class=np.array(path_class, np.uint8))
 
 
 def perfect_answer(classes: np.ndarray, offsets: np.ndarray) -> np.ndarray:
@@ -92,15 +93,15 @@ def test_decoding_inverts_the_targets(stride: int) -> None:
     rng = np.random.default_rng(stride)
     truth = [apart(rng, 20, (64.0, 32.0)) for _ in range(12)]
     answer = perfect_answer(*anchor_targets(truth, (64 // stride, 32 // stride), stride))
-    for (row, column, path_class), output in zip(truth, answer, strict=True):
-        cells, score, found_class = anchor_points(output, stride, threshold=0.3, min_distance=3)
-        wanted = np.array(sorted(zip(path_class, row, column, strict=True)))
-        found = np.array(sorted(zip(found_class, *cells.T, strict=True)))
-        np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-6)
-        np.testing.assert_allclose(score, 1.0)
+    for one, output in zip(truth, answer, strict=True):
+        found = anchor_points(output, stride, threshold=0.3, min_distance=3)
+        wanted = np.array(sorted(zip(one.path_class, one.row, one.column, strict=True)))
+        got = np.array(sorted(zip(found.path_class, *found.cells.T, strict=True)))
+        np.testing.assert_allclose(got, wanted, rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(found.score, 1.0)
 
 
-def apart(rng: np.random.Generator, count: int, shape: tuple[float, float]) -> Points:
+def apart(rng: np.random.Generator, count: int, shape: tuple[float, float]) -> PointLabels:
     """Points drawn one by one, each at least 4 cells from all others in row or column."""
     kept: list[np.ndarray] = []
     while len(kept) < count:
@@ -108,7 +109,7 @@ def apart(rng: np.random.Generator, count: int, shape: tuple[float, float]) -> P
         if all(np.abs(drawn - other).max() >= 4.0 for other in kept):
             kept.append(drawn)
     row, column = np.array(kept).T
-    return row, column, rng.integers(0, 2, count).astype(np.uint8)
+    return PointLabels(row=row, column=column, path_class=rng.integers(0, 2, count).astype(np.uint8))
 
 
 def test_a_radius_that_leaves_gaps_is_refused() -> None:
@@ -116,7 +117,7 @@ def test_a_radius_that_leaves_gaps_is_refused() -> None:
         anchor_targets([NO_POINTS], (4, 4), stride=2, radius_cells=1.0)
 
 
-def targets(*at: Points) -> tuple[Tensor, Tensor]:
+def targets(*at: PointLabels) -> tuple[Tensor, Tensor]:
     classes, offsets = anchor_targets(at, (6, 6))
     return torch.from_numpy(classes), torch.from_numpy(offsets)
 
@@ -151,7 +152,7 @@ def test_perfect_answer_costs_nothing() -> None:
 
 @pytest.mark.parametrize("at", [NO_POINTS, points((2.0, 2.0, LOS))])
 @pytest.mark.parametrize("scale", [1.0, 1e4, -1e4])
-def test_loss_and_gradient_are_finite(at: Points, scale: float) -> None:
+def test_loss_and_gradient_are_finite(at: PointLabels, scale: float) -> None:
     classes, offsets = targets(at)
     output = (scale * torch.randn(1, 5, 6, 6, generator=torch.Generator().manual_seed(0))).requires_grad_()
     loss = anchor_loss(output, classes, offsets)

@@ -16,16 +16,8 @@ from models.physics.waveform import range_profile
 from models.training.datasets import DataConfig
 from models.training.export_onnx import PARITY, ExportConfig, export_run
 from models.training.families import NetworkChoice
-from models.training.train_dense import (
-    BEST,
-    CONFIG,
-    SUMMARY,
-    EpochReport,
-    RunConfig,
-    RunSummary,
-    TrainDenseConfig,
-    load_best,
-)
+from models.training.run_folder import BEST, CONFIG, SUMMARY
+from models.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig, load_best
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)

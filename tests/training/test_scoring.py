@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from models.perception.metrics import Counts
+from models.perception.peaks import Points, heatmap_points
 from models.training.datasets import PointLabels
 from models.training.scoring import DetectionTally, positions_m
 from msgs.perception import PathClass
@@ -17,11 +18,11 @@ def labels(*points: tuple[float, float, int]) -> PointLabels:
     return PointLabels(row=row, column=column, path_class=path_class.astype(np.uint8))
 
 
-def confidence(*points: tuple[int, int, int, float]) -> np.ndarray:
+def found(*points: tuple[int, int, int, float]) -> Points:
     values = np.zeros((2, *GRID.shape), np.float32)
     for k, row, column, score in points:
         values[k, row, column] = score
-    return values
+    return heatmap_points(values, 0.05, 3)
 
 
 def test_positions_follow_the_vehicle_axes() -> None:
@@ -32,14 +33,14 @@ def test_positions_follow_the_vehicle_axes() -> None:
 
 def test_empty_prediction_counts_its_misses_and_empty_truth_its_false_alarms() -> None:
     tally = DetectionTally(GRID)
-    tally.add(confidence(), labels((10, 10, 0), (20, 20, 1)))
-    tally.add(confidence((0, 10, 10, 0.9), (1, 30, 30, 0.9)), labels((10, 10, 0)))
+    tally.add(found(), labels((10, 10, 0), (20, 20, 1)))
+    tally.add(found((0, 10, 10, 0.9), (1, 30, 30, 0.9)), labels((10, 10, 0)))
     assert tally.counts[0.3] == {PathClass.LOS: Counts(1, 0, 1), PathClass.MIRRORED: Counts(0, 1, 1)}
     assert tally.macro_f1() == pytest.approx((2 / 3 + 0) / 2)
 
 
 def test_class_and_threshold_matter() -> None:
     tally = DetectionTally(GRID)
-    tally.add(confidence((0, 10, 10, 0.35), (1, 30, 30, 0.9)), labels((10, 10, 1), (30, 30, 1)))
+    tally.add(found((0, 10, 10, 0.35), (1, 30, 30, 0.9)), labels((10, 10, 1), (30, 30, 1)))
     assert tally.counts[0.3] == {PathClass.LOS: Counts(0, 1, 0), PathClass.MIRRORED: Counts(1, 0, 1)}
     assert tally.counts[0.4] == {PathClass.LOS: Counts(0, 0, 0), PathClass.MIRRORED: Counts(1, 0, 1)}

@@ -15,10 +15,8 @@ from models.perception.onnx_model import card_path
 from models.perception.residual_model import LearnedResidual, load_residual_card
 from models.training.export_residual import export_residual_onnx, export_residual_run
 from models.training.residual_samples import FoldedImages, SampleConfig
+from models.training.run_folder import BEST, CURVES, LAST
 from models.training.train_residual import (
-    BEST,
-    CURVES,
-    LAST,
     ResidualEpoch,
     ResidualRunConfig,
     ResidualTraining,
@@ -166,7 +164,7 @@ def test_data_that_teaches_nothing_is_refused(tmp_path: Path) -> None:
 
 
 def test_folder_without_a_network_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match=r"config\.json must exist: the run folder holds no trained residual network"):
+    with pytest.raises(ValueError, match=r"config\.json must exist: the run folder holds no trained network"):
         load_best_residual(tmp_path)
 
 

@@ -1,0 +1,71 @@
+"""`mirrorwave train confidence`: how likely a folded place is true."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mirrorwave.console import AsJson, print_json, print_line
+
+
+def confidence(
+    data: Annotated[Path, typer.Option(metavar="DIR", help="Data set; its fixed splits train and choose.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.json", help="The fitted model.")],
+    model: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
+    ] = None,
+    refine: Annotated[
+        Literal["none", "ridge", "likelihood", "maxima_likelihood"], typer.Option(help="Where its peaks are placed.")
+    ] = "none",
+    threshold: Annotated[
+        float | None, typer.Option(min=0.0, max=1.0, help="Score a peak must have; default: the card's.")
+    ] = None,
+    residual: Annotated[Path | None, typer.Option(metavar="FILE", help="Learned correction of the places.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="First weights.")] = 0,
+    json: AsJson = False,
+) -> None:
+    """Fit the probability that a folded place is true, to what a detector finds and the geometry stage makes of it."""
+    import msgspec
+    from rich.progress import Progress
+
+    from models.perception.detectors import NetworkDetector
+    from models.perception.geometry import GeometryParams
+    from models.perception.onnx_model import DEFAULT_MODEL, load_card
+    from models.perception.peaks import PeakParams
+    from models.perception.residual_model import LearnedResidual
+    from models.training.fit_confidence import FitConfig, collected, fit_confidence
+    from models.training.frames import DataSet, fixed_splits
+    from msgs.radar import RadarSetup
+
+    path = model or DEFAULT_MODEL
+    card = load_card(path)
+    at = card.threshold if threshold is None else threshold
+    detector = NetworkDetector(RadarSetup(), path, 1, PeakParams(threshold=at), refine=refine)
+    correction = None if residual is None else LearnedResidual(residual)
+    scenes, splits = DataSet(data), fixed_splits(data)
+    places = {}
+    with Progress(disable=json) as progress:
+        for split in ("train", "validation"):
+            indices = splits.of(split)
+            on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=len(indices)))
+            places[split] = collected(scenes.frames(indices), detector, GeometryParams(), correction, on_scene)
+    command = f"mirrorwave train confidence --data {data} --out {out} --model {path} --refine {refine}"
+    command += f" --threshold {at:g}{f' --residual {residual}' if residual else ''} --seed {seed}"
+    fitted = msgspec.structs.replace(
+        fit_confidence(places["train"], places["validation"], FitConfig(seed=seed)),
+        command=command,
+        data={"directory": str(data), "test_sha256": splits.test_sha256, "detector_sha256": card.sha256},
+    )
+    out.write_bytes(msgspec.json.format(msgspec.json.encode(fitted), indent=1) + b"\n")
+    scores = fitted.metrics
+    if json:
+        print_json({"threshold": fitted.threshold, **scores})
+        return
+    print_line(
+        f"{out}: on validation scenes recovered F1 {scores['f1_1m']:.3f} at {fitted.threshold:g} "
+        f"(without {scores['f1_1m_without']:.3f}), calibration error {scores['calibration_error']:.3f} "
+        f"(peak scores {scores['calibration_error_without']:.3f})"
+    )

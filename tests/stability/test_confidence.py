@@ -1,0 +1,132 @@
+"""Hard cases of the confidence model: nothing, one thing, absurd numbers, data that fit too well."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.perception.association import DirectReturns, RecoveryParams
+from models.perception.confidence import CLIP, FEATURES, LARGEST, PlaceConfidence, place_features
+from models.perception.geometry import GeometryParams, fold_scan, recover_bev
+from models.perception.recovery import NO_WALL, Recovered
+from models.training.fit_confidence import FitConfig, fit_weights
+from msgs.frames import polar_from_xy
+from msgs.perception import Peaks, Wall
+
+FACADE = [[12.0, y] for y in np.linspace(-6.0, 6.0, 13)]
+
+
+def fitted(features: np.ndarray, is_true: np.ndarray) -> PlaceConfidence:
+    return fit_weights(features, is_true, FitConfig(hidden=4))
+
+
+@pytest.fixture(scope="module")
+def model() -> PlaceConfidence:
+    features = np.random.default_rng(0).standard_normal((200, len(FEATURES)))
+    return fitted(features, features[:, 1] > 0.0)
+
+
+def peaks_of(returns: list[list[float]], images: list[list[float]], std_rad: float = 1e-2) -> Peaks:
+    range_m, azimuth_rad = polar_from_xy(np.array([*returns, *images], np.float64).reshape(-1, 2))
+    count = len(range_m)
+    return Peaks(
+        stamp_ns=0, scan_id=0, range_m=range_m, azimuth_rad=azimuth_rad, score=np.full(count, 0.9),
+        path_class=np.array([0] * len(returns) + [1] * len(images), np.uint8),
+        covariance=np.tile(np.diag([1e-2, std_rad**2]), (count, 1, 1)), peak_stamp_ns=np.zeros(count, np.int64),
+        snr_db=np.full(count, 30.0),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("association", ["crossing", "buddy"])
+@pytest.mark.parametrize(
+    ("returns", "images"),
+    [
+        ([], []),
+        (FACADE, []),
+        ([], [[20.0, 3.0]]),
+        (FACADE, [[20.0, 3.0]]),
+        ([[12.0, 0.0]], [[20.0, 3.0]]),
+        ([[0.0, 0.0]], [[20.0, 3.0]]),
+        (FACADE, [[1e5, 3.0]]),
+        (FACADE, [[20.0, 3.0]] * 50),
+    ],
+    ids=["nothing", "no images", "no returns", "one place", "one return", "at the radar", "far off", "all on one spot"],
+)
+def test_scans_without_much_in_them_pass(
+    model: PlaceConfidence, association: str, returns: list[list[float]], images: list[list[float]]
+) -> None:
+    """Every place has a probability, whatever is missing around it."""
+    peaks, plain = peaks_of(returns, images), GeometryParams()
+    recovery = msgspec.structs.replace(plain.recovery, association=association)
+    params = msgspec.structs.replace(plain, recovery=recovery)
+    everything = msgspec.structs.replace(model, threshold=1e-9)
+    recovered = fold_scan(peaks, params, confidence=everything).recovered
+    np.testing.assert_array_equal(recovered.points_m, fold_scan(peaks, params).recovered.points_m)
+    assert ((recovered.score > 0.0) & (recovered.score < 1.0)).all()
+    assert len(recover_bev(peaks, params, confidence=model).points) <= len(recovered)
+
+
+def test_features_of_absurd_scans_stay_finite_and_bounded() -> None:
+    """Scores of 0 and 1, powers and errors beyond all measure, rays along the wall: all within the model's range."""
+    wall = Wall(normal=(-1.0, 0.0), offset_m=12.0, ends_m=((12.0, -6.0), (12.0, 6.0)), inliers=9, angle_std_rad=1e3)
+    bent = msgspec.structs.replace(wall, curvature_per_m=0.05)
+    images_m = np.array([[20.0, 3.0], [0.0, 20.0], [0.0, 0.0], [1e9, -1e9], [12.0, 30.0]])
+    count = len(images_m)
+    one = Recovered(
+        points_m=images_m[::-1], images_m=images_m, image_covariance_m2=np.tile(1e12 * np.eye(2), (count, 1, 1)),
+        wall_covariance_m2=np.zeros((count, 2, 2)), wall=np.array([0, 1, 0, 1, NO_WALL]),
+        second=np.full(count, NO_WALL),
+        score=np.array([0.0, 1.0, 0.5, 1.0, 0.0]), snr_db=np.array([-300.0, 300.0, 0.0, 1e6, -1e6]),
+        stamp_ns=np.zeros(count, np.int64),
+    )  # fmt: skip
+    returns = DirectReturns(np.array(FACADE), np.full(13, 1e6), np.zeros(13, np.int64), np.zeros(13, np.int64))
+    for places in (one, replace(one, image_covariance_m2=np.zeros((count, 2, 2)))):
+        features = place_features(places, [wall, bent], returns, RecoveryParams())
+        assert (np.abs(features) <= 70.0).all()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, 2.0 * LARGEST])
+def test_numbers_beyond_reason_are_refused_not_answered(model: PlaceConfidence, value: float) -> None:
+    features = np.zeros((3, len(FEATURES)))
+    features[1, 2] = value
+    with pytest.raises(ValueError, match=f"features must be within 1000, {FEATURES[2]} is"):
+        model.probability(features)
+
+
+def test_features_of_another_shape_are_refused(model: PlaceConfidence) -> None:
+    with pytest.raises(ValueError, match=r"features must have shape \[N, 28\], got \(2, 3\)"):
+        model.probability(np.zeros((2, 3)))
+    assert model.probability(np.zeros((0, len(FEATURES)))).shape == (0,)
+
+
+def test_beyond_what_was_fitted_the_answer_stays_that_of_the_edge(model: PlaceConfidence) -> None:
+    edge = np.array(model.means) + CLIP * np.array(model.scales)
+    near, far = model.probability(np.stack([edge, edge + 100.0]))
+    assert near == pytest.approx(far, rel=1e-9)
+
+
+def test_features_that_are_all_equal_tell_the_share_of_the_true() -> None:
+    """300 of 400 places true and nothing to tell them by: 0.75; the penalty leaves the bias free."""
+    is_true = np.arange(400) % 4 > 0
+    flat = fitted(np.full((400, len(FEATURES)), 7.0), is_true)
+    np.testing.assert_allclose(flat.probability(np.full((2, len(FEATURES)), 7.0)), 0.75, atol=1e-3)
+
+
+def test_separable_data_do_not_blow_up_the_weights() -> None:
+    """One feature tells all: the penalty keeps weights of order one and leaves every answer in doubt."""
+    features = np.random.default_rng(1).standard_normal((400, len(FEATURES)))
+    sure = fitted(features, features[:, 3] > 0.0)
+    assert max(np.abs(sure.weights).max(), np.abs(sure.hidden_weights).max()) < 10.0
+    answers = sure.probability(features)
+    assert ((answers > 1e-4) & (answers < 1.0 - 1e-4)).all()
+    assert ((answers > 0.5) == (features[:, 3] > 0.0)).mean() > 0.97
+
+
+def test_one_true_place_among_many_does_not_break_the_fit() -> None:
+    features = np.random.default_rng(2).standard_normal((300, len(FEATURES)))
+    rare = fitted(features, np.arange(300) == 5)
+    assert rare.probability(features).mean() == pytest.approx(1.0 / 300.0, abs=2e-3)

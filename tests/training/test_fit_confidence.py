@@ -1,0 +1,91 @@
+"""The fit of the confidence model: its gradient, a planted law, the threshold, and its verdict on itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+
+from models.perception.confidence import FEATURES
+from models.training.fit_confidence import (
+    FitConfig,
+    ScenePlaces,
+    _Loss,
+    best_threshold,
+    confidence_metrics,
+    fit_confidence,
+    fit_weights,
+)
+
+
+def drawn(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Features, truth and its probability: 0.9 where the first two features have one sign, 0.1 elsewhere."""
+    rng = np.random.default_rng(seed)
+    features = rng.standard_normal((count, len(FEATURES)))
+    probability = np.where(features[:, 0] * features[:, 1] > 0.0, 0.9, 0.1)
+    return features, rng.random(count) < probability, probability
+
+
+def scene(points: list[list[float]], truth: list[list[float]]) -> ScenePlaces:
+    points_m = np.array(points, np.float64).reshape(-1, 2)
+    features = np.random.default_rng(len(points)).standard_normal((len(points), len(FEATURES)))
+    return ScenePlaces(points_m, features, np.full(len(points), 0.5), np.array(truth, np.float64).reshape(-1, 2))
+
+
+def test_the_gradient_is_that_of_the_loss() -> None:
+    """Against forward differences of 1e-6: 1e-5 of gradients of order 0.1."""
+    features, is_true, _ = drawn(40, 1)
+    loss = _Loss(features, is_true.astype(float), FitConfig(hidden=3, penalty=0.1))
+    at = loss.start() + 0.1
+    np.testing.assert_allclose(loss(at)[1], approx_fprime(at, lambda row: loss(row)[0], 1e-6), atol=1e-5)
+
+
+def test_a_planted_law_no_line_tells_is_found() -> None:
+    """6000 places: the fit's probabilities are within 0.2 of the true ones on average (a constant, a line: 0.4)."""
+    features, is_true, _ = drawn(6000, 2)
+    fitted = fit_weights(features, is_true, FitConfig(hidden=8))
+    fresh, _, probability = drawn(2000, 3)
+    assert np.abs(fitted.probability(fresh) - probability).mean() < 0.2
+
+
+def test_the_same_seed_gives_the_same_model_another_another() -> None:
+    features, is_true, _ = drawn(300, 4)
+    one, again, other = (fit_weights(features, is_true, FitConfig(hidden=4, seed=seed)) for seed in (0, 0, 1))
+    assert one == again
+    assert one.hidden_weights != other.hidden_weights
+
+
+def test_a_place_is_true_within_a_metre() -> None:
+    assert scene([[0.0, 0.0], [3.0, 0.0]], [[0.99, 0.0], [4.01, 0.0]]).is_true.tolist() == [True, False]
+    assert scene([[0.0, 0.0]], []).is_true.tolist() == [False]
+
+
+def test_the_threshold_is_that_of_the_best_f1_and_metrics_say_so() -> None:
+    """One true place at p = 0.6, false ones at 0.3 and 0.5: all three above 0.5 and below 0.6 are dropped."""
+    scenes, probability = [scene([[0, 0], [9, 0], [20, 0]], [[0, 0]])], [np.array([0.6, 0.3, 0.5])]
+    threshold = best_threshold(scenes, probability)
+    assert threshold == pytest.approx(0.525)
+    found = confidence_metrics(scenes, probability, threshold)
+    assert (found["f1_1m"], found["precision_1m_without"], found["recall_1m_without"]) == (1.0, 0.3333, 1.0)
+    assert found["f1_1m_without"] == 0.5
+
+
+def test_scenes_without_places_count_their_misses() -> None:
+    """All truth of an empty scene is missed: recall 1 of 3."""
+    scenes = [scene([[0, 0]], [[0, 0]]), scene([], [[5, 5], [9, 9]])]
+    found = confidence_metrics(scenes, [np.array([0.9]), np.zeros(0)], 0.5)
+    assert found["recall_1m"] == pytest.approx(1.0 / 3.0, abs=1e-4)
+
+
+def test_the_whole_fit_names_its_threshold_and_metrics() -> None:
+    train = [scene([[k, 0.0], [k, 9.0]], [[k, 0.0]]) for k in range(20)]
+    fitted = fit_confidence(train, train[:5], FitConfig(hidden=2))
+    assert {"f1_1m", "f1_1m_without", "f1_2m", "calibration_error"} <= set(fitted.metrics)
+    assert 0.0 < fitted.threshold < 1.0
+
+
+def test_places_of_one_kind_and_wrong_parameters_are_refused() -> None:
+    with pytest.raises(ValueError, match="places to fit must be true and false, got 0 of one kind"):
+        fit_confidence([scene([], [])], [], FitConfig())
+    with pytest.raises(ValueError, match=r"fit\.penalty must be"):
+        FitConfig(penalty=0.0)
