@@ -18,7 +18,7 @@ def confidence(
         Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
     ] = None,
     refine: Annotated[
-        Literal["none", "ridge", "likelihood", "maxima_likelihood"], typer.Option(help="Where its peaks are placed.")
+        Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"], typer.Option(help="Where its peaks are placed.")
     ] = "none",
     threshold: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="Score a peak must have; default: the card's.")

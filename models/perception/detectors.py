@@ -14,13 +14,15 @@ from models.perception.named import NamedParams, named_peaks
 from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.peaks import PeakParams, find_peaks, peaks_at
+from models.perception.pursuit import PursuitParams
 from models.perception.refinement import EchoRefiner, RefinementParams, refined_peaks
 from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
 
 #: Where a network's peaks lie: at the heatmap's own maxima; on the ridges of the map; on the ridges, then where the
 #: complex map makes point echoes likeliest; at the maxima, then there too.
-Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood"]
+#: By pursuit, as many peaks as the heatmap's mass is worth.
+Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"]
 #: What `True` means: the better of the two ways over ridges (`benchmarks.peak_refinement --data`).
 DEFAULT_REFINE: Refine = "likelihood"
 
@@ -56,6 +58,8 @@ class NetworkDetector:
         way = refine_way(refine)
         self._predictor = DensePredictor(model, threads)
         self._params = params or PeakParams(threshold=self._predictor.card.threshold)
+        if way == "pursuit" and self._params.pursuit is None:
+            self._params = msgspec.structs.replace(self._params, pursuit=PursuitParams())
         self._named, self._refine = named or NamedParams(), way
         self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
         self._table = self._predictor.card.calibration if calibrate else ()
@@ -71,9 +75,9 @@ class NetworkDetector:
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Peaks before any refinement on the complex map."""
-        if self._refine not in ("none", "maxima_likelihood"):
+        if self._refine in ("ridge", "likelihood"):
             return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._named)
-        if self._predictor.card.head == "heatmap":
+        if self._predictor.card.head == "heatmap" or self._params.pursuit is not None:
             return find_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         points = self._predictor.points(ra_map, self._params.threshold, self._params.min_distance)
         cells = np.rint(points.cells).astype(np.int64)

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 from scipy import ndimage
 
+from models.perception.pursuit import PursuitParams, pursued_peaks
 from msgs.arrays import require_positive
 from msgs.perception import PathClass, Peaks
 from msgs.radar import RangeAzimuthMap
@@ -29,6 +30,8 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     threshold: float = 0.3
     min_distance: int = 3
+    #: Peaks by pursuit; None: local maxima `min_distance` cells apart, as published.
+    pursuit: PursuitParams | None = None
     #: Two-way 3 dB width of a beam: a peak's azimuth error is this over sqrt(2 SNR), within the bounds below.
     beam_width_deg: float = 9.0
     azimuth_std_floor_deg: float = 0.7
@@ -45,7 +48,7 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
-    """Local maxima of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
+    """Peaks of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
 
     Raises ValueError where the heat map does not lie on the map's grid.
     """
@@ -53,12 +56,25 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
         raise ValueError(
             f"probabilities must have shape {(len(PathClass), *ra_map.grid.shape)}, got {probabilities.shape}"
         )
+    if params.pursuit is not None:
+        points = pursued_points(probabilities, params.threshold, params.pursuit)
+        return peaks_at(ra_map, points.cells.astype(np.int64), points.cells, points.score, points.path_class, params)
     points = heatmap_points(probabilities, params.threshold, params.min_distance)
     cells = points.cells.astype(np.int64)
     fractional = points.cells.copy()
     for channel, mine in zip(probabilities, (points.path_class == k for k in PathClass), strict=True):
         fractional[mine] = _centroid(channel, cells[mine])
     return peaks_at(ra_map, cells, fractional, points.score, points.path_class, params)
+
+
+def pursued_points(heatmap: np.ndarray, threshold: float, params: PursuitParams) -> Points:
+    """Peaks of each class of a heat map [2, range, azimuth] by pursuit, on whole cells."""
+    found = [pursued_peaks(channel, threshold, params) for channel in heatmap]
+    return Points(
+        cells=np.concatenate([cells for cells, _ in found]).astype(np.float64),
+        score=np.concatenate([score for _, score in found]),
+        path_class=np.repeat(np.arange(len(heatmap), dtype=np.uint8), [len(cells) for cells, _ in found]),
+    )
 
 
 def heatmap_points(heatmap: np.ndarray, threshold: float, min_distance: int) -> Points:
