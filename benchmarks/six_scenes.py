@@ -3,6 +3,7 @@
 Cases: at rest over noise seeds (the seed also draws the speckle of walls and vehicles), hidden objects moving, the
 radar moving, beams with random phases. A moving object is compared with where it was when its beams were measured.
 Usage: python -m benchmarks.six_scenes [--method network|cfar] [--seeds 10] [--scans 1] [--effects basic] [--json]
+       [--model FILE] [--refine WAY] [--confidence FILE|none]
 """
 
 from __future__ import annotations
@@ -18,8 +19,10 @@ import msgspec
 import numpy as np
 
 from models.perception.chain import Chain
-from models.perception.detectors import CfarDetector, Detector, NetworkDetector
+from models.perception.confidence import DEFAULT_CONFIDENCE, load_confidence
+from models.perception.detectors import CfarDetector, NetworkDetector
 from models.perception.metrics import match_objects
+from models.perception.onnx_model import DEFAULT_MODEL
 from msgs.perception import BevFrame, SceneTruth
 from msgs.radar import RadarSetup
 from nodes.player import Params, scene_player
@@ -49,12 +52,17 @@ class Row(msgspec.Struct, kw_only=True):
     flagged: int = 0
 
 
-def detector(method: str, setup: RadarSetup) -> Detector:
-    return CfarDetector(setup) if method == "cfar" else NetworkDetector(setup)
+def chain_of(way: argparse.Namespace, setup: RadarSetup) -> Chain:
+    """The chain as asked for."""
+    if way.method == "cfar":
+        return Chain(setup, CfarDetector(setup))
+    confidence = None if way.confidence == "none" else load_confidence(Path(way.confidence))
+    detector = NetworkDetector(setup, Path(way.model), refine=way.refine or True)
+    return Chain(setup, detector, confidence=confidence)
 
 
-def views(player: ScenePlayer, method: str, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:
-    chain = Chain(player.setup, detector(method, player.setup))
+def views(player: ScenePlayer, way: argparse.Namespace, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:
+    chain = chain_of(way, player.setup)
     for scan in range(scans):
         for index in range(len(player.setup.beams)):
             beam = player.beam(scan, index)
@@ -62,11 +70,11 @@ def views(player: ScenePlayer, method: str, scans: int) -> Iterator[tuple[BevFra
                 yield frame, player.truth(scan)
 
 
-def run(scene: Path, case: str, method: str, seeds: int, scans: int, effects: str) -> Row:
+def run(scene: Path, case: str, way: argparse.Namespace) -> Row:
     row = Row(case=case, scene=scene.stem)
-    for seed in range(seeds):
-        player = scene_player(Params(scene=str(scene), seed=seed, effects=effects, **CASES[case]))  # type: ignore[arg-type]
-        for frame, truth in views(player, method, scans):
+    for seed in range(way.seeds):
+        player = scene_player(Params(scene=str(scene), seed=seed, effects=way.effects, **CASES[case]))  # type: ignore[arg-type]
+        for frame, truth in views(player, way, way.scans):
             match = match_objects(frame.objects, truth)
             row.scans += 1
             row.matched += len(match.matched)
@@ -89,6 +97,9 @@ def line(row: Row) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--method", choices=("network", "cfar"), default="network")
+    parser.add_argument("--model", default=str(DEFAULT_MODEL))
+    parser.add_argument("--refine", default="", help="where peaks are placed; default the detector's")
+    parser.add_argument("--confidence", default=str(DEFAULT_CONFIDENCE), help="a file, or none")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--scans", type=int, default=1)
     parser.add_argument("--effects", default="basic")
@@ -98,7 +109,7 @@ def main() -> None:
     rows = []
     for case in arguments.cases:
         for scene in SCENES:
-            row = run(scene, case, arguments.method, arguments.seeds, arguments.scans, arguments.effects)
+            row = run(scene, case, arguments)
             rows.append(row)
             if not arguments.json:
                 print(line(row), flush=True)

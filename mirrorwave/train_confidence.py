@@ -18,7 +18,8 @@ def confidence(
         Path | None, typer.Option(metavar="FILE", help="Detector (ONNX); default: the committed one.")
     ] = None,
     refine: Annotated[
-        Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"], typer.Option(help="Where its peaks are placed.")
+        Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"],
+        typer.Option(help="Where its peaks are placed."),
     ] = "none",
     threshold: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="Score a peak must have; default: the card's.")
@@ -56,8 +57,9 @@ def confidence(
     command += f" --threshold {at:g}{f' --residual {residual}' if residual else ''} --seed {seed}"
     fitted = msgspec.structs.replace(
         fit_confidence(places["train"], places["validation"], FitConfig(seed=seed)),
+        detector=f"{card.sha256}/{refine}",
         command=command,
-        data={"directory": str(data), "test_sha256": splits.test_sha256, "detector_sha256": card.sha256},
+        data={"directory": str(data), "test_sha256": splits.test_sha256},
     )
     out.write_bytes(msgspec.json.format(msgspec.json.encode(fitted), indent=1) + b"\n")
     scores = fitted.metrics

@@ -44,6 +44,8 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     saturated_share: float = 0.0
     #: Beam power over noise an isotropic 0 dBsm target at 1 m would have, dB: what the observability mask needs.
     sensitivity_db: float = 0.0
+    #: Checksum of the network that found them and how it placed them, "SHA256/WAY"; empty where none did.
+    detector: str = ""
 
     def __post_init__(self) -> None:
         count = len(self.range_m) if isinstance(self.range_m, np.ndarray) and self.range_m.ndim == 1 else None

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from models.perception.confidence import load_confidence
+from models.perception.confidence import DEFAULT_CONFIDENCE, load_confidence
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.residual_model import LearnedResidual
 from msgs.bus import Outgoing, Received
@@ -21,8 +21,9 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
-    #: A fitted `PlaceConfidence`; `none`: all places are kept, with the scores of their peaks.
-    confidence: str = "none"
+    #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `default`: that of the committed
+    #: network; `none`: all places are kept, with the scores of their peaks.
+    confidence: str = "default"
 
 
 class GeometryNode(Node):
@@ -36,7 +37,8 @@ class GeometryNode(Node):
         self._params = params
         # loaded here: a missing or broken file shows at start, not at the first scan
         self._residual = None if params.residual == "none" else LearnedResidual(Path(params.residual))
-        self._confidence = None if params.confidence == "none" else load_confidence(Path(params.confidence))
+        path = DEFAULT_CONFIDENCE if params.confidence == "default" else Path(params.confidence)
+        self._confidence = None if params.confidence == "none" else load_confidence(path)
         self._states = StateHistory()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:

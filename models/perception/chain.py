@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from models.perception.confidence import PlaceConfidence
 from models.perception.detectors import Detector
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.ra_forming import FormingParams, RaFormer
@@ -19,12 +20,14 @@ class Chain:
         detector: Detector,
         forming: FormingParams | None = None,
         geometry: GeometryParams | None = None,
+        confidence: PlaceConfidence | None = None,
     ) -> None:
         self._former = RaFormer(setup, forming or FormingParams())
         self._detector = detector
-        self._geometry = geometry or GeometryParams()
+        self._geometry, self._confidence = geometry or GeometryParams(), confidence
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[BevFrame]:
         """Fold a beam; the last one of a scan brings its view."""
         # beams become a map, the map becomes peaks, peaks are folded back through the walls they themselves show
-        return [recover_bev(self._detector.detect(ra_map), self._geometry) for ra_map in self._former.add(beam, state)]
+        maps = self._former.add(beam, state)
+        return [recover_bev(self._detector.detect(one), self._geometry, confidence=self._confidence) for one in maps]

@@ -24,6 +24,8 @@ from models.physics.mirror import segment_distance_m
 from msgs.frames import polar_from_xy
 from msgs.perception import Wall
 
+#: That of the committed network.
+DEFAULT_CONFIDENCE = Path(__file__).parents[1] / "weights" / "compact_unet.confidence.json"
 #: Distances are told by their logarithm between these.
 NEAREST_M, FARTHEST_M = 0.2, 120.0
 #: Places this near each other are of one thing: of other walls, of the same.
@@ -185,6 +187,8 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     bias: float
     #: Places below are dropped: where the recovered F1 of the validation scenes is best.
     threshold: float
+    #: `Peaks.detector` of the peaks it was fitted on; empty: of any.
+    detector: str = ""
     seed: int = 0
     command: str = ""
     #: Made from which scenes, with which detector.
@@ -203,6 +207,10 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             _check_numbers(f"confidence.{name}", getattr(self, name), shape)
         if min(self.scales) <= 0.0:
             raise ValueError(f"confidence.scales must be positive, got {min(self.scales)}")
+
+    def fits(self, detector: str) -> bool:
+        """Whether the model was fitted on peaks of this detector (`Peaks.detector`), or says of none."""
+        return self.detector in ("", detector)
 
     def probable(
         self, recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams

@@ -20,11 +20,11 @@ from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
 
 #: Where a network's peaks lie: at the heatmap's own maxima; on the ridges of the map; on the ridges, then where the
-#: complex map makes point echoes likeliest; at the maxima, then there too.
-#: By pursuit, as many peaks as the heatmap's mass is worth.
+#: complex map makes point echoes likeliest; at the maxima, then there too; by pursuit, as many peaks as the heatmap's
+#: mass is worth.
 Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"]
-#: What `True` means: the better of the two ways over ridges (`benchmarks.peak_refinement --data`).
-DEFAULT_REFINE: Refine = "likelihood"
+#: What `True` means: the best on the validation scenes (docs/learned-reconstruction.md).
+DEFAULT_REFINE: Refine = "pursuit"
 
 
 class Detector(Protocol):
@@ -37,9 +37,10 @@ class Detector(Protocol):
 class NetworkDetector:
     """Dense prediction (section 3.1.1): a heatmap of LOS and mirrored returns, then peaks.
 
-    `refine` ("ridge") takes peaks from the ridges of the map that the heatmap names, which are sharper than the
-    heatmap, and the heatmap's own maxima only where the map has no ridge; "likelihood" (True) then moves them below
-    the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood" moves those; both
+    `refine` "pursuit" (True) takes as many peaks as the heatmap's mass is worth. "ridge" takes peaks from the ridges of
+    the map that the heatmap names, and the heatmap's own maxima only where the map has no ridge; "likelihood" then
+    moves them below the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood"
+    moves those; both
     also take networks that answer at anchors. `calibrate` turns scores into probabilities by the table of the model's
     card. `params` None: the released settings with the card's threshold. Raises ValueError for another word.
     """
@@ -61,6 +62,7 @@ class NetworkDetector:
         if way == "pursuit" and self._params.pursuit is None:
             self._params = msgspec.structs.replace(self._params, pursuit=PursuitParams())
         self._named, self._refine = named or NamedParams(), way
+        self._name = f"{self._predictor.card.sha256}/{way}"
         self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
@@ -71,7 +73,7 @@ class NetworkDetector:
         if self._refiner is not None:
             peaks = refined_peaks(peaks, ra_map, self._refiner)
         peaks = calibrated_peaks(self._table, peaks)
-        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
+        return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name)
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Peaks before any refinement on the complex map."""

@@ -66,7 +66,7 @@ def fold_scan(
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
-    if confidence is not None:
+    if confidence is not None and confidence.fits(peaks.detector):
         recovered = confidence.probable(recovered, walls, returns, params.recovery)
     return FoldedScan(returns, walls, recovered, hidden_mask(recovered, walls, returns, params.recovery))
 
