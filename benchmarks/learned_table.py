@@ -18,7 +18,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-STEPS = ("train", "residual", "eval")
+STEPS = ("train", "residual", "confidence", "eval")
 MIRRORWAVE = (sys.executable, "-m", "mirrorwave.cli")
 DATA = Path("data/places_v1")
 #: 2160 scenes, split 1512/324/324 by scene; the test scenes' hash was frozen before the first training.
@@ -76,6 +76,8 @@ def main(argv: Sequence[str] | None = None) -> None:
         _budgets(options)
     if "residual" in options.steps:
         _residuals(options)
+    if "confidence" in options.steps:
+        _confidences(options)
     if "eval" in options.steps:
         _evaluate(options)
 
@@ -124,6 +126,16 @@ def _residuals(options: argparse.Namespace) -> None:
         )  # fmt: skip
 
 
+def _confidences(options: argparse.Namespace) -> None:
+    """How likely folded places are, for the networks that are shown with all our stages."""
+    for name in ("ours", "ours_more", "unet"):
+        out = options.work / f"{name}.confidence.json"
+        if _model(options, name).exists() and not out.exists():
+            _mirrorwave(
+                "train", "confidence", "--data", str(DATA), "--model", str(_model(options, name)), "--out", str(out)
+            )
+
+
 def _evaluate(options: argparse.Namespace) -> None:
     """One run over the test split with every method, one over the shifted scenes with the learned ones."""
     _data_set(SHIFTED, SHIFTED_COMMAND)
@@ -156,17 +168,21 @@ def _budgets(options: argparse.Namespace) -> None:
 
 PUBLISHED = "geometry=published"
 LEARNED = {"Further-than-CFAR": "further_than_cfar", "RTN": "rtn", "UNet": "unet", "Swin-UNet": "swin_unet"}
-#: The table: label, what answers (a row of `ROWS`, or a method without a network), back end, residual.
+#: The table: label, what answers (a row of `ROWS`, or a method without a network), peaks and back end, and what is
+#: learned beside it: a residual, or the confidence of places.
 TABLE: tuple[tuple[str, str, str, str], ...] = (
     ("CFAR-NLOS", "cfar-nlos", PUBLISHED, ""),
     *((label, row, PUBLISHED, "") for label, row in LEARNED.items()),
     ("Swin-UNet + residual", "swin_unet", PUBLISHED, "residual_published"),
-    ("Ours, published back end", "ours", PUBLISHED, ""),
-    ("Ours", "ours", "", ""),
-    ("Ours + residual", "ours", "", "residual_ours"),
-    ("Ours, more scenes", "ours_more", "", ""),
-    ("Ours, without container and bus", "ours_without", "", ""),
+    ("Ours, published peaks and back end", "ours", PUBLISHED, ""),
+    ("Ours, published back end", "ours", f"refine=pursuit,{PUBLISHED}", ""),
+    ("Ours without confidence", "ours", "refine=pursuit", ""),
+    ("Ours", "ours", "refine=pursuit", "confidence"),
+    ("Ours + residual", "ours", "refine=pursuit", "residual_ours"),
+    ("Ours, more scenes", "ours_more", "refine=pursuit", "confidence"),
+    ("Ours, without container and bus", "ours_without", "refine=pursuit", ""),
     *((f"{label}, our back end", row, "", "") for label, row in LEARNED.items()),
+    ("UNet, all our stages", "unet", "refine=pursuit", "confidence"),
     ("Truth, published back end", "truth", PUBLISHED, ""),
     ("Truth, our back end", "truth", "", ""),
 )
@@ -175,15 +191,23 @@ TABLE: tuple[tuple[str, str, str, str], ...] = (
 def _methods(options: argparse.Namespace, privileged: bool = True) -> list[str]:
     """The table as words of `mirrorwave eval`, without rows that are not trained and, if so asked, without truth."""
     words = []
-    for label, source, back_end, residual in TABLE:
+    for label, source, way, beside in TABLE:
         learned = source in {row.name for row in ROWS}
-        correction = options.work / residual / "residual.onnx"
-        if (learned and not _model(options, source).exists()) or (residual and not correction.exists()):
+        beside_file = _beside(options, source, beside)
+        if (learned and not _model(options, source).exists()) or (beside_file and not beside_file.exists()):
             continue
         if learned or privileged:
-            parts = [f"{label}={_network(options, source) if learned else source}", back_end]
-            words += ["--method", ",".join([*filter(None, parts), *([f"residual={correction}"] if residual else [])])]
+            parts = [f"{label}={_network(options, source) if learned else source}", way]
+            parts += [f"{beside.partition('_')[0]}={beside_file}"] if beside_file else []
+            words += ["--method", ",".join(filter(None, parts))]
     return words
+
+
+def _beside(options: argparse.Namespace, source: str, beside: str) -> Path | None:
+    """The file of what is learned beside a network."""
+    if beside == "confidence":
+        return options.work / f"{source}.confidence.json"
+    return options.work / beside / "residual.onnx" if beside else None
 
 
 def _network(options: argparse.Namespace, name: str) -> str:

@@ -20,7 +20,7 @@ def confidence(
     refine: Annotated[
         Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"],
         typer.Option(help="Where its peaks are placed."),
-    ] = "none",
+    ] = "pursuit",
     threshold: Annotated[
         float | None, typer.Option(min=0.0, max=1.0, help="Score a peak must have; default: the card's.")
     ] = None,

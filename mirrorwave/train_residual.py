@@ -94,7 +94,8 @@ def _folded(data: Path, model: Path, config: SampleConfig, out: Path, progress: 
         if not path.exists():
             indices, source = splits.of(split), config.source if split == "train" else "peaks"
             on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=len(indices)))
-            detector = NetworkDetector(RadarSetup(), model)
+            # the published chain takes the heatmap's maxima
+            detector = NetworkDetector(RadarSetup(), model, refine=config.geometry == "ours")
             save_folded(path, fold_scenes(scenes, indices, source, detector, config, on_scene))
         folded[split] = load_folded(path)
     return folded

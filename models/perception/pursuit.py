@@ -65,10 +65,10 @@ def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, most: int) -> 
     cells, scores = np.empty((most, 2), np.int64), np.empty(most)
     count = 0
     while count < most:
-        i = highest.argmax()
+        i = int(highest.argmax())
         if highest[i] < threshold:
             break
-        j = left[i].argmax()
+        j = int(left[i].argmax())
         cells[count, 0], cells[count, 1], scores[count] = i, j, left[i, j]
         count += 1
         for row in range(max(i - reach_row, 0), min(i + reach_row + 1, rows)):

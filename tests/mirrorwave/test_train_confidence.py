@@ -36,12 +36,14 @@ def test_a_fitted_file_drops_places_of_a_method(data: Path, tmp_path: Path) -> N
     assert result.exit_code == 0, result.output
     fitted = load_confidence(out)
     assert json.loads(result.stdout)["threshold"] == fitted.threshold
-    assert fitted.data["detector_sha256"] == load_card(DEFAULT_MODEL).sha256
-    assert "--refine none --threshold 0.3 --seed 0" in fitted.command
+    assert fitted.detector == f"{load_card(DEFAULT_MODEL).sha256}/pursuit"
+    assert "--refine pursuit --threshold 0.2 --seed 0" in fitted.command
     before = out.read_bytes()
     CliRunner().invoke(app, options)
     assert out.read_bytes() == before
-    plain, chosen = (build_method(parse_method(f"net={DEFAULT_MODEL}{word}")) for word in ("", f",confidence={out}"))
+    plain, chosen = (
+        build_method(parse_method(f"net={DEFAULT_MODEL},refine=pursuit{word}")) for word in ("", f",confidence={out}")
+    )
     for frame in DataSet(data).frames(range(8)):
         peaks = plain.detect(frame)
         everything, kept = plain.place(peaks)[0], chosen.place(peaks)[0]
