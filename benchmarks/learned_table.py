@@ -88,6 +88,7 @@ def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--epochs", type=int, default=24, help="over the 1512 training scenes, each row; gpu: 100")
     parser.add_argument("--rows", nargs="*", default=[], choices=[row.name for row in ROWS], help="in this order")
     parser.add_argument("--steps", nargs="*", default=STEPS, choices=STEPS)
+    parser.add_argument("--sweep", type=int, default=8, help="thresholds of the precision-recall curves")
     parser.add_argument("--lanes", type=int, default=2, help="trainings at a time, one thread each")
     parser.add_argument("--work", type=Path, default=Path("runs/table"))
     parser.add_argument("--out", type=Path, default=Path("runs/table/results"))
@@ -139,7 +140,7 @@ def _confidences(options: argparse.Namespace) -> None:
 def _evaluate(options: argparse.Namespace) -> None:
     """One run over the test split with every method, one over the shifted scenes with the learned ones."""
     _data_set(SHIFTED, SHIFTED_COMMAND)
-    common = ("--reference", "UNet", "--threads", "2")
+    common = ("--reference", "UNet", "--threads", "2", "--sweep", str(options.sweep))
     _mirrorwave("eval", "--data", str(DATA), "--truth", "both", *common, "--out", str(options.out), *_methods(options))
     shifted = ("eval", "--data", str(SHIFTED), "--split", "all", *common, "--out", str(options.out / "shifted"))
     _mirrorwave(*shifted, *_methods(options, privileged=False))
@@ -174,17 +175,17 @@ TABLE: tuple[tuple[str, str, str, str], ...] = (
     ("CFAR-NLOS", "cfar-nlos", PUBLISHED, ""),
     *((label, row, PUBLISHED, "") for label, row in LEARNED.items()),
     ("Swin-UNet + residual", "swin_unet", PUBLISHED, "residual_published"),
-    ("Ours, published peaks and back end", "ours", PUBLISHED, ""),
-    ("Ours, published back end", "ours", f"refine=pursuit,{PUBLISHED}", ""),
-    ("Ours without confidence", "ours", "refine=pursuit", ""),
+    ("Ours (published peaks and back end)", "ours", PUBLISHED, ""),
+    ("Ours (published back end)", "ours", f"refine=pursuit,{PUBLISHED}", ""),
+    ("Ours (no confidence)", "ours", "refine=pursuit", ""),
     ("Ours", "ours", "refine=pursuit", "confidence"),
     ("Ours + residual", "ours", "refine=pursuit", "residual_ours"),
-    ("Ours, more scenes", "ours_more", "refine=pursuit", "confidence"),
-    ("Ours, without container and bus", "ours_without", "refine=pursuit", ""),
-    *((f"{label}, our back end", row, "", "") for label, row in LEARNED.items()),
-    ("UNet, all our stages", "unet", "refine=pursuit", "confidence"),
-    ("Truth, published back end", "truth", PUBLISHED, ""),
-    ("Truth, our back end", "truth", "", ""),
+    ("Ours (more scenes)", "ours_more", "refine=pursuit", "confidence"),
+    ("Ours (without container and bus)", "ours_without", "refine=pursuit", ""),
+    *((f"{label} (our back end)", row, "", "") for label, row in LEARNED.items()),
+    ("UNet (all our stages)", "unet", "refine=pursuit", "confidence"),
+    ("Truth (published back end)", "truth", PUBLISHED, ""),
+    ("Truth (our back end)", "truth", "", ""),
 )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from models.perception.confidence import PlaceConfidence
+from typing import Literal
+
+from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
 from models.perception.detectors import Detector
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.ra_forming import FormingParams, RaFormer
@@ -20,11 +22,12 @@ class Chain:
         detector: Detector,
         forming: FormingParams | None = None,
         geometry: GeometryParams | None = None,
-        confidence: PlaceConfidence | None = None,
+        confidence: PlaceConfidence | Literal["default"] | None = "default",
     ) -> None:
         self._former = RaFormer(setup, forming or FormingParams())
         self._detector = detector
-        self._geometry, self._confidence = geometry or GeometryParams(), confidence
+        self._geometry = geometry or GeometryParams()
+        self._confidence = load_confidence(DEFAULT_CONFIDENCE) if confidence == "default" else confidence
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[BevFrame]:
         """Fold a beam; the last one of a scan brings its view."""
