@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 
 from models.perception.chain import Chain
-from models.perception.confidence import DEFAULT_CONFIDENCE, load_confidence
+from models.perception.confidence import load_confidence
 from models.perception.detectors import CfarDetector, NetworkDetector
 from models.perception.metrics import match_objects
 from models.perception.onnx_model import DEFAULT_MODEL
@@ -99,7 +99,7 @@ def main() -> None:
     parser.add_argument("--method", choices=("network", "cfar"), default="network")
     parser.add_argument("--model", default=str(DEFAULT_MODEL))
     parser.add_argument("--refine", default="", help="where peaks are placed; default the detector's")
-    parser.add_argument("--confidence", default=str(DEFAULT_CONFIDENCE), help="a file, or none")
+    parser.add_argument("--confidence", default="none", help="a file, or none")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--scans", type=int, default=1)
     parser.add_argument("--effects", default="basic")

@@ -22,8 +22,9 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
     #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `default`: that of the committed
-    #: network; `none`: all places are kept, with the scores of their peaks.
-    confidence: str = "default"
+    #: network; `none`: all places are kept, with the scores of their peaks. The committed one was fitted on scenes at
+    #: rest and drops what moves.
+    confidence: str = "none"
 
 
 class GeometryNode(Node):

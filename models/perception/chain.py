@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
-
-from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
+from models.perception.confidence import PlaceConfidence
 from models.perception.detectors import Detector
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.ra_forming import FormingParams, RaFormer
@@ -22,12 +20,11 @@ class Chain:
         detector: Detector,
         forming: FormingParams | None = None,
         geometry: GeometryParams | None = None,
-        confidence: PlaceConfidence | Literal["default"] | None = "default",
+        confidence: PlaceConfidence | None = None,
     ) -> None:
         self._former = RaFormer(setup, forming or FormingParams())
         self._detector = detector
-        self._geometry = geometry or GeometryParams()
-        self._confidence = load_confidence(DEFAULT_CONFIDENCE) if confidence == "default" else confidence
+        self._geometry, self._confidence = geometry or GeometryParams(), confidence
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[BevFrame]:
         """Fold a beam; the last one of a scan brings its view."""
