@@ -14,7 +14,7 @@ from models.perception.named import NamedParams, named_peaks
 from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.peaks import PeakParams, find_peaks, peaks_at
-from models.perception.pursuit import PursuitParams
+from models.perception.pursuit import PursuitParams, pursued_peaks
 from models.perception.refinement import EchoRefiner, RefinementParams, refined_peaks
 from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
@@ -61,6 +61,8 @@ class NetworkDetector:
         self._params = params or PeakParams(threshold=self._predictor.card.threshold)
         if way == "pursuit" and self._params.pursuit is None:
             self._params = msgspec.structs.replace(self._params, pursuit=PursuitParams())
+            # the first map should not pay for compiling
+            pursued_peaks(np.zeros((1, 1)), self._params.threshold, PursuitParams())
         self._named, self._refine = named or NamedParams(), way
         self._name = f"{self._predictor.card.sha256}/{way}"
         self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
