@@ -256,6 +256,10 @@ class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             raise ValueError(f"beam.beam_index must be 0..beam_count-1, got {self.beam_index!r} of {self.beam_count!r}")
 
 
+#: Profiles and azimuths coherent; profiles alone, azimuths from magnitudes; mean power of single chirps.
+FORMING_MODES = ("coherent", "magnitude", "welch")
+
+
 class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     """Complex range-azimuth map of one scan (topic `radar/ra_map`); |values|^2 is milliwatt per bin."""
 
@@ -263,7 +267,7 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     stamp_ns: int
     scan_id: int
     grid: RangeAzimuthGrid = RangeAzimuthGrid()
-    #: complex64 [range, azimuth], or float32-valued (zero imaginary part) in Welch mode.
+    #: complex64 [range, azimuth]; float32-valued (zero imaginary part) unless coherent.
     values: np.ndarray
     #: Acquisition time of each azimuth column, int64 [azimuth].
     azimuth_stamp_ns: np.ndarray
@@ -271,8 +275,9 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     noise_power_mw: float
     #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].
     incoherent: np.ndarray
-    #: Indices of beams that never came.
+    #: Indices of beams that never came, and of those that were not asked for.
     missing_beams: tuple[int, ...] = ()
+    unused_beams: tuple[int, ...] = ()
     #: Share of samples at full scale.
     saturated_share: float = 0.0
     #: The radar's own motion was taken out beam by beam.
@@ -285,5 +290,5 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_array("map.incoherent", self.incoherent, "|b1", (self.grid.range_bins,))
         if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
             raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
-        if self.mode not in ("coherent", "welch"):
-            raise ValueError(f"map.mode must be coherent or welch, got {self.mode!r}")
+        if self.mode not in FORMING_MODES:
+            raise ValueError(f"map.mode must be one of {', '.join(FORMING_MODES)}, got {self.mode!r}")

@@ -20,7 +20,7 @@ from models.perception.folding import fold_chirps, group_edges
 from models.physics.waveform import WINDOW_TAPS
 from msgs.arrays import require_array, require_positive
 from msgs.frames import Pose2
-from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, amplitude_per_code
+from msgs.radar import FORMING_MODES, RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, amplitude_per_code
 from msgs.units import SPEED_OF_LIGHT_MPS, ns_from_s, ratio_from_db, s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
 
@@ -43,8 +43,15 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     doppler_snr_db: float = 13.0
     #: A name in `WINDOW_TAPS`.
     range_window: str = "hann"
-    #: "coherent", or "welch": mean power of single chirps, for flickering scenes.
+    #: "coherent"; "magnitude": azimuths from the magnitudes of the beams alone; "welch": mean power of single chirps,
+    #: for flickering scenes.
     mode: str = "coherent"
+    #: Only the first so many chirps of a beam are looked at; None: all.
+    chirps: int | None = None
+    #: Only every so many beams are looked at, from the first.
+    beam_step: int = 1
+    #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out.
+    decimation: int = 1
     coherence: CoherenceTest = CoherenceTest()
     #: Take the set-up's open-field background off every chirp, where it has one.
     subtract_background: bool = True
@@ -52,17 +59,18 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     vehicle_from_radar: Pose2 = Pose2()
 
     def __post_init__(self) -> None:
-        if self.slow_time_sums is not None:
-            require_positive("forming.slow_time_sums", self.slow_time_sums)
-        for name in ("doppler_padding", "doppler_limit_mps"):
+        for name in ("slow_time_sums", "chirps"):
+            if getattr(self, name) is not None:
+                require_positive(f"forming.{name}", getattr(self, name))
+        for name in ("doppler_padding", "doppler_limit_mps", "beam_step", "decimation"):
             require_positive(f"forming.{name}", getattr(self, name))
         for name in ("doppler_excess_db", "doppler_snr_db"):
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"forming.{name} must not be negative, got {getattr(self, name)!r}")
         if self.range_window not in WINDOW_TAPS:
             raise ValueError(f"forming.range_window must be one of {sorted(WINDOW_TAPS)}, got {self.range_window!r}")
-        if self.mode not in ("coherent", "welch"):
-            raise ValueError(f"forming.mode must be coherent or welch, got {self.mode!r}")
+        if self.mode not in FORMING_MODES:
+            raise ValueError(f"forming.mode must be one of {', '.join(FORMING_MODES)}, got {self.mode!r}")
 
 
 @dataclass(frozen=True)
@@ -78,6 +86,8 @@ class ScanProfiles:
     #: Acquisition of each beam, int64 [beams]; missing beams at their nominal time.
     beam_stamp_ns: np.ndarray
     missing_beams: tuple[int, ...] = ()
+    #: Beams that were not looked at.
+    unused_beams: tuple[int, ...] = ()
     saturated_share: float = 0.0
     #: Azimuth each beam looked at as seen from the map's pose, [beams, range]; None: ego motion was not taken out.
     look_azimuth_rad: np.ndarray | None = None
@@ -98,11 +108,11 @@ class EgoCorrection:
 def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = "coherent") -> RangeAzimuthMap:
     """Range-azimuth map of a scan's beam profiles.
 
-    The noise power is that of coherent cells (0.58 of a beam's) or of Welch cells; bins that fell back to magnitudes
-    hold 0.9 of a beam's.
+    The noise power is that of coherent cells (0.58 of a beam's), of Welch cells, or of a beam where all azimuths come
+    from magnitudes; bins that fell back to magnitudes hold 0.9 of a beam's.
     """
-    missing, looks = scan.missing_beams, scan.look_azimuth_rad
-    if mode == "welch":
+    missing, looks = tuple(sorted(scan.missing_beams + scan.unused_beams)), scan.look_azimuth_rad
+    if mode != "coherent":
         values = interpolator.interpolate_magnitude(np.abs(scan.profiles), missing, looks).astype(np.complex64)
         incoherent = np.ones(interpolator.grid.range_bins, np.bool_)
         noise_power_mw = scan.noise_power_mw
@@ -117,7 +127,8 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
         azimuth_stamp_ns=_azimuth_stamps(interpolator, scan),
         noise_power_mw=float(noise_power_mw),
         incoherent=incoherent,
-        missing_beams=missing,
+        missing_beams=scan.missing_beams,
+        unused_beams=scan.unused_beams,
         saturated_share=scan.saturated_share,
         ego_compensated=looks is not None,
         mode=mode,
@@ -139,43 +150,53 @@ class BeamFolder:
 
     def __init__(self, setup: RadarSetup, params: FormingParams, grid: RangeAzimuthGrid) -> None:
         radar = setup.radar
-        _check_grid(radar.range_bin_m, radar.samples_per_chirp, grid)
+        if radar.samples_per_chirp % params.decimation:
+            raise ValueError(
+                f"forming.decimation must divide the {radar.samples_per_chirp} samples, got {params.decimation!r}"
+            )
+        #: What is transformed: so many samples a chirp.
+        self.samples = radar.samples_per_chirp // params.decimation
+        _check_grid(radar.range_bin_m, self.samples, grid)
         self.setup = setup
         self.params = params
         self.grid = grid
+        self.chirps = min(params.chirps or radar.chirps_per_beam, radar.chirps_per_beam)
         every = params.mode == "welch" or params.slow_time_sums is None
-        self.groups = radar.chirps_per_beam if every else min(params.slow_time_sums or 1, radar.chirps_per_beam)
-        edges = group_edges(radar.chirps_per_beam, self.groups)
-        self._chirps = np.diff(edges).astype(np.float32)
-        #: Middle of each group relative to the beam's middle.
-        self.group_time_s = (0.5 * (edges[1:] + edges[:-1]) - 0.5 * radar.chirps_per_beam) * radar.chirp_period_s
+        self.groups = self.chirps if every else min(params.slow_time_sums or 1, self.chirps)
+        edges = group_edges(self.chirps, self.groups)
+        self._group_chirps = np.diff(edges).astype(np.float32)
+        #: How long a beam is looked at, and the middle of each group relative to the middle of that.
+        self.duration_s = self.chirps * radar.chirp_period_s
+        self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.chirp_period_s - 0.5 * self.duration_s
 
     def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> tuple[np.ndarray, float, int]:
         """Range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated samples."""
-        sums, saturated = fold_chirps(beam.samples, self.groups)
+        sums, saturated = fold_chirps(beam.samples[: self.chirps], self.groups)
         series = self._beats(sums, beam.beam_index)
         if ego is not None:
             series *= ego.sample_phase
+        if self.params.decimation > 1:
+            series = series.reshape(self.groups, self.samples, -1).sum(axis=2)
         spectra = scipy.fft.fft(series, axis=1, overwrite_x=True, workers=1)
         spectra *= np.float32(self._amplitude(beam.full_scale_dbm))
         if self.params.mode == "welch":
             profile, noise_power_mw = self._welch(spectra)
         else:
             profile, noise_power_mw = self._coherent(spectra, None if ego is None else ego.group_phase)
+        if self.params.decimation > 1:
+            profile = profile * self._undrooped
         return profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated
 
     def _beats(self, sums: np.ndarray, beam_index: int) -> np.ndarray:
         """Sums as complex64 [groups, samples], without background, positive frequencies for positive range."""
         series: np.ndarray = sums.astype(np.float32).view(np.complex64)[..., 0]
         if self.setup.background is not None and self.params.subtract_background:
-            series -= self._chirps[:, None] * self.setup.background[beam_index]
+            series -= self._group_chirps[:, None] * self.setup.background[beam_index]
         return np.conj(series, out=series) if self.setup.beat_sign < 0 else series
 
     def _amplitude(self, full_scale_dbm: float) -> float:
         """Square root of milliwatt per code, over all that was summed."""
-        radar = self.setup.radar
-        summed = radar.samples_per_chirp * radar.chirps_per_beam
-        return amplitude_per_code(full_scale_dbm) / summed
+        return amplitude_per_code(full_scale_dbm) / (self.setup.radar.samples_per_chirp * self.chirps)
 
     def _coherent(self, spectra: np.ndarray, group_phase: np.ndarray | None) -> tuple[np.ndarray, float]:
         """Strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
@@ -208,9 +229,16 @@ class BeamFolder:
         return WINDOW_TAPS[self.params.range_window]
 
     @cached_property
+    def _undrooped(self) -> np.ndarray:
+        """What gives the bins back that sums of neighbouring samples lack in phase and magnitude; complex64 [range]."""
+        turns = np.arange(self.grid.range_bins) / self.setup.radar.samples_per_chirp
+        droop = np.exp(2j * np.pi * np.multiply.outer(turns, np.arange(self.params.decimation))).mean(axis=1)
+        return (1.0 / droop).astype(np.complex64)
+
+    @cached_property
     def _noise_bins(self) -> tuple[int, int]:
         """First bin and count of those that hold noise alone: beyond the map, and short of its I/Q image."""
-        beyond = self.setup.radar.samples_per_chirp - 2 * self.grid.range_bins
+        beyond = self.samples - 2 * self.grid.range_bins
         if beyond < 128:
             # chirps this short leave nothing beyond the map: its own median, right while most cells are empty
             return 0, self.grid.range_bins
@@ -221,7 +249,7 @@ class BeamFolder:
     def _doppler_matrix(self) -> np.ndarray:
         """Slow-time DFT about the beam's middle, zero first; complex64 [Doppler, groups]."""
         radar, params = self.setup.radar, self.params
-        step_hz = 1.0 / (params.doppler_padding * radar.beam_duration_s)
+        step_hz = 1.0 / (params.doppler_padding * self.duration_s)
         limit = int(2.0 * params.doppler_limit_mps / radar.wavelength_m / step_hz)
         # beyond half the rate of the sums Doppler repeats
         limit = min(limit, (self.groups - 1) * params.doppler_padding // 2)
@@ -328,7 +356,7 @@ class RaFormer:
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[RangeAzimuthMap]:
         """Fold one beam; the maps this completes, oldest first. Raises `ValueError` for a beam of another set-up."""
         _check_beam(beam, self.folder.setup)
-        if self._is_stale(beam):
+        if beam.beam_index % self.folder.params.beam_step or self._is_stale(beam):
             return []
         maps = [] if self._scan is not None and self._scan.holds(beam) else self.flush()
         if self._scan is None:
@@ -384,6 +412,7 @@ class _OpenScan:
         self._noise_power_mw = np.full(beams, np.nan)
         self._beam_stamp_ns = self.stamp_ns + folder.setup.beam_interval_ns * np.arange(beams, dtype=np.int64)
         self._saturated = 0
+        self._used = np.arange(beams) % folder.params.beam_step == 0
 
     def holds(self, beam: RadarBeam) -> bool:
         """Whether a beam is one of this scan's."""
@@ -391,8 +420,8 @@ class _OpenScan:
 
     @property
     def complete(self) -> bool:
-        """Every beam has come."""
-        return not np.isnan(self._noise_power_mw).any()
+        """Every beam that is looked at has come."""
+        return not np.isnan(self._noise_power_mw[self._used]).any()
 
     def add(self, beam: RadarBeam) -> bool:
         """Fold one beam in; False for one that has come before."""
@@ -410,21 +439,22 @@ class _OpenScan:
     def _ego(self, beam: RadarBeam) -> EgoCorrection | None:
         if self._state is None:
             return None
-        middle_s = s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.setup.radar.beam_duration_s
+        middle_s = s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.duration_s
         return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
 
     def profiles(self) -> ScanProfiles:
         """What has been folded; noise is the median over beams, so that one disturbed beam does not set it."""
         came = ~np.isnan(self._noise_power_mw)
         radar = self._folder.setup.radar
-        samples = int(came.sum()) * radar.chirps_per_beam * radar.samples_per_chirp
+        samples = int(came.sum()) * self._folder.chirps * radar.samples_per_chirp
         return ScanProfiles(
             stamp_ns=self.stamp_ns,
             scan_id=self.scan_id,
             profiles=self._profiles,
             noise_power_mw=float(np.median(self._noise_power_mw[came])),
             beam_stamp_ns=self._beam_stamp_ns,
-            missing_beams=tuple(int(index) for index in np.flatnonzero(~came)),
+            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~came)),
+            unused_beams=tuple(int(index) for index in np.flatnonzero(~self._used)),
             saturated_share=self._saturated / samples,
             look_azimuth_rad=None if self._state is None else self._looks,
         )

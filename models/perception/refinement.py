@@ -121,7 +121,7 @@ class EchoRefiner:
         same_bins = abs(grid.range_bin_m / self.setup.radar.range_bin_m - 1.0) <= 1e-6
         if len(start) == 0 or not same_bins or grid.range_bins < self.params.patch_bins or ra_map.incoherent.all():
             return result
-        basis = self._basis(grid, ra_map.missing_beams)
+        basis = self._basis(grid, tuple(sorted(ra_map.missing_beams + ra_map.unused_beams)))
         first = self._first_bins(start, grid.range_bins)
         patch = first[:, None] + np.arange(self.params.patch_bins)
         coefficients, own_share = basis.coefficients(ra_map.values, patch)
