@@ -35,9 +35,10 @@ from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.peaks import PeakParams, polar_covariance
 from models.perception.published_geometry import PublishedParams, recover_published
-from models.training.frames import DataSet, Frame, fixed_splits
+from models.training.frames import DataSet, Frame, FrameLabels, fixed_splits
 from msgs.perception import PathClass, Peaks
-from msgs.radar import RadarSetup
+from msgs.radar import RadarSetup, RangeAzimuthGrid
+from sim_player.labelled_scan import Labels
 
 RANGE_STD_M, AZIMUTH_STD_DEG = 0.06, 0.7
 DEFAULT = GeometryParams()
@@ -89,19 +90,25 @@ class Row(msgspec.Struct, kw_only=True):
 
 
 def true_peaks(frame: Frame, noise_power_mw: float) -> Peaks:
-    """Labels as peaks, with errors drawn from the frame's number."""
-    labels, rng = frame.labels, np.random.default_rng([5, frame.index])
-    count = len(labels)
+    """Labels of a frame as peaks, with errors drawn from its number."""
+    return labelled_peaks(frame.labels, noise_power_mw, np.random.default_rng([5, frame.index]), frame.index)
+
+
+def labelled_peaks(
+    labels: FrameLabels | Labels, noise_power_mw: float, rng: np.random.Generator, scan_id: int = 0
+) -> Peaks:
+    """Labels as peaks with polar errors."""
+    count = len(labels.range_m)
     snr_db = 10.0 * np.log10(np.maximum(labels.power_mw.astype(np.float64) / noise_power_mw, 1e-3))
     errors = rng.standard_normal((2, count)) * [[RANGE_STD_M], [math.radians(AZIMUTH_STD_DEG)]]
     return Peaks(
         stamp_ns=0,
-        scan_id=frame.index,
+        scan_id=scan_id,
         range_m=np.maximum(labels.range_m + errors[0], 0.0).astype(np.float64),
         azimuth_rad=(labels.azimuth_rad + errors[1]).astype(np.float64),
         score=np.full(count, 0.9),
         path_class=labels.path_class.astype(np.uint8),
-        covariance=polar_covariance(snr_db, np.zeros(count, bool), frame.ra_map.grid.range_bin_m, PeakParams()),
+        covariance=polar_covariance(snr_db, np.zeros(count, bool), RangeAzimuthGrid().range_bin_m, PeakParams()),
         peak_stamp_ns=np.zeros(count, np.int64),
         snr_db=snr_db,
         sensitivity_db=sensitivity_db(RadarSetup()),

@@ -3,7 +3,7 @@
 Trains each row for the same number of samples on the training split, chooses checkpoint and threshold on the
 validation split, and evaluates all of them in one run on the test split. Whatever is there already is kept, so a run
 that was stopped goes on.
-Usage: python -m benchmarks.learned_table [--budget cpu|gpu] [--epochs 24] [--rows NAME ...] [--steps STEP ...]
+Usage: python -m benchmarks.learned_table [--budget cpu|gpu] [--epochs 16] [--rows NAME ...] [--steps STEP ...]
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from models.training.frames import fixed_splits
+
 STEPS = ("train", "residual", "confidence", "eval")
 MIRRORWAVE = (sys.executable, "-m", "mirrorwave.cli")
 DATA = Path("data/places_v1")
@@ -29,7 +31,7 @@ SHIFTED = Path("data/places_shifted")
 SHIFTED_COMMAND = ("sim", "dataset", "--count", "324", "--seed", "9", "--shift", "hard", "--workers", "2")
 #: Training scenes of our own simulator beyond the published 1512, for the row that says so.
 MORE = Path("data/places_more")
-MORE_COMMAND = ("sim", "dataset", "--count", "5100", "--seed", "8", "--workers", "2")
+MORE_COMMAND = ("sim", "dataset", "--count", "12000", "--seed", "8", "--workers", "2")
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,8 @@ class Row:
     more: bool = False
     #: Epochs relative to the others, which see fewer scenes an epoch.
     epochs_share: float = 1.0
+    #: Size on the CPU budget.
+    size: str = "compact"
 
 
 ROWS = (
@@ -52,6 +56,7 @@ ROWS = (
     Row("swin_unet", "swin_unet", ("--input", "log", "--learning-rate", "1e-3")),
     Row("ours", "compact_unet", ("--input", "levels+phase")),
     Row("ours_more", "compact_unet", ("--input", "levels+phase"), more=True, epochs_share=0.5),
+    Row("ours_wide", "compact_unet", ("--input", "levels+phase"), more=True, epochs_share=0.375, size="wide"),
     Row("ours_levels", "compact_unet", ("--input", "levels")),
     Row("ours_log", "compact_unet", ("--input", "log")),
     Row("ours_complex", "compact_unet", ("--input", "complex")),
@@ -66,6 +71,8 @@ def main(argv: Sequence[str] | None = None) -> None:
     options = _options(argv)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     _data_set(DATA, DATA_COMMAND)
+    if (found := fixed_splits(DATA).test_sha256) != TEST_SHA256:
+        sys.exit(f"{DATA}: test scenes must be the frozen ones, {TEST_SHA256}, got {found}")
     by_name = {row.name: row for row in ROWS}
     rows = [by_name[name] for name in options.rows or by_name]
     if any(row.more for row in rows):
@@ -85,7 +92,7 @@ def main(argv: Sequence[str] | None = None) -> None:
 def _options(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--budget", choices=("cpu", "gpu"), default="cpu")
-    parser.add_argument("--epochs", type=int, default=24, help="over the 1512 training scenes, each row; gpu: 100")
+    parser.add_argument("--epochs", type=int, default=16, help="over the 1512 training scenes, each row; gpu: 100")
     parser.add_argument("--rows", nargs="*", default=[], choices=[row.name for row in ROWS], help="in this order")
     parser.add_argument("--steps", nargs="*", default=STEPS, choices=STEPS)
     parser.add_argument("--sweep", type=int, default=8, help="thresholds of the precision-recall curves")
@@ -103,7 +110,7 @@ def _data_set(folder: Path, command: tuple[str, ...]) -> None:
 def _train(row: Row, options: argparse.Namespace) -> None:
     """Train a row to its last epoch and export it."""
     run = options.work / row.name
-    size = "compact" if options.budget == "cpu" else "full" if row.network != "compact_unet" else "wide"
+    size = row.size if options.budget == "cpu" else "full" if row.network != "compact_unet" else "wide"
     arguments = ["--network", f"{row.network}:{size}", "--seed", "0", *row.arguments]
     if row.more:
         arguments += ["--more", str(MORE)]

@@ -18,21 +18,17 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from benchmarks.geometry_switches import DEFAULT, machine, switched
+from benchmarks.geometry_switches import DEFAULT, labelled_peaks, machine, switched
 from models.perception.geometry import GeometryParams, fold_scan
-from models.perception.observability import sensitivity_db
-from models.perception.peaks import PeakParams, polar_covariance
 from models.perception.recovery import Residual
 from models.perception.residual_model import LearnedResidual
 from msgs.frames import polar_from_xy
 from msgs.perception import PathClass, Peaks
-from msgs.radar import RadarSetup, RangeAzimuthGrid
 from sim_player.labelled_scan import Labels, labelled_scan
 from sim_player.scene import Scene, SceneObject, Surface
 
 CURVATURES_PER_M = tuple(np.linspace(-0.025, 0.025, 11).round(4).tolist())
 CORNERS_M = (14.0, 16.0, 18.0, 20.0, 22.0, 24.0)
-RANGE_STD_M, AZIMUTH_STD_DEG = 0.06, 0.7
 WALL = {"role": "relay", "material": "concrete", "height_m": 6.0, "thickness_mm": 250.0, "roughness_mm": 1.0}
 
 
@@ -68,25 +64,6 @@ def corner_scene(distance_m: float, rng: np.random.Generator) -> Scene:
     return Scene(name="corner", surfaces=(msgspec.convert({**WALL, "polyline_m": polyline}, Surface),), objects=(car,))
 
 
-def as_peaks(labels: Labels, noise_power_mw: float, rng: np.random.Generator) -> Peaks:
-    """Labels as peaks with polar errors."""
-    count = len(labels.range_m)
-    snr_db = 10.0 * np.log10(np.maximum(labels.power_mw.astype(np.float64) / noise_power_mw, 1e-3))
-    errors = rng.standard_normal((2, count)) * [[RANGE_STD_M], [math.radians(AZIMUTH_STD_DEG)]]
-    return Peaks(
-        stamp_ns=0,
-        scan_id=0,
-        range_m=np.maximum(labels.range_m + errors[0], 0.0).astype(np.float64),
-        azimuth_rad=(labels.azimuth_rad + errors[1]).astype(np.float64),
-        score=np.full(count, 0.9),
-        path_class=labels.path_class.astype(np.uint8),
-        covariance=polar_covariance(snr_db, np.zeros(count, bool), RangeAzimuthGrid().range_bin_m, PeakParams()),
-        peak_stamp_ns=np.zeros(count, np.int64),
-        snr_db=snr_db,
-        sensitivity_db=sensitivity_db(RadarSetup()),
-    )
-
-
 def errors_m(peaks: Peaks, labels: Labels, params: GeometryParams, residual: Residual | None) -> np.ndarray:
     """Error of each label [N], infinite where it has no recovered point; direct labels are NaN."""
     recovered = fold_scan(peaks, params, residual).recovered
@@ -118,7 +95,7 @@ def measure(draws: int, residual: Residual | None) -> list[Row]:
             for draw in range(draws):
                 rng = np.random.default_rng([draw, 11])
                 scan = labelled_scan(scene_of(at, rng), draw)
-                peaks = as_peaks(scan.labels, scan.noise_power_mw, rng)
+                peaks = labelled_peaks(scan.labels, scan.noise_power_mw, rng)
                 for way, (params, correction) in ways.items():
                     error = errors_m(peaks, scan.labels, params, correction)
                     for order in (1, 2):

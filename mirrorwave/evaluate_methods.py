@@ -6,6 +6,7 @@ A method is `NAME=SOURCE` or `SOURCE`, then words and key=value pairs with comma
   makes of perfect peaks), or a network as FILE.onnx;
 - `refine`, `refine=WAY`: where a network's peaks are placed (`models.perception.detectors.Refine`); without it they
   are the published local maxima;
+- `flip_test`: the mean answer to a map and to the map with left and right exchanged;
 - `residual=FILE.onnx`: learned correction of folded places, Eq. (18);
 - `confidence=FILE.json`: probability of each place (`mirrorwave train confidence`), improbable ones dropped; with
   `geometry=ours`;
@@ -52,6 +53,7 @@ GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), "truth": (), ".onnx"
 WORDS = (
     "refine",
     "refine=" + "|".join(get_args(Refine)),
+    "flip_test",
     "residual=FILE",
     "confidence=FILE",
     "geometry=" + "|".join(GEOMETRIES),
@@ -72,6 +74,7 @@ class MethodSpec:
     source: str
     text: str
     refine: bool | Refine = False
+    flip_test: bool = False
     residual: Path | None = None
     confidence: Path | None = None
     geometry: str = "ours"
@@ -130,8 +133,8 @@ def _take(found: dict[str, Any], text: str, word: str) -> None:
     """Add one word of a method's text."""
     key, separator, value = word.partition("=")
     group, dot, path = key.partition(".")
-    if word == "refine":
-        found["refine"] = True
+    if word in ("refine", "flip_test"):
+        found[word] = True
     elif key == "refine" and value in get_args(Refine):
         found["refine"] = value
     elif separator and dot and path and value:
@@ -159,8 +162,9 @@ def _check(spec: MethodSpec) -> None:
     for group in spec.parameters:
         if group not in groups:
             raise ValueError(f"--method {spec.text!r}: group must be one of {', '.join(groups)}, got {group!r}")
-    if spec.refine is not False and spec.kind != ".onnx":
-        raise ValueError(f"--method {spec.text!r}: refine must go with a network, got {spec.source}")
+    for word in ("refine", "flip_test"):
+        if getattr(spec, word) is not False and spec.kind != ".onnx":
+            raise ValueError(f"--method {spec.text!r}: {word} must go with a network, got {spec.source}")
     if spec.confidence is not None and spec.geometry != "ours":
         raise ValueError(f"--method {spec.text!r}: confidence must go with geometry=ours, got {spec.geometry}")
 
@@ -213,6 +217,7 @@ def _network(spec: MethodSpec, threshold: float, threads: int) -> tuple[Detect, 
             msgspec.structs.replace(named, threshold=name),
             spec.refine,
             refinement,
+            flip_test=spec.flip_test,
         )
         return lambda frame: detector.detect(frame.ra_map)
 

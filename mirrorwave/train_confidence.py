@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -25,18 +26,26 @@ def confidence(
         float | None, typer.Option(min=0.0, max=1.0, help="Score a peak must have; default: the card's.")
     ] = None,
     residual: Annotated[Path | None, typer.Option(metavar="FILE", help="Learned correction of the places.")] = None,
-    seed: Annotated[int, typer.Option(min=0, help="First weights.")] = 0,
+    flip_test: Annotated[
+        bool, typer.Option("--flip-test", help="Mean answer of the detector to a map and to its mirror image.")
+    ] = False,
+    clean: Annotated[
+        bool, typer.Option("--clean", help="A perfect radar only; else each scene is seen by an imperfect one too.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="First weights, imperfections.")] = 0,
     json: AsJson = False,
 ) -> None:
     """Fit the probability that a folded place is true, to what a detector finds and the geometry stage makes of it."""
     import msgspec
     from rich.progress import Progress
 
-    from models.perception.detectors import NetworkDetector
+    from models.perception.detectors import NetworkDetector, detector_name
     from models.perception.geometry import GeometryParams
     from models.perception.onnx_model import DEFAULT_MODEL, load_card
     from models.perception.peaks import PeakParams
     from models.perception.residual_model import LearnedResidual
+    from models.training.datasets import imperfect
+    from models.training.files import write_whole
     from models.training.fit_confidence import FitConfig, collected, fit_confidence
     from models.training.frames import DataSet, fixed_splits
     from msgs.radar import RadarSetup
@@ -44,24 +53,28 @@ def confidence(
     path = model or DEFAULT_MODEL
     card = load_card(path)
     at = card.threshold if threshold is None else threshold
-    detector = NetworkDetector(RadarSetup(), path, 1, PeakParams(threshold=at), refine=refine)
+    detector = NetworkDetector(RadarSetup(), path, 1, PeakParams(threshold=at), refine=refine, flip_test=flip_test)
     correction = None if residual is None else LearnedResidual(residual)
     scenes, splits = DataSet(data), fixed_splits(data)
     places = {}
     with Progress(disable=json) as progress:
         for split in ("train", "validation"):
-            indices = splits.of(split)
-            on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=len(indices)))
-            places[split] = collected(scenes.frames(indices), detector, GeometryParams(), correction, on_scene)
+            frames = scenes.frames(splits.of(split))
+            if not clean:
+                frames = chain(frames, scenes.frames(splits.of(split), partial(imperfect, seed=seed)))
+            total = len(splits.of(split)) * (1 if clean else 2)
+            on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=total))
+            places[split] = collected(frames, detector, GeometryParams(), correction, on_scene)
     command = f"mirrorwave train confidence --data {data} --out {out} --model {path} --refine {refine}"
-    command += f" --threshold {at:g}{f' --residual {residual}' if residual else ''} --seed {seed}"
+    command += f" --threshold {at:g}{f' --residual {residual}' if residual else ''}"
+    command += f"{' --flip-test' if flip_test else ''}{' --clean' if clean else ''} --seed {seed}"
     fitted = msgspec.structs.replace(
         fit_confidence(places["train"], places["validation"], FitConfig(seed=seed)),
-        detector=f"{card.sha256}/{refine}",
+        detector=detector_name(card.sha256, refine, flip_test),
         command=command,
         data={"directory": str(data), "test_sha256": splits.test_sha256},
     )
-    out.write_bytes(msgspec.json.format(msgspec.json.encode(fitted), indent=1) + b"\n")
+    write_whole(out, msgspec.json.format(msgspec.json.encode(fitted), indent=1) + b"\n")
     scores = fitted.metrics
     if json:
         print_json({"threshold": fitted.threshold, **scores})

@@ -25,9 +25,11 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported network with its card beside it; None: the committed one.
     model: str | None = None
     threads: int = 1
-    #: How a network's peaks are placed (`models.perception.detectors.Refine`): true is "likelihood", false "none".
+    #: How a network's peaks are placed (`models.perception.detectors.Refine`): true is "pursuit", false "none".
     refine: bool | Refine = True
     refinement: RefinementParams = RefinementParams()
+    #: The mean answer to the map and to the map with left and right exchanged.
+    flip_test: bool = False
     #: Scores become probabilities, by the table of the model's card.
     calibrate: bool = False
     named: NamedParams = NamedParams()
@@ -66,7 +68,15 @@ class DensePredictorNode(Node):
         model = DEFAULT_MODEL if self._params.model is None else Path(self._params.model)
         own = self._params
         return NetworkDetector(
-            setup, model, own.threads, own.peaks, own.named, own.refine, own.refinement, own.calibrate
+            setup,
+            model,
+            own.threads,
+            own.peaks,
+            own.named,
+            own.refine,
+            own.refinement,
+            own.calibrate,
+            own.flip_test,
         )
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from models.perception.association import DirectReturns, Passing, RecoveryParams
+from models.perception.cards import read_card
 from models.perception.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.recovery import Recovered
 from models.physics.mirror import segment_distance_m
@@ -253,7 +254,4 @@ def _check_numbers(name: str, values: object, shape: tuple[int, ...]) -> None:
 
 def load_confidence(path: Path) -> PlaceConfidence:
     """Read a fitted model; raises `ValueError` naming the file and the field that is wrong."""
-    try:
-        return msgspec.json.decode(Path(path).read_bytes(), type=PlaceConfidence)
-    except (msgspec.DecodeError, OSError) as error:
-        raise ValueError(f"{path}: {error}") from None
+    return read_card(Path(path), PlaceConfidence)

@@ -1,4 +1,4 @@
-"""From a range-azimuth map to classified peaks: two ways that answer the same call."""
+"""From a range-azimuth map to classified peaks: with a network or without, by the same call."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from models.perception.cfar import CfarParams, cfar_peaks
 from models.perception.named import NamedParams, named_peaks
 from models.perception.observability import sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor
-from models.perception.peaks import PeakParams, find_peaks, peaks_at
-from models.perception.pursuit import PursuitParams, pursued_peaks
+from models.perception.peaks import PeakParams, find_peaks, find_pursued_peaks, peaks_at
+from models.perception.pursuit import pursued_peaks
 from models.perception.refinement import EchoRefiner, RefinementParams, refined_peaks
 from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
@@ -40,9 +40,9 @@ class NetworkDetector:
     `refine` "pursuit" (True) takes as many peaks as the heatmap's mass is worth. "ridge" takes peaks from the ridges of
     the map that the heatmap names, and the heatmap's own maxima only where the map has no ridge; "likelihood" then
     moves them below the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood"
-    moves those; both
-    also take networks that answer at anchors. `calibrate` turns scores into probabilities by the table of the model's
-    card. `params` None: the released settings with the card's threshold. Raises ValueError for another word.
+    moves those; both also take networks that answer at anchors. `flip_test`: as `DensePredictor`. `calibrate` turns
+    scores into probabilities by the table of the model's card. `params` None: the released settings with the card's
+    threshold. Raises ValueError for another word.
     """
 
     def __init__(
@@ -55,16 +55,16 @@ class NetworkDetector:
         refine: bool | Refine = True,
         refinement: RefinementParams | None = None,
         calibrate: bool = False,
+        flip_test: bool = False,
     ) -> None:
         way = refine_way(refine)
-        self._predictor = DensePredictor(model, threads)
+        self._predictor = DensePredictor(model, threads, flip_test)
         self._params = params or PeakParams(threshold=self._predictor.card.threshold)
-        if way == "pursuit" and self._params.pursuit is None:
-            self._params = msgspec.structs.replace(self._params, pursuit=PursuitParams())
+        if way == "pursuit":
             # the first map should not pay for compiling
-            pursued_peaks(np.zeros((1, 1)), self._params.threshold, PursuitParams())
+            pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
         self._named, self._refine = named or NamedParams(), way
-        self._name = f"{self._predictor.card.sha256}/{way}"
+        self._name = detector_name(self._predictor.card.sha256, way, flip_test)
         self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
@@ -81,11 +81,18 @@ class NetworkDetector:
         """Peaks before any refinement on the complex map."""
         if self._refine in ("ridge", "likelihood"):
             return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._named)
-        if self._predictor.card.head == "heatmap" or self._params.pursuit is not None:
+        if self._refine == "pursuit":
+            return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
+        if self._predictor.card.head == "heatmap":
             return find_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         points = self._predictor.points(ra_map, self._params.threshold, self._params.min_distance)
         cells = np.rint(points.cells).astype(np.int64)
         return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
+
+
+def detector_name(sha256: str, way: Refine, flip_test: bool) -> str:
+    """What `Peaks.detector` says of a network's peaks: which file, placed how."""
+    return f"{sha256}/{way}{'/flip_test' if flip_test else ''}"
 
 
 def refine_way(refine: bool | Refine) -> Refine:

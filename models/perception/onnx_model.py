@@ -13,6 +13,7 @@ import onnxruntime
 from models.perception.anchors import CHANNELS as ANCHOR_CHANNELS
 from models.perception.anchors import anchor_points
 from models.perception.calibration import ScoreTable, check_table
+from models.perception.cards import card_path, read_card
 from models.perception.encoding import Encoding, encode_map
 from models.perception.peaks import Points, heatmap_points
 from msgs.perception import PathClass
@@ -105,32 +106,27 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
         return 1, ANCHOR_CHANNELS, cells[0] // self.anchor_stride, cells[1] // self.anchor_stride
 
 
-def card_path(model_path: Path) -> Path:
-    """Where the card of a network file lies."""
-    return model_path.with_suffix(".json")
-
-
 def load_card(model_path: Path) -> ModelCard:
     """Read the card of a network file; raises `ValueError` naming the file and the field that is wrong."""
-    path = card_path(model_path)
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=ModelCard)
-    except (msgspec.DecodeError, OSError) as error:
-        raise ValueError(f"{path}: {error}") from None
+    return read_card(card_path(model_path), ModelCard)
 
 
 class DensePredictor:
     """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
 
-    The session is warm when the constructor returns. Raises `ValueError` naming file and field when the file, its card
-    and its shapes do not belong together.
+    The session is warm when the constructor returns. `flip_test` asks the network of every map and of the map with left
+    and right exchanged, and takes the mean: twice the time, fewer errors. Raises `ValueError` naming file and field
+    when the file, its card and its shapes do not belong together, or the answers of a network at anchors shall be
+    averaged.
     """
 
-    def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1) -> None:
+    def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1, flip_test: bool = False) -> None:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         model_path = Path(model_path)
-        self.card = load_card(model_path)
+        self.card, self._flip_test = load_card(model_path), flip_test
+        if flip_test and self.card.head != "heatmap":
+            raise ValueError(f"{model_path}: flip_test must go with a heatmap, the network answers at {self.card.head}")
         self._session = open_session(model_path, self.card.sha256, threads)
         _check_session(model_path, self.card, self._session)
         self._input = self._session.get_inputs()[0].name
@@ -144,6 +140,9 @@ class DensePredictor:
         if self.card.head != "heatmap":
             raise ValueError(f"{self.card.name}: card.head must be heatmap for a heatmap, got {self.card.head}")
         seen = self.answer(ra_map)
+        if self._flip_test:
+            flipped = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
+            seen = 0.5 * (seen + self.answer(flipped)[..., ::-1])
         confidence = np.zeros((len(seen), *ra_map.grid.shape), np.float32)
         confidence[:, : seen.shape[1]] = seen
         return confidence

@@ -30,8 +30,8 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     threshold: float = 0.3
     min_distance: int = 3
-    #: Peaks by pursuit; None: local maxima `min_distance` cells apart, as published.
-    pursuit: PursuitParams | None = None
+    #: How peaks are pursued, where they are.
+    pursuit: PursuitParams = PursuitParams()
     #: Two-way 3 dB width of a beam: a peak's azimuth error is this over sqrt(2 SNR), within the bounds below.
     beam_width_deg: float = 9.0
     azimuth_std_floor_deg: float = 0.7
@@ -48,17 +48,11 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
-    """Peaks of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
+    """Local maxima of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
 
     Raises ValueError where the heat map does not lie on the map's grid.
     """
-    if probabilities.shape != (len(PathClass), *ra_map.grid.shape):
-        raise ValueError(
-            f"probabilities must have shape {(len(PathClass), *ra_map.grid.shape)}, got {probabilities.shape}"
-        )
-    if params.pursuit is not None:
-        points = pursued_points(probabilities, params.threshold, params.pursuit)
-        return peaks_at(ra_map, points.cells.astype(np.int64), points.cells, points.score, points.path_class, params)
+    _require_on_grid(probabilities, ra_map)
     points = heatmap_points(probabilities, params.threshold, params.min_distance)
     cells = points.cells.astype(np.int64)
     fractional = points.cells.copy()
@@ -67,23 +61,32 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
     return peaks_at(ra_map, cells, fractional, points.score, points.path_class, params)
 
 
-def pursued_points(heatmap: np.ndarray, threshold: float, params: PursuitParams) -> Points:
-    """Peaks of each class of a heat map [2, range, azimuth] by pursuit, on whole cells."""
-    found = [pursued_peaks(channel, threshold, params) for channel in heatmap]
-    return Points(
-        cells=np.concatenate([cells for cells, _ in found]).astype(np.float64),
-        score=np.concatenate([score for _, score in found]),
-        path_class=np.repeat(np.arange(len(heatmap), dtype=np.uint8), [len(cells) for cells, _ in found]),
-    )
+def find_pursued_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
+    """The same by pursuit: as many peaks as the heat map's mass is worth; raises ValueError as above."""
+    _require_on_grid(probabilities, ra_map)
+    points = _of_classes([pursued_peaks(channel, params.threshold, params.pursuit) for channel in probabilities])
+    return peaks_at(ra_map, points.cells.astype(np.int64), points.cells, points.score, points.path_class, params)
+
+
+def _require_on_grid(probabilities: np.ndarray, ra_map: RangeAzimuthMap) -> None:
+    shape = len(PathClass), *ra_map.grid.shape
+    if probabilities.shape != shape:
+        raise ValueError(f"probabilities must have shape {shape}, got {probabilities.shape}")
 
 
 def heatmap_points(heatmap: np.ndarray, threshold: float, min_distance: int) -> Points:
     """Local maxima of each class of a heat map [2, range, azimuth], on whole cells (section 3.1.1)."""
     maxima = [local_maxima(channel, threshold, min_distance) for channel in heatmap]
-    at = np.concatenate(maxima)
-    path_class = np.repeat(np.arange(len(heatmap), dtype=np.uint8), [len(of_class) for of_class in maxima])
-    score = heatmap[path_class, at[:, 0], at[:, 1]].astype(np.float64)
-    return Points(cells=at.astype(np.float64), score=score, path_class=path_class)
+    return _of_classes([(at, channel[at[:, 0], at[:, 1]]) for at, channel in zip(maxima, heatmap, strict=True)])
+
+
+def _of_classes(found: list[tuple[np.ndarray, np.ndarray]]) -> Points:
+    """Cells [N, 2] and scores [N] of each class in one row."""
+    return Points(
+        cells=np.concatenate([cells for cells, _ in found]).astype(np.float64),
+        score=np.concatenate([score for _, score in found]).astype(np.float64),
+        path_class=np.repeat(np.arange(len(found), dtype=np.uint8), [len(cells) for cells, _ in found]),
+    )
 
 
 def peaks_at(

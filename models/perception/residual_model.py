@@ -9,7 +9,8 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from models.perception.onnx_model import card_path, open_session
+from models.perception.cards import card_path, read_card
+from models.perception.onnx_model import open_session
 from models.perception.recovery import ReflectionState
 
 #: Coordinates the network sees: the radar's, those of each image's own wall, or the radar's with the axes of the
@@ -109,11 +110,7 @@ def bounded(offsets_m: np.ndarray, max_shift_m: float = MAX_SHIFT_M) -> np.ndarr
 
 def load_residual_card(model_path: Path) -> ResidualCard:
     """Read the card of a residual network; raises `ValueError` naming the file and the field that is wrong."""
-    path = card_path(model_path)
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=ResidualCard)
-    except (msgspec.DecodeError, OSError) as error:
-        raise ValueError(f"{path}: {error}") from None
+    return read_card(card_path(model_path), ResidualCard)
 
 
 class LearnedResidual:

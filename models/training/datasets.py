@@ -190,6 +190,13 @@ def perturb_scan(scan: Scan, perturbation: Perturbation, rng: np.random.Generato
     )
 
 
+def imperfect(scan: Scan, seed: int) -> Scan:
+    """The scene as an imperfect radar sees it, drawn from the scene's number; a map made elsewhere stays as it is."""
+    if scan.profiles is None:
+        return scan
+    return perturb_scan(scan, Perturbation(), np.random.default_rng((seed, scan.index)))
+
+
 def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) -> DenseSample:
     """Mirror left and right half of the time, turn the phase, and misjudge the noise by a decibel or so."""
     columns, labels = sample.columns, sample.labels

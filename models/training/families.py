@@ -9,17 +9,17 @@ import msgspec
 from torch import nn
 
 from models.networks import compact_unet, further_than_cfar, radar_tensor_network, swin_unet, unet
-from models.perception.encoding import COMPLEX, LOG_MAGNITUDE, Encoding
+from models.perception.encoding import BOTH, CHANNELS, COMPLEX, LOG_MAGNITUDE, Encoding
 from models.training.objectives import ObjectiveConfig
 
 #: Input channels by name: those of the specification, of the released code, of both, and ours.
 INPUTS: dict[str, tuple[str, ...]] = {
     "complex": COMPLEX,
     "log": LOG_MAGNITUDE,
-    "both": ("real", "imaginary", "log_magnitude"),
-    "levels": ("level", "shadow", "contrast", "range", "azimuth"),
-    "levels+complex": ("level", "shadow", "contrast", "range", "azimuth", "real", "imaginary"),
-    "levels+phase": ("level", "shadow", "contrast", "range", "azimuth", "level_real", "level_imaginary"),
+    "both": BOTH,
+    "levels": CHANNELS,
+    "levels+complex": (*CHANNELS, "real", "imaginary"),
+    "levels+phase": (*CHANNELS, "level_real", "level_imaginary"),
 }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -143,15 +143,15 @@ class DataSet:
         path, scene = self._place[index]
         return _scan(path, _arrays(path, path.stat().st_mtime_ns), scene, index)
 
-    def frame(self, index: int) -> Frame:
-        """One scene as a map with its truth."""
-        scan = self.scan(index)
+    def frame(self, index: int, seen: Callable[[Scan], Scan] = lambda scan: scan) -> Frame:
+        """One scene as a map with its truth; `seen` may put another radar before it."""
+        scan = seen(self.scan(index))
         names = ("index", "labels", "place", "relays", "objects", "hidden", "scene_yaml", "sequence", "places_m")
         return Frame(ra_map=scan_map(scan, self._interpolator), **{name: getattr(scan, name) for name in names})
 
-    def frames(self, indices: Iterable[int]) -> Iterator[Frame]:
-        """Scenes one after the other."""
-        return (self.frame(int(index)) for index in indices)
+    def frames(self, indices: Iterable[int], seen: Callable[[Scan], Scan] = lambda scan: scan) -> Iterator[Frame]:
+        """Scenes one after the other, as `frame` makes them."""
+        return (self.frame(int(index), seen) for index in indices)
 
     def fingerprint(self, index: int) -> str:
         """What two scenes share only if they are the same: a hash of what the radar saw and of the truth."""
@@ -199,25 +199,24 @@ def _series(path: Path) -> dict[str, Any]:
 
 
 def _scene_count(path: Path) -> int:
-    arrays = _open(path)
-    missing = [name for name in SHARD_ARRAYS if name not in arrays]
-    if not {"profiles", "values"} & set(arrays):
+    names, scenes = _open(path)
+    missing = [name for name in SHARD_ARRAYS if name not in names]
+    if not {"profiles", "values"} & set(names):
         missing.append("profiles (or values)")
     if missing:
         raise ValueError(
             f"{path} must hold the arrays {', '.join(SHARD_ARRAYS)} and profiles or values; "
             f"it lacks {', '.join(missing)}"
         )
-    with np.load(path, allow_pickle=False) as shard:
-        return len(shard["noise_power_mw"])
+    return scenes
 
 
-def _open(path: Path) -> list[str]:
-    """Names of the arrays of a shard."""
+def _open(path: Path) -> tuple[list[str], int]:
+    """Names of the arrays of a shard, and its scenes; 0 where it does not say."""
     try:
         # numpy would leave a file open in which it finds no archive
         with path.open("rb") as file, np.load(file, allow_pickle=False) as shard:
-            return list(shard.files)
+            return list(shard.files), len(shard["noise_power_mw"]) if "noise_power_mw" in shard.files else 0
     except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
         raise ValueError(f"{path} must be a shard (npz): {' '.join(str(error).split())}") from None
 

@@ -17,10 +17,10 @@ import msgspec
 import numpy as np
 
 from models.perception.detectors import Detector
-from models.perception.geometry import GeometryParams, direct_structure
+from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.metrics import Counts, chamfer, match_points, recovered_counts
 from models.perception.published_geometry import PublishedParams, recover_published
-from models.perception.recovery import Recovered, ReflectionState, recover, reflection_state
+from models.perception.recovery import Recovered, ReflectionState, reflection_state
 from models.training.files import whole
 from models.training.frames import DataSet, Frame, FrameLabels
 from msgs.frames import xy_from_polar
@@ -115,11 +115,9 @@ Folded = tuple[Recovered, ReflectionState]
 
 
 def fold_ours(peaks: Peaks, params: GeometryParams | None = None) -> Folded:
-    """The images of a scene as the geometry stage folds them, before it asks which are hidden."""
-    params = params or GeometryParams()
-    returns, walls = direct_structure(peaks, params)
-    recovered = recover(peaks, walls, returns, params.recovery)
-    return recovered, reflection_state(recovered, walls, returns, NEIGHBOURS)
+    """The images of a scene as the geometry stage folds them, hidden or not."""
+    scan = fold_scan(peaks, params or GeometryParams())
+    return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns, NEIGHBOURS)
 
 
 def fold_published(peaks: Peaks, params: PublishedParams | None = None) -> Folded:

@@ -41,6 +41,8 @@ def test_a_fitted_file_drops_places_of_a_method(data: Path, tmp_path: Path) -> N
     before = out.read_bytes()
     CliRunner().invoke(app, options)
     assert out.read_bytes() == before
+    CliRunner().invoke(app, [*options, "--clean"])
+    assert load_confidence(out).weights != fitted.weights, "an imperfect radar must show other places"
     plain, chosen = (
         build_method(parse_method(f"net={DEFAULT_MODEL},refine=pursuit{word}")) for word in ("", f",confidence={out}")
     )

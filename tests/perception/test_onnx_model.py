@@ -173,6 +173,16 @@ def test_network_with_anchors_answers_points_and_no_heatmap(model: Path, tmp_pat
     np.testing.assert_array_equal(points.path_class, path_class)
     with pytest.raises(ValueError, match=r"rtn: card\.head must be heatmap for a heatmap, got anchors"):
         predictor.predict(ra_map())
+    with pytest.raises(ValueError, match=r"rtn\.onnx: flip_test must go with a heatmap"):
+        DensePredictor(path, flip_test=True)
+
+
+def test_the_mean_of_a_map_and_its_mirror_image_is_symmetric(model: Path) -> None:
+    """Exchanging left and right of the map exchanges them in the mean answer, bit for bit; alone it does not."""
+    seen, flipped = ra_map(), msgspec.structs.replace(ra_map(), values=ra_map().values[:, ::-1])
+    alone, mean = DensePredictor(model), DensePredictor(model, flip_test=True)
+    np.testing.assert_array_equal(mean.predict(flipped)[..., ::-1], mean.predict(seen))
+    assert np.abs(alone.predict(flipped)[..., ::-1] - alone.predict(seen)).max() > 1e-3
 
 
 def test_missing_files_are_named(model: Path) -> None:
