@@ -48,7 +48,7 @@ class DensePredictorNode(Node):
         super().__init__()
         self._params = params
         # the default set-up until the radar's own comes: a missing or broken model shows at start, not at the first map
-        self._detector = self._detector_for(RadarSetup())
+        self._detector = detector_for(params, RadarSetup())
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One set of peaks per map."""
@@ -56,28 +56,28 @@ class DensePredictorNode(Node):
         for received in sorted(inputs, key=lambda item: item.topic == "radar/ra_map"):
             match received.message:
                 case RadarSetup() as setup:
-                    self._detector = self._detector_for(setup)
+                    self._detector = detector_for(self._params, setup)
                 case RangeAzimuthMap() as ra_map:
                     with self.stages("detect"):
                         out.append(Outgoing("perception/peaks", self._detector.detect(ra_map)))
         return out
 
-    def _detector_for(self, setup: RadarSetup) -> Detector:
-        if self._params.method == "cfar":
-            return CfarDetector(setup, self._params.cfar)
-        model = DEFAULT_MODEL if self._params.model is None else Path(self._params.model)
-        own = self._params
-        return NetworkDetector(
-            setup,
-            model,
-            own.threads,
-            own.peaks,
-            own.named,
-            own.refine,
-            own.refinement,
-            own.calibrate,
-            own.flip_test,
-        )
+
+def detector_for(params: Params, setup: RadarSetup) -> Detector:
+    """The detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
+    if params.method == "cfar":
+        return CfarDetector(setup, params.cfar)
+    return NetworkDetector(
+        setup,
+        DEFAULT_MODEL if params.model is None else Path(params.model),
+        params.threads,
+        params.peaks,
+        params.named,
+        params.refine,
+        params.refinement,
+        params.calibrate,
+        params.flip_test,
+    )
 
 
 def create(params: Params) -> DensePredictorNode:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import msgspec
 
-from models.perception.confidence import DEFAULT_CONFIDENCE, load_confidence
+from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
 from models.perception.geometry import GeometryParams, recover_bev
+from models.perception.recovery import Residual
 from models.perception.residual_model import LearnedResidual
 from msgs.bus import Outgoing, Received
 from msgs.perception import BevFrame, Peaks
@@ -35,11 +36,8 @@ class GeometryNode(Node):
 
     def __init__(self, params: Params) -> None:
         super().__init__()
-        self._params = params
         # loaded here: a missing or broken file shows at start, not at the first scan
-        self._residual = None if params.residual == "none" else LearnedResidual(Path(params.residual))
-        path = DEFAULT_CONFIDENCE if params.confidence == "default" else Path(params.confidence)
-        self._confidence = None if params.confidence == "none" else load_confidence(path)
+        self._parts = parts_of(params)
         self._states = StateHistory()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
@@ -55,8 +53,15 @@ class GeometryNode(Node):
 
     def _view(self, peaks: Peaks) -> BevFrame:
         with self.stages("geometry"):
-            view = recover_bev(peaks, self._params, self._residual, self._confidence)
+            view = recover_bev(peaks, *self._parts)
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
+
+
+def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, PlaceConfidence | None]:
+    """What the stage needs beside the peaks; raises `ValueError` naming a file that is missing or broken."""
+    residual = None if params.residual == "none" else LearnedResidual(Path(params.residual))
+    path = DEFAULT_CONFIDENCE if params.confidence == "default" else Path(params.confidence)
+    return params, residual, None if params.confidence == "none" else load_confidence(path)
 
 
 def create(params: Params) -> GeometryNode:

@@ -179,7 +179,7 @@ def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> La
             raise ValueError(f"{where}: unknown node {name!r}; known are {_names(nodes)}")
         if not isinstance(changes, dict):
             raise ValueError(f"{where}: {name}: expected a mapping of parameters, got {type(changes).__name__}")
-        nodes[name] = msgspec.structs.replace(nodes[name], params=_merged(nodes[name].params, changes))
+        nodes[name] = msgspec.structs.replace(nodes[name], params=merged(nodes[name].params, changes))
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
@@ -223,12 +223,13 @@ def dump_launch(launch: LaunchFile) -> str:
     return yaml.dump(msgspec.to_builtins(launch), Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
 
 
-def _merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(old)
+def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """`old` with `new` laid over it, mapping by mapping."""
+    result = dict(old)
     for key, value in new.items():
-        both = isinstance(value, dict) and isinstance(merged.get(key), dict)
-        merged[key] = _merged(merged[key], value) if both else value
-    return merged
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = merged(result[key], value) if both else value
+    return result
 
 
 def _names(names: Iterable[str]) -> str:

@@ -1,0 +1,105 @@
+"""`mirrorwave tradeoff`: what every choice costs in time and buys in accuracy, measured on this machine."""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mirrorwave.console import AsJson, print_json, print_line, print_table
+
+if TYPE_CHECKING:
+    from mirrorwave.tradeoff_report import Report
+    from mirrorwave.tradeoff_run import Plan
+    from mirrorwave.tradeoff_settings import Setting
+
+#: Frames and repetitions for a coffee, and for the record.
+QUICK, FULL = (24, 2), (240, 2)
+
+
+def tradeoff(
+    full: Annotated[
+        bool, typer.Option("--full/--quick", help="240 places for the record, or 24 for a coffee.")
+    ] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="A run that was stopped goes on in it.")] = Path(
+        "runs/tradeoff"
+    ),
+    networks: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Further networks: what `make results` leaves in runs/table.")
+    ] = None,
+    settings: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows; default launch/tradeoff.yaml.")] = None,
+    row: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only the default and rows of this name or switch.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
+    repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the places, and of the order of the stages.")] = 11,
+    memory: Annotated[bool, typer.Option(help="Measure peak memory, a process a row.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Every switch that trades accuracy for time, on the same raw beams in one run: JSON, Markdown, figures."""
+    from mirrorwave.tradeoff_figures import draw_front, draw_stages
+    from mirrorwave.tradeoff_report import make_report, write_report
+    from mirrorwave.tradeoff_run import Plan, peak_memory_mib, run_plan
+    from mirrorwave.tradeoff_settings import DEFAULT_SETTINGS, read_settings
+
+    rows = _chosen(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
+    count, often = FULL if full else QUICK
+    plan = Plan(rows=rows, frames=frames or count, repeats=repeats or often, seed=seed)
+    with _bar("places", plan.frames) as tick:
+        results = run_plan(plan, out, tick)
+    failed = {name for result in results for name in result.failed}
+    running = [one for one in plan.rows if one.name not in failed] if memory else []
+    with _bar("memory", len(running)) as tick:
+        memory_mib = peak_memory_mib(running, tick)
+    report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or []))
+    write_report(report, out)
+    draw_front(report, out / "front.png")
+    draw_stages(report, out / "stages.png")
+    _show(report, out, as_json)
+
+
+def _chosen(rows: list[Setting], names: list[str]) -> list[Setting]:
+    """The default and the rows asked for; all where none is."""
+    known = {name for row in rows for name in (row.name, row.switch)}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"--row must be one of {', '.join(sorted(known))}, got {name!r}")
+    return [row for row in rows if not names or row is rows[0] or {row.name, row.switch} & set(names)]
+
+
+def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str]) -> str:
+    """What gives the same run again."""
+    words = ["mirrorwave", "tradeoff", "--frames", str(plan.frames), "--repeats", str(plan.repeats)]
+    words += ["--seed", str(plan.seed)]
+    words += ["--networks", str(networks)] if networks else []
+    words += ["--settings", str(settings)] if settings else []
+    return shlex.join([*words, *(word for name in names for word in ("--row", name))])
+
+
+@contextmanager
+def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
+    """A bar with the time left where stderr is a terminal; gives what advances it."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
+        task = progress.add_task(name, total=total)
+        yield lambda: progress.advance(task)
+
+
+def _show(report: Report, out: Path, as_json: bool) -> None:
+    import msgspec
+
+    from mirrorwave.tradeoff_report import COLUMNS, cells
+
+    if as_json:
+        print_json(msgspec.to_builtins(report))
+        return
+    print_table(COLUMNS, [cells(row) for row in report.rows])
+    print_line(f"{out}: tradeoff.json, tradeoff.md, front.png, stages.png")

@@ -1,0 +1,75 @@
+"""Figures of the trade-off: the front of accuracy over latency, and where the time goes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from mirrorwave.tradeoff_report import Report, Row, point_of
+from mirrorwave.tradeoff_run import PARTS
+
+COLOURS = {"transport": "#9aa5b1", "forming": "#3b6fb6", "detection": "#d9822b", "geometry": "#3d9970"}
+
+
+def draw_front(report: Report, path: Path) -> None:
+    """Recovered F1 over median latency with the deadline; the front is joined, profiles are named."""
+    rows = [row for row in report.rows if point_of(row) is not None]
+    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    axes = figure.subplots()
+    for row in rows:
+        _draw_point(axes, row)
+    front = sorted(point for row in rows if row.pareto and (point := point_of(row)))
+    axes.step(
+        *zip(*front, strict=True),
+        where="post",
+        color="#222222",
+        lw=1.2,
+        label="front: nothing here is both faster and better",
+    )
+    axes.axvline(report.deadline_ms, color="#c0392b", ls="--", lw=1.2, label="deadline: the next scan is there")
+    axes.set_xscale("log")
+    axes.set_xlabel("from the last beam to the view: median, line to the 99th percentile [ms]")
+    axes.set_ylabel("recovered places within 1 m, F1, with its 95 % interval")
+    axes.set_title(f"What accuracy costs in time: {len(rows)} settings on the same {report.frames} places", loc="left")
+    axes.grid(alpha=0.25, which="both")
+    axes.legend(loc="lower right")
+    FigureCanvasAgg(figure).print_png(path)
+
+
+def _draw_point(axes: Axes, row: Row) -> None:
+    point, total, accuracy = point_of(row), row.end_to_end_ms, row.accuracy["recovered_f1_1m"]
+    if point is None or total is None:
+        return
+    profile = row.switch == "profile"
+    colour = "#c0392b" if profile else "#222222" if row.pareto else "#8a94a0"
+    slow = total.p99 or total.p90 or point[0]
+    axes.plot([point[0], slow], [point[1]] * 2, color=colour, lw=0.7, alpha=0.6)
+    if accuracy.low is not None and accuracy.high is not None:
+        axes.plot([point[0]] * 2, [accuracy.low, accuracy.high], color=colour, lw=0.7, alpha=0.4)
+    axes.plot(*point, "s" if profile else "o", color=colour, ms=8 if profile else 5)
+    if profile or row.pareto:
+        axes.annotate(row.name, point, xytext=(5, 6), textcoords="offset points", fontsize=9, color=colour)
+
+
+def draw_stages(report: Report, path: Path) -> None:
+    """Median time of each part of every row, fastest first."""
+    rows = sorted((row for row in report.rows if point_of(row) is not None), key=lambda row: point_of(row) or (0, 0))
+    figure = Figure(figsize=(10, 1.5 + 0.24 * len(rows)), layout="constrained")
+    axes = figure.subplots()
+    left, at = np.zeros(len(rows)), np.arange(len(rows))
+    for part in PARTS:
+        widths = np.array([row.stages_ms[part].p50 or 0.0 for row in rows])
+        axes.barh(at, widths, left=left, color=COLOURS[part], label=part, height=0.8)
+        left += widths
+    axes.set_yticks(at, [row.name for row in rows], fontsize=8)
+    axes.invert_yaxis()
+    axes.margins(y=0.01)
+    axes.set_xlabel("median time of each part [ms]")
+    axes.set_title("Where the time goes after the last beam", loc="left")
+    axes.legend(loc="lower right")
+    axes.grid(alpha=0.25, axis="x")
+    FigureCanvasAgg(figure).print_png(path)
