@@ -26,21 +26,24 @@ def demo(
     duration: Annotated[
         float | None, typer.Option(metavar="S", min=1.0, help="Seconds to run [12, on a terminal 120].")
     ] = None,
+    profile: Annotated[str, typer.Option(metavar="NAME", help="Named parameters: fast, balanced, ...")] = "default",
     out: Annotated[Path, typer.Option(help="Folder of the picture.")] = Path("out/demo"),
 ) -> None:
     """Run the demo scene live in the browser, print what it sees beside the truth, and draw the last view."""
     from mirrorwave.launch import run_graph
+    from mirrorwave.profiles import with_profile
     from msgs.zmq_bus import run_dir
     from nodes.launch_file import read_launch_file
 
     if duration is None:
         duration = WATCHED_S if sys.stdout.isatty() and not headless else UNWATCHED_S
+    graph = with_profile(read_launch_file(DEMO_LAUNCH), profile)
     # a domain of its own: the demo neither disturbs a running graph nor hears it
     domain = "demo"
     watcher = Watcher(run_dir(domain))
     watcher.start()
     try:
-        code = run_graph(read_launch_file(DEMO_LAUNCH), domain, duration, headless=headless)
+        code = run_graph(graph, domain, duration, headless=headless)
     finally:
         watcher.stop()
     if code != ExitCode.DONE:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from mirrorwave.console import DEFAULT_DOMAIN, Domain, require_new_file
+from mirrorwave.console import DEFAULT_DOMAIN, Domain, print_line, require_new_file
 
 _COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
 _LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red"}
@@ -21,6 +21,14 @@ def launch(
         list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
     ] = None,
     params_file: Annotated[Path | None, typer.Option(help="YAML mapping of node to parameters.")] = None,
+    profile: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Named parameters: fast, balanced, accurate, ...")
+    ] = None,
+    latency_budget_ms: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="The most accurate profile whose views come N ms after the last beam."),
+    ] = None,
+    measure: Annotated[bool, typer.Option("--measure", help="Time the profiles anew, whatever is remembered.")] = False,
     duration: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Stop S seconds after all nodes are ready.")
     ] = None,
@@ -31,13 +39,31 @@ def launch(
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
     """Run the graph of a launch file until it ends or Ctrl-C."""
+    from mirrorwave.profiles import with_profile
     from nodes.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params
 
     graph = read_launch_file(file)
+    if profile is not None and latency_budget_ms is not None:
+        raise ValueError("--profile and --latency-budget-ms must not be given together: a budget picks the profile")
+    if latency_budget_ms is not None:
+        profile = _profile_within(latency_budget_ms, measure)
+    if profile is not None:
+        graph = with_profile(graph, profile)
     if params_file is not None:
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
     graph = with_overrides(graph, param or ())
     raise typer.Exit(run_graph(graph, domain, duration, record, raw=raw, headless=headless, runs_dir=runs_dir))
+
+
+def _profile_within(budget_ms: float, measure: bool) -> str:
+    """The profile that a budget picks here; says which and why."""
+    from mirrorwave.latency_budget import pick, reason, require_budget, timed_profiles
+
+    require_budget(budget_ms)
+    timed = timed_profiles(measure)
+    chosen = pick(budget_ms, timed)
+    print_line(reason(budget_ms, chosen, timed))
+    return chosen.profile
 
 
 def run_graph(

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from mirrorwave.bev_picture import draw_bev
+from mirrorwave.profiles import LAUNCH_DIR, with_profile
 from mirrorwave.scoreboard import Scoreboard
 from models.perception.objects import bev_to_json
 from msgs.bus import Outgoing, Received
@@ -15,10 +16,8 @@ from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame, Peaks, SceneTruth
 from msgs.radar import RangeAzimuthMap
 from msgs.recording import RecordingReader
-from nodes.launch_file import LaunchFile, read_launch_file, read_yaml_mapping, with_overrides, with_params
+from nodes.launch_file import LaunchFile, read_launch_file, with_overrides, with_params
 from nodes.node import InProcessGraph, Node, load_node
-
-LAUNCH_DIR = Path(__file__).resolve().parents[1] / "launch"
 
 
 class Results(Node):
@@ -67,12 +66,7 @@ class Results(Node):
 
 def launch_for(capture: Path, profile: str, overrides: list[str], **player: Any) -> LaunchFile:
     """The offline graph with a profile and overrides; ValueError names what is unknown."""
-    path = LAUNCH_DIR / "profiles" / f"{profile}.yaml"
-    if not path.is_file():
-        known = ", ".join(sorted(file.stem for file in path.parent.glob("*.yaml")))
-        raise ValueError(f"--profile: unknown profile {profile!r}; known are {known}")
-    launch = read_launch_file(LAUNCH_DIR / "process.yaml")
-    launch = with_params(launch, read_yaml_mapping(path), str(path))
+    launch = with_profile(read_launch_file(LAUNCH_DIR / "process.yaml"), profile)
     launch = with_params(launch, {"player": {"capture": str(capture), **player}}, "process")
     return with_overrides(launch, overrides)
 

@@ -13,7 +13,7 @@ from mirrorwave.console import AsJson, ExitCode, print_json, print_line
 def process(
     capture: Annotated[Path, typer.Argument(help="SigMF capture or MCAP recording with raw beams.")],
     out: Annotated[Path | None, typer.Option(help="Folder for objects.jsonl, timing.jsonl and bev.png.")] = None,
-    profile: Annotated[str, typer.Option(help="A named set of parameters: default or cfar.")] = "default",
+    profile: Annotated[str, typer.Option(help="Named parameters: fast, balanced, ...")] = "default",
     param: Annotated[
         list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
     ] = None,

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from mirrorwave.tradeoff_report import Report, Row, point_of
 from mirrorwave.tradeoff_run import PARTS
+from mirrorwave.tradeoff_settings import PROFILE
 
 COLOURS = {"transport": "#9aa5b1", "forming": "#3b6fb6", "detection": "#d9822b", "geometry": "#3d9970"}
 
@@ -37,14 +38,14 @@ def draw_front(report: Report, path: Path) -> None:
     axes.set_title(f"What accuracy costs in time: {len(rows)} settings on the same {report.frames} places", loc="left")
     axes.grid(alpha=0.25, which="both")
     axes.legend(loc="lower right")
-    FigureCanvasAgg(figure).print_png(path)
+    FigureCanvasAgg(figure).print_figure(path, dpi=110, metadata={"Software": None})
 
 
 def _draw_point(axes: Axes, row: Row) -> None:
     point, total, accuracy = point_of(row), row.end_to_end_ms, row.accuracy["recovered_f1_1m"]
     if point is None or total is None:
         return
-    profile = row.switch == "profile"
+    profile = row.switch == PROFILE
     colour = "#c0392b" if profile else "#222222" if row.pareto else "#8a94a0"
     slow = total.p99 or total.p90 or point[0]
     axes.plot([point[0], slow], [point[1]] * 2, color=colour, lw=0.7, alpha=0.6)
@@ -72,4 +73,4 @@ def draw_stages(report: Report, path: Path) -> None:
     axes.set_title("Where the time goes after the last beam", loc="left")
     axes.legend(loc="lower right")
     axes.grid(alpha=0.25, axis="x")
-    FigureCanvasAgg(figure).print_png(path)
+    FigureCanvasAgg(figure).print_figure(path, dpi=110, metadata={"Software": None})

@@ -12,8 +12,9 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mirrorwave.profiles import DEFAULT
 from mirrorwave.tradeoff_run import BEFORE, PARTS, FrameResult, Plan
-from mirrorwave.tradeoff_settings import DEFAULT, Setting
+from mirrorwave.tradeoff_settings import Setting
 from models.perception.evaluation import Estimate, FrameScores, bootstrap_weights, differences, estimates
 from models.training.files import json_lines, write_whole
 from msgs.radar import RadarSetup

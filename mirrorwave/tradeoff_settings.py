@@ -8,19 +8,18 @@ from typing import Any
 
 import msgspec
 
-from mirrorwave.offline import LAUNCH_DIR
+from mirrorwave.profiles import LAUNCH_DIR, profile_names, read_profile
 from nodes.launch_file import merged, read_yaml_mapping
 from nodes.validation import convert_at
 
 #: What `mirrorwave tradeoff` compares unless told otherwise.
 DEFAULT_SETTINGS = LAUNCH_DIR / "tradeoff.yaml"
-PROFILES = LAUNCH_DIR / "profiles"
 #: Nodes whose parameters a row may set.
 STAGES = ("ra_former", "dense_predictor", "geometry")
+#: Switch of the rows that are named profiles.
+PROFILE = "profile"
 #: Stands in settings for the folder of further networks.
 NETWORKS = "$NETWORKS"
-#: The row all others are compared with.
-DEFAULT = "default"
 
 
 class Setting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -38,7 +37,7 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     @property
     def name(self) -> str:
         """How the row is called: switch and value, or the profile's own name."""
-        return self.value if self.switch == "profile" else f"{self.switch}: {self.value}"
+        return self.value if self.switch == PROFILE else f"{self.switch}: {self.value}"
 
     def of(self, stage: str) -> dict[str, Any]:
         """Parameters of one node."""
@@ -65,16 +64,13 @@ def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -
 
 def profiles() -> list[Setting]:
     """The named profiles, the default first, the others by name."""
-    paths = sorted(PROFILES.glob("*.yaml"), key=lambda path: (path.stem != DEFAULT, path.stem))
-    return [
-        convert_at({"switch": "profile", "value": path.stem, "params": read_yaml_mapping(path)}, Setting, str(path))
-        for path in paths
-    ]
+    found = ({"switch": PROFILE, "value": name, "params": read_profile(name)} for name in profile_names())
+    return [convert_at(one, Setting, f"profile {one['value']}") for one in found]
 
 
 def _laid_over(base: Setting, row: Setting, networks: str) -> Setting:
     """A row with everything said that it sets, and the folder of further networks put in."""
-    params = _filled(merged(base.params, row.params) if row.switch != "profile" else row.params, networks)
+    params = _filled(merged(base.params, row.params) if row.switch != PROFILE else row.params, networks)
     return msgspec.structs.replace(row, params=params)
 
 
