@@ -135,13 +135,17 @@ def _residuals(options: argparse.Namespace) -> None:
 
 
 def _confidences(options: argparse.Namespace) -> None:
-    """How likely folded places are, for the networks that are shown with all our stages."""
-    for name in ("ours", "ours_more", "unet"):
-        out = options.work / f"{name}.confidence.json"
+    """How likely folded places are, for the networks and ways that are shown with all our stages."""
+    asked = dict.fromkeys((source, FLIP in way) for _, source, way, beside in TABLE if beside == "confidence")
+    for name, flip in asked:
+        out = _confidence(options, name, flip)
         if _model(options, name).exists() and not out.exists():
-            _mirrorwave(
-                "train", "confidence", "--data", str(DATA), "--model", str(_model(options, name)), "--out", str(out)
-            )
+            words = ["train", "confidence", "--data", str(DATA), "--model", str(_model(options, name))]
+            _mirrorwave(*words, *(["--flip-test"] if flip else []), "--out", str(out))
+
+
+def _confidence(options: argparse.Namespace, name: str, flip: bool) -> Path:
+    return options.work / f"{name}{'.flip' if flip else ''}.confidence.json"
 
 
 def _evaluate(options: argparse.Namespace) -> None:
@@ -174,8 +178,15 @@ def _budgets(options: argparse.Namespace) -> None:
     (options.out / "training.md").write_text("\n".join(lines) + "\n")
 
 
-PUBLISHED = "geometry=published"
+PUBLISHED, FLIP = "geometry=published", "flip_test"
 LEARNED = {"Further-than-CFAR": "further_than_cfar", "RTN": "rtn", "UNet": "unet", "Swin-UNet": "swin_unet"}
+INPUTS = {
+    "levels": "ours_levels",
+    "log magnitude": "ours_log",
+    "complex": "ours_complex",
+    "complex and log": "ours_both",
+    "binary segmentation": "ours_binary",
+}
 #: The table: label, what answers (a row of `ROWS`, or a method without a network), peaks and back end, and what is
 #: learned beside it: a residual, or the confidence of places.
 TABLE: tuple[tuple[str, str, str, str], ...] = (
@@ -188,9 +199,14 @@ TABLE: tuple[tuple[str, str, str, str], ...] = (
     ("Ours", "ours", "refine=pursuit", "confidence"),
     ("Ours + residual", "ours", "refine=pursuit", "residual_ours"),
     ("Ours (more scenes)", "ours_more", "refine=pursuit", "confidence"),
+    ("Ours (more scenes, flip test)", "ours_more", f"refine=pursuit,{FLIP}", "confidence"),
+    ("Ours (wide, more scenes)", "ours_wide", "refine=pursuit", "confidence"),
+    ("Ours (wide, more scenes, flip test)", "ours_wide", f"refine=pursuit,{FLIP}", "confidence"),
+    *((f"Ours ({label})", row, "refine=pursuit", "") for label, row in INPUTS.items()),
     ("Ours (without container and bus)", "ours_without", "refine=pursuit", ""),
     *((f"{label} (our back end)", row, "", "") for label, row in LEARNED.items()),
     ("UNet (all our stages)", "unet", "refine=pursuit", "confidence"),
+    ("UNet (all our stages, flip test)", "unet", f"refine=pursuit,{FLIP}", "confidence"),
     ("Truth (published back end)", "truth", PUBLISHED, ""),
     ("Truth (our back end)", "truth", "", ""),
 )
@@ -201,7 +217,7 @@ def _methods(options: argparse.Namespace, privileged: bool = True) -> list[str]:
     words = []
     for label, source, way, beside in TABLE:
         learned = source in {row.name for row in ROWS}
-        beside_file = _beside(options, source, beside)
+        beside_file = _beside(options, source, way, beside)
         if (learned and not _model(options, source).exists()) or (beside_file and not beside_file.exists()):
             continue
         if learned or privileged:
@@ -211,10 +227,10 @@ def _methods(options: argparse.Namespace, privileged: bool = True) -> list[str]:
     return words
 
 
-def _beside(options: argparse.Namespace, source: str, beside: str) -> Path | None:
+def _beside(options: argparse.Namespace, source: str, way: str, beside: str) -> Path | None:
     """The file of what is learned beside a network."""
     if beside == "confidence":
-        return options.work / f"{source}.confidence.json"
+        return _confidence(options, source, FLIP in way)
     return options.work / beside / "residual.onnx" if beside else None
 
 

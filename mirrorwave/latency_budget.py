@@ -47,7 +47,7 @@ def require_budget(budget_ms: float) -> None:
 
 
 def pick(budget_ms: float, timed: list[Timed]) -> Timed:
-    """The most accurate of the profiles that fit, the faster of equals; `ValueError` naming the nearest if none does."""
+    """The most accurate profile that fits, the faster of equals; `ValueError` naming the nearest where none does."""
     fitting = [one for one in timed if one.expected_ms <= budget_ms]
     if not fitting:
         nearest = min(timed, key=lambda one: one.expected_ms)

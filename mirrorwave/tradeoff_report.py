@@ -19,6 +19,8 @@ from models.perception.evaluation import Estimate, FrameScores, bootstrap_weight
 from models.training.files import json_lines, write_whole
 from msgs.radar import RadarSetup
 from msgs.units import s_from_ns
+from nodes.dense_predictor import model_path
+from nodes.geometry import confidence_path
 
 #: A scan comes so often: a view that takes longer after the last beam is late.
 DEADLINE_MS = 300.0
@@ -189,14 +191,11 @@ def _known(value: float) -> float | None:
 
 def _size_bytes(row: Setting) -> int:
     """Files that a row's stages read."""
-    from models.perception.confidence import DEFAULT_CONFIDENCE
-    from models.perception.onnx_model import DEFAULT_MODEL
-
     dense, placed = row.of("dense_predictor"), row.of("geometry")
-    files = [] if dense.get("method") == "cfar" else [Path(dense.get("model") or DEFAULT_MODEL)]
-    named = (placed.get("confidence", "none"), placed.get("residual", "none"))
-    files += [DEFAULT_CONFIDENCE if name == "default" else Path(name) for name in named if name != "none"]
-    return sum(path.stat().st_size for path in files)
+    files = [None if dense.get("method") == "cfar" else model_path(dense.get("model"))]
+    files += [confidence_path(placed.get("confidence", "none"))]
+    files += [None if (residual := placed.get("residual", "none")) == "none" else Path(residual)]
+    return sum(path.stat().st_size for path in files if path is not None)
 
 
 def with_front(rows: list[Row]) -> list[Row]:

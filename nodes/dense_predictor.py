@@ -7,6 +7,7 @@ from typing import Literal
 
 import msgspec
 
+from models.perception.cards import learned_path
 from models.perception.cfar import CfarParams
 from models.perception.detectors import CfarDetector, Detector, NetworkDetector, Refine
 from models.perception.named import NamedParams
@@ -22,7 +23,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """Which detector, and its parameters."""
 
     method: Literal["network", "cfar"] = "network"
-    #: An exported network with its card beside it; None: the committed one.
+    #: An exported network (FILE.onnx) with its card beside it, or the name of a committed one; None: the default.
     model: str | None = None
     threads: int = 1
     #: How a network's peaks are placed (`models.perception.detectors.Refine`): true is "pursuit", false "none".
@@ -63,13 +64,18 @@ class DensePredictorNode(Node):
         return out
 
 
+def model_path(model: str | None) -> Path:
+    """The file of a network as parameters name it."""
+    return DEFAULT_MODEL if model is None else learned_path(model, ".onnx")
+
+
 def detector_for(params: Params, setup: RadarSetup) -> Detector:
     """The detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
     if params.method == "cfar":
         return CfarDetector(setup, params.cfar)
     return NetworkDetector(
         setup,
-        DEFAULT_MODEL if params.model is None else Path(params.model),
+        model_path(params.model),
         params.threads,
         params.peaks,
         params.named,

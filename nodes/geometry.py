@@ -6,6 +6,7 @@ from pathlib import Path
 
 import msgspec
 
+from models.perception.cards import learned_path
 from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.recovery import Residual
@@ -60,8 +61,15 @@ class GeometryNode(Node):
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, PlaceConfidence | None]:
     """What the stage needs beside the peaks; raises `ValueError` naming a file that is missing or broken."""
     residual = None if params.residual == "none" else LearnedResidual(Path(params.residual))
-    path = DEFAULT_CONFIDENCE if params.confidence == "default" else Path(params.confidence)
-    return params, residual, None if params.confidence == "none" else load_confidence(path)
+    path = confidence_path(params.confidence)
+    return params, residual, None if path is None else load_confidence(path)
+
+
+def confidence_path(confidence: str) -> Path | None:
+    """The file of a fitted model as parameters name it."""
+    if confidence == "none":
+        return None
+    return DEFAULT_CONFIDENCE if confidence == "default" else learned_path(confidence, ".json")
 
 
 def create(params: Params) -> GeometryNode:

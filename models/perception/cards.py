@@ -9,6 +9,14 @@ import msgspec
 
 Card = TypeVar("Card")
 
+#: Learned files that come with the code.
+WEIGHTS = Path(__file__).parents[1] / "weights"
+
+
+def learned_path(name: str | Path, ending: str) -> Path:
+    """A learned file by its path; a name without the ending is that of one in `WEIGHTS`."""
+    return Path(name) if str(name).endswith(ending) else WEIGHTS / f"{name}{ending}"
+
 
 def card_path(model_path: Path) -> Path:
     """Where the card of a network file lies."""

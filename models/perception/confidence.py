@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from models.perception.association import DirectReturns, Passing, RecoveryParams
-from models.perception.cards import read_card
+from models.perception.cards import learned_path, read_card
 from models.perception.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.recovery import Recovered
 from models.physics.mirror import segment_distance_m
@@ -26,7 +26,7 @@ from msgs.frames import polar_from_xy
 from msgs.perception import Wall
 
 #: That of the committed network.
-DEFAULT_CONFIDENCE = Path(__file__).parents[1] / "weights" / "compact_unet.confidence.json"
+DEFAULT_CONFIDENCE = learned_path("compact_unet.confidence", ".json")
 #: Distances are told by their logarithm between these.
 NEAREST_M, FARTHEST_M = 0.2, 120.0
 #: Places this near each other are of one thing: of other walls, of the same.

@@ -13,7 +13,7 @@ import onnxruntime
 from models.perception.anchors import CHANNELS as ANCHOR_CHANNELS
 from models.perception.anchors import anchor_points
 from models.perception.calibration import ScoreTable, check_table
-from models.perception.cards import card_path, read_card
+from models.perception.cards import card_path, learned_path, read_card
 from models.perception.encoding import Encoding, encode_map
 from models.perception.peaks import Points, heatmap_points
 from msgs.perception import PathClass
@@ -25,7 +25,7 @@ _NO_NETWORK = tuple(
     for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
 )
 #: The network in use unless another is named.
-DEFAULT_MODEL = Path(__file__).parents[1] / "weights" / "compact_unet.onnx"
+DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
 
 
 class ClassScores(msgspec.Struct, frozen=True, kw_only=True):
