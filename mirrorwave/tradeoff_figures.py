@@ -8,11 +8,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
+from mirrorwave.bev_picture import VERMILION
 from mirrorwave.tradeoff_report import Report, Row, point_of
 from mirrorwave.tradeoff_run import PARTS
 from mirrorwave.tradeoff_settings import PROFILE
 
+PART_OF = {"ra_former": "forming", "dense_predictor": "detection", "geometry": "geometry"}
 COLOURS = {"transport": "#9aa5b1", "forming": "#3b6fb6", "detection": "#d9822b", "geometry": "#3d9970"}
 
 
@@ -31,12 +34,18 @@ def draw_front(report: Report, path: Path) -> None:
         lw=1.2,
         label="front: nothing here is both faster and better",
     )
-    axes.axvline(report.deadline_ms, color="#c0392b", ls="--", lw=1.2, label="deadline: the next scan is there")
+    axes.axvline(report.deadline_ms, color=VERMILION, ls="--", lw=1.2, label="deadline: the next scan is there")
     axes.set_xscale("log")
+    axes.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
+    axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.xaxis.set_minor_formatter(NullFormatter())
     axes.set_xlabel("from the last beam to the view: median, line to the 99th percentile [ms]")
     axes.set_ylabel("recovered places within 1 m, F1, with its 95 % interval")
     axes.set_title(f"What accuracy costs in time: {len(rows)} settings on the same {report.frames} places", loc="left")
     axes.grid(alpha=0.25, which="both")
+    for part in ("forming", "detection", "geometry"):
+        axes.plot([], [], "o", color=COLOURS[part], label=f"changes {part} alone")
+    axes.plot([], [], "s", color=VERMILION, label="profile")
     axes.legend(loc="lower right")
     FigureCanvasAgg(figure).print_figure(path, dpi=110, metadata={"Software": None})
 
@@ -45,15 +54,23 @@ def _draw_point(axes: Axes, row: Row) -> None:
     point, total, accuracy = point_of(row), row.end_to_end_ms, row.accuracy["recovered_f1_1m"]
     if point is None or total is None:
         return
-    profile = row.switch == PROFILE
-    colour = "#c0392b" if profile else "#222222" if row.pareto else "#8a94a0"
+    profile, colour = row.switch == PROFILE, _colour(row)
     slow = total.p99 or total.p90 or point[0]
     axes.plot([point[0], slow], [point[1]] * 2, color=colour, lw=0.7, alpha=0.6)
     if accuracy.low is not None and accuracy.high is not None:
         axes.plot([point[0]] * 2, [accuracy.low, accuracy.high], color=colour, lw=0.7, alpha=0.4)
     axes.plot(*point, "s" if profile else "o", color=colour, ms=8 if profile else 5)
     if profile or row.pareto:
-        axes.annotate(row.name, point, xytext=(5, 6), textcoords="offset points", fontsize=9, color=colour)
+        weight = "bold" if profile else "normal"
+        axes.annotate(row.name, point, xytext=(5, 6), textcoords="offset points", fontsize=9, weight=weight)
+
+
+def _colour(row: Row) -> str:
+    """That of the stage a row changes; profiles and rows that change several have their own."""
+    touched = [PART_OF[stage] for stage, params in row.params.items() if params]
+    if row.switch == PROFILE:
+        return VERMILION
+    return COLOURS[touched[0]] if len(touched) == 1 else "#222222"
 
 
 def draw_stages(report: Report, path: Path) -> None:
@@ -71,6 +88,6 @@ def draw_stages(report: Report, path: Path) -> None:
     axes.margins(y=0.01)
     axes.set_xlabel("median time of each part [ms]")
     axes.set_title("Where the time goes after the last beam", loc="left")
-    axes.legend(loc="lower right")
+    axes.legend(loc="upper right")
     axes.grid(alpha=0.25, axis="x")
     FigureCanvasAgg(figure).print_figure(path, dpi=110, metadata={"Software": None})

@@ -147,6 +147,12 @@ def test_the_front_is_what_none_beats_in_both() -> None:
     assert [one.name for one in rows if one.pareto] == ["a", "b", "e"]
 
 
+def test_the_documented_schema_is_that_of_the_report() -> None:
+    """`python -c "..."` of docs/formats.md writes it anew."""
+    documented = json.loads((Path(__file__).parents[2] / "docs" / "tradeoff.schema.json").read_text())
+    assert documented == msgspec.json.schema(Report)
+
+
 def test_json_is_strict(made: tuple[Path, Report]) -> None:
     text = (made[0] / "tradeoff.json").read_text()
     json.loads(text, parse_constant=pytest.fail)
