@@ -19,17 +19,10 @@ import numpy as np
 
 from msgs.diagnostics import NodeStatus
 from msgs.perception import BevFrame
-from msgs.radar import RadarSetup
-from msgs.units import ns_from_s
 from msgs.zmq_bus import ZmqBus, run_dir
+from nodes.live_timing import latency_ns, stage_figures
 
 ROOT = Path(__file__).resolve().parents[1]
-
-
-def last_beam_ns() -> int:
-    """From the start of a scan to the nominal end of its last beam."""
-    setup = RadarSetup()
-    return (len(setup.beams) - 1) * setup.beam_interval_ns + ns_from_s(setup.radar.beam_duration_s)
 
 
 def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool) -> dict:
@@ -46,7 +39,7 @@ def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool) -> 
         for received in bus.receive(0.05):
             now_ns = time.monotonic_ns()
             if isinstance(received.message, BevFrame):
-                latency_ms.append((now_ns - received.message.stamp_ns - last_beam_ns()) / 1e6)
+                latency_ms.append(1e-6 * latency_ns(received.message.stamp_ns, now_ns))
             elif isinstance(received.message, NodeStatus):
                 status.setdefault(received.message.node, []).append(received.message)
     bus.close()
@@ -70,6 +63,7 @@ def report(latency_ms: np.ndarray, status: dict[str, list[NodeStatus]], exit_cod
             name: round(float(value), 1) for name, value in zip(("p50", "p90", "p99", "max"), quantiles, strict=True)
         },
         "lost_or_rejected": lost,
+        "shed": {name: shed for name, items in status.items() if (shed := shed_of(items[-1]))},
         "nodes": nodes,
         "resident_mib": round(sum(node["resident_mib"] for node in nodes.values()), 0),
     }
@@ -87,16 +81,22 @@ def node_report(items: list[NodeStatus]) -> dict:
     }
 
 
-def stages_ms(items: list[NodeStatus]) -> dict[str, dict[str, float]]:
-    """Mean and longest duration of each stage over all heartbeats."""
-    stages = [stage for item in items for stage in item.stages]
+def shed_of(status: NodeStatus) -> dict[str, int]:
+    """What a node left undone so far, messages that a newer one overtook included."""
+    shed = {f"{count.what} {count.reason}": count.count for count in status.shed}
+    return shed | {f"{count.topic} outdated": count.outdated for count in status.received if count.outdated}
+
+
+def stages_ms(items: list[NodeStatus]) -> dict[str, dict[str, float | None]]:
+    """Durations of each stage over all heartbeats."""
+    figures = stage_figures([stage for item in items for stage in item.stages])
     return {
-        name: {
-            "mean": round(sum(s.mean_ms * s.count for s in own) / sum(s.count for s in own), 2),
-            "max": round(max(s.max_ms for s in own), 2),
+        one.name: {
+            "mean": round(one.mean_ms, 2),
+            "p99": None if one.p99_ms is None else round(one.p99_ms, 2),
+            "max": round(one.max_ms, 2),
         }
-        for name in dict.fromkeys(stage.name for stage in stages)
-        if (own := [stage for stage in stages if stage.name == name])
+        for one in figures
     }
 
 

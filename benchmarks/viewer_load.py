@@ -24,10 +24,10 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from benchmarks.live_graph import last_beam_ns
 from msgs.diagnostics import NodeStatus
 from msgs.perception import BevFrame
 from msgs.zmq_bus import ZmqBus, run_dir
+from nodes.live_timing import latency_ns
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "launch" / "demo.yaml"
@@ -96,7 +96,7 @@ def measure(bus: ZmqBus, duration_s: float, clients: list[Callable[[threading.Ev
     while time.monotonic() < end_s:
         for received in bus.receive(0.05):
             if isinstance(received.message, BevFrame):
-                latency_ms.append((time.monotonic_ns() - received.message.stamp_ns - last_beam_ns()) / 1e6)
+                latency_ms.append(1e-6 * latency_ns(received.message.stamp_ns, time.monotonic_ns()))
             elif isinstance(received.message, NodeStatus) and received.message.node == "bev_viewer":
                 viewer.append(received.message)
     ended.set()

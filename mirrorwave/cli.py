@@ -25,7 +25,9 @@ _VERBS = {
     "view": "mirrorwave.view:view",
     "export": "mirrorwave.export:export",
     "eval": "mirrorwave.evaluate:evaluate",
+    "tradeoff": "mirrorwave.tradeoff:tradeoff",
     "doctor": "mirrorwave.doctor:doctor",
+    "top": "mirrorwave.top:top",
 }
 #: Verb group -> module and `typer.Typer`.
 _GROUPS = {

@@ -8,10 +8,13 @@ import sys
 from collections.abc import Iterable, Sequence
 from enum import IntEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 
 class ExitCode(IntEnum):
@@ -46,6 +49,13 @@ def print_line(text: str) -> None:
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """A table on stdout; columns of numbers are aligned right. Lines are never cut where stdout is no terminal."""
     from rich.console import Console
+
+    # where nobody's eyes set the width, nothing is cut
+    Console(width=None if sys.stdout.isatty() else 1000).print(console_table(columns, rows))
+
+
+def console_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:
+    """The same as a rich table."""
     from rich.table import Table
     from rich.text import Text
 
@@ -56,8 +66,7 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Non
         table.add_column(Text(name), justify="right" if numeric else "left", no_wrap=True)
     for row in cells:
         table.add_row(*(Text(cell) for cell in row))
-    # where nobody's eyes set the width, nothing is cut
-    Console(width=None if sys.stdout.isatty() else 1000).print(table)
+    return table
 
 
 def error_line(error: BaseException) -> str:

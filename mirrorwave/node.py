@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 from typing import Annotated, Any
 
+import msgspec
 import typer
 
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
@@ -40,7 +41,7 @@ def collect_heartbeats(run_dir: Path, window_s: float = WINDOW_S) -> Heartbeats:
 
 
 def node_row(beats: list[NodeStatus]) -> dict[str, Any]:
-    """State, load, rates and losses of one node from its heartbeats; rates need two of them from one process."""
+    """What one node says of itself in its heartbeats; rates need two of them from one process."""
     last = beats[-1]
     first = next(status for status in beats if status.pid == last.pid)
     elapsed_s = last.uptime_s - first.uptime_s
@@ -57,12 +58,19 @@ def node_row(beats: list[NodeStatus]) -> dict[str, Any]:
         "out_hz": _rate_hz(first.published, last.published, elapsed_s),
         "lost": sum(count.lost for count in last.received),
         "rejected": sum(count.rejected for count in last.received),
+        "outdated": sum(count.outdated for count in last.received),
+        "shed": [msgspec.to_builtins(count) for count in last.shed],
     }
+
+
+def shed_text(shed: list[dict[str, Any]]) -> str:
+    """What a node left undone, in words: "12 scan behind, 3 beam late"."""
+    return ", ".join(f"{count['count']} {count['what']} {count['reason']}" for count in shed)
 
 
 @app.command("list")
 def list_nodes(window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
-    """State, pid, load, rates and losses of each node."""
+    """State, pid, load, rates, losses and what was shed of each node."""
     rows = [node_row(beats) for beats in _heartbeats(domain, window).values()]
     if as_json:
         print_json(rows)
@@ -70,8 +78,9 @@ def list_nodes(window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_j
     for row in rows:
         row["rss_mib"] = row["resident_bytes"] / (1 << 20)
         row["reason"] = row["reason"] or None
-    figures = ("uptime_s", "cpu_percent", "rss_mib", "in_hz", "out_hz", "lost", "rejected")
-    columns = ("node", "state", "pid", *figures, "reason")
+        row["shed"] = shed_text(row["shed"]) or None
+    figures = ("uptime_s", "cpu_percent", "rss_mib", "in_hz", "out_hz", "lost", "rejected", "outdated")
+    columns = ("node", "state", "pid", *figures, "shed", "reason")
     print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in rows])
 
 
@@ -90,7 +99,8 @@ def info(
     if as_json:
         print_json({**node_row(heard[name]), **_details(status)})
         return
-    for key, value in node_row(heard[name]).items():
+    row = node_row(heard[name])
+    for key, value in {**row, "shed": shed_text(row["shed"])}.items():
         print_line(f"{key}: {value}")
     _print_details(status)
 
@@ -101,8 +111,11 @@ def _details(status: NodeStatus) -> dict[str, Any]:
 
 def _print_details(status: NodeStatus) -> None:
     counts = [("in", count) for count in status.received] + [("out", count) for count in status.published]
-    rows = [(way, count.topic, count.messages, count.bytes, count.lost, count.rejected) for way, count in counts]
-    print_table(("", "TOPIC", "MESSAGES", "BYTES", "LOST", "REJECTED"), rows)
+    rows = [
+        (way, count.topic, count.messages, count.bytes, count.lost, count.rejected, count.outdated)
+        for way, count in counts
+    ]
+    print_table(("", "TOPIC", "MESSAGES", "BYTES", "LOST", "REJECTED", "OUTDATED"), rows)
     stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]
     print_table(("STAGE", "COUNT", "LAST MS", "MEAN MS", "MAX MS"), stages)
 

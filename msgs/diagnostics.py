@@ -6,6 +6,9 @@ from enum import StrEnum
 
 import msgspec
 
+#: Durations of a stage that travel with one heartbeat at most.
+SAMPLES_LIMIT = 128
+
 
 class NodeState(StrEnum):
     """Life of a node, as its heartbeat says it."""
@@ -24,6 +27,8 @@ class StageTime(msgspec.Struct, frozen=True, kw_only=True):
     last_ms: float
     mean_ms: float
     max_ms: float
+    #: Single durations in order, at most `SAMPLES_LIMIT` evenly chosen: quantiles over several heartbeats need them.
+    samples_ms: tuple[float, ...] = ()
 
 
 class TopicCount(msgspec.Struct, frozen=True, kw_only=True):
@@ -36,6 +41,16 @@ class TopicCount(msgspec.Struct, frozen=True, kw_only=True):
     lost: int = 0
     #: Arrived but unreadable.
     rejected: int = 0
+    #: Arrived, and passed over because a newer one stood beside it (topics whose receivers want the newest only).
+    outdated: int = 0
+
+
+class ShedCount(msgspec.Struct, frozen=True, kw_only=True):
+    """Work that a node left undone since it started, so as not to fall behind: what, why and how often."""
+
+    what: str
+    reason: str
+    count: int
 
 
 class NodeStatus(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,6 +67,7 @@ class NodeStatus(msgspec.Struct, frozen=True, kw_only=True):
     stages: tuple[StageTime, ...] = ()
     received: tuple[TopicCount, ...] = ()
     published: tuple[TopicCount, ...] = ()
+    shed: tuple[ShedCount, ...] = ()
 
 
 class LogRecord(msgspec.Struct, frozen=True, kw_only=True):

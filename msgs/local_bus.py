@@ -13,7 +13,7 @@ from msgs.arrays import require_finite
 from msgs.bus import Envelope, Received
 from msgs.codec import Buffer
 from msgs.diagnostics import TopicCount
-from msgs.tally import Tally, without_outdated
+from msgs.tally import Tally
 from msgs.topics import Topic, topic_facts
 
 
@@ -180,7 +180,7 @@ class LocalBus:
         due = [(parcel, topic) for topic, queue in self._queues.items() for parcel in queue.due(now_ns)]
         due.sort(key=lambda item: item[0][:4])
         accepted = (self._tally.accept(topic, parcel.frames, now_ns) for parcel, topic in due)
-        return without_outdated([message for message in accepted if message is not None])
+        return self._tally.without_outdated([message for message in accepted if message is not None])
 
     def now_ns(self) -> int:
         """The network's virtual clock."""

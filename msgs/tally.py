@@ -26,14 +26,21 @@ class _Count:
     """Running figures of one topic."""
 
     def __init__(self) -> None:
-        self.messages = self.bytes = self.lost = self.rejected = 0
+        self.messages = self.bytes = self.lost = self.rejected = self.outdated = 0
 
     def add(self, frames: Sequence[Buffer]) -> None:
         self.messages += 1
         self.bytes += sum(len(frame) for frame in frames)
 
     def frozen(self, topic: str) -> TopicCount:
-        return TopicCount(topic=topic, messages=self.messages, bytes=self.bytes, lost=self.lost, rejected=self.rejected)
+        return TopicCount(
+            topic=topic,
+            messages=self.messages,
+            bytes=self.bytes,
+            lost=self.lost,
+            rejected=self.rejected,
+            outdated=self.outdated,
+        )
 
 
 class Tally:
@@ -82,6 +89,18 @@ class Tally:
         """The next message of `publisher` is its first: no gap before it."""
         self._last.pop((topic, publisher), None)
 
+    def without_outdated(self, messages: list[Received]) -> list[Received]:
+        """`messages`, with the last of each publisher alone on topics whose receivers want the newest only; counts."""
+        newest = {(message.topic, message.envelope.publisher): message for message in messages}
+        kept = []
+        for message in messages:
+            is_newest = newest[message.topic, message.envelope.publisher] is message
+            if topic_facts(message.topic).newest_only and not is_newest:
+                self._received[message.topic].outdated += 1
+            else:
+                kept.append(message)
+        return kept
+
     def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
         """Received and published figures, topics in order of name."""
         received = tuple(self._received[topic].frozen(topic) for topic in sorted(self._received))
@@ -101,13 +120,3 @@ def _check_origin(received: Received, topic: str, now_ns: int) -> None:
         raise CodecError(f"{topic}: message of {received.topic} on its connection")
     if received.envelope.sent_ns > now_ns:
         raise CodecError(f"{topic}: sent_ns must not lie in the future, got {received.envelope.sent_ns} at {now_ns}")
-
-
-def without_outdated(messages: list[Received]) -> list[Received]:
-    """`messages`, with the last of each publisher alone on topics whose receivers want the newest only."""
-    newest = {(message.topic, message.envelope.publisher): message for message in messages}
-    return [
-        message
-        for message in messages
-        if not topic_facts(message.topic).newest_only or newest[message.topic, message.envelope.publisher] is message
-    ]

@@ -18,7 +18,7 @@ import zmq
 from msgs.bus import Received
 from msgs.codec import Buffer, topic_frame
 from msgs.diagnostics import TopicCount
-from msgs.tally import Tally, without_outdated
+from msgs.tally import Tally
 from msgs.topics import MIB, TOPICS, Topic, topic_facts
 from msgs.units import NANOSECONDS_PER_SECOND
 
@@ -157,7 +157,7 @@ class ZmqBus:
                 received += self._drain(topic, subscriber)
         # one publisher's clock readings never fall: its own order is kept
         received.sort(key=lambda message: message.envelope.sent_ns)
-        return without_outdated(received)
+        return self._tally.without_outdated(received)
 
     def _drain(self, topic: str, subscriber: zmq.Socket[bytes]) -> list[Received]:
         self._notice_restarts(topic)

@@ -1,7 +1,8 @@
 """The node `bev_viewer`: shows the newest view of the graph in a browser on this machine.
 
 The server runs in a thread of its own; a step only hands the newest messages over, and nothing is rendered while nobody
-looks. A slow page misses scans; the graph never waits for it.
+looks. A slow page misses scans; the graph never waits for it. Pictures are the first work to be shed: the process gives
+way to the others, and while views come late most pictures of maps are left out.
 """
 
 from __future__ import annotations
@@ -42,11 +43,13 @@ class BevViewer(Node):
     """Hands the newest of `TOPICS_SHOWN` to the pages that look."""
 
     inputs = TOPICS_SHOWN
+    #: Where cores are short it gets a tenth of what another process gets; elsewhere all it asks for.
+    nice = 10
 
     def __init__(self, params: Params) -> None:
         super().__init__()
         board = Board()
-        self._assembly = Assembly(board)
+        self._assembly = Assembly(board, gives_way=True)
         self.server = ViewerServer(board, title=params.title, port=params.port, max_clients=params.max_clients)
         _LOG.info("open %s", self.server.url)
         if params.open_browser and not webbrowser.open(self.server.url):
@@ -58,8 +61,11 @@ class BevViewer(Node):
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Hand over what came in."""
+        maps_shed = self._assembly.maps_shed
         for received in inputs:
             self._assembly.take(received.message, now_ns)
+        if self._assembly.maps_shed > maps_shed:
+            self.shed.add("picture", "views late", self._assembly.maps_shed - maps_shed)
         if now_ns >= self._assembly.table_due_ns(now_ns):
             self._assembly.post_table(now_ns)
         return []

@@ -26,7 +26,7 @@ import msgspec
 import psutil
 
 from msgs.bus import Bus, Outgoing, Received
-from msgs.diagnostics import NodeState, NodeStatus, StageTime
+from msgs.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime
 from msgs.topics import topic_facts
 from nodes.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
 from nodes.validation import convert_at
@@ -73,10 +73,34 @@ class StageClock:
     def drain(self) -> tuple[StageTime, ...]:
         """Stages since the last call, in the order in which they first ran."""
         durations_ms, self._durations_ms = self._durations_ms, {}
-        return tuple(
-            StageTime(name=name, count=len(ms), last_ms=ms[-1], mean_ms=sum(ms) / len(ms), max_ms=max(ms))
-            for name, ms in durations_ms.items()
-        )
+        return tuple(_stage_time(name, ms) for name, ms in durations_ms.items())
+
+
+def _stage_time(name: str, durations_ms: list[float]) -> StageTime:
+    count = len(durations_ms)
+    return StageTime(
+        name=name,
+        count=count,
+        last_ms=durations_ms[-1],
+        mean_ms=sum(durations_ms) / count,
+        max_ms=max(durations_ms),
+        samples_ms=tuple(durations_ms[:: -(-count // SAMPLES_LIMIT)]),
+    )
+
+
+class ShedTally:
+    """What a node left undone so as not to fall behind: `node.shed.add("scan", "behind")`."""
+
+    def __init__(self) -> None:
+        self._counts: dict[tuple[str, str], int] = {}
+
+    def add(self, what: str, reason: str, count: int = 1) -> None:
+        """Count work that was shed."""
+        self._counts[what, reason] = self._counts.get((what, reason), 0) + count
+
+    def counts(self) -> tuple[ShedCount, ...]:
+        """Figures since the node started, in the order in which each first came up."""
+        return tuple(ShedCount(what=what, reason=reason, count=count) for (what, reason), count in self._counts.items())
 
 
 class Node:
@@ -87,9 +111,12 @@ class Node:
 
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    #: How far the node's process gives way to the others where cores are short: Unix niceness, 0..19.
+    nice: int = 0
 
     def __init__(self) -> None:
         self.stages = StageClock()
+        self.shed = ShedTally()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Answer what came in, in order of arrival; empty when the node is called because it was due."""
@@ -98,6 +125,10 @@ class Node:
     def due_ns(self, now_ns: int) -> int | None:
         """Bus time at which `step` is to be called even without input; None: never."""
         return None
+
+    def pending(self) -> bool:
+        """True while the last step left work undone that needs no further input: the next step comes at once."""
+        return False
 
     def finished(self) -> bool:
         """True when the node has nothing left to say, ever: its process then ends with exit code 0."""
@@ -154,7 +185,13 @@ class Heartbeat:
         self._started_s = self._last_s = time.monotonic()
         self._process = psutil.Process()
 
-    def beat(self, state: NodeState, reason: str = "", stages: tuple[StageTime, ...] = ()) -> None:
+    def beat(
+        self,
+        state: NodeState,
+        reason: str = "",
+        stages: tuple[StageTime, ...] = (),
+        shed: tuple[ShedCount, ...] = (),
+    ) -> None:
         """Publish a heartbeat and all log records that wait."""
         self._last_s = time.monotonic()
         received, published = self._bus.counts()
@@ -170,6 +207,7 @@ class Heartbeat:
             stages=stages,
             received=received,
             published=published,
+            shed=shed,
         )
         self._bus.publish("diagnostics/node", status)
         self._publish_log()
@@ -177,7 +215,7 @@ class Heartbeat:
     def beat_if_due(self, node: Node) -> None:
         """The heartbeat of a running node, at most once per `HEARTBEAT_S`."""
         if self.remaining_s() <= 0.0:
-            self.beat(*node.health(), stages=node.stages.drain())
+            self.beat(*node.health(), stages=node.stages.drain(), shed=node.shed.counts())
         else:
             self._publish_log()
 
@@ -215,15 +253,17 @@ def run_loop(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
         try:
             node.close()
         finally:
-            heartbeat.beat(NodeState.STOPPING, reason, node.stages.drain())
+            heartbeat.beat(NodeState.STOPPING, reason, node.stages.drain(), node.shed.counts())
 
 
 def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
     """Answer what still waits, until nothing comes, the time is up or the node is to end at once."""
     end_s = time.monotonic() + DRAIN_LIMIT_S
     while not (stop.at_once or node.finished()) and time.monotonic() < end_s:
-        if not _answer_inputs(node, bus, DRAINED_S):
+        inputs = bus.receive(0.0 if node.pending() else DRAINED_S)
+        if not (inputs or node.pending()):
             return
+        _step(node, bus, inputs, bus.now_ns())
         heartbeat.beat_if_due(node)
 
 
@@ -233,6 +273,8 @@ def one_line(error: BaseException) -> str:
 
 
 def _wait_s(node: Node, bus: Bus) -> float:
+    if node.pending():
+        return 0.0
     now_ns = bus.now_ns()
     due_ns = node.due_ns(now_ns)
     return TURN_S if due_ns is None else min(TURN_S, max(0.0, 1e-9 * (due_ns - now_ns)))
@@ -243,17 +285,10 @@ def _turn(node: Node, bus: Bus, timeout_s: float) -> bool:
     inputs = bus.receive(timeout_s)
     now_ns = bus.now_ns()
     due_ns = node.due_ns(now_ns)
-    if not inputs and (due_ns is None or due_ns > now_ns):
+    if not (inputs or node.pending()) and (due_ns is None or due_ns > now_ns):
         return False
     _step(node, bus, inputs, now_ns)
     return True
-
-
-def _answer_inputs(node: Node, bus: Bus, timeout_s: float) -> bool:
-    inputs = bus.receive(timeout_s)
-    if inputs:
-        _step(node, bus, inputs, bus.now_ns())
-    return bool(inputs)
 
 
 def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
@@ -346,6 +381,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
             return EXIT_BAD_INPUT
         for topic in node.outputs:
             bus.advertise(topic)
+        _give_way(node.nice)
         run_loop(node, bus, stop, heartbeat)
         if not stop.at_once:
             time.sleep(FLUSH_S)
@@ -355,6 +391,12 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
     finally:
         bus.close()
     return EXIT_DONE
+
+
+def _give_way(nice: int) -> None:
+    """Lower the priority of this process: of each thread, as Linux keeps it, and of those to come."""
+    for thread in psutil.Process().threads() if nice else ():
+        os.setpriority(os.PRIO_PROCESS, thread.id, min(19, os.getpriority(os.PRIO_PROCESS, thread.id) + nice))
 
 
 def _load_or_say_why(arguments: argparse.Namespace, heartbeat: Heartbeat) -> Node | None:

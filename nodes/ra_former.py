@@ -1,14 +1,22 @@
-"""Folds beams as they arrive and publishes the range-azimuth map of each scan."""
+"""Folds beams as they arrive and publishes the range-azimuth map of each scan.
+
+Where beams come faster than they can be folded, whole scans are left out (`nodes.beam_queue`): never single beams of a
+scan that was begun. A scan of which the bus lost too many beams is left out as well. All are counted.
+"""
 
 from __future__ import annotations
 
 import logging
+import time
+from collections import deque
+from collections.abc import Callable
 
 from models.perception.ra_forming import FormingParams, RaFormer
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
-from msgs.radar import RadarBeam, RadarSetup
+from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.vehicle import VehicleState
+from nodes.beam_queue import BeamQueue
 from nodes.node import Node
 from nodes.state_history import StateHistory
 
@@ -22,6 +30,19 @@ class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Parameters of the forming stage; `ego_compensation` takes the vehicle's own motion out."""
 
     ego_compensation: bool = True
+    #: A scan is not begun where beams have piled up so high that, at the pace of late, its last would be folded more
+    #: than this many scans after it came: half the deadline, and the other half belongs to what follows.
+    behind: float = 0.5
+    #: A scan of which the bus lost beams is left out when a larger share of its beams is missing: 25 beams carry 15
+    #: unknowns, with fewer than these the azimuths are guesses.
+    missing_limit: float = 0.4
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not self.behind > 0.0:
+            raise ValueError(f"ra_former.behind must be positive, got {self.behind!r}")
+        if not 0.0 <= self.missing_limit <= 1.0:
+            raise ValueError(f"ra_former.missing_limit must be 0..1, got {self.missing_limit!r}")
 
 
 class RaFormerNode(Node):
@@ -37,13 +58,19 @@ class RaFormerNode(Node):
         RaFormer(RadarSetup(), params)
         self._former: RaFormer | None = None
         self._states = StateHistory()
+        self._queue = BeamQueue(params.behind)
+        #: Durations of the last folds, about a scan; a test puts another clock in.
+        self._folds_ns: deque[int] = deque(maxlen=32)
+        self._clock_ns: Callable[[], int] = time.perf_counter_ns
         self._give_up_ns: int | None = None
         self._refused = 0
         self._trouble = ""
+        #: Why scans were left out lately; empty once two successive ones came through.
+        self._behind = ""
+        self._published_scan: int | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Fold every beam that came; the last of a scan brings its map, a long silence that of an unfinished one."""
-        out: list[Outgoing] = []
+        """Fold one beam; the last of a scan brings its map, a long silence that of an unfinished one."""
         # set-up and vehicle state first: what they say holds for the beams that came with them
         for received in sorted(inputs, key=lambda item: item.topic == "radar/beam"):
             match received.message:
@@ -51,37 +78,90 @@ class RaFormerNode(Node):
                     self._former = RaFormer(setup, self._params)
                 case VehicleState() as state:
                     self._states.add(state)
-                case RadarBeam() as beam:
-                    out += self._fold(beam)
+                case RadarBeam():
+                    self._put(received)
                     self._give_up_ns = now_ns + PATIENCE_NS
-        if self._former is not None and self._give_up_ns is not None and now_ns >= self._give_up_ns:
-            out += [Outgoing("radar/ra_map", ra_map) for ra_map in self._former.flush()]
+        maps = self._fold_next()
+        if self._give_up_ns is not None and now_ns >= self._give_up_ns:
+            maps += self._close_scan()
             self._give_up_ns = None
-        return out
+        return [Outgoing("radar/ra_map", ra_map) for ra_map in maps if self._is_sound(ra_map)]
+
+    def pending(self) -> bool:
+        """True while beams wait."""
+        return len(self._queue) > 0
 
     def due_ns(self, now_ns: int) -> int | None:
         """When to stop waiting for the rest of a scan."""
         return self._give_up_ns
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while beams are refused or no set-up has come."""
-        if self._trouble:
-            return NodeState.DEGRADED, self._trouble
-        return NodeState.READY, ""
+        """DEGRADED while beams are refused, no set-up has come or scans are left out."""
+        reason = self._trouble or self._behind
+        return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
-    def _fold(self, beam: RadarBeam) -> list[Outgoing]:
+    def _put(self, received: Received) -> None:
+        scans, beams = self._queue.shed_scans, self._queue.shed_beams
+        self._queue.put(received)
+        self._count("of a scan left out", self._queue.shed_beams - beams)
+        for _ in range(self._queue.shed_scans - scans):
+            self._leave_out("behind")
+
+    def _fold_next(self) -> list[RangeAzimuthMap]:
+        """Maps of the next beam: between two beams the bus is emptied, so that nothing is lost there meanwhile."""
+        if not self._queue:
+            return []
+        # a scan that another follows gets no more beams
+        maps = self._close_scan() if self._queue.ends_scan() else []
+        start_ns = self._clock_ns()
+        maps += self._fold(self._queue.take())
+        self._folds_ns.append(self._clock_ns() - start_ns)
+        if self._former is not None:
+            interval_ns = self._former.folder.setup.beam_interval_ns
+            self._queue.load = sum(self._folds_ns) / len(self._folds_ns) / interval_ns
+        return maps
+
+    def _leave_out(self, reason: str) -> None:
+        self.shed.add("scan", reason)
+        left_out = sum(count.count for count in self.shed.counts() if count.what == "scan")
+        self._behind = f"{reason}: {left_out} scans left out so far"
+
+    def _is_sound(self, ra_map: RangeAzimuthMap) -> bool:
+        """Whether a map is to be published: not one that the bus tore too many beams out of."""
+        assert self._former is not None
+        used = len(self._former.folder.setup.beams) - len(ra_map.unused_beams)
+        is_torn = self._queue.torn(ra_map.scan_id)
+        if is_torn and len(ra_map.missing_beams) > self._params.missing_limit * used:
+            self._leave_out("torn")
+            return False
+        if self._published_scan is not None and ra_map.scan_id == self._published_scan + 1:
+            self._behind = ""
+        self._published_scan = ra_map.scan_id
+        return True
+
+    def _close_scan(self) -> list[RangeAzimuthMap]:
+        return [] if self._former is None else self._former.flush()
+
+    def _fold(self, beam: RadarBeam) -> list[RangeAzimuthMap]:
         if self._former is None:
             self._say(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
             return []
+        late, repeated = self._former.late_beams, self._former.repeated_beams
         try:
             with self.stages("last beam" if beam.beam_index == beam.beam_count - 1 else "beam"):
                 maps = self._former.add(beam, self._state_for(beam))
         except ValueError as error:
             self._say(str(error))
             return []
+        self._count("late", self._former.late_beams - late)
+        self._count("repeated", self._former.repeated_beams - repeated)
         if maps:
             self._trouble = ""
-        return [Outgoing("radar/ra_map", ra_map) for ra_map in maps]
+        return maps
+
+    def _count(self, reason: str, beams: int) -> None:
+        if beams:
+            self.shed.add("beam", reason, beams)
 
     def _state_for(self, beam: RadarBeam) -> VehicleState | None:
         """The newest valid state not younger than the beam; the former keeps that of a scan's first beam for all."""
@@ -90,6 +170,7 @@ class RaFormerNode(Node):
 
     def _say(self, trouble: str) -> None:
         self._refused += 1
+        self.shed.add("beam", "refused")
         if trouble != self._trouble:
             _LOG.warning("%s (%d beams refused so far)", trouble, self._refused)
         self._trouble = trouble

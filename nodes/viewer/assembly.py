@@ -9,9 +9,10 @@ import msgspec
 
 from msgs.diagnostics import NodeStatus
 from msgs.perception import BevFrame, Peaks, SceneTruth
-from msgs.radar import RangeAzimuthMap
-from msgs.units import NANOSECONDS_PER_SECOND, ns_from_s
+from msgs.radar import RadarSetup, RangeAzimuthMap
+from msgs.units import NANOSECONDS_PER_SECOND
 from msgs.vehicle import VehicleState
+from nodes.live_timing import ViewWatch, on_one_clock, views_text
 from nodes.viewer.board import Board, WireMessage, json_text
 from nodes.viewer.node_table import NodeTable
 from nodes.viewer.view_model import map_json, map_tile, mask_tile, view_json
@@ -24,20 +25,29 @@ TOPICS_SHOWN = (
     "sim/truth",
     "vehicle/state",
     "diagnostics/node",
+    "radar/setup",
 )
 #: The node table is posted this often.
 TABLE_PERIOD_NS = NANOSECONDS_PER_SECOND // 2
 #: Truth and view of a scan come within this many scans of each other.
 _KEPT_TRUTHS = 8
-#: A stamp that differs more from the clock was taken on another one (a capture played back): it has no age.
-_LONGEST_AGE_NS = ns_from_s(60.0)
+#: While views miss their deadline, pictures of maps are posted no oftener than this: the first work to be shed.
+LATE_MAP_PERIOD_NS = 2 * NANOSECONDS_PER_SECOND
 
 
 class Assembly:
-    """Takes messages in order of arrival and posts newest-only on a board. Belongs to one thread."""
+    """Takes messages in order of arrival and posts newest-only on a board. Belongs to one thread.
 
-    def __init__(self, board: Board) -> None:
+    With `gives_way` it leaves out most pictures of maps while views come late; `maps_shed` counts them.
+    """
+
+    def __init__(self, board: Board, gives_way: bool = False) -> None:
         self._board = board
+        self._gives_way = gives_way
+        self.maps_shed = 0
+        self._map_posted_ns: int | None = None
+        self._is_late = False
+        self._watch: ViewWatch | None = None
         self._frame: BevFrame | None = None
         #: Views so far: a page that misses some can tell how many, however often each was posted.
         self._number = 0
@@ -53,14 +63,17 @@ class Assembly:
     def take(self, message: msgspec.Struct, now_ns: int) -> None:
         """Take in one message of `TOPICS_SHOWN`; post what it completes."""
         match message:
+            case RadarSetup():
+                self._views(now_ns).set_up(message)
             case BevFrame():
                 self._number += 1
                 self._frame, self._latency_ms = message, _age_ms(message.stamp_ns, now_ns)
+                self._is_late = self._views(now_ns).add(message.scan_id, message.stamp_ns, now_ns)
                 self._post_view()
-                self._post_map()
+                self._post_map(now_ns)
             case RangeAzimuthMap():
                 # no view came for the map before: better shown alone than not at all
-                self._post_map()
+                self._post_map(now_ns)
                 self._map = message, _age_ms(message.stamp_ns, now_ns)
             case Peaks():
                 self._peaks = message
@@ -80,8 +93,14 @@ class Assembly:
     def post_table(self, now_ns: int) -> None:
         """Post the node table as it stands."""
         self._table_due_ns = now_ns + TABLE_PERIOD_NS
-        table = {"type": "nodes", "nodes": self._nodes.rows(now_ns)}
+        views = self._views(now_ns).figures(now_ns)
+        graph = {"text": views_text(views), "well": views.misses == views.overdue == 0}
+        table = {"type": "nodes", "graph": graph, "nodes": self._nodes.rows(now_ns)}
         self._board.post("nodes", lambda: (json_text(table),))
+
+    def _views(self, now_ns: int) -> ViewWatch:
+        self._watch = self._watch or ViewWatch(now_ns)
+        return self._watch
 
     def _post_view(self) -> None:
         assert self._frame is not None
@@ -89,10 +108,20 @@ class Assembly:
         facts = {"number": self._number, "latency_ms": self._latency_ms}
         self._board.post("view", partial(_view_messages, self._frame, truth, self._vehicle, facts))
 
-    def _post_map(self) -> None:
-        if self._map is not None:
+    def _post_map(self, now_ns: int) -> None:
+        if self._map is None:
+            return
+        if self._is_map_shed(now_ns):
+            self.maps_shed += 1
+        else:
             self._board.post("map", partial(_map_messages, *self._map, self._peaks))
-            self._map = None
+            self._map_posted_ns = now_ns
+        self._map = None
+
+    def _is_map_shed(self, now_ns: int) -> bool:
+        if not (self._gives_way and self._is_late) or self._map_posted_ns is None:
+            return False
+        return now_ns - self._map_posted_ns < LATE_MAP_PERIOD_NS
 
     def _keep_truth(self, truth: SceneTruth) -> None:
         self._truths.pop(truth.scan_id, None)
@@ -115,5 +144,4 @@ def _map_messages(ra_map: RangeAzimuthMap, latency_ms: float | None, peaks: Peak
 
 def _age_ms(stamp_ns: int, now_ns: int) -> float | None:
     """Time since the first beam, None where stamp and clock have nothing to do with each other."""
-    age_ns = now_ns - stamp_ns
-    return round(1e-6 * age_ns, 1) if 0 <= age_ns <= _LONGEST_AGE_NS else None
+    return round(1e-6 * (now_ns - stamp_ns), 1) if on_one_clock(stamp_ns, now_ns) else None

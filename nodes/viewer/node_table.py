@@ -63,6 +63,7 @@ class NodeTable:
             "memory_mib": round(status.resident_bytes / (1 << 20)),
             "lost": sum(count.lost for count in status.received),
             "rejected": sum(count.rejected for count in status.received),
+            "shed": [f"{count.count} {count.what} {count.reason}" for count in status.shed],
             "stages": [
                 {"name": one.name, "mean_ms": round(one.mean_ms, 1), "max_ms": round(one.max_ms, 1)}
                 for one in self._stages.get(name, ())

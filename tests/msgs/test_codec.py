@@ -405,3 +405,16 @@ def test_any_scalar_values_survive(message: VehicleState) -> None:
     # floats keep every bit, the sign of zero included
     again = decode_inline(VehicleState, encode_inline(message))
     assert struct.pack("<d", again.speed_mps) == struct.pack("<d", message.speed_mps)
+
+
+def test_heartbeats_of_an_older_version_read_as_zero() -> None:
+    """New fields have defaults: what a recording of before lacks was not counted then."""
+    old = {
+        "stamp_ns": 1, "node": "ra_former", "pid": 2, "state": "ready",
+        "stages": [{"name": "fold", "count": 3, "last_ms": 1.0, "mean_ms": 1.0, "max_ms": 2.0}],
+        "received": [{"topic": "log", "messages": 1, "bytes": 2}],
+    }  # fmt: skip
+    status = msgspec.msgpack.decode(msgspec.msgpack.encode(old), type=NodeStatus)
+    assert status.shed == ()
+    assert status.stages[0].samples_ms == ()
+    assert status.received[0].outdated == 0

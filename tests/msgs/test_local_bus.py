@@ -117,6 +117,7 @@ def test_newest_only_skips_without_loss() -> None:
     assert stamps(receiver.receive(0.0)) == [3]
     assert received_counts(receiver).lost == 0
     assert received_counts(receiver).messages == 4
+    assert received_counts(receiver).outdated == 3
 
 
 def test_restart_of_a_publisher_is_no_loss() -> None:

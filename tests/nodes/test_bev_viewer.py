@@ -414,9 +414,11 @@ class Source(Node):
         scan, self.scan = self.scan, self.scan + 1
         state = VehicleState(stamp_ns=now_ns, speed_mps=float(scan))
         return [
-            ("radar/ra_map", ra_map(scan)), ("vehicle/state", state), ("perception/hidden_objects", frame(scan)),
+            ("radar/ra_map", ra_map(scan)),
+            ("vehicle/state", state),
+            ("perception/hidden_objects", msgspec.structs.replace(frame(scan), stamp_ns=now_ns)),
             ("sim/truth", truth(scan)),
-        ]  # fmt: skip
+        ]
 
 
 @pytest.fixture

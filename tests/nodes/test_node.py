@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import logging
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
@@ -14,6 +17,7 @@ from nodes.logs import BusLogHandler, LineSplitter, parse_line
 from nodes.node import Heartbeat, InProcessGraph, Node, StageClock, Stop, load_node, run_loop
 from tests.graph import toy_nodes
 
+ROOT = Path(__file__).resolve().parents[2]
 TOY = "tests.graph.toy_nodes"
 
 
@@ -128,6 +132,25 @@ def test_stage_clock_keeps_order_and_starts_anew() -> None:
             pass
     assert [(stage.name, stage.count) for stage in clock.drain()] == [("b", 2), ("a", 1)]
     assert clock.drain() == ()
+
+
+def test_a_node_that_gives_way_does_so_with_all_its_threads() -> None:
+    """Linux keeps a niceness for each thread: also one that `create` started must give way, and later ones inherit."""
+    program = """
+import os, threading
+from nodes.node import _give_way
+def priorities():
+    return sorted(os.getpriority(os.PRIO_PROCESS, int(task)) for task in os.listdir('/proc/self/task'))
+end = threading.Event()
+threading.Thread(target=end.wait).start()
+before = priorities()
+_give_way(3)
+threading.Thread(target=end.wait).start()
+after = priorities()
+end.set()
+assert after == [min(19, one + 3) for one in [*before, before[0]]], (before, after)
+"""
+    subprocess.run([sys.executable, "-c", program], check=True, cwd=ROOT)
 
 
 def test_log_records_travel_with_the_heartbeat() -> None:

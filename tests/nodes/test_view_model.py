@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colormaps
 
-from msgs.diagnostics import NodeState, NodeStatus, StageTime, TopicCount
+from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.perception import (
     BevFrame,
     BevGrid,
@@ -277,6 +277,12 @@ def test_stages_stay_until_the_next_are_known() -> None:
     table.add(status(stages=(stage,)), 0)
     table.add(status(second=0.5), S)
     assert table.rows(S)[0]["stages"] == [{"name": "fold", "mean_ms": 1.3, "max_ms": 2.0}]
+
+
+def test_what_a_node_left_undone_is_said_in_words() -> None:
+    table = NodeTable()
+    table.add(status(shed=(ShedCount(what="scan", reason="behind", count=12),)), 0)
+    assert table.rows(0)[0]["shed"] == ["12 scan behind"]
 
 
 def test_a_node_that_says_nothing_is_silent_unless_it_ended() -> None:

@@ -16,6 +16,7 @@ import pytest
 from msgs.perception import BevFrame, BevGrid, HiddenObject, Peaks
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.vehicle import VehicleState
+from nodes.live_timing import last_beam_ns
 from nodes.viewer.assembly import Assembly
 from nodes.viewer.board import Board
 from nodes.viewer.server import ViewerServer
@@ -307,7 +308,7 @@ def test_a_screen_reader_hears_what_is_seen(server: ViewerServer, board: Board, 
 
 
 def test_the_vehicle_and_nodes_are_shown(server: ViewerServer, board: Board, open_page: Open) -> None:
-    from msgs.diagnostics import NodeState, NodeStatus, StageTime, TopicCount
+    from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 
     assembly = Assembly(board)
     assembly.take(VehicleState(stamp_ns=0, speed_mps=5.0, yaw_rate_rps=0.2), 0)
@@ -322,14 +323,22 @@ def test_the_vehicle_and_nodes_are_shown(server: ViewerServer, board: Board, ope
             reason="<b>why</b>",
             stages=(stage,),
             received=(lost,),
+            shed=(ShedCount(what="scan", reason="behind", count=7),),
         ),
         0,
     )
     assembly.take(frame(0), 0)
-    assembly.post_table(0)
+    late_ns = 300_000_000 + last_beam_ns() + 400_000_000
+    assembly.take(frame(1), late_ns)
+    assembly.post_table(late_ns)
     page = open_page(server)
     until(page, "mirrorwave.state.nodes.length && mirrorwave.state.view")
     text = page.locator("#nodes").inner_text()
+    assert "left out so far: 7 scan behind" in text
+    graph = page.locator("#graph")
+    assert graph.inner_text().startswith("view 400 ms after its last beam")
+    assert "deadline 0.3 s missed 1x" in graph.inner_text()
+    assert "lossy" in (graph.get_attribute("class") or "")
     assert "geometry: 15, 16" in text
     assert "degraded" in text
     # what a node says is text, never markup

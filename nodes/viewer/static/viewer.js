@@ -31,7 +31,7 @@ const state = {
   connection: "waiting", title: "", recording: false, colours: [],
   paused: false, missed: 0, number: null, updates: 0, announced: "",
   // what is shown, and what came while paused
-  view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], timeline: null,
+  view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
   held: { view: null, map: null },
   layers: Object.fromEntries(LAYERS.map((layer) => [layer.key, layer.on])),
   form: "cartesian", reach: 50, theme: null,
@@ -107,7 +107,7 @@ function take({ kinds, got }) {
     const news = kinds[message.type];
     if (message.type === "view") takeView({ message, mask: tile, at: performance.now() - news.held_ms });
     else if (message.type === "map") takeMap({ message, tile });
-    else if (message.type === "nodes") { state.nodes = message.nodes; showNodes(); }
+    else if (message.type === "nodes") { state.nodes = message.nodes; state.graph = message.graph; showNodes(); }
     else if (message.type === "timeline") { state.timeline = message; showTimeline(); }
   }
 }
@@ -283,14 +283,17 @@ function showNodes() {
       lines(node.stages.map((stage) => `${stage.name}: ${ms(stage.mean_ms)}, ${ms(stage.max_ms)}`)),
       cell(lost, lost ? "lossy" : ""), cell(`${(100 * node.cpu).toFixed(0)}%`), cell(node.memory_mib),
     ));
-    if (node.reason) {
-      const why = cell(node.reason);
+    const notes = [node.reason, node.shed.length ? `left out so far: ${node.shed.join(", ")}` : ""].filter(Boolean);
+    if (notes.length) {
+      const why = cell(notes.join("; "));
       why.colSpan = 7;
       const tr = row(why);
       tr.className = "reason";
       rows.push(tr);
     }
   }
+  byId("graph").textContent = state.graph ? state.graph.text : "\u00a0";
+  byId("graph").classList.toggle("lossy", Boolean(state.graph && !state.graph.well));
   byId("nodes").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(7, "no heartbeat yet")]));
 }
 

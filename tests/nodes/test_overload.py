@@ -1,0 +1,301 @@
+"""Overload on the in-process bus and a virtual clock: what is shed in which order, that all is counted, recovery.
+
+The radar sends a beam every 12 ms whatever happens; a former that takes `cost_ms` a beam takes its next turn when it
+has done with the last. Nothing is timed: cost is counted in folded beams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+import pytest
+
+from msgs.bus import Bus
+from msgs.diagnostics import NodeState
+from msgs.local_bus import Faults, LocalNetwork
+from msgs.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
+from nodes.live_timing import DEADLINE_S, last_beam_ns
+from nodes.node import Node, _turn
+from nodes.ra_former import Params, RaFormerNode, create
+from nodes.viewer.assembly import LATE_MAP_PERIOD_NS, Assembly
+from nodes.viewer.board import Board
+from tests.nodes.test_bev_viewer import frame, ra_map
+
+MS = 1_000_000
+BEAMS = 25
+SETUP = RadarSetup(radar=RadarParams(chirps_per_beam=1))
+NOISE = np.random.default_rng(0).integers(-300, 300, (1, 8192, 2)).astype("<i2")
+
+
+class Map(NamedTuple):
+    """A map and when its former had done with it."""
+
+    at_ns: int
+    message: RangeAzimuthMap
+
+    @property
+    def late_ms(self) -> float:
+        return 1e-6 * (self.at_ns - self.message.stamp_ns - last_beam_ns(SETUP))
+
+
+class Rig:
+    """A radar, a former with a price, and who listens."""
+
+    def __init__(self, **params: Any) -> None:
+        self.network = LocalNetwork(seed=1)
+        self.radar, self.bus, self.listener = (self.network.bus(name) for name in ("radar", "ra_former", "listener"))
+        self.node: RaFormerNode = create(Params(**params))
+        self.node._clock_ns = self._clock_ns
+        self.cost_ns = self.clock_ns = 0
+        for topic in self.node.inputs:
+            self.bus.subscribe(topic)
+        self.listener.subscribe("radar/ra_map")
+        self.radar.publish("radar/setup", SETUP)
+        self.free_ns = 0
+        self.sent = 0
+        self.maps: list[Map] = []
+        self.longest_queue = 0
+
+    def run(self, scans: int, cost_ms: float) -> list[Map]:
+        """Play so many scans; the maps that came meanwhile."""
+        before = len(self.maps)
+        for _ in range(scans * BEAMS):
+            self.radar.publish("radar/beam", self._beam())
+            self.network.advance(12 * MS)
+            self._turns(cost_ms)
+        return self.maps[before:]
+
+    def finish(self) -> None:
+        """Let the former do what waits."""
+        while self.node.pending() or self.bus_waits():
+            self.network.advance(100 * MS)
+            self._turns(0.0)
+
+    def bus_waits(self) -> bool:
+        return _turn(self.node, self.bus, 0.0)
+
+    def shed(self) -> dict[str, int]:
+        return {f"{count.what} {count.reason}": count.count for count in self.node.shed.counts()}
+
+    def _beam(self) -> RadarBeam:
+        scan, index = divmod(self.sent, BEAMS)
+        self.sent += 1
+        return RadarBeam(
+            stamp_ns=self.network.now_ns, scan_id=scan, beam_index=index, beam_count=BEAMS,
+            azimuth_rad=float(SETUP.beams.azimuth_rad[index]), samples=NOISE, full_scale_dbm=SETUP.full_scale_dbm,
+        )  # fmt: skip
+
+    def _clock_ns(self) -> int:
+        """Read before and after each fold: the fold's cost lies between two readings."""
+        self.clock_ns += self.cost_ns
+        return self.clock_ns
+
+    def _turns(self, cost_ms: float) -> None:
+        self.cost_ns = round(cost_ms * MS)
+        while self.free_ns <= self.network.now_ns:
+            start_ns = self.free_ns if self.node.pending() else self.network.now_ns
+            if not _turn(self.node, self.bus, 0.0):
+                return
+            folded = sum(stage.count for stage in self.node.stages.drain())
+            self.free_ns = start_ns + round(folded * cost_ms * MS)
+            self.longest_queue = max(self.longest_queue, len(self.node._queue))
+            for received in self.listener.receive(0.0):
+                assert isinstance(received.message, RangeAzimuthMap)
+                self.maps.append(Map(self.free_ns, received.message))
+
+
+def test_a_former_that_keeps_up_sheds_nothing() -> None:
+    rig = Rig()
+    assert len(rig.run(10, cost_ms=11.0)) == 10
+    assert rig.shed() == {}
+
+
+@pytest.mark.parametrize("cost_ms", [16.0, 25.0, 60.0, 150.0])
+def test_overload_sheds_whole_scans_and_counts_each(cost_ms: float) -> None:
+    rig = Rig()
+    rig.run(60, cost_ms)
+    rig.finish()
+    shed = rig.shed()
+    assert all(one.message.missing_beams == () for one in rig.maps), "a scan is whole or not there"
+    assert shed["scan behind"] > 0
+    assert len(rig.maps) + shed["scan behind"] == 60
+    assert shed == {"scan behind": shed["scan behind"], "beam of a scan left out": BEAMS * shed["scan behind"]}
+    scans = [one.message.scan_id for one in rig.maps]
+    assert scans == sorted(set(scans))
+
+
+@pytest.mark.parametrize("cost_ms", [16.0, 25.0])
+def test_what_is_published_under_overload_is_not_old(cost_ms: float) -> None:
+    """Begun at most half a scan late, a scan is done when its beams have been folded: never a growing delay."""
+    rig = Rig()
+    begun_late_ms = 0.5 * 300.0 + 12.0
+    longest_ms = begun_late_ms + BEAMS * cost_ms - 288.0
+    assert all(one.late_ms <= longest_ms + 12.0 for one in rig.run(60, cost_ms))
+
+
+def test_without_shedding_the_delay_would_grow() -> None:
+    """The same rig with the rule switched off: what the test above would see."""
+    rig = Rig(behind=1e9)
+    assert rig.run(60, cost_ms=25.0)[-1].late_ms > 5_000.0
+
+
+def test_the_former_recovers_with_the_next_scan() -> None:
+    rig = Rig()
+    rig.run(10, cost_ms=2.0)
+    rig.run(30, cost_ms=60.0)
+    assert rig.node.health()[0] is NodeState.DEGRADED
+    after = rig.run(10, cost_ms=2.0)
+    shed = rig.shed()
+    assert len([one for one in after if one.message.scan_id >= 41]) == 9, "of the ten all but the one under way"
+    # the scan that the load left behind is done late, all others at once
+    assert all(one.late_ms < 1e3 * DEADLINE_S for one in after[2:])
+    rig.run(5, cost_ms=2.0)
+    assert rig.shed() == shed
+    assert rig.node.health() == (NodeState.READY, "")
+
+
+@pytest.mark.parametrize(("pause_ms", "shed_scans"), [(250.0, 0), (1_000.0, 3)])
+def test_a_fast_former_catches_up_with_a_pause(pause_ms: float, shed_scans: int) -> None:
+    """A pause of less than a scan costs none; a longer one costs those that nobody would wait for."""
+    rig = Rig()
+    rig.run(2, cost_ms=2.0)
+    rig.free_ns = rig.network.now_ns + round(pause_ms * MS)
+    rig.run(8, cost_ms=2.0)
+    assert rig.shed().get("scan behind", 0) == shed_scans
+    assert len(rig.maps) == 10 - shed_scans
+
+
+def test_the_queue_is_bounded() -> None:
+    rig = Rig()
+    rig.run(60, cost_ms=11.9)
+    assert rig.longest_queue <= 2
+    rig = Rig()
+    rig.run(60, cost_ms=60.0)
+    assert rig.longest_queue <= BEAMS + 26
+
+
+def torn_maps(drop: float, **params: Any) -> tuple[Rig, list[Map]]:
+    rig = Rig(**params)
+    rig.run(2, cost_ms=1.0)
+    rig.network.inject("radar/beam", Faults(drop=drop))
+    rig.run(1, cost_ms=1.0)
+    rig.network.inject("radar/beam", Faults())
+    rig.run(3, cost_ms=1.0)
+    return rig, rig.maps
+
+
+def test_a_scan_torn_by_the_bus_is_left_out_whole_and_counted() -> None:
+    rig, maps = torn_maps(drop=0.7)
+    assert [one.message.scan_id for one in maps] == [0, 1, 3, 4, 5]
+    assert rig.shed() == {"scan torn": 1}
+    (count,) = [one for one in rig.bus.counts()[0] if one.topic == "radar/beam"]
+    assert count.lost > 0.4 * BEAMS
+
+
+def test_a_scan_with_few_holes_is_published_and_says_so() -> None:
+    rig, maps = torn_maps(drop=0.1)
+    (holed,) = [one.message for one in maps if one.message.missing_beams]
+    assert holed.scan_id == 2
+    assert rig.shed() == {}
+    (count,) = [one for one in rig.bus.counts()[0] if one.topic == "radar/beam"]
+    assert count.lost == len(holed.missing_beams)
+
+
+def test_the_limit_of_holes_is_a_parameter() -> None:
+    assert len(torn_maps(drop=0.1, missing_limit=0.0)[1]) == 5
+
+
+@pytest.mark.parametrize("change", [{"behind": 0.0}, {"behind": float("nan")}, {"missing_limit": 1.5}])
+def test_wrong_limits_are_named(change: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match=f"ra_former.{next(iter(change))}"):
+        Params(**change)
+
+
+# what is shed before any scan: pictures
+
+
+def late_views(late_ms: float, gives_way: bool) -> tuple[Assembly, Board]:
+    board = Board()
+    assembly = Assembly(board, gives_way)
+    for scan in range(30):
+        stamp_ns = scan * 300 * MS
+        now_ns = stamp_ns + last_beam_ns() + round(late_ms * MS)
+        assembly.take(msgspec.structs.replace(ra_map(scan), stamp_ns=stamp_ns), now_ns)
+        assembly.take(msgspec.structs.replace(frame(scan), stamp_ns=stamp_ns), now_ns)
+    return assembly, board
+
+
+def posts(board: Board) -> dict[str, int]:
+    return {kind: posted.version for kind, posted in board.newer({}).items()}
+
+
+def test_pictures_are_shed_first_while_views_come_late_and_views_never() -> None:
+    """The former of the same graph sheds nothing by a late view: pictures go first."""
+    assembly, board = late_views(late_ms=301.0, gives_way=True)
+    period_scans = -(-LATE_MAP_PERIOD_NS // (300 * MS))
+    assert posts(board) == {"view": 30, "map": -(-30 // period_scans)}
+    assert posts(board)["map"] + assembly.maps_shed == 30
+
+
+@pytest.mark.parametrize(("late_ms", "gives_way"), [(299.0, True), (301.0, False)], ids=["in time", "played back"])
+def test_in_time_every_picture_is_posted(late_ms: float, gives_way: bool) -> None:
+    assembly, board = late_views(late_ms, gives_way)
+    assert posts(board) == {"view": 30, "map": 30}
+    assert assembly.maps_shed == 0
+
+
+def test_pictures_come_back_with_the_first_view_in_time() -> None:
+    board = Board()
+    assembly = Assembly(board, gives_way=True)
+    for scan, late_ms in enumerate([301, 301, 301, 50, 50]):
+        stamp_ns = scan * 300 * MS
+        now_ns = stamp_ns + last_beam_ns() + late_ms * MS
+        assembly.take(msgspec.structs.replace(ra_map(scan), stamp_ns=stamp_ns), now_ns)
+        assembly.take(msgspec.structs.replace(frame(scan), stamp_ns=stamp_ns), now_ns)
+    assert (posts(board)["map"], assembly.maps_shed) == (3, 2)
+
+
+# what comes after scans: maps and peaks that a newer one overtook
+
+
+def test_a_node_behind_passes_over_old_maps_and_counts_them() -> None:
+    network = LocalNetwork()
+    sender, receiver = network.bus("ra_former"), network.bus("dense_predictor")
+    receiver.subscribe("radar/ra_map")
+    seen: Callable[[Bus], list[int]] = lambda bus: [one.message.scan_id for one in bus.receive(0.0)]  # type: ignore[attr-defined]  # noqa: E731
+    for scan in range(4):
+        sender.publish("radar/ra_map", ra_map(scan))
+    assert seen(receiver) == [3]
+    sender.publish("radar/ra_map", ra_map(4))
+    assert seen(receiver) == [4]
+    (count,) = receiver.counts()[0]
+    assert (count.messages, count.outdated, count.lost) == (5, 3, 0)
+
+
+def test_work_left_over_is_done_before_the_end() -> None:
+    """A node asked to stop answers what waits, also what it took in and has not begun."""
+    from nodes.node import Heartbeat, Stop, _drain
+
+    rig = Rig(behind=1e9)
+    for _ in range(3 * BEAMS):
+        rig.radar.publish("radar/beam", rig._beam())
+    _turn(rig.node, rig.bus, 0.0)
+    assert rig.node.pending()
+    _drain(rig.node, rig.bus, Stop(), Heartbeat(rig.bus, "ra_former"))
+    assert not rig.node.pending()
+    assert rig.listener.counts()[0][0].messages == 0
+    assert [one.message.scan_id for one in rig.listener.receive(0.0)] == [2], "the newest of three maps"  # type: ignore[attr-defined]
+    assert rig.listener.counts()[0][0].messages == 3
+
+
+def test_every_node_can_count_what_it_sheds() -> None:
+    node = Node()
+    node.shed.add("scan", "behind")
+    node.shed.add("beam", "late", 3)
+    node.shed.add("scan", "behind", 2)
+    assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [
+        ("scan", "behind", 3), ("beam", "late", 3),
+    ]  # fmt: skip
