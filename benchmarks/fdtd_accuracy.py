@@ -11,7 +11,7 @@ import json
 import math
 import time
 from collections.abc import Callable
-from itertools import pairwise, product
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,17 +20,14 @@ from rich.progress import Progress
 from rich.table import Table
 
 from benchmarks.ra_forming import machine
-from models.physics.fresnel import Polarisation, slab_reflection, slab_transmission
+from models.physics.fresnel import slab_reflection, slab_transmission
 from models.physics.materials import permittivity
-from sim_player.fdtd import reflect, reflect_angles
+from sim_player.fdtd import reflect
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS
+from sim_player.fdtd.smooth import SMOOTH_WALLS, SmoothWall
 
 ANGLES_DEG = np.arange(0.0, 81.0, 5.0)
 CELLS = (10, 20, 40)
-BANDS_HZ = (10e9, 77e9)
-#: Material and thickness; brick at 77 GHz lies outside its table and is extrapolated.
-WALLS = (("concrete", math.inf), ("brick", math.inf), ("glass", 6e-3), ("wood", math.inf), ("metal", math.inf))
-POLARISATIONS: tuple[Polarisation, ...] = ("te", "tm")
 
 
 def main() -> None:
@@ -42,11 +39,8 @@ def main() -> None:
     console = Console()
     reflect(((2.0, math.inf),), 0.0, 10e9)  # compile
     with Progress(console=console) as progress:
-        task = progress.add_task("walls", total=len(WALLS) * len(BANDS_HZ) * len(POLARISATIONS) * len(CELLS))
-        rows = [
-            measure(*case, options.dtype, lambda: progress.advance(task))
-            for case in product(BANDS_HZ, WALLS, POLARISATIONS)
-        ]
+        task = progress.add_task("walls", total=len(SMOOTH_WALLS) * len(CELLS))
+        rows = [measure(wall, options.dtype, lambda: progress.advance(task)) for wall in SMOOTH_WALLS]
     console.print(table(rows))
     thick = thick_concrete()
     console.print_json(json.dumps(thick))
@@ -56,26 +50,22 @@ def main() -> None:
         options.out.write_text(json.dumps(report, indent=1))
 
 
-def measure(
-    frequency_hz: float, wall: tuple[str, float], polarisation: Polarisation, dtype: str, done: Callable[[], object]
-) -> dict[str, object]:
+def measure(wall: SmoothWall, dtype: str, done: Callable[[], object]) -> dict[str, object]:
     """One row: errors at each resolution, how fast they fall, time of the finest."""
-    name, thickness_m = wall
-    eps = permittivity(name, frequency_hz, extrapolate=True)
-    angles_rad, wavelength_m = np.radians(ANGLES_DEG), SPEED_OF_LIGHT_MPS / frequency_hz
-    exact = slab_reflection(eps, np.cos(angles_rad), thickness_m, wavelength_m, polarisation)
+    angles_rad = np.radians(ANGLES_DEG)
+    exact = wall.exact(angles_rad)
     errors, residue, seconds = [], 0.0, 0.0
     for cells in CELLS:
         start = time.perf_counter()
-        found = reflect_angles(((eps, thickness_m),), angles_rad, frequency_hz, polarisation, cells, dtype)
+        found = wall.simulated(angles_rad, cells, dtype)
         seconds = time.perf_counter() - start
         residue = max(residue, *(one.residue for one in found))
         errors.append(float(np.linalg.norm([one.r for one in found] - exact) / np.linalg.norm(exact)))
         done()
     return {
-        "frequency_ghz": frequency_hz / 1e9,
-        "wall": name if math.isinf(thickness_m) else f"{name} {1e3 * thickness_m:g} mm",
-        "polarisation": polarisation,
+        "frequency_ghz": wall.frequency_hz / 1e9,
+        "wall": wall.name,
+        "polarisation": wall.polarisation,
         "relative_l2": errors,
         "fall": [coarse / fine for coarse, fine in pairwise(errors)],
         "residue": residue,

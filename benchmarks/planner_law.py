@@ -23,28 +23,15 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from models.physics.waveform import window_noise_gain
 from msgs.radar import RadarSetup
 from sim_player.cells import cells_of
 from sim_player.effect_names import ALL_EFFECTS
 from sim_player.places import random_place
-from sim_player.planner import Plan, chosen, clean_profiles, plan_world
-from sim_player.signal_levels import beam_beats, noise_density_mw, noise_profiles
+from sim_player.planner import Plan, chosen, clean_profiles, noisy_profiles, plan_world
+from sim_player.signal_levels import beam_beats, noise_profiles, noise_rms
 from sim_player.world import World, prepare
 
 BUDGETS_DB = (-10.0, -20.0, -30.0)
-
-
-def noise_rms(setup: RadarSetup, plan: Plan) -> np.ndarray:
-    front_end = plan.view.world.scene.radar.front_end
-    density = noise_density_mw(setup, np.arange(512), plan.signal, front_end)
-    return np.sqrt(density * window_noise_gain("hann"))
-
-
-def whole(plan: Plan, setup: RadarSetup, seed: int) -> np.ndarray:
-    """Profiles with noise."""
-    front_end = plan.view.world.scene.radar.front_end
-    return clean_profiles(plan, setup, seed) + noise_profiles(setup, seed, plan.signal, front_end)
 
 
 def off_db(everything: np.ndarray, planned: np.ndarray, rms: np.ndarray, setup: RadarSetup) -> float:
@@ -60,7 +47,7 @@ def scene_rows(seed: int, index: int, preset: str, alone: bool) -> dict[str, Any
     clean = clean_profiles(everything, setup, index)
     all_s = time.process_time() - start
     reference = clean + noise_profiles(setup, index, everything.signal, scene.radar.front_end)
-    rms = noise_rms(setup, everything)
+    rms = noise_rms(setup, everything.signal, scene.radar.front_end)
     row: dict[str, Any] = {"scene": scene.name, "all_s": all_s, "paths": len(everything.echoes), "budgets": []}
     for budget_db in BUDGETS_DB:
         row["budgets"].append(_budget(world, setup, index, budget_db, reference, rms, all_s))
@@ -78,11 +65,11 @@ def _budget(
     clean_profiles(quick, setup, index)
     auto_s = time.process_time() - start
     thorough = plan_world(world, setup, budget_db, thorough=True)
-    planned = whole(thorough, setup, index)
+    planned = noisy_profiles(thorough, setup, index)
     return {
         "budget_db": budget_db,
         "actual_db": off_db(reference, planned, rms, setup),
-        "actual_quick_db": off_db(reference, whole(quick, setup, index), rms, setup),
+        "actual_quick_db": off_db(reference, noisy_profiles(quick, setup, index), rms, setup),
         "bound_db": thorough.spent_db,
         "auto_s": auto_s,
         "ratio": all_s / auto_s,
@@ -103,7 +90,7 @@ def _alone(
         if effect.bound_db is None or effect.bound_db >= 200.0 or effect.name == "thermal_noise":
             continue
         without = chosen(world, setup, everything.used - {effect.name})
-        actual_db = off_db(reference, whole(without, setup, index), rms, setup)
+        actual_db = off_db(reference, noisy_profiles(without, setup, index), rms, setup)
         found.append({"effect": effect.name, "bound_db": effect.bound_db, "actual_db": actual_db})
     return found
 
@@ -172,8 +159,11 @@ def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, co
         setup, world = scene.setup, prepare(scene, index)
         plan = plan_world(world, setup, -20.0, thorough=True)
         everything = chosen(world, setup)
-        reference, rms = whole(everything, setup, index), noise_rms(setup, everything)
-        ratio = cells_of(setup).off(reference, whole(plan, setup, index), rms)[len(setup.beams) :]
+        reference, rms = (
+            noisy_profiles(everything, setup, index),
+            noise_rms(setup, everything.signal, scene.radar.front_end),
+        )
+        ratio = cells_of(setup).off(reference, noisy_profiles(plan, setup, index), rms)[len(setup.beams) :]
         grid = cells_of(setup).values(reference)[len(setup.beams) :]
         from mirrorwave.scene_picture import draw_scene
 

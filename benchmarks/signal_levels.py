@@ -23,11 +23,11 @@ import numpy as np
 from msgs.radar import RadarSetup
 from sim_player.dataset import clean_profiles
 from sim_player.front_end import FrontEnd
-from sim_player.literal import literal_echoes
+from sim_player.literal import literal_profiles
 from sim_player.paths import Paths, join
 from sim_player.ray_tracing import prepare, trace
 from sim_player.signal_effects import PLAIN, SignalEffects
-from sim_player.signal_levels import RANGE_BINS, beam_beats, kernel_profiles
+from sim_player.signal_levels import beam_beats, hann_profiles, kernel_profiles
 from sim_player.streets import random_street
 
 FAULTS = FrontEnd(coupling_db=-18.0, coupling_phase_deg=40.0)
@@ -42,12 +42,6 @@ def scene_paths(least: int, seed: int) -> Paths:
     while sum(map(len, parts)) < least:
         parts.append(trace(prepare(random_street(seed, len(parts)), seed)))
     return join(parts)
-
-
-def hann_profiles(beats: np.ndarray) -> np.ndarray:
-    count = beats.shape[1]
-    window = 1.0 - np.cos(2.0 * np.pi * np.arange(count) / count)
-    return np.fft.fft(beats * window, axis=1)[:, :RANGE_BINS] / count
 
 
 def timed(work: Callable[[], np.ndarray], rounds: int) -> tuple[np.ndarray, np.ndarray]:
@@ -73,10 +67,11 @@ def levels(setup: RadarSetup, paths: Paths, literal_beams: int, rounds: int) -> 
     beams = np.unique(np.linspace(0, len(setup.beams) - 1, literal_beams).round().astype(int))
     double, double_s = timed(lambda: kernel_profiles(setup, paths, STATIC, FAULTS), rounds)
     single, single_s = timed(lambda: kernel_profiles(setup, paths, STATIC, FAULTS, precision="float32"), rounds)
-    beat, beat_s = timed(lambda: hann_profiles(beam_beats(setup, paths, STATIC, FAULTS)), max(rounds // 2, 1))
-    literal, literal_s = timed(
-        lambda: hann_profiles(np.concatenate([literal_echoes(setup, paths, STATIC, FAULTS, int(b)) for b in beams])), 1
+    beat, beat_s = timed(
+        lambda: hann_profiles(beam_beats(setup, paths, STATIC, FAULTS), setup.radar.samples_per_chirp),
+        max(rounds // 2, 1),
     )
+    literal, literal_s = timed(lambda: literal_profiles(setup, paths, STATIC, FAULTS, beams), 1)
     per_beam = len(setup.beams) / len(beams)
     scan_s = {"kernel32": single_s, "kernel64": double_s, "beat": beat_s, "literal": literal_s * per_beam}
     return {

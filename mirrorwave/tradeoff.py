@@ -39,10 +39,14 @@ def tradeoff(
     frames: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
     repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
     seed: Annotated[int, typer.Option(min=0, help="Of the places, and of the order of the stages.")] = 11,
+    simulator: Annotated[bool, typer.Option("--simulator", help="The simulator's own choices instead.")] = False,
     memory: Annotated[bool, typer.Option(help="Measure peak memory, a process a row.")] = True,
     as_json: AsJson = False,
 ) -> None:
     """Every switch that trades accuracy for time, on the same raw beams in one run: JSON, Markdown, figures."""
+    if simulator:
+        _simulator(out, full, seed, as_json)
+        return
     from mirrorwave.tradeoff_figures import draw_front, draw_stages
     from mirrorwave.tradeoff_report import make_report, write_report
     from mirrorwave.tradeoff_run import Plan, peak_memory_mib, run_plan
@@ -62,6 +66,29 @@ def tradeoff(
     draw_front(report, out / "front.png")
     draw_stages(report, out / "stages.png")
     _show(report, out, as_json)
+
+
+def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
+    """Signal levels, effect budgets, rays and FDTD cells against the most complete answer."""
+    import msgspec
+
+    from mirrorwave.tradeoff_simulator import (
+        run_simulator,
+        simulator_markdown,
+        simulator_plan,
+        write_simulator_report,
+    )
+    from mirrorwave.tradeoff_simulator_figures import draw_simulator
+
+    with _bar("cases", len(simulator_plan(full, seed).jobs)) as tick:
+        report = run_simulator(out, full, seed, tick)
+    write_simulator_report(report, out)
+    draw_simulator(report, out / "tradeoff-simulator.png")
+    if as_json:
+        print_json(msgspec.to_builtins(report))
+        return
+    print_line(simulator_markdown(report))
+    print_line(f"{out}: tradeoff-simulator.json, .md, .png")
 
 
 def _chosen(rows: list[Setting], names: list[str]) -> list[Setting]:

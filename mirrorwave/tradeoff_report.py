@@ -141,8 +141,8 @@ def _row(
         params=row.params,
         accuracy=_intervals(estimates(scores, weights)),
         against_default=against,
-        stages_ms={part: _times(times_ms[part]) for part in (*PARTS, BEFORE)},
-        end_to_end_ms=_times(total_ms),
+        stages_ms={part: quantiles_ms(times_ms[part]) for part in (*PARTS, BEFORE)},
+        end_to_end_ms=quantiles_ms(total_ms),
         median_ms=_median(total_ms, weights),
         forming_load=float(np.median(times_ms[BEFORE])) / measuring_ms(),
         deadline_misses=float(np.mean(total_ms > DEADLINE_MS)),
@@ -163,7 +163,8 @@ def measuring_ms() -> float:
     return 1e3 * s_from_ns((len(setup.beams) - 1) * setup.beam_interval_ns)
 
 
-def _times(samples_ms: np.ndarray) -> Times:
+def quantiles_ms(samples_ms: np.ndarray) -> Times:
+    """Quantiles of samples, those that the samples can carry."""
     quantiles = {name: float(np.quantile(samples_ms, float(name[1:]) / 100.0)) for name in SAMPLES_FOR}
     return Times(**{name: value if samples_ms.size >= SAMPLES_FOR[name] else None for name, value in quantiles.items()})
 

@@ -27,7 +27,7 @@ from models.perception.detectors import Detector
 from models.perception.evaluation import FrameScores, FrameTruth, score_frames
 from models.perception.geometry import fold_scan, recover_bev
 from models.perception.ra_forming import RaFormer
-from models.training.files import write_whole
+from models.training.files import json_lines, write_whole
 from msgs.frames import xy_from_polar
 from msgs.perception import BevFrame, PathClass, Peaks
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
@@ -297,7 +297,7 @@ def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None)
 
     Raises `ValueError` where `out` holds another run.
     """
-    _claim(plan, out)
+    claim(plan, out)
     paths = [out / "frames" / f"frame-{index:05d}.msgpack" for index in range(plan.frames)]
     missing = [index for index, path in enumerate(paths) if not path.exists()]
     for _ in range(len(paths) - len(missing)):
@@ -314,14 +314,14 @@ def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None)
     return [msgspec.msgpack.decode(path.read_bytes(), type=FrameResult) for path in paths]
 
 
-def _claim(plan: Plan, out: Path) -> None:
-    """Write down what the folder holds; `ValueError` where it is another run."""
-    path, wanted = out / "plan.json", msgspec.json.format(msgspec.json.encode(plan), indent=1)
+def claim(plan: msgspec.Struct, out: Path) -> None:
+    """Write down which run a folder holds (`plan.json`); `ValueError` where it holds another."""
+    path, wanted = out / "plan.json", json_lines(plan)
     if not path.exists():
         out.mkdir(parents=True, exist_ok=True)
         write_whole(path, wanted)
     elif path.read_bytes() != wanted:
-        raise ValueError(f"{path}: out must be a new folder or hold the same run, holds one of other rows or frames")
+        raise ValueError(f"{path}: out must be a new folder or hold the same run, holds another one")
 
 
 def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda: None) -> dict[str, float]:

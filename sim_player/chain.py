@@ -9,7 +9,6 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from models.physics.waveform import window_noise_gain
 from msgs.radar import RadarSetup
 from sim_player.as_paths import as_paths, weights
 from sim_player.cells import cells_of
@@ -19,7 +18,7 @@ from sim_player.envelope import STEPS, Envelope, swept_pattern
 from sim_player.paths import Paths
 from sim_player.ray_tracing import trace_echoes
 from sim_player.signal_effects import SignalEffects
-from sim_player.signal_levels import RANGE_BINS, kernel_profiles, noise_density_mw
+from sim_player.signal_levels import RANGE_BINS, kernel_profiles, noise_rms
 from sim_player.world import World, snapshot
 
 #: Noise is taken off what surely stands in a cell at this many rms; it stands against it by more in 2 of 10^4 cells.
@@ -58,8 +57,7 @@ class Chain:
         paths, flags = self.as_paths(), self.flags()
         self.envelope = Envelope(self.setup, RANGE_BINS, float(paths.length_m.max(initial=1.0)))
         self.look()
-        density = noise_density_mw(self.setup, np.arange(RANGE_BINS), flags, self.front_end)
-        self.noise_rms = np.sqrt(density * window_noise_gain("hann"))
+        self.noise_rms = noise_rms(self.setup, flags, self.front_end)
         shown = msgspec.structs.replace(flags, **({"motion": False} if exact else STEADY))
         profiles = kernel_profiles(self.setup, paths, shown, self.front_end, precision="float32")
         unknown = np.full(len(paths), not exact)

@@ -17,6 +17,7 @@ from sim_player.fmcw import chirp_turns
 from sim_player.front_end import NO_FAULTS, FrontEnd
 from sim_player.paths import Paths
 from sim_player.signal_effects import PLAIN, SignalEffects, column_weights, isotropic, sampled, sweep_ratio
+from sim_player.signal_levels import hann_profiles
 
 
 def literal_echoes(
@@ -40,6 +41,18 @@ def literal_echoes(
         for row, chirp in zip(samples, chirps, strict=True):
             row += _literal_echo(setup_seen, columns, path, effects, chirp)
     return samples
+
+
+def literal_profiles(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    beams: Sequence[int] = (0,),
+) -> np.ndarray:
+    """Hann-windowed range profiles of one chirp of each of some beams, sqrt(mW); complex128 [beams, 512]."""
+    samples = [literal_echoes(setup, paths, effects, front_end, int(beam)) for beam in beams]
+    return hann_profiles(np.concatenate(samples), setup.radar.samples_per_chirp)
 
 
 def _literal_echo(

@@ -196,12 +196,17 @@ def planned_profiles(
     objections = kernel_objections(setup, plan.paths, plan.signal, front_end)
     if objections:
         raise ValueError(objections[0])
-    profiles = clean_profiles(plan, setup, seed, precision)
-    return profiles + noise_profiles(setup, seed, plan.signal, front_end) if noise else profiles
+    return noisy_profiles(plan, setup, seed, precision) if noise else clean_profiles(plan, setup, seed, precision)
+
+
+def noisy_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
+    """The same without asking whether the level can hold it."""
+    noise = noise_profiles(setup, seed, plan.signal, plan.view.world.scene.radar.front_end)
+    return clean_profiles(plan, setup, seed, precision) + noise
 
 
 def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:
-    """The same without noise and without asking whether the level can hold it."""
+    """The same without the noise."""
     front_end = plan.view.world.scene.radar.front_end
     (first, flags), *rest = plan.groups()
     profiles = kernel_profiles(setup, first, flags, front_end, precision=precision, seed=seed)

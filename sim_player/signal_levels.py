@@ -18,7 +18,7 @@ import numpy as np
 from scipy import fft
 from scipy.sparse import csr_array
 
-from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz
+from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz, window_noise_gain
 from msgs.radar import RadarSetup
 from sim_player.fmcw import KERNEL_WIDTH, OVERSAMPLING, beam_codes, grid_spread, kernel_transform, sum_tones
 from sim_player.front_end import NO_FAULTS, FrontEnd
@@ -137,7 +137,7 @@ def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
     turns = np.exp(-2j * np.pi * (np.arange(bins.start, bins.stop) * (count // 2) % count) / count)
     profiles = fft.ifft(spectrum, axis=0)[: OVERSAMPLING * len(bins) : OVERSAMPLING].T * turns.astype(kind)
     if echoes.head_samples:
-        profiles += _head_profiles(overlap_correction(echoes), count, bins)
+        profiles += hann_profiles(overlap_correction(echoes), count, bins)
     return profiles
 
 
@@ -163,10 +163,10 @@ def _range_kernels(count: int, instants: int, bins: range, blocks: int, precisio
     return fft.fft(laid, axis=0).astype(np.complex64 if precision == "float32" else np.complex128)
 
 
-def _head_profiles(head: np.ndarray, count: int, bins: range) -> np.ndarray:
-    """Hann-windowed profiles of samples that fill only the start of a chirp, complex [rows, bins]."""
-    window = (1.0 - np.cos(2.0 * np.pi * np.arange(head.shape[1]) / count)).astype(head.real.dtype) / count
-    return fft.fft(head * window, count, axis=1)[:, np.arange(bins.start, bins.stop) % count]
+def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BINS)) -> np.ndarray:
+    """Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero. Complex [rows, bins]."""
+    window = (1.0 - np.cos(2.0 * np.pi * np.arange(samples.shape[1]) / count)).astype(samples.real.dtype) / count
+    return fft.fft(samples * window, count, axis=1)[:, np.arange(bins.start, bins.stop) % count]
 
 
 def _fixed_profiles(
@@ -223,6 +223,14 @@ def noise_density_mw(
         _refuse(dither_objection(setup, front_end, effects.thermal_noise))
         per_sample += quantisation_power_mw(setup, converter_step(front_end))
     return per_sample / (radar.samples_per_chirp * radar.chirps_per_beam)
+
+
+def noise_rms(
+    setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS, range_bins: int = RANGE_BINS
+) -> np.ndarray:
+    """Rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [bins]."""
+    density = noise_density_mw(setup, np.arange(range_bins), effects, front_end)
+    return np.sqrt(density * window_noise_gain("hann"))
 
 
 def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd) -> float:

@@ -82,7 +82,7 @@ def test_a_stopped_run_goes_on_to_the_same_accuracy(made: tuple[Path, Report], t
 
 
 def test_a_folder_of_another_run_is_refused(made: tuple[Path, Report]) -> None:
-    with pytest.raises(ValueError, match="out must be a new folder or hold the same run"):
+    with pytest.raises(ValueError, match="out must be a new folder or hold the same run, holds another one"):
         run(made[0], "--row", "chirps")
 
 
