@@ -229,7 +229,7 @@ def main() -> None:
     chosen = np.arange(len(data)) if arguments.split == "all" else fixed_splits(arguments.data).of(arguments.split)
     chosen = chosen[: arguments.count or None]
     frames = list(data.frames(chosen))
-    threshold = load_card(arguments.model).threshold
+    threshold = load_card(arguments.model).threshold_for(arguments.refine)
     detector = NetworkDetector(
         RadarSetup(), arguments.model, params=PeakParams(threshold=threshold), refine=arguments.refine
     )

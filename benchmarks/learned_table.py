@@ -221,7 +221,7 @@ def _methods(options: argparse.Namespace, privileged: bool = True) -> list[str]:
         if (learned and not _model(options, source).exists()) or (beside_file and not beside_file.exists()):
             continue
         if learned or privileged:
-            parts = [f"{label}={_network(options, source) if learned else source}", way]
+            parts = [f"{label}={_network(options, source, way) if learned else source}", way]
             parts += [f"{beside.partition('_')[0]}={beside_file}"] if beside_file else []
             words += ["--method", ",".join(filter(None, parts))]
     return words
@@ -234,8 +234,10 @@ def _beside(options: argparse.Namespace, source: str, way: str, beside: str) -> 
     return options.work / beside / "residual.onnx" if beside else None
 
 
-def _network(options: argparse.Namespace, name: str) -> str:
-    """A network at its best threshold on the validation split, where its card was scored."""
+def _network(options: argparse.Namespace, name: str, way: str) -> str:
+    """A network; local maxima at their best threshold on the validation split, where its card was scored."""
+    if "refine=pursuit" in way:
+        return str(_model(options, name))
     scores = json.loads(_model(options, name).with_suffix(".json").read_text())["scores"]
     return f"{_model(options, name)},threshold={max(scores, key=lambda line: line['macro_f1'])['threshold']}"
 

@@ -183,7 +183,7 @@ def _built(spec: MethodSpec, threshold: float | None, threads: int) -> Method:
     if spec.kind == ".onnx":
         card = load_card(Path(spec.source))
         grid, weights = card.grid, weights + card.parameters
-        at = spec.threshold or threshold or card.threshold
+        at = spec.threshold or threshold or card.threshold_for(refine_way(spec.refine))
         detect, detect_all = _network(spec, at, threads)
     else:
         at = spec.threshold or 0.0

@@ -52,7 +52,7 @@ def confidence(
 
     path = model or DEFAULT_MODEL
     card = load_card(path)
-    at = card.threshold if threshold is None else threshold
+    at = card.threshold_for(refine) if threshold is None else threshold
     detector = NetworkDetector(RadarSetup(), path, 1, PeakParams(threshold=at), refine=refine, flip_test=flip_test)
     correction = None if residual is None else LearnedResidual(residual)
     scenes, splits = DataSet(data), fixed_splits(data)

@@ -59,7 +59,7 @@ class NetworkDetector:
     ) -> None:
         way = refine_way(refine)
         self._predictor = DensePredictor(model, threads, flip_test)
-        self._params = params or PeakParams(threshold=self._predictor.card.threshold)
+        self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(way))
         if way == "pursuit":
             # the first map should not pay for compiling
             pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)

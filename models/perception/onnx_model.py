@@ -81,6 +81,8 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     output_shape: tuple[int, ...]
     #: Threshold to pick peaks at; `scores` holds its line.
     threshold: float
+    #: That of peaks by pursuit, the best on the validation scenes; None: the same.
+    pursuit_threshold: float | None = None
     #: On test scenes that neither trained nor chose the network.
     scores: tuple[ScoresAt, ...]
     fidelity: Fidelity | None = None
@@ -96,6 +98,10 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
             raise ValueError(f"card.anchor_stride must be at least 1, got {self.anchor_stride}")
         self.encoding.check_grid(self.grid)
         check_table("card.calibration", self.calibration)
+
+    def threshold_for(self, way: str) -> float:
+        """Threshold of a way to place peaks (`models.perception.detectors.Refine`)."""
+        return self.pursuit_threshold or self.threshold if way == "pursuit" else self.threshold
 
     @property
     def answer_shape(self) -> tuple[int, int, int, int]:

@@ -64,8 +64,13 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
 def find_pursued_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
     """The same by pursuit: as many peaks as the heat map's mass is worth; raises ValueError as above."""
     _require_on_grid(probabilities, ra_map)
-    points = _of_classes([pursued_peaks(channel, params.threshold, params.pursuit) for channel in probabilities])
+    points = pursued_points(probabilities, params.threshold, params.pursuit)
     return peaks_at(ra_map, points.cells.astype(np.int64), points.cells, points.score, points.path_class, params)
+
+
+def pursued_points(heatmap: np.ndarray, threshold: float, params: PursuitParams) -> Points:
+    """Peaks of each class of a heat map [2, range, azimuth] by pursuit, on whole cells."""
+    return _of_classes([pursued_peaks(channel, threshold, params) for channel in heatmap])
 
 
 def _require_on_grid(probabilities: np.ndarray, ra_map: RangeAzimuthMap) -> None:

@@ -19,7 +19,7 @@ class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     """Widths in cells (range, azimuth)."""
 
     #: Blur before: joins what a point's confidence is scattered over.
-    blur: tuple[float, float] = (0.5, 1.0)
+    blur: tuple[float, float] = (0.5, 2.0)
     #: Standard deviations of what a found point explains of the cells about it.
     explained: tuple[float, float] = (1.5, 2.5)
     #: More peaks than this in one map are noise.

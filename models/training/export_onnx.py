@@ -7,7 +7,7 @@ import hashlib
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +22,8 @@ from models.perception.detectors import NetworkDetector
 from models.perception.encoding import encode_map
 from models.perception.metrics import Counts
 from models.perception.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
-from models.perception.peaks import PeakParams
+from models.perception.peaks import PeakParams, pursued_points
+from models.perception.pursuit import PursuitParams
 from models.perception.residual_model import ResidualCard
 from models.training.calibration import fit_table, peak_outcomes
 from models.training.datasets import point_labels
@@ -145,6 +146,10 @@ def _difference(wanted: np.ndarray, found: np.ndarray, head: Head) -> float:
     return float(max(np.abs(probabilities[0] - probabilities[1]).max(), offsets))
 
 
+#: Thresholds that pursuit is tried at.
+PURSUIT_THRESHOLDS = tuple(round(0.1 + 0.02 * step, 2) for step in range(16))
+
+
 class _Scenes:
     """The run's data set with its splits, read and checked once, and the scenes that score the export."""
 
@@ -152,6 +157,11 @@ class _Scenes:
         self.data, self.splits = DataSet(directory), fixed_splits(directory)
         self.test = self.data if config.test_dir is None else DataSet(config.test_dir)
         self.tested = self.splits.of(config.split) if config.test_dir is None else np.arange(len(self.test))
+
+    @property
+    def validation(self) -> Iterator[Frame]:
+        """The frames of the validation split."""
+        return self.data.frames(self.splits.of("validation"))
 
 
 def export_run(
@@ -180,6 +190,9 @@ def export_run(
         tallies = score_files(paths, scenes.test.frames(scenes.tested))
         exact, own = tallies[0], tallies[-1]
         report("reading scores as probabilities on the validation scenes")
+        if draft.head == "heatmap":
+            draft = msgspec.structs.replace(draft, pursuit_threshold=best_pursuit_threshold(file, scenes.validation))
+            write_card(msgspec.structs.replace(draft, sha256=sha256_of(file)), file)
         card = msgspec.structs.replace(
             draft,
             name=model_path.stem,
@@ -294,8 +307,17 @@ def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, 
     """What the scores of the live detector's peaks are worth on the validation scenes; none for anchors."""
     if head == "anchors":
         return ()
-    validation = scenes.data.frames(scenes.splits.of("validation"))
-    return fit_table(*peak_outcomes(NetworkDetector(RadarSetup(), file), validation))
+    return fit_table(*peak_outcomes(NetworkDetector(RadarSetup(), file), scenes.validation))
+
+
+def best_pursuit_threshold(file: Path, frames: Iterable[Frame]) -> float:
+    """Where peaks by pursuit have the best Macro-F1, the lowest of equals."""
+    predictor = DensePredictor(file)
+    tally = DetectionTally(predictor.card.grid, PURSUIT_THRESHOLDS)
+    for frame in frames:
+        points = pursued_points(predictor.predict(frame.ra_map), PURSUIT_THRESHOLDS[0], PursuitParams())
+        tally.add(points, point_labels(frame.labels, frame.ra_map.grid))
+    return max(PURSUIT_THRESHOLDS, key=tally.macro_f1)
 
 
 def sha256_of(path: Path) -> str:

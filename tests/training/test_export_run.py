@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -11,8 +12,10 @@ import torch
 from models.networks.compact_unet import CompactUNetConfig
 from models.perception.encoding import Encoding
 from models.perception.onnx_model import DensePredictor, load_card
+from models.perception.pursuit import PursuitParams, pursued_peaks
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile
+from models.training import export_onnx
 from models.training.datasets import DataConfig
 from models.training.export_onnx import PARITY, ExportConfig, export_run
 from models.training.families import NetworkChoice
@@ -101,8 +104,38 @@ def test_export_writes_a_model_that_its_card_describes(run_dir: Path, data_dir: 
     assert card.data["training"] == made
     assert (card.data["test"], card.data["test_scenes"]) == ("its test split", 2)
     assert card.threshold in [line.threshold for line in card.scores]
+    assert card.pursuit_threshold in export_onnx.PURSUIT_THRESHOLDS
+    assert card.threshold_for("pursuit") == card.pursuit_threshold
+    assert card.threshold_for("none") == THRESHOLD
     assert card.training["command"].startswith(f"mirrorwave train dense --data {data_dir} --out {run_dir}")
     assert (card.training["chosen_epoch"], card.training["config"]["training"]["seed"]) == (3, 5)
+
+
+def test_peaks_by_pursuit_have_a_threshold_of_their_own(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two returns with a confidence of about 0.4, and in each class a false hill of half of that: it falls between."""
+    rows, columns = np.array([12, 30]), np.array([20, 44])
+    hill = np.exp(-0.5 * np.add.outer(((np.arange(48) - 40) / 1.5) ** 2, ((np.arange(64) - 8) / 2.5) ** 2))
+    heatmap = 0.25 * np.stack([hill, hill])
+    for path_class, (row, column) in enumerate(zip(rows, columns, strict=True)):
+        heatmap[path_class] += 0.5 * np.roll(hill, (row - 40, column - 8), (0, 1))
+
+    class Predictor:
+        card = SimpleNamespace(grid=GRID)
+
+        def __init__(self, path: Path) -> None:
+            pass
+
+        def predict(self, ra_map: object) -> np.ndarray:
+            return heatmap
+
+    labels = SimpleNamespace(
+        range_m=GRID.range_at(rows), azimuth_rad=GRID.azimuth_at(columns), path_class=np.array([0, 1], np.uint8)
+    )
+    monkeypatch.setattr(export_onnx, "DensePredictor", Predictor)
+    frame = SimpleNamespace(ra_map=SimpleNamespace(grid=GRID), labels=labels)
+    threshold = export_onnx.best_pursuit_threshold(Path(), [frame])  # type: ignore[list-item]
+    false = pursued_peaks(0.25 * hill, 0.05, PursuitParams())[1][0]
+    assert false < threshold <= false + 0.02
 
 
 def test_all_scenes_of_another_data_set_can_score_it(run_dir: Path, tmp_path: Path) -> None:
