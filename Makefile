@@ -14,6 +14,8 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "mirrorwave needs Python 3.11 or newer; name one with: make PYTHON=python3.11 ..."; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { echo "cannot make $(VENV); on Debian: apt-get install python3-venv"; exit 1; }
 	$(BIN)/pip install --quiet --editable .
+	@# compiles the kernels once, so that no node does when it starts
+	$(BIN)/python -c "from models.perception.chain import Chain; from models.perception.detectors import NetworkDetector; from msgs.radar import RadarSetup; Chain(RadarSetup(), NetworkDetector(RadarSetup()))"
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

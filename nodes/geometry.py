@@ -8,7 +8,7 @@ import msgspec
 
 from models.perception.cards import learned_path
 from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
-from models.perception.geometry import GeometryParams, recover_bev
+from models.perception.geometry import GeometryParams, recover_bev, warm
 from models.perception.recovery import Residual
 from models.perception.residual_model import LearnedResidual
 from msgs.bus import Outgoing, Received
@@ -39,6 +39,7 @@ class GeometryNode(Node):
         super().__init__()
         # loaded here: a missing or broken file shows at start, not at the first scan
         self._parts = parts_of(params)
+        warm(params)
         self._states = StateHistory()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:

@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
+from numba import njit
 
-from models.perception.lines import LineFit, fit_line, residual_gain
+from models.perception.lines import LineFit, claimed, fit_line, residual_gain, variance_across
 from models.physics.mirror import wall_from_ends
 from msgs.arrays import require_positive
 
@@ -50,7 +51,7 @@ class _Frame:
 
     @classmethod
     def of(cls, fit: LineFit) -> _Frame:
-        return cls(fit.ends_m.mean(axis=0), np.array([-fit.normal[1], fit.normal[0]]), fit.normal)
+        return cls(0.5 * (fit.ends_m[0] + fit.ends_m[1]), fit.tangent, fit.normal)
 
     @classmethod
     def through(cls, points_m: np.ndarray, covariance_m2: np.ndarray) -> _Frame:
@@ -76,8 +77,7 @@ def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFi
     found: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
     while lines:
-        taken = np.concatenate([np.zeros(0, int), *[fit.members for fit in found]])
-        free = np.setdiff1d(np.arange(len(points_m)), taken)
+        free = np.flatnonzero(~claimed(len(points_m), found))
         arc, eaten = _best_arc(points_m, covariance_m2, lines, free, params)
         found.append(lines[0] if arc is None else arc)
         lines = [fit for fit in lines[1:] if not any(fit is one for one in eaten)]
@@ -90,16 +90,17 @@ def _best_arc(
     """The arc through the first line, alone or with another, that explains most beyond what it replaces."""
     best: tuple[float, LineFit | None, list[LineFit]] = (-math.inf, None, [])
     for other in lines:
-        seeds = np.union1d(lines[0].members, other.members)
-        frame = _Frame.of(lines[0]) if other is lines[0] else _Frame.through(points_m[seeds], covariance_m2[seeds])
         pair = other is not lines[0]
         if pair and float(lines[0].normal @ other.normal) < math.cos(params.max_turn_rad / 2.0):
             continue
-        gap_m = params.pair_gap_m if pair else params.max_gap_m
-        arc = _grown(points_m, covariance_m2, frame, seeds, free, msgspec.structs.replace(params, max_gap_m=gap_m))
+        seeds = np.flatnonzero(claimed(len(points_m), (lines[0], other)))
+        frame = _Frame.through(points_m[seeds], covariance_m2[seeds]) if pair else _Frame.of(lines[0])
+        arc = _grown(points_m, covariance_m2, frame, seeds, free, params, pair)
         if arc is None:
             continue
-        eaten = [fit for fit in lines if np.isin(fit.members, arc.members).mean() > 0.5]
+        on_arc = np.zeros(len(points_m), bool)
+        on_arc[arc.members] = True
+        eaten = [fit for fit in lines if 2 * np.count_nonzero(on_arc[fit.members]) > len(fit.members)]
         rival = sum(fit.score for fit in eaten)
         spared = params.parameter_gain * (2 * len(eaten) - 3) if len(eaten) > 1 else -params.min_gain
         gain = float(arc.gain.sum()) - rival + spared
@@ -115,59 +116,105 @@ def _grown(
     members: np.ndarray,
     free: np.ndarray,
     params: ArcParams,
+    pair: bool,
 ) -> _Arc | None:
     """The arc through members and the free returns that continue it; None where it is not clearly bent."""
+    fewest = max(int(params.min_points), 4)
+    if len(members) < fewest:
+        return None
     s, d = (points_m - frame.origin) @ frame.tangent, (points_m - frame.origin) @ frame.normal
-    arc = None
-    for _ in range(params.rounds):
-        if len(members) < max(params.min_points, 4):
-            return None
-        arc = _fitted(s, d, covariance_m2, frame, members, free)
-        run = _unbroken(s, arc.members, params.max_gap_m)
-        if np.array_equal(run, members):
-            break
+    axes = np.array([frame.tangent, frame.normal])
+    limits = float(params.pair_gap_m if pair else params.max_gap_m), fewest, int(params.rounds)
+    coefficients, covariance, gain, members = _grow(s, d, covariance_m2, axes, members, free, *limits)
+    if len(members) < fewest:
+        return None
+    arc = _Arc(coefficients, covariance, free[gain > 0.0], gain[gain > 0.0])
+    return arc if _is_bent(arc, s, members, params) else None
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _grow(
+    s: np.ndarray,
+    d: np.ndarray,
+    covariance_m2: np.ndarray,
+    axes: np.ndarray,
+    members: np.ndarray,
+    free: np.ndarray,
+    max_gap_m: float,
+    fewest: int,
+    rounds: int,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """An arc refit to what lies on it in one run until that stays the same: the last fit and the last run.
+
+    Coefficients [3], their covariance [3, 3], what each free point adds to its score, the run's indices; a run of
+    less than `fewest` ends the search. `axes` are the frame's tangent and normal.
+    """
+    coefficients, covariance, gain = _fitted(s, d, covariance_m2, axes, members, free)
+    for _ in range(rounds - 1):
+        run = _unbroken(s, free[gain > 0.0], max_gap_m)
+        if np.array_equal(run, members) or len(run) < fewest:
+            return coefficients, covariance, gain, run
         members = run
-    return arc if arc is not None and _is_bent(arc, s, members, params) else None
+        coefficients, covariance, gain = _fitted(s, d, covariance_m2, axes, members, free)
+    return coefficients, covariance, gain, _unbroken(s, free[gain > 0.0], max_gap_m)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def _fitted(
-    s: np.ndarray, d: np.ndarray, covariance_m2: np.ndarray, frame: _Frame, members: np.ndarray, free: np.ndarray
-) -> _Arc:
-    """Weighted least squares of an arc through members, and the free points that lie on it."""
+    s: np.ndarray, d: np.ndarray, covariance_m2: np.ndarray, axes: np.ndarray, members: np.ndarray, free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Weighted least squares of an arc through members; coefficients, covariance, what each free point adds to it."""
     coefficients = np.zeros(3)
+    inverse: np.ndarray = np.zeros((3, 3))
     for _ in range(2):
-        across, variance = _across(s, d, covariance_m2, frame, coefficients)
-        weight = 1.0 / variance[members]
-        powers = np.stack([np.ones(len(members)), s[members], 0.5 * s[members] ** 2], axis=1)
-        inverse = np.linalg.pinv(powers.T @ (weight[:, None] * powers))
-        coefficients = inverse @ (powers.T @ (weight * d[members]))
-    across, variance = _across(s, d, covariance_m2, frame, coefficients)
-    chi_square = float(np.sum(across[members] ** 2 / variance[members]))
+        # the weights are those along the normals of the arc before
+        information, moment = np.zeros((3, 3)), np.zeros(3)
+        for i in members:
+            _, variance = _across(s[i], d[i], covariance_m2[i], axes, coefficients)
+            powers = (1.0, s[i], 0.5 * s[i] * s[i])
+            for j in range(3):
+                moment[j] += powers[j] * d[i] / variance
+                for k in range(3):
+                    information[j, k] += powers[j] * powers[k] / variance
+        inverse = np.linalg.pinv(information)
+        coefficients = np.array([(inverse[j] * moment).sum() for j in range(3)])
+    chi_square = 0.0
+    for i in members:
+        across, variance = _across(s[i], d[i], covariance_m2[i], axes, coefficients)
+        chi_square += across * across / variance
     inflate = max(1.0, chi_square / max(len(members) - 3, 1))
-    gain = residual_gain(across[free], variance[free])
-    return _Arc(coefficients, inverse * inflate, free[gain > 0.0], gain[gain > 0.0])
+    gain = np.empty(len(free))
+    for i in range(len(free)):
+        across, variance = _across(s[free[i]], d[free[i]], covariance_m2[free[i]], axes, coefficients)
+        gain[i] = residual_gain(across, variance)
+    return coefficients, inverse * inflate, gain
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
 def _across(
-    s: np.ndarray, d: np.ndarray, covariance_m2: np.ndarray, frame: _Frame, coefficients: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Distance of points from the arc along its local normal [N] and the variance of their errors along it [N]."""
+    s: float, d: float, covariance_m2: np.ndarray, axes: np.ndarray, coefficients: np.ndarray
+) -> tuple[float, float]:
+    """Distance of a point from the arc along its local normal and the variance of its error along it."""
     slope = coefficients[1] + coefficients[2] * s
-    scale = 1.0 / np.sqrt(1.0 + slope**2)
-    normal = scale[:, None] * (frame.normal - slope[:, None] * frame.tangent)
-    variance = np.einsum("ni,nij,nj->n", normal, covariance_m2, normal)
-    return (d - coefficients[0] - coefficients[1] * s - 0.5 * coefficients[2] * s**2) * scale, variance
+    scale = 1.0 / math.sqrt(1.0 + slope * slope)
+    nx, ny = scale * (axes[1, 0] - slope * axes[0, 0]), scale * (axes[1, 1] - slope * axes[0, 1])
+    off_m = d - coefficients[0] - coefficients[1] * s - 0.5 * coefficients[2] * s * s
+    return off_m * scale, variance_across(covariance_m2, nx, ny)
 
 
+@njit(cache=True, nogil=True)
 def _unbroken(s: np.ndarray, members: np.ndarray, max_gap_m: float) -> np.ndarray:
     """The run of members about the middle of the line, s = 0, that no gap breaks; sorted indices."""
-    order = members[np.argsort(s[members], kind="stable")]
-    cuts = np.flatnonzero(np.diff(s[order]) > max_gap_m) + 1
-    runs = [run for run in np.split(order, cuts) if len(run)]
-    if not runs:
-        return members
-    distances = [max(float(s[run[0]]), -float(s[run[-1]]), 0.0) for run in runs]
-    return np.sort(runs[int(np.argmin(distances))])
+    order = members[np.argsort(s[members], kind="mergesort")]
+    start, first, last, nearest = 0, 0, 0, math.inf
+    for stop in range(1, len(order) + 1):
+        if stop < len(order) and s[order[stop]] - s[order[stop - 1]] <= max_gap_m:
+            continue
+        distance = max(s[order[start]], -s[order[stop - 1]], 0.0)
+        if distance < nearest:
+            first, last, nearest = start, stop, distance
+        start = stop
+    return np.sort(order[first:last])
 
 
 def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray, params: ArcParams) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from models.perception.confidence import PlaceConfidence
 from models.perception.detectors import Detector
-from models.perception.geometry import GeometryParams, recover_bev
+from models.perception.geometry import GeometryParams, recover_bev, warm
 from models.perception.ra_forming import FormingParams, RaFormer
 from msgs.perception import BevFrame
 from msgs.radar import RadarBeam, RadarSetup
@@ -25,6 +25,7 @@ class Chain:
         self._former = RaFormer(setup, forming or FormingParams())
         self._detector = detector
         self._geometry, self._confidence = geometry or GeometryParams(), confidence
+        warm(self._geometry)
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[BevFrame]:
         """Fold a beam; the last one of a scan brings its view."""

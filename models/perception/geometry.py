@@ -24,7 +24,7 @@ from models.perception.recovery import (
 from models.perception.rejection import hidden_mask
 from models.perception.walls import WallParams, find_walls
 from msgs.arrays import require_positive
-from msgs.frames import xy_from_polar
+from msgs.frames import polar_from_xy, xy_from_polar
 from msgs.perception import BevFrame, BevGrid, PathClass, Peaks, Wall
 
 
@@ -100,6 +100,39 @@ def direct_structure(peaks: Peaks, params: GeometryParams) -> tuple[DirectReturn
     labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
     walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
     return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point), walls
+
+
+def warm(params: GeometryParams) -> None:
+    """Compile the stage's kernels, or load them, and lay out its grid: the first scan should not pay for that.
+
+    Types are the same whatever the parameters, so one made-up street, with the default ones, calls for all kernels.
+    """
+    recover_bev(_made_up_peaks(), GeometryParams())
+    observability([], 0.0, params.grid, params.visibility)
+
+
+def _made_up_peaks() -> Peaks:
+    """A facade with a kink, a vehicle before it, and two images behind it of which one belongs to that vehicle."""
+    along = np.linspace(0.0, 10.0, 9)
+    facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)
+    oblique = np.stack([20.0 - 0.4 * along, along + 1.0], axis=1)
+    vehicle = np.array([[12.0, -12.0], [12.0, -11.0], [11.0, -12.0]])
+    images = np.array([[27.0, -9.0], [27.0, -7.0], [28.0, -4.0]])
+    points_m = np.concatenate([facade, oblique, vehicle, images])
+    range_m, azimuth_rad = polar_from_xy(points_m)
+    count = len(points_m)
+    mirrored = np.arange(count) >= count - len(images)
+    return Peaks(
+        stamp_ns=0,
+        scan_id=0,
+        range_m=range_m,
+        azimuth_rad=azimuth_rad,
+        score=np.full(count, 0.9),
+        path_class=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
+        covariance=np.tile(np.diag([0.06**2, 0.01**2]), (count, 1, 1)),
+        peak_stamp_ns=np.zeros(count, np.int64),
+        snr_db=np.full(count, 20.0),
+    )
 
 
 def condition_flags(peaks: Peaks) -> tuple[str, ...]:

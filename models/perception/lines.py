@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 from msgs.perception import Wall
 
@@ -13,6 +16,8 @@ from msgs.perception import Wall
 INLIER_SIGMAS = 3.0
 #: Density of scattered points about a line: one in this many metres across it.
 SCATTER_WIDTH_M = 8.0
+#: What a point adds to a line's score at no residual and a standard deviation of 1 m.
+_GAIN_AT_1_M = math.log(SCATTER_WIDTH_M / math.sqrt(2.0 * math.pi))
 
 
 @dataclass(frozen=True)
@@ -53,26 +58,107 @@ class LineFit:
         )
 
 
+def claimed(count: int, fits: Iterable[LineFit]) -> np.ndarray:
+    """Which points, of so many, are on any of the walls; bool [count]."""
+    taken = np.zeros(count, bool)
+    for fit in fits:
+        taken[fit.members] = True
+    return taken
+
+
+class Line(NamedTuple):
+    """A line n.x + offset = 0 with n towards the radar, and how well its direction and place are known."""
+
+    nx: float
+    ny: float
+    offset_m: float
+    angle_std_rad: float
+    offset_std_m: float
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def residual_gain(residual_m: float, variance_m2: float) -> float:
+    """What a point adds to the score of a wall it lies off by a residual of this variance, zero for outliers.
+
+    log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) with sigma^2 the variance across the wall.
+    """
+    normed = residual_m * residual_m / variance_m2
+    # most points are outliers of most lines: only the others are worth a logarithm
+    if not normed <= INLIER_SIGMAS * INLIER_SIGMAS:
+        return 0.0
+    return float(max(_GAIN_AT_1_M - 0.5 * math.log(variance_m2) - 0.5 * normed, 0.0))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def variance_across(covariance_m2: np.ndarray, nx: float, ny: float) -> float:
+    """n' C n of one covariance [2, 2]."""
+    return float(nx * nx * covariance_m2[0, 0] + 2.0 * nx * ny * covariance_m2[0, 1] + ny * ny * covariance_m2[1, 1])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def gains(points_m: np.ndarray, covariance_m2: np.ndarray, nx: float, ny: float, offset_m: float) -> np.ndarray:
+    """What each point [N, 2] with covariance [N, 2, 2] adds to one line's score; float64 [N]."""
+    out = np.empty(len(points_m))
+    for i in range(len(points_m)):
+        residual_m = nx * points_m[i, 0] + ny * points_m[i, 1] + offset_m
+        out[i] = residual_gain(residual_m, variance_across(covariance_m2[i], nx, ny))
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fitted(points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int) -> Line:
+    """`fit_line` for callers that are compiled themselves."""
+    count = len(points_m)
+    weights = np.empty(count)
+    for i in range(count):
+        weights[i] = 1.0 / (covariance_m2[i, 0, 0] + covariance_m2[i, 1, 1])
+    cx, cy, nx, ny = 0.0, 0.0, 0.0, 1.0
+    for _ in range(rounds):
+        cx, cy, angle_rad = _principal_axis(points_m, weights)
+        nx, ny = -math.sin(angle_rad), math.cos(angle_rad)
+        for i in range(count):
+            weights[i] = 1.0 / variance_across(covariance_m2[i], nx, ny)
+    offset_m = -(nx * cx + ny * cy)
+    if offset_m < 0.0:  # the radar, at the origin, stands on the side the normal points to
+        nx, ny, offset_m = -nx, -ny, -offset_m
+    total, chi_square, moment, low, high = 0.0, 0.0, 0.0, math.inf, -math.inf
+    for i in range(count):
+        x, y = points_m[i]
+        along = (y - cy) * nx - (x - cx) * ny
+        total += weights[i]
+        chi_square += weights[i] * (nx * x + ny * y + offset_m) ** 2
+        moment += weights[i] * along * along
+        low, high = min(low, along), max(high, along)
+    inflate = max(1.0, chi_square / max(count - 2, 1))
+    angle_variance = inflate / max(moment, 1e-12)
+    middle = 0.5 * (low + high)
+    return Line(nx, ny, offset_m, math.sqrt(angle_variance), math.sqrt(inflate / total + middle**2 * angle_variance))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
+    """Centre of weighted points [N, 2] and the direction of their largest scatter [rad], in closed form."""
+    total, cx, cy = 0.0, 0.0, 0.0
+    for i in range(len(points_m)):
+        total += weights[i]
+        cx += weights[i] * points_m[i, 0]
+        cy += weights[i] * points_m[i, 1]
+    cx, cy = cx / total, cy / total
+    product, difference = 0.0, 0.0
+    for i in range(len(points_m)):
+        dx, dy = points_m[i, 0] - cx, points_m[i, 1] - cy
+        product += weights[i] * dx * dy
+        difference += weights[i] * (dx * dx - dy * dy)
+    return cx, cy, 0.5 * math.atan2(2.0 * product, difference)
+
+
 def line_gain(
     points_m: np.ndarray, covariance_m2: np.ndarray, normals: np.ndarray, offsets_m: np.ndarray
 ) -> np.ndarray:
-    """What each point [N] adds to each line's [H] score, zero for outliers; float64 [H, N].
-
-    log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) with sigma^2 = n' C n, the error across the line.
-    """
-    residual = normals @ points_m.T + offsets_m[:, None]
-    # n' C n written out: the three products of the normal against the three entries of each covariance
-    squares = np.stack([normals[:, 0] ** 2, 2.0 * normals[:, 0] * normals[:, 1], normals[:, 1] ** 2], axis=1)
-    entries = np.stack([covariance_m2[:, 0, 0], covariance_m2[:, 0, 1], covariance_m2[:, 1, 1]])
-    variance = squares @ entries
-    return residual_gain(residual, variance)
-
-
-def residual_gain(residual_m: np.ndarray, variance_m2: np.ndarray) -> np.ndarray:
-    """The same of residuals across a wall and their variances, of one shape."""
-    normed = residual_m**2 / variance_m2
-    gain = np.log(SCATTER_WIDTH_M / math.sqrt(2.0 * math.pi)) - 0.5 * np.log(variance_m2) - 0.5 * normed
-    return np.where(normed <= INLIER_SIGMAS**2, np.maximum(gain, 0.0), 0.0)
+    """What each point [N] adds to each line's [H] score (`residual_gain`), zero for outliers; float64 [H, N]."""
+    points_m, covariance_m2 = np.array(points_m, np.float64), np.array(covariance_m2, np.float64)
+    rows = [gains(points_m, covariance_m2, nx, ny, d) for (nx, ny), d in zip(normals, offsets_m, strict=True)]
+    return np.array(rows).reshape(len(offsets_m), len(points_m))
 
 
 def fit_line(
@@ -83,22 +169,6 @@ def fit_line(
     Weights are the inverse variances across the line, so they follow the line: iterated. The uncertainty is that of
     the weights, inflated where the residuals are larger than they promise. Needs two distinct points.
     """
-    xx, xy, yy = covariance_m2[:, 0, 0], covariance_m2[:, 0, 1], covariance_m2[:, 1, 1]
-    weights = 1.0 / (xx + yy)
-    for _ in range(rounds):
-        centre = weights @ points_m / weights.sum()
-        dx, dy = (points_m - centre).T
-        # principal axis of the weighted scatter, in closed form
-        angle_rad = 0.5 * math.atan2(2.0 * weights @ (dx * dy), weights @ (dx * dx - dy * dy))
-        normal = np.array([-math.sin(angle_rad), math.cos(angle_rad)])
-        weights = 1.0 / (normal[0] ** 2 * xx + 2.0 * normal[0] * normal[1] * xy + normal[1] ** 2 * yy)
-    offset_m = -float(normal @ centre)
-    if offset_m < 0.0:  # the radar, at the origin, stands on the side the normal points to
-        normal, offset_m = -normal, -offset_m
-    along = (points_m - centre) @ np.array([-normal[1], normal[0]])
-    chi_square = float(weights @ (points_m @ normal + offset_m) ** 2)
-    inflate = max(1.0, chi_square / max(len(points_m) - 2, 1))
-    angle_variance = inflate / max(float(weights @ along**2), 1e-12)
-    middle = 0.5 * (along.min() + along.max())
-    offset_variance = inflate / float(weights.sum()) + middle**2 * angle_variance
-    return normal, offset_m, math.sqrt(angle_variance), math.sqrt(offset_variance)
+    # copies: of one layout, whatever came, for which the kernel is compiled
+    line = fitted(np.array(points_m, np.float64), np.array(covariance_m2, np.float64), rounds)
+    return np.array([line.nx, line.ny]), line.offset_m, line.angle_std_rad, line.offset_std_m

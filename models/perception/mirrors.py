@@ -7,6 +7,7 @@ the ray's own image that is exact, whatever the curvature.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,7 @@ class WallArrays:
     def __len__(self) -> int:
         return len(self.offset_m)
 
-    @property
+    @cached_property
     def length_m(self) -> np.ndarray:
         """Lengths of the chords [W]."""
         return np.linalg.norm(self.b - self.a, axis=1)

@@ -7,19 +7,24 @@ have risen over the detection threshold through one of the walls, by the radar e
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from numba import njit
 
-from models.perception.mirrors import RADAR, WallArrays, wall_arrays
+from models.perception.mirrors import wall_arrays
 from models.physics.antenna import row_field
-from models.physics.mirror import blocked, reflect
+from models.physics.mirror import CLEARANCE_M, cut, mirrored
 from models.physics.waveform import window_noise_gain
 from msgs.arrays import require_finite, require_positive
-from msgs.frames import polar_from_xy
 from msgs.perception import BevGrid, Visibility, Wall
 from msgs.radar import RadarSetup
 from msgs.units import db_from_ratio
+
+# compiled code takes plain numbers
+UNKNOWN, DIRECT, MIRRORED = int(Visibility.UNKNOWN), int(Visibility.DIRECT), int(Visibility.MIRRORED)
 
 
 class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -56,50 +61,126 @@ def sensitivity_db(setup: RadarSetup) -> float:
 
 def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: VisibilityParams) -> np.ndarray:
     """`Visibility` of each cell of the grid, uint8 [rows, columns], through `walls` at a sensitivity in dB."""
-    cells_m = grid.cell_centres_m().reshape(-1, 2)
+    cells_m, lost_db = _field(grid, params)
+    level_db = sensitivity + params.rcs_dbsm
+    mask = np.where(level_db - lost_db >= params.threshold_db, Visibility.DIRECT, Visibility.UNKNOWN).astype(np.uint8)
     arrays = wall_arrays(walls)
-    mask = np.full(len(cells_m), Visibility.UNKNOWN, np.uint8)
-    direct = _detectable(cells_m, sensitivity + params.rcs_dbsm, params)
-    for index in range(len(walls)):
-        mask[_seen_in_mirror(cells_m, index, arrays, sensitivity, params)] = Visibility.MIRRORED
-        behind = cells_m @ arrays.normal[index] + arrays.offset_m[index] < 0.0
-        direct &= ~(behind & _in_wedge(cells_m, arrays.a[index], arrays.b[index]))
-    mask[direct] = Visibility.DIRECT
+    if len(arrays):
+        through = np.concatenate([arrays.a, arrays.b, arrays.normal, arrays.offset_m[:, None]], axis=1)
+        _look_past_walls(mask, cells_m, through, _receiver(level_db - params.bounce_loss_db, params))
     return mask.reshape(grid.rows, grid.columns)
 
 
-def _in_wedge(points_m: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Points [N, 2] whose ray from the origin passes between a and b [2]; bool [N]."""
-    turn = np.sign(a[0] * b[1] - a[1] * b[0])
-    past_a = turn * (points_m @ np.array([-a[1], a[0]])) >= 0.0
-    return past_a & (turn * (points_m @ np.array([b[1], -b[0]])) >= 0.0)
+@lru_cache(maxsize=2)
+def _field(grid: BevGrid, params: VisibilityParams) -> tuple[np.ndarray, np.ndarray]:
+    """Centres of a grid's cells [N, 2] and what is lost on the direct way to each [N] in dB, the same for all scans."""
+    cells_m = grid.cell_centres_m().reshape(-1, 2)
+    return cells_m, _all_lost_db(cells_m, _receiver(0.0, params))
 
 
-def _detectable(images_m: np.ndarray, level_db: float, params: VisibilityParams) -> np.ndarray:
-    """Whether something of `level_db` at 1 m on boresight is over the threshold at these apparent places; bool [N]."""
-    range_m, azimuth_rad = polar_from_xy(images_m)
-    azimuth_deg = np.degrees(azimuth_rad)
+class _Receiver(NamedTuple):
+    """Level in dB of the object at 1 m on boresight and its threshold, and how far and wide the radar looks."""
+
+    level_db: float
+    threshold_db: float
+    max_range_m: float
+    azimuth_limit_deg: float
+    element_hpbw_deg: float
+
+
+def _receiver(level_db: float, params: VisibilityParams) -> _Receiver:
+    """All of one type, for which the kernels are compiled."""
+    limits = (params.threshold_db, params.max_range_m, params.azimuth_limit_deg, params.element_hpbw_deg)
+    return _Receiver(float(level_db), *map(float, limits))
+
+
+@njit(cache=True, nogil=True)
+def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
+    """Power lost on the way to an apparent place and back against 1 m on boresight; infinite outside the field."""
+    range_m = math.hypot(x, y)
+    if range_m > receiver.max_range_m:
+        return math.inf
+    azimuth_deg = math.degrees(math.atan2(y, x))
+    if abs(azimuth_deg) > receiver.azimuth_limit_deg:
+        return math.inf
     # 12 dB (a / hpbw)^2 each way; R^4 of the two-way path
-    lost_db = 24.0 * (azimuth_deg / params.element_hpbw_deg) ** 2 + 40.0 * np.log10(np.maximum(range_m, 1.0))
-    in_field = (np.abs(azimuth_deg) <= params.azimuth_limit_deg) & (range_m <= params.max_range_m)
-    return in_field & (level_db - lost_db >= params.threshold_db)
+    return 24.0 * (azimuth_deg / receiver.element_hpbw_deg) ** 2 + 40.0 * math.log10(max(range_m, 1.0))
 
 
-def _seen_in_mirror(
-    cells_m: np.ndarray, index: int, walls: WallArrays, sensitivity: float, params: VisibilityParams
-) -> np.ndarray:
-    """Indices of the cells an object of the stated RCS would be detected in, through one wall."""
-    normal, offset_m = walls.normal[index], float(walls.offset_m[index])
-    # the wall is a window through which the radar's own image looks at the cells
-    radar_image = reflect(RADAR, normal, offset_m)
-    window = _in_wedge(cells_m - radar_image, walls.a[index] - radar_image, walls.b[index] - radar_image)
-    cells = np.flatnonzero(window & (cells_m @ normal + offset_m > 0.0))
-    images_m = reflect(cells_m[cells], normal, offset_m)
-    seen = _detectable(images_m, sensitivity + params.rcs_dbsm - params.bounce_loss_db, params)
-    images_m, cells = images_m[seen], cells[seen]
-    # the height over the wall's line falls from offset_m at the radar to -height at the image
-    height_m = cells_m[cells] @ normal + offset_m
-    mirror_m = images_m * (offset_m / (offset_m + height_m))[:, None]
-    others = walls.select(np.arange(len(walls)) != index)
-    cut = blocked(RADAR, mirror_m, others.a, others.b) | blocked(mirror_m, cells_m[cells], others.a, others.b)
-    return cells[~cut]
+@njit(cache=True, nogil=True)
+def _all_lost_db(points_m: np.ndarray, receiver: _Receiver) -> np.ndarray:
+    return np.array([_lost_db(points_m[i, 0], points_m[i, 1], receiver) for i in range(len(points_m))])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, receiver: _Receiver) -> None:
+    """Take from the direct cells of a mask [N] what walls hide, and mark what is seen in them; changes `mask`.
+
+    Each row of `walls` [W, 7] is ends, normal and offset.
+    """
+    for w in range(len(walls)):
+        wall = _wall(walls, w)
+        for i in range(len(cells_m)):
+            if mask[i] == DIRECT and _is_behind(cells_m[i, 0], cells_m[i, 1], wall):
+                mask[i] = UNKNOWN
+    for w in range(len(walls)):
+        wall = _wall(walls, w)
+        # the wall is a window through which the radar's own image looks at the cells
+        radar = mirrored(0.0, 0.0, *wall[4:])
+        for i in range(len(cells_m)):
+            # cells in direct sight stay so, and one mirror is enough
+            if mask[i] != UNKNOWN:
+                continue
+            x, y = cells_m[i, 0], cells_m[i, 1]
+            if _height_m(x, y, wall) > 0.0 and _in_wedge(x, y, wall, radar):
+                image = mirrored(x, y, *wall[4:])
+                # the loss takes an arc tangent and a logarithm: last
+                if _is_free(x, y, image, w, walls) and _is_detectable(image, receiver):
+                    mask[i] = MIRRORED
+
+
+@njit(cache=True, nogil=True)
+def _wall(walls, w):  # type: ignore[no-untyped-def]
+    """Ends, normal and offset of a wall as plain numbers: views of rows would be counted in the inner loop."""
+    return walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6]
+
+
+@njit(cache=True, nogil=True)
+def _height_m(x, y, wall):  # type: ignore[no-untyped-def]
+    """Distance of a point from a wall's line, positive on the radar's side."""
+    return x * wall[4] + y * wall[5] + wall[6]
+
+
+@njit(cache=True, nogil=True)
+def _is_behind(x, y, wall):  # type: ignore[no-untyped-def]
+    """Whether a wall hides a point from the radar."""
+    return _height_m(x, y, wall) < 0.0 and _in_wedge(x, y, wall, (0.0, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def _in_wedge(x, y, wall, eye):  # type: ignore[no-untyped-def]
+    """Whether the ray from the eye to a point passes between a wall's ends."""
+    ax, ay, bx, by = wall[0] - eye[0], wall[1] - eye[1], wall[2] - eye[0], wall[3] - eye[1]
+    x, y = x - eye[0], y - eye[1]
+    turn = np.sign(ax * by - ay * bx)
+    return turn * (ax * y - ay * x) >= 0.0 and turn * (x * by - y * bx) >= 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_free(x, y, image, own, walls):  # type: ignore[no-untyped-def]
+    """Whether no other wall cuts the way from the radar to where a wall mirrors a point, or from there to the point."""
+    wall = _wall(walls, own)
+    # the height over the wall's line falls from its offset at the radar to -height at the image
+    share = wall[6] / (wall[6] + _height_m(x, y, wall))
+    at_x, at_y = share * image[0], share * image[1]
+    for w in range(len(walls)):
+        ends = _wall(walls, w)[:4]
+        if w != own and (cut(0.0, 0.0, at_x, at_y, *ends, CLEARANCE_M) or cut(at_x, at_y, x, y, *ends, CLEARANCE_M)):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _is_detectable(image, receiver):  # type: ignore[no-untyped-def]
+    """Whether an echo that appears there is over the threshold."""
+    return receiver.level_db - _lost_db(image[0], image[1], receiver) >= receiver.threshold_db

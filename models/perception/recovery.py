@@ -138,13 +138,12 @@ def folded(
         return Folded(points_m, covariance_m2, covariance_m2)
     start = np.zeros_like(points_m)
     once, turn_m = _fold(start, Folded(points_m, covariance_m2, np.zeros_like(covariance_m2)), arrays, first)
-    twice, _ = _fold(turn_m, once, arrays, np.maximum(second, 0))
-    again = second != NO_WALL
-    return Folded(
-        np.where(again[:, None], twice.points_m, once.points_m),
-        np.where(again[:, None, None], twice.own_m2, once.own_m2),
-        np.where(again[:, None, None], twice.common_m2, once.common_m2),
-    )
+    again = np.flatnonzero(second != NO_WALL)
+    if len(again):
+        part = Folded(once.points_m[again], once.own_m2[again], once.common_m2[again])
+        twice, _ = _fold(turn_m[again], part, arrays, second[again])
+        once.points_m[again], once.own_m2[again], once.common_m2[again] = twice.points_m, twice.own_m2, twice.common_m2
+    return once
 
 
 def _fold(origin_m: np.ndarray, seen: Folded, arrays: WallArrays, wall: np.ndarray) -> tuple[Folded, np.ndarray]:

@@ -55,7 +55,12 @@ def _on_visible_vehicle(
         points_m = returns.points_m[group]
         near = np.abs(recovered.points_m - points_m.mean(axis=0)).max(axis=1) <= 2.0 * params.vehicle_length_m
         near &= recovered.snr_db <= returns.snr_db[group].max() + params.comparable_db
-        for i in np.flatnonzero(near & ~explained):
+        open_ones = np.flatnonzero(near & ~explained)
+        # most groups do not fit by themselves: nothing more fits in with them
+        slack_m = sigma_m[open_ones].max(initial=0.0)
+        if not fits_box(points_m, params.vehicle_length_m + slack_m, params.vehicle_width_m + slack_m):
+            continue
+        for i in open_ones:
             together = np.vstack([points_m, recovered.points_m[i]])
             length_m, width_m = params.vehicle_length_m + sigma_m[i], params.vehicle_width_m + sigma_m[i]
             explained[i] = fits_box(together, length_m, width_m)
@@ -64,8 +69,13 @@ def _on_visible_vehicle(
 
 def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
     """The returns of a group and all others on its walls: a missed return does not make two things of one front."""
-    walls = np.unique(returns.wall[group])
-    return np.union1d(group, np.flatnonzero(np.isin(returns.wall, walls[walls != NO_WALL])))
+    # one more place, at the end, for the returns on no wall (-1)
+    touched = np.zeros(returns.wall.max(initial=NO_WALL) + 2, bool)
+    touched[returns.wall[group]] = True
+    touched[NO_WALL] = False
+    together = touched[returns.wall]
+    together[group] = True
+    return np.flatnonzero(together)
 
 
 def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np.ndarray:

@@ -20,14 +20,10 @@ import numpy as np
 
 from models.perception.arcs import ArcParams, with_arcs
 from models.perception.clustering import NOISE
-from models.perception.lines import INLIER_SIGMAS, LineFit, fit_line, line_gain
+from models.perception.lines import INLIER_SIGMAS, Line, LineFit, claimed, fit_line, line_gain
+from models.perception.segments import Limits, Segment, best_segment, left_over, next_on_line, supported
 from msgs.arrays import require_positive
 from msgs.perception import Wall
-
-#: Hypotheses that are refit and compared in each round of the search.
-FINALISTS = 4
-#: Log likelihood a point must add to continue a wall.
-MIN_EXTENSION_GAIN = 1.0
 
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -77,7 +73,7 @@ def find_walls(
 
     Walls come sorted by support (most inliers, then nearest). Deterministic: the generator is seeded by `params.seed`.
     """
-    points_m = np.asarray(points_m, np.float64)
+    points_m = np.array(points_m, np.float64)
     covariance_m2 = _error_model(covariance_m2, params)
     rng = np.random.default_rng(params.seed)
     fits: list[LineFit] = []
@@ -98,8 +94,10 @@ def _one_building(
     """Walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best first."""
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
     sparse = msgspec.structs.replace(params, max_gap_m=params.sparse_gap_m, min_score=params.sparse_min_score)
-    fits += _walls_of_cluster(points_m, covariance_m2, _unclaimed(len(points_m), fits), sparse, rng)
-    fits = [_extended(points_m, covariance_m2, fit, _unclaimed(len(points_m), fits), params) for fit in fits]
+    free = np.flatnonzero(~claimed(len(points_m), fits))
+    fits += _walls_of_cluster(points_m, covariance_m2, free, sparse, rng)
+    free = np.flatnonzero(~claimed(len(points_m), fits))
+    fits = [_extended(points_m, covariance_m2, fit, free, params) for fit in fits]
     if params.curved:
         fits = with_arcs(points_m, covariance_m2, fits, params.arcs)
     if params.open_gap_m > 0.0:
@@ -114,7 +112,7 @@ def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
     """Covariances [N, 2, 2] that decide who is an inlier."""
     eye = np.eye(2)
     if params.error_model == "euclidean":
-        return np.broadcast_to((params.inlier_m / INLIER_SIGMAS) ** 2 * eye, np.shape(covariance_m2))
+        return np.tile((params.inlier_m / INLIER_SIGMAS) ** 2 * eye, (len(covariance_m2), 1, 1))
     return np.asarray(covariance_m2, np.float64) + params.flatness_m**2 * eye
 
 
@@ -123,106 +121,62 @@ def _walls_of_cluster(
 ) -> list[LineFit]:
     """Sequential RANSAC: the best wall, then the best among the points it leaves, until none has support."""
     found: list[LineFit] = []
+    limits = _limits(params)
     while len(members) >= params.min_inliers:
-        fit = _best_wall(points_m, covariance_m2, members, params, rng)
-        if fit is None:
+        points, covariance = points_m[members], covariance_m2[members]
+        segment, run = best_segment(points, covariance, _pairs(len(members), params.rounds, rng), limits)
+        if not segment.acts:
             break
-        found.append(fit)
-        members = np.setdiff1d(members, _claimed(points_m, covariance_m2, members, fit), assume_unique=True)
+        found.append(_as_fit(segment, members[run]))
+        members = members[left_over(points, covariance, segment, run)]
     return found
 
 
-def _best_wall(
-    points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, params: WallParams, rng: np.random.Generator
-) -> LineFit | None:
-    """The highest-scoring segment among the finalists of one RANSAC, None where no segment acts as a mirror."""
-    normals, offsets = _hypotheses(points_m[members], params.rounds, rng)
-    gain = line_gain(points_m[members], covariance_m2[members], normals, offsets)  # [H, N]
-    best: LineFit | None = None
-    for chosen in _finalists(gain):
-        inliers = members[gain[chosen] > 0.0]
-        for fit in _segments(points_m, covariance_m2, members, inliers, params):
-            if best is None or fit.score > best.score:
-                best = fit
-    return best
+def _pairs(count: int, rounds: int, rng: np.random.Generator) -> np.ndarray:
+    """Which pairs of so many points the hypotheses go through: all of them where they are no more than `rounds`."""
+    pairs = count * (count - 1) // 2
+    return np.arange(pairs) if pairs <= rounds else np.sort(rng.choice(pairs, rounds, replace=False))
 
 
-def _finalists(gain: np.ndarray) -> list[int]:
-    """Hypotheses of highest total gain [H, N] that differ in their inliers."""
-    chosen: list[int] = []
-    seen: set[bytes] = set()
-    for index in np.argsort(-gain.sum(axis=1), kind="stable"):
-        signature = (gain[index] > 0.0).tobytes()
-        if signature not in seen:
-            seen.add(signature)
-            chosen.append(int(index))
-        if len(chosen) == FINALISTS:
-            break
-    return chosen
+def _limits(params: WallParams) -> Limits:
+    """What the search is told of its parameters; all of one type, for which it is compiled."""
+    return Limits(
+        int(params.min_inliers),
+        float(params.max_gap_m),
+        float(params.min_length_m),
+        float(params.max_angle_std_rad),
+        float(params.min_offset_m),
+        float(params.min_score),
+    )
 
 
-def _hypotheses(points_m: np.ndarray, rounds: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Lines through two points each: unit normals [H, 2] and offsets [H]; all pairs where they are no more."""
-    count = len(points_m)
-    first, second = np.triu_indices(count, k=1)
-    if len(first) > rounds:
-        keep = np.sort(rng.choice(len(first), rounds, replace=False))
-        first, second = first[keep], second[keep]
-    along = points_m[second] - points_m[first]
-    length_m = np.hypot(along[:, 0], along[:, 1])
-    apart = length_m > 1e-6
-    along, first, length_m = along[apart], first[apart], length_m[apart]
-    normals = np.stack([-along[:, 1], along[:, 0]], axis=1) / length_m[:, None]
-    return normals, -np.einsum("hi,hi->h", normals, points_m[first])
+def _as_fit(segment: Segment, members: np.ndarray) -> LineFit:
+    """A segment with the points it stands on."""
+    line = segment.line
+    return LineFit(
+        normal=np.array([line.nx, line.ny]),
+        offset_m=line.offset_m,
+        members=members,
+        score=segment.score,
+        ends_m=np.array([[segment.ax, segment.ay], [segment.bx, segment.by]]),
+        angle_std_rad=line.angle_std_rad,
+        offset_std_m=line.offset_std_m,
+    )
 
 
-def _segments(
-    points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, inliers: np.ndarray, params: WallParams
-) -> list[LineFit]:
-    """Walls on one hypothesis: refit twice (inliers follow the line), cut at gaps, kept if supported."""
-    for _ in range(2):
-        if len(inliers) < params.min_inliers:
-            return []
-        normal, offset_m, _, _ = fit_line(points_m[inliers], covariance_m2[inliers])
-        gain = line_gain(points_m[members], covariance_m2[members], normal[None], np.array([offset_m]))[0]
-        inliers = members[gain > 0.0]
-    along = points_m[inliers] @ np.array([-normal[1], normal[0]])
-    order = np.argsort(along, kind="stable")
-    cuts = np.flatnonzero(np.diff(along[order]) > params.max_gap_m) + 1
-    runs = [np.sort(run) for run in np.split(inliers[order], cuts)]
-    fits = [_supported(points_m, covariance_m2, run, params) for run in runs]
-    return [fit for fit in fits if fit is not None]
+def _as_segment(fit: LineFit) -> Segment:
+    """The same for the search."""
+    line = Line(float(fit.normal[0]), float(fit.normal[1]), fit.offset_m, fit.angle_std_rad, fit.offset_std_m)
+    (ax, ay), (bx, by) = fit.ends_m.tolist()
+    return Segment(line, fit.score, ax, ay, bx, by, True)
 
 
 def _supported(points_m: np.ndarray, covariance_m2: np.ndarray, run: np.ndarray, params: WallParams) -> LineFit | None:
     """The line through one run of points, None unless it can act as a mirror (see `WallParams`)."""
     if len(run) < params.min_inliers:
         return None
-    points, covariance = points_m[run], covariance_m2[run]
-    normal, offset_m, angle_std, offset_std = fit_line(points, covariance)
-    tangent = np.array([-normal[1], normal[0]])
-    reach = points @ tangent
-    ends_m = np.array([reach.min(), reach.max()])[:, None] * tangent - offset_m * normal
-    gain = line_gain(points, covariance, normal[None], np.array([offset_m]))[0]
-    fit = LineFit(normal, offset_m, run, float(gain.sum()), ends_m, angle_std, offset_std)
-    acts = (
-        np.count_nonzero(gain) >= params.min_inliers
-        and fit.length_m >= params.min_length_m
-        and angle_std <= params.max_angle_std_rad
-        and offset_m >= params.min_offset_m
-        and fit.score >= params.min_score
-    )
-    return fit if acts else None
-
-
-def _claimed(points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, fit: LineFit) -> np.ndarray:
-    """Points a wall takes with it: its own, and those within its ends that are as near as errors allow."""
-    gain = line_gain(points_m[members], covariance_m2[members], fit.normal[None], np.array([fit.offset_m]))[0]
-    tangent = np.array([-fit.normal[1], fit.normal[0]])
-    low, high = np.sort(fit.ends_m @ tangent)
-    reach = points_m[members] @ tangent
-    near = (gain > 0.0) & (reach >= low) & (reach <= high)
-    return np.union1d(members[near], fit.members)
+    segment = supported(points_m[run], covariance_m2[run], _limits(params))
+    return _as_fit(segment, run) if segment.acts else None
 
 
 def _merge_duplicates(
@@ -252,17 +206,12 @@ def _joined(
     """One wall in place of two, None where the two are not one: the joint line must keep 90 % of their score."""
     if abs(float(one.normal @ other.normal)) < math.cos(math.radians(30.0)):
         return None
-    joint = _supported(points_m, covariance_m2, np.union1d(one.members, other.members), params)
+    members = np.flatnonzero(claimed(len(points_m), (one, other)))
+    joint = _supported(points_m, covariance_m2, members, params)
     if joint is None or joint.score < 0.9 * (one.score + other.score):
         return None
     reach = np.sort(points_m[joint.members] @ np.array([-joint.normal[1], joint.normal[0]]))
     return joint if np.diff(reach).max(initial=0.0) <= params.max_gap_m else None
-
-
-def _unclaimed(count: int, fits: list[LineFit]) -> np.ndarray:
-    """Points on no wall."""
-    members = [fit.members for fit in fits]
-    return np.setdiff1d(np.arange(count), np.concatenate(members)) if members else np.arange(count)
 
 
 def _extended(
@@ -273,18 +222,11 @@ def _extended(
     A smooth wall answers at few spots (the foot of the perpendicular above all), often further apart than a cluster
     reaches. A point must lie on the line within its own error and that of the line so far out.
     """
+    limits = _limits(params)
     while len(free):
-        tangent = np.array([-fit.normal[1], fit.normal[0]])
-        low, high = np.sort(fit.ends_m @ tangent)
-        reach = points_m[free] @ tangent
-        gap_m = np.maximum(np.maximum(low - reach, reach - high), 0.0)
-        line_variance = fit.offset_std_m**2 + ((reach - 0.5 * (low + high)) * fit.angle_std_rad) ** 2
-        widened = covariance_m2[free] + line_variance[:, None, None] * np.eye(2)
-        gain = line_gain(points_m[free], widened, fit.normal[None], np.array([fit.offset_m]))[0]
-        candidates = np.flatnonzero((gain > MIN_EXTENSION_GAIN) & (gap_m <= params.max_gap_m))
-        if len(candidates) == 0:
+        taken = next_on_line(points_m[free], covariance_m2[free], _as_segment(fit), limits)
+        if taken < 0:
             break
-        taken = candidates[gap_m[candidates].argmin()]
         longer = _supported(points_m, covariance_m2, np.append(fit.members, free[taken]), params)
         if longer is not None and longer.score >= fit.score:
             fit = longer
@@ -303,6 +245,8 @@ def _opened(
         return [fit]
     reach = np.sort(points_m[fit.members] @ fit.tangent)
     wide = np.flatnonzero(np.diff(reach) >= params.open_gap_m)
+    if len(wide) == 0:
+        return [fit]
     through = np.zeros(len(wide), int)
     for other in fits:
         if other is not fit:
@@ -321,16 +265,19 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
     """The wall drawn on to the corner it makes with another: what stands before a corner hides the walls' returns."""
     if fit.curvature_per_m != 0.0 or len(fits) < 2:
         return fit
-    low, high = np.sort(fit.ends_m @ fit.tangent)
-    seen = _passed_at(fit, points_m)
+    low, high = np.sort(fit.ends_m @ fit.tangent).tolist()
+    seen: np.ndarray | None = None
     for other in fits:
         # walls along one another make no corner
         if other is fit or abs(float(fit.normal @ other.normal)) > 0.5:
             continue
-        for end in other.ends_m[np.abs(other.ends_m @ fit.normal + fit.offset_m) <= 1.0]:
-            at = float(end @ fit.tangent)
+        on_line = np.abs(other.ends_m @ fit.normal + fit.offset_m) <= 1.0
+        for at in (other.ends_m[on_line] @ fit.tangent).tolist():
+            if not 0.0 < max(low - at, at - high) <= params.corner_reach_m:
+                continue
+            seen = _passed_at(fit, points_m) if seen is None else seen
             between = (seen > min(at, high)) & (seen < max(at, low)) & ((seen < low) | (seen > high))
-            if max(low - at, at - high) <= params.corner_reach_m and between.sum() < params.seen_through_points:
+            if between.sum() < params.seen_through_points:
                 low, high = min(low, at), max(high, at)
     ends_m = np.array([low, high])[:, None] * fit.tangent - fit.offset_m * fit.normal
     return replace(fit, ends_m=ends_m)

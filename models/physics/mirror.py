@@ -6,10 +6,15 @@ the simulator (true place -> image) and recovery (image -> true place): a reflec
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import njit
 
 #: Walls shorter than this have no direction worth speaking of.
 SHORTEST_WALL_M = 1e-6
+#: What rays leave off at their ends, and walls reach further at theirs, when they are asked for crossings.
+CLEARANCE_M = 1e-6
 
 
 def reflect(points: np.ndarray, normal: np.ndarray, offset_m: float | np.ndarray) -> np.ndarray:
@@ -24,6 +29,13 @@ def reflect(points: np.ndarray, normal: np.ndarray, offset_m: float | np.ndarray
     distance = (np.sum(plan * normal, axis=-1) + offset_m) / np.sum(normal * normal, axis=-1)
     image = plan - 2.0 * distance[..., None] * normal
     return np.concatenate([image, points[..., 2:]], axis=-1)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def mirrored(x, y, nx, ny, offset_m):  # type: ignore[no-untyped-def]
+    """`reflect` of one point of the plane, for callers that are compiled themselves."""
+    distance = (x * nx + y * ny + offset_m) / (nx * nx + ny * ny)
+    return x - 2.0 * distance * nx, y - 2.0 * distance * ny
 
 
 def wall_from_ends(a: np.ndarray, b: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, float]:
@@ -51,20 +63,46 @@ def crossing_parameters(
     Both run from 0 at the start to 1 at the end. Parallel pairs, and targets at the origin, are NaN: they meet
     nowhere or everywhere. `origin` [2] or [N, 2], `targets` [N, 2], `a` and `b` [M, 2], all in metres.
     """
-    origin = np.broadcast_to(np.asarray(origin, np.float64), np.shape(targets))
-    ray = np.asarray(targets, np.float64) - origin  # [N, 2]
-    wall = np.asarray(b, np.float64) - a  # [M, 2]
-    to_wall = np.asarray(a, np.float64)[None] - origin[:, None]  # [N, M, 2]
-    turn = _cross(ray[:, None], wall[None])  # [N, M]
+    return _crossings(*_plain(origin, targets, a, b))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _crossings(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    along_ray, along_wall = np.empty((len(targets), len(a))), np.empty((len(targets), len(a)))
+    for n in range(len(targets)):
+        for m in range(len(a)):
+            along_ray[n, m], along_wall[n, m] = _shares(*_ray_and_wall(origin, targets, a, b, n, m))
+    return along_ray, along_wall
+
+
+def _plain(
+    origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Rays and walls as arrays of one layout, whatever came: the layout that the kernels are compiled for."""
+    start = np.broadcast_to(np.asarray(origin, np.float64), np.shape(targets))
+    copies = (np.array(one, np.float64, order="C") for one in (start, targets, a, b))
+    return tuple(copies)  # type: ignore[return-value]
+
+
+@njit(cache=True, nogil=True)
+def _ray_and_wall(origin, targets, a, b, n, m):  # type: ignore[no-untyped-def]
+    """Coordinates of one ray and one wall."""
+    return origin[n, 0], origin[n, 1], targets[n, 0], targets[n, 1], a[m, 0], a[m, 1], b[m, 0], b[m, 1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shares(ox, oy, tx, ty, ax, ay, bx, by):  # type: ignore[no-untyped-def]
+    """`crossing_parameters` of one ray o -> t and one wall a -> b."""
+    rx, ry, wx, wy = tx - ox, ty - oy, bx - ax, by - ay
+    turn = rx * wy - ry * wx
     # sine of the angle between them, so that the test knows neither's length
-    lengths = np.hypot(ray[:, 0], ray[:, 1])[:, None] * np.hypot(wall[:, 0], wall[:, 1])[None]
-    parallel = np.abs(turn) <= 1e-12 * lengths
-    turn = np.where(parallel, np.nan, turn)
-    return _cross(to_wall, wall[None]) / turn, _cross(to_wall, ray[:, None]) / turn
+    if abs(turn) <= 1e-12 * (math.hypot(rx, ry) * math.hypot(wx, wy)):
+        return math.nan, math.nan
+    return ((ax - ox) * wy - (ay - oy) * wx) / turn, ((ax - ox) * ry - (ay - oy) * rx) / turn
 
 
 def crosses(
-    origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, clearance_m: float = 1e-6
+    origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, clearance_m: float = CLEARANCE_M
 ) -> np.ndarray:
     """Which rays origin -> target are cut by which wall segments a -> b; bool [N, M].
 
@@ -72,28 +110,32 @@ def crosses(
     rays leave `clearance_m` off at each end, so a point that lies on a wall is not hidden by it. A ray along a wall
     is not cut: it sees the wall's edge, of no width.
     """
-    along_ray, along_wall = crossing_parameters(origin, targets, a, b)
-    return cut(along_ray, along_wall, origin, targets, a, b, clearance_m)
+    return _all_cuts(*_plain(origin, targets, a, b), clearance_m)
 
 
-def cut(
-    along_ray: np.ndarray,
-    along_wall: np.ndarray,
-    origin: np.ndarray,
-    targets: np.ndarray,
-    a: np.ndarray,
-    b: np.ndarray,
-    clearance_m: float = 1e-6,
-) -> np.ndarray:
-    """`crosses` for those who hold the crossing parameters already; bool [N, M]."""
-    ray = np.asarray(targets, np.float64) - origin
-    wall = np.asarray(b, np.float64) - a
-    ray_share = clearance_m / np.maximum(np.hypot(ray[:, 0], ray[:, 1]), clearance_m)[:, None]
-    wall_share = clearance_m / np.maximum(np.hypot(wall[:, 0], wall[:, 1]), clearance_m)[None]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _all_cuts(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, clearance_m: float) -> np.ndarray:
+    out = np.empty((len(targets), len(a)), np.bool_)
+    for n in range(len(targets)):
+        for m in range(len(a)):
+            out[n, m] = cut(*_ray_and_wall(origin, targets, a, b, n, m), clearance_m)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cut(ox, oy, tx, ty, ax, ay, bx, by, clearance_m):  # type: ignore[no-untyped-def]
+    """`crosses` of one ray o -> t and one wall a -> b, for callers that are compiled themselves."""
+    rx, ry, wx, wy = tx - ox, ty - oy, bx - ax, by - ay
+    turn = rx * wy - ry * wx
+    across = (ax - ox) * wy - (ay - oy) * wx
+    # most rays end before the wall's line or lead away from it: no division for them
+    if not (0.0 < across < turn or turn < across < 0.0):
+        return False
+    along_ray, along_wall = _shares(ox, oy, tx, ty, ax, ay, bx, by)
+    ray_share = clearance_m / max(math.hypot(rx, ry), clearance_m)
+    wall_share = clearance_m / max(math.hypot(wx, wy), clearance_m)
     # comparisons with NaN (parallel) are false: not cut
-    inside_ray = (along_ray > ray_share) & (along_ray < 1.0 - ray_share)
-    inside_wall = (along_wall >= -wall_share) & (along_wall <= 1.0 + wall_share)
-    return inside_ray & inside_wall
+    return ray_share < along_ray < 1.0 - ray_share and -wall_share <= along_wall <= 1.0 + wall_share
 
 
 def blocked(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -127,8 +169,3 @@ def segment_distance_m(points_m: np.ndarray, a: np.ndarray, b: np.ndarray) -> np
     from_a = points_m[:, None] - a
     share = np.sum(from_a * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-12)
     return np.linalg.norm(from_a - np.clip(share, 0.0, 1.0)[..., None] * along, axis=-1)
-
-
-def _cross(p: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """z component of the cross product of plane vectors [..., 2]."""
-    return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]

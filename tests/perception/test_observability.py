@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.perception.observability import VisibilityParams, observability, sensitivity_db
-from models.physics.mirror import specular_points, wall_from_ends
+from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
 from msgs.perception import BevGrid, Visibility, Wall
 from msgs.radar import RadarParams, RadarSetup
 
@@ -75,3 +75,45 @@ def test_a_fainter_object_is_seen_in_fewer_cells():
         for rcs in (20.0, 10.0, 0.0)
     ]
     assert counts[0] > counts[1] > counts[2]
+
+
+def loss_db(points: np.ndarray) -> np.ndarray:
+    """24 dB (a / 80 deg)^2 and R^4 on the way there and back; infinite outside of 60 degrees and 109 m."""
+    range_m, azimuth_deg = np.hypot(*points.T), np.degrees(np.arctan2(*points.T[::-1]))
+    lost = 24.0 * (azimuth_deg / 80.0) ** 2 + 40.0 * np.log10(np.maximum(range_m, 1.0))
+    return np.where((np.abs(azimuth_deg) <= 60.0) & (range_m <= 109.0), lost, np.inf)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_mask_is_the_definition_cell_by_cell(seed: int) -> None:
+    """Hidden: the ray to the cell is cut by a wall. Mirrored: the image is loud enough, its ray meets the wall between
+    the ends, and neither that ray up to the wall nor the rest of the way is cut by another. Cells within a millimetre
+    of a wall's line or of the way past an end are anyone's."""
+    rng = np.random.default_rng(seed)
+    ends = np.array([[[20, -10], [20, 10]], [[5, 5], [13, 5]], [[8, -9], [14, -8]], [[25, 12], [33, 14]]])
+    ends = ends + rng.uniform(-2.0, 2.0, ends.shape)
+    walls = [wall(tuple(a), tuple(b)) for a, b in ends]
+    mask = observability(walls, 75.0, GRID, VisibilityParams()).ravel()
+    cells = GRID.cell_centres_m().reshape(-1, 2)
+    direct = (85.0 - loss_db(cells) >= 13.0) & ~blocked(np.zeros(2), cells, ends[:, 0], ends[:, 1])
+    mirrored = np.zeros(len(cells), bool)
+    for one, (a, b) in zip(walls, ends, strict=True):
+        at = specular_points(np.zeros(2), cells, a, b)
+        seen = np.isfinite(at[:, 0])
+        others = ends[[other is not one for other in walls]]
+        seen &= 79.0 - loss_db(reflect(cells, np.array(one.normal), one.offset_m)) >= 13.0
+        seen[seen] &= ~blocked(np.zeros(2), at[seen], others[:, 0], others[:, 1])
+        seen[seen] &= ~blocked(at[seen], cells[seen], others[:, 0], others[:, 1])
+        mirrored |= seen
+    expected = np.where(direct, Visibility.DIRECT, np.where(mirrored, Visibility.MIRRORED, Visibility.UNKNOWN))
+    assert all((expected == kind).any() for kind in Visibility)
+    assert (mask != expected).sum() <= 2
+
+
+def test_grids_and_parameters_do_not_mix() -> None:
+    """What is laid out once for a grid is not taken for another one, nor for other parameters."""
+    small, narrow = BevGrid(rows=20, columns=10), VisibilityParams(azimuth_limit_deg=20.0)
+    whole = observability([], 110.0, GRID, VisibilityParams())
+    assert observability([], 110.0, small, VisibilityParams()).shape == (20, 10)
+    assert (observability([], 110.0, GRID, narrow) == Visibility.DIRECT).sum() < (whole == Visibility.DIRECT).sum() / 2
+    np.testing.assert_array_equal(observability([], 110.0, GRID, VisibilityParams()), whole)

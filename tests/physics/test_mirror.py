@@ -7,7 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from models.physics.mirror import blocked, crosses, crossing_parameters, reflect, specular_points, wall_from_ends
+from models.physics.mirror import (
+    _all_cuts,
+    _crossings,
+    blocked,
+    crosses,
+    crossing_parameters,
+    cut,
+    mirrored,
+    reflect,
+    specular_points,
+    wall_from_ends,
+)
 
 
 def test_reflection_is_its_own_inverse_and_keeps_heights_and_distances() -> None:
@@ -116,3 +127,45 @@ def test_specular_path_is_the_shortest_over_the_wall() -> None:
     for share in np.linspace(0.0, 1.0, 21):
         other = a + share * (b - a)
         assert math.hypot(*other) + math.dist(other, target) >= shortest - 1e-12
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_crossings_are_solutions_of_the_two_lines(seed: int) -> None:
+    """Parameters s and t of o + s r = a + t w from a linear solver; a cut has both between 0 and 1."""
+    rng = np.random.default_rng(seed)
+    origin, targets = rng.uniform(-20.0, 20.0, (2, 30, 2))
+    a, b = rng.uniform(-20.0, 20.0, (2, 12, 2))
+    systems = np.stack(np.broadcast_arrays((targets - origin)[:, None], (a - b)[None]), axis=-1)
+    s, t = np.moveaxis(np.linalg.solve(systems, (a[None] - origin[:, None])[..., None])[..., 0], -1, 0)
+    along_ray, along_wall = crossing_parameters(origin, targets, a, b)
+    np.testing.assert_allclose(along_ray, s, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(along_wall, t, rtol=1e-9, atol=1e-9)
+    expected = (s > 0.0) & (s < 1.0) & (t >= 0.0) & (t <= 1.0)
+    assert 0 < expected.sum() < expected.size
+    np.testing.assert_array_equal(crosses(origin, targets, a, b), expected)
+    np.testing.assert_array_equal(blocked(origin, targets, a, b), expected.any(axis=1))
+
+
+def test_crossings_of_any_layout_use_one_kernel() -> None:
+    """One ray (whose broadcast is contiguous), read-only and strided arrays: nothing is compiled for them anew."""
+    origin, targets, a, b = np.zeros(2), np.array([[4.0, 0.0], [4.0, 1.0]]), np.array([[2.0, -1.0]]), np.ones((1, 2))
+    expected = crosses(origin, targets, a, b), crossing_parameters(origin, targets, a, b)
+    known = len(_all_cuts.signatures), len(_crossings.signatures)
+    strided = np.repeat(targets, 2, axis=0)[::2]
+    strided.flags.writeable = False
+    for rays in (strided, targets.tolist(), np.asfortranarray(targets)):
+        np.testing.assert_array_equal(crosses(origin, rays, a, b), expected[0])
+        np.testing.assert_array_equal(crossing_parameters(origin, rays, a, b), expected[1])
+    np.testing.assert_array_equal(crosses(origin, targets[:1], a, b), expected[0][:1])
+    assert (len(_all_cuts.signatures), len(_crossings.signatures)) == known
+
+
+def test_compiled_forms_are_the_same_law() -> None:
+    rng = np.random.default_rng(3)
+    for (x, y), (nx, ny), offset in zip(*rng.uniform(-9.0, 9.0, (2, 50, 2)), rng.uniform(0.0, 9.0, 50), strict=True):
+        np.testing.assert_array_equal(mirrored(x, y, nx, ny, offset), reflect(np.array([x, y]), [nx, ny], offset))
+    rays, walls = rng.uniform(-9.0, 9.0, (2, 50, 4))
+    together = [cut(*ray, *wall, 1e-6) for ray in rays for wall in walls]
+    for n, ray in enumerate(rays):
+        alone = crosses(ray[:2], ray[None, 2:], walls[:, :2], walls[:, 2:])[0]
+        np.testing.assert_array_equal(together[50 * n : 50 * n + 50], alone)
