@@ -34,13 +34,13 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     vehicle_length_m: float = 5.5
     vehicle_width_m: float = 2.5
     min_points: int = 2
-    min_score: float = 0.6
+    min_score: float = 0.54
     #: A single point makes an object only this strong.
-    single_min_score: float = 0.5
+    single_min_score: float = 0.45
     single_min_snr_db: float = 15.0
     #: Where no wall, lengthened by the margin, hides it, it should have been seen directly: more is asked for.
     open_view_min_points: int = 3
-    open_view_min_score: float = 0.85
+    open_view_min_score: float = 0.765
     open_view_margin_m: float = 2.5
     #: Longer than any vehicle: a wall seen in a mirror.
     max_length_m: float = 14.0

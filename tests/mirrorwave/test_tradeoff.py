@@ -15,7 +15,10 @@ from mirrorwave.tradeoff import tradeoff
 from mirrorwave.tradeoff_report import Interval, Report, Row, Times, latency_ms, measuring_ms, read_report, with_front
 from mirrorwave.tradeoff_run import BEFORE, PARTS, Plan, run_plan
 from mirrorwave.tradeoff_settings import Setting, read_settings
+from models.perception.cfar import CfarParams, cfar_peaks
 from models.perception.onnx_model import DEFAULT_MODEL
+from msgs.perception import Peaks
+from msgs.radar import RangeAzimuthMap
 from nodes import dense_predictor, geometry, ra_former
 from nodes.validation import convert_at
 
@@ -108,11 +111,12 @@ def test_a_row_that_fails_on_the_way_takes_none_with_it(tmp_path: Path, monkeypa
     """A detector that raises on its second map: its row is failed, with the reason, and the default is not."""
     seen = 0
 
-    def fails(*_: object) -> None:
+    def fails(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
         nonlocal seen
         seen += 1
         if seen > 1:
             raise RuntimeError("broken\nin two lines")
+        return cfar_peaks(ra_map, params)
 
     rows = [Setting(switch="profile", value="default"), Setting(switch="a", value="b", params={"geometry": {}})]
     rows[1].params["dense_predictor"] = {"method": "cfar"}

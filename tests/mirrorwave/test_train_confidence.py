@@ -36,8 +36,9 @@ def test_a_fitted_file_drops_places_of_a_method(data: Path, tmp_path: Path) -> N
     assert result.exit_code == 0, result.output
     fitted = load_confidence(out)
     assert json.loads(result.stdout)["threshold"] == fitted.threshold
-    assert fitted.detector == f"{load_card(DEFAULT_MODEL).sha256}/pursuit"
-    assert "--refine pursuit --threshold 0.2 --seed 0" in fitted.command
+    card = load_card(DEFAULT_MODEL)
+    assert fitted.detector == f"{card.sha256}/pursuit"
+    assert f"--refine pursuit --threshold {card.threshold_for('pursuit'):g} --seed 0" in fitted.command
     before = out.read_bytes()
     CliRunner().invoke(app, options)
     assert out.read_bytes() == before
