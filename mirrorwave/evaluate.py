@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from mirrorwave.console import AsJson, print_json, print_line, print_table
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 
 if TYPE_CHECKING:
     from mirrorwave.evaluate_methods import Method
     from mirrorwave.evaluate_report import Context
-    from mirrorwave.evaluate_run import Run, SweepPoint, Tick
+    from mirrorwave.evaluate_run import Run, SweepPoint
     from models.perception.evaluation import FrameTruth
     from models.training.frames import DataSet, Frame, Splits
 
@@ -133,26 +131,15 @@ def _run(
         truth_of["thinned"] = truth_of_labels
     if truth is not TruthOption.THINNED:
         truth_of["all"] = retraced_truth(dataset)
-    with _bar("frames", len(indices)) as tick:
+    with progress_bar("frames", len(indices)) as tick:
         run = run_methods(methods, checked_frames(dataset, indices, methods), truth_of, sweep_count > 0, tick)
     sweeps: dict[str, list[SweepPoint]] = {}
     if sweep_count:
-        with _bar("curves", len(methods)) as tick:
+        with progress_bar("curves", len(methods)) as tick:
             for one in run.runs:
                 sweeps[one.method.name] = sweep(one, run.truth, sweep_count)
                 tick()
     return run, sweeps
-
-
-@contextmanager
-def _bar(name: str, total: int) -> Iterator[Tick]:
-    """A bar with the time left where stderr is a terminal; gives what advances it."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task(name, total=total)
-        yield lambda: progress.advance(task)
 
 
 def _draw(report: dict[str, Any], run: Run, dataset: DataSet, context: Context, out: Path) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,6 +16,9 @@ from models.training.frames import DataSet, Frame, FrameLabels
 from msgs.frames import xy_from_polar
 from msgs.perception import PathClass, Peaks
 from msgs.units import s_from_ns
+
+if TYPE_CHECKING:
+    from sim_player.labelled_scan import Labels
 
 #: Called after each step of a long loop.
 Tick = Callable[[], None]
@@ -163,10 +167,15 @@ def make_truth(labels: FrameLabels, points_m: np.ndarray, frame: Frame) -> Frame
     if frame.places_m is not None:
         places_m = frame.places_m.astype(np.float64)
         return FrameTruth(points_m=points, path_class=labels.path_class, places_m=places_m, hidden_m=places_m)
+    return truth_of_points(labels, points, frame.hidden if frame.objects else None)
+
+
+def truth_of_points(labels: FrameLabels | Labels, points_m: np.ndarray, hidden: Sequence[int] | None) -> FrameTruth:
+    """Truth from labels at [N, 2]; `hidden` are the objects that mirrors alone show, None: all that is mirrored."""
     mirrored = labels.path_class == PathClass.MIRRORED
-    alone = mirrored & np.isin(labels.object_index, frame.hidden) if frame.objects else mirrored
+    alone = mirrored if hidden is None else mirrored & np.isin(labels.object_index, hidden)
     return FrameTruth(
-        points_m=points,
+        points_m=np.asarray(points_m, np.float64),
         path_class=labels.path_class,
         places_m=labels.hidden_xy_m[mirrored].astype(np.float64),
         hidden_m=labels.hidden_xy_m[alone].astype(np.float64),

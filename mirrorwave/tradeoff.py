@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import shlex
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mirrorwave.console import AsJson, print_json, print_line, print_table
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 
 if TYPE_CHECKING:
     from mirrorwave.tradeoff_report import Report
@@ -55,11 +52,11 @@ def tradeoff(
     rows = _chosen(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
     count, often = FULL if full else QUICK
     plan = Plan(rows=rows, frames=frames or count, repeats=repeats or often, seed=seed)
-    with _bar("places", plan.frames) as tick:
+    with progress_bar("places", plan.frames) as tick:
         results = run_plan(plan, out, tick)
     failed = {name for result in results for name in result.failed}
     running = [one for one in plan.rows if one.name not in failed] if memory else []
-    with _bar("memory", len(running)) as tick:
+    with progress_bar("memory", len(running)) as tick:
         memory_mib = peak_memory_mib(running, tick)
     report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or []))
     write_report(report, out)
@@ -80,7 +77,7 @@ def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
     )
     from mirrorwave.tradeoff_simulator_figures import draw_simulator
 
-    with _bar("cases", len(simulator_plan(full, seed).jobs)) as tick:
+    with progress_bar("cases", len(simulator_plan(full, seed).jobs)) as tick:
         report = run_simulator(out, full, seed, tick)
     write_simulator_report(report, out)
     draw_simulator(report, out / "tradeoff-simulator.png")
@@ -107,17 +104,6 @@ def _command(plan: Plan, networks: Path | None, settings: Path | None, names: li
     words += ["--networks", str(networks)] if networks else []
     words += ["--settings", str(settings)] if settings else []
     return shlex.join([*words, *(word for name in names for word in ("--row", name))])
-
-
-@contextmanager
-def _bar(name: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar with the time left where stderr is a terminal; gives what advances it."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
-        task = progress.add_task(name, total=total)
-        yield lambda: progress.advance(task)
 
 
 def _show(report: Report, out: Path, as_json: bool) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mirrorwave.console import error_line
-from mirrorwave.evaluate_run import answer_of
+from mirrorwave.evaluate_run import answer_of, truth_of_points
 from mirrorwave.tradeoff_settings import STAGES, Setting
 from models.perception.detectors import Detector
 from models.perception.evaluation import FrameScores, FrameTruth, score_frames
@@ -29,7 +29,7 @@ from models.perception.geometry import fold_scan, recover_bev
 from models.perception.ra_forming import RaFormer
 from models.training.files import json_lines, write_whole
 from msgs.frames import xy_from_polar
-from msgs.perception import BevFrame, PathClass, Peaks
+from msgs.perception import Peaks
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.units import ns_from_s
 from msgs.zmq_bus import ZmqBus
@@ -142,6 +142,15 @@ class _Stages:
             self.geometry[way.geometry[2]] = geometry.parts_of(placed)
 
 
+@contextmanager
+def charged(failed: dict[str, str], *names: str) -> Iterator[None]:
+    """What the body raises is the failure of these rows, put into `failed` in one line, and not of the run."""
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001 - a row that cannot run is a result
+        failed.update(dict.fromkeys(names, error_line(error)))
+
+
 class Measuring:
     """All rows on one frame after the other."""
 
@@ -150,17 +159,9 @@ class Measuring:
         self._stages, self._scan_id = _Stages(), 0
         self.failed: dict[str, str] = {}
         for row in plan.rows:
-            with self._charged(row.name):
+            with charged(self.failed, row.name):
                 self._stages.build(row)
         self._ways = [Way.of(row) for row in plan.rows]
-
-    @contextmanager
-    def _charged(self, *names: str) -> Iterator[None]:
-        """What the body raises is the failure of these rows, not of the run."""
-        try:
-            yield
-        except Exception as error:  # noqa: BLE001 - a row that cannot run is a result
-            self.failed |= dict.fromkeys(names, error_line(error))
 
     def frame(self, index: int) -> FrameResult:
         """Scores and times of all rows on one frame."""
@@ -187,13 +188,13 @@ class Measuring:
         """Every stage of every row once, in a drawn order."""
         pass_.add("transport", "beam", self._hop("radar/beam", beams[-1]))
         for former in self._drawn([way.former for way in self._live()], rng):
-            with self._charged(*self._rows("former", former)):
+            with charged(self.failed, *self._rows("former", former)):
                 self._form(pass_, former, beams)
         for detector in self._drawn([way.detector for way in self._live()], rng):
-            with self._charged(*self._rows("detector", detector)):
+            with charged(self.failed, *self._rows("detector", detector)):
                 self._detect(pass_, detector)
         for placed in self._drawn([way.geometry for way in self._live()], rng):
-            with self._charged(*self._rows("geometry", placed)):
+            with charged(self.failed, *self._rows("geometry", placed)):
                 self._place(pass_, placed)
 
     def _live(self) -> list[Way]:
@@ -282,14 +283,7 @@ class _Pass:
 def truth_of_place(place: LabelledPlace) -> FrameTruth:
     """What there is to be found in a place."""
     labels = place.labels
-    mirrored = labels.path_class == PathClass.MIRRORED
-    alone = mirrored & np.isin(labels.object_index, place.hidden)
-    return FrameTruth(
-        points_m=np.asarray(xy_from_polar(labels.range_m, labels.azimuth_rad), np.float64),
-        path_class=labels.path_class,
-        places_m=labels.hidden_xy_m[mirrored].astype(np.float64),
-        hidden_m=labels.hidden_xy_m[alone].astype(np.float64),
-    )
+    return truth_of_points(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), place.hidden)
 
 
 def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None) -> list[FrameResult]:
@@ -307,7 +301,7 @@ def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None)
         with socket_hop() as hop:
             measuring = Measuring(plan, hop)
             # the first call of anything compiles, allocates, reads
-            Measuring.frame(measuring, missing[0])
+            measuring.frame(missing[0])
             for index in missing:
                 write_whole(paths[index], msgspec.msgpack.encode(measuring.frame(index)))
                 on_frame()
@@ -329,11 +323,9 @@ def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda
     found = {}
     for row in rows:
         with multiprocessing.get_context("spawn").Pool(1) as pool:
-            try:
+            found[row.name] = float("nan")
+            with charged({}, row.name):  # the run has the reason already
                 found[row.name] = pool.apply(_row_memory_mib, (row,))
-            except Exception as error:  # noqa: BLE001 - the run has the reason already
-                found[row.name] = float("nan")
-                del error
         on_row()
     return found
 
@@ -357,10 +349,5 @@ def _row_memory_mib(row: Setting) -> float:
             full_scale_dbm=setup.full_scale_dbm,
         )
         maps += stages.former[way.former].add(beam)
-    _view(stages, way, maps[0])
+    recover_bev(stages.detector[way.detector[1]].detect(maps[0]), *stages.geometry[way.geometry[2]])
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
-def _view(stages: _Stages, way: Way, ra_map: RangeAzimuthMap) -> BevFrame:
-    """The view of a map by one row."""
-    return recover_bev(stages.detector[way.detector[1]].detect(ra_map), *stages.geometry[way.geometry[2]])

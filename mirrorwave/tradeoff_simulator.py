@@ -7,8 +7,7 @@ goes on. A setting that fails anywhere keeps its row, with the reason.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,8 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mirrorwave.console import error_line
 from mirrorwave.tradeoff_report import Times, machine, quantiles_ms, versions
-from mirrorwave.tradeoff_run import claim
+from mirrorwave.tradeoff_run import charged, claim
 from mirrorwave.tradeoff_simulator_cases import BODIES, GROUPS, SAME_DB, Case, Clock, Value, setting_name
 from models.training.files import json_lines, write_whole
 from sim_player.fdtd.smooth import SMOOTH_WALLS
@@ -95,7 +93,7 @@ class _Tries:
             name = setting_name(self.group, value)
             if name in self.failed or (value in self.case.once and value in self.answers):
                 continue
-            with self._charged(name):
+            with charged(self.failed, name):
                 self._try(name, value)
 
     def _try(self, name: str, value: Value) -> None:
@@ -105,22 +103,14 @@ class _Tries:
         for part, milliseconds in clock.ms.items():
             own.setdefault(part, []).append(milliseconds)
 
-    @contextmanager
-    def _charged(self, *names: str) -> Iterator[None]:
-        """What the body raises is the failure of these settings, not of the run."""
-        try:
-            yield
-        except Exception as error:  # noqa: BLE001 - a setting that cannot run is a result
-            self.failed |= dict.fromkeys(names, error_line(error))
-
     def result(self, index: int) -> CaseResult:
         """Errors against the most complete answer; without it all have failed."""
         errors: dict[str, dict[str, float]] = {}
-        with self._charged(*(setting_name(self.group, value) for value in self.values)):
+        with charged(self.failed, *(setting_name(self.group, value) for value in self.values)):
             truth = self.case.truth(self.answers)
             for value, answer in self.answers.items():
                 name = setting_name(self.group, value)
-                with self._charged(name):
+                with charged(self.failed, name):
                     errors[name] = self.case.errors(answer, truth)
         return CaseResult(
             group=self.group,
