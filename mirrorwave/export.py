@@ -22,6 +22,9 @@ def export(
         Literal["fp32", "fp16", "int8"], typer.Option(help="Numbers inside the network; input and output stay fp32.")
     ] = "fp32",
     calibration: Annotated[int, typer.Option(min=1, help="Training maps that set the ranges of int8.")] = 64,
+    range_bins: Annotated[
+        int | None, typer.Option(min=1, help="Only the nearest range bins, for less time; default: as trained.")
+    ] = None,
     as_json: AsJson = False,
 ) -> None:
     """Write the best network of a run as ONNX, with a card that says how it was made and how good it is."""
@@ -29,7 +32,14 @@ def export(
 
     from models.training.export_onnx import ExportConfig, export_run
 
-    config = ExportConfig(data_dir=data, test_dir=test, split=split, precision=precision, calibration_maps=calibration)
+    config = ExportConfig(
+        data_dir=data,
+        test_dir=test,
+        split=split,
+        precision=precision,
+        calibration_maps=calibration,
+        range_bins=range_bins,
+    )
     with Console(stderr=True).status("reading the run") as status:
         card = export_run(run, out, config, report=status.update)
     if as_json:

@@ -28,7 +28,7 @@ def draw_front(report: Report, path: Path) -> None:
         _draw_point(axes, row)
     front = sorted(point for row in rows if row.pareto and (point := point_of(row)))
     axes.step(
-        *zip(*front, strict=True),
+        *np.reshape(front, (-1, 2)).T,
         where="post",
         color="#222222",
         lw=1.2,

@@ -106,7 +106,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def answer_shape(self) -> tuple[int, int, int, int]:
         """Shape of the network's answer to one map: of all cells it sees, or of its anchors."""
-        cells = self.encoding.range_bins, self.grid.azimuth_bins
+        cells = self.encoding.seen_bins, self.grid.azimuth_bins
         if self.head == "heatmap":
             return 1, len(PathClass), *cells
         return 1, ANCHOR_CHANNELS, cells[0] // self.anchor_stride, cells[1] // self.anchor_stride

@@ -10,7 +10,6 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 from numba import njit
-from scipy import ndimage
 
 from msgs.arrays import require_positive
 
@@ -43,9 +42,43 @@ def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParam
         raise ValueError(f"confidence must have shape [range, azimuth], got {confidence.shape}")
     if not threshold > 0.0:
         raise ValueError(f"threshold must be positive, got {threshold!r}")
-    finite = np.nan_to_num(confidence.astype(np.float64), nan=0.0, posinf=0.0, neginf=0.0)
-    left = ndimage.gaussian_filter(finite, params.blur, mode="constant")
+    left = _blurred(confidence.astype(np.float64), threshold, *(_gaussian(std) for std in params.blur))
     return _pursue(left, threshold, _kept(params.explained), params.max_peaks)
+
+
+def _gaussian(std: float) -> np.ndarray:
+    """Weights of a blur out to four standard deviations, of sum 1; of one cell where there is none."""
+    reach = int(4.0 * std + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(std, 1e-9)) ** 2)
+    return np.asarray(weights / weights.sum())
+
+
+@njit(cache=True, nogil=True)
+def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """A map [rows, columns] blurred by both kernels, zero beyond its edges and where it is not finite.
+
+    A mean is no higher than the highest of its cells: rows that have none at the threshold within reach stay zero.
+    """
+    rows, columns = confidence.shape
+    reach_row, reach_column = len(down) // 2, len(across) // 2
+    hot = np.zeros(rows, np.bool_)
+    for i in range(rows):
+        for j in range(columns):
+            if not np.isfinite(confidence[i, j]):
+                confidence[i, j] = 0.0
+            elif confidence[i, j] >= threshold:
+                hot[max(i - reach_row, 0) : i + reach_row + 1] = True
+    blurred, padded = np.zeros((rows, columns)), np.zeros(columns + 2 * reach_column)
+    for i in range(rows):
+        if not hot[i]:
+            continue
+        padded[:] = 0.0
+        inside = padded[reach_column : reach_column + columns]
+        for row in range(max(i - reach_row, 0), min(i + reach_row + 1, rows)):
+            inside += down[row - i + reach_row] * confidence[row]
+        for offset in range(len(across)):
+            blurred[i] += across[offset] * padded[offset : offset + columns]
+    return blurred
 
 
 def _kept(explained: tuple[float, float]) -> np.ndarray:

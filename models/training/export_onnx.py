@@ -18,8 +18,9 @@ import onnxruntime
 import torch
 from torch import Tensor, nn
 
+from models.networks.compact_unet import CompactUNet
 from models.perception.detectors import NetworkDetector
-from models.perception.encoding import encode_map
+from models.perception.encoding import Encoding, encode_map
 from models.perception.metrics import Counts
 from models.perception.onnx_model import ClassScores, DensePredictor, Fidelity, ModelCard, ScoresAt, card_path
 from models.perception.peaks import PeakParams, pursued_points
@@ -80,6 +81,8 @@ class ExportConfig:
     precision: Precision = "fp32"
     #: Encoded maps of the training split that set the ranges of int8.
     calibration_maps: int = 64
+    #: Nearest range bins that the exported network sees; None: as many as it was trained on.
+    range_bins: int | None = None
 
     def __post_init__(self) -> None:
         if self.precision not in ("fp32", "fp16", "int8"):
@@ -174,15 +177,18 @@ def export_run(
     """
     require_onnx(model_path)
     network, run, epoch = load_best(run_dir)
+    encoding = msgspec.structs.replace(run.data.encoding, crop_bins=config.range_bins)
+    if config.range_bins is not None:
+        network = _cropped(network, config.range_bins)
     scenes = _Scenes(config.data_dir or Path(run.data.directory), config)
-    maps = _training_maps(scenes, run, config)
+    maps = _training_maps(scenes, run, encoding, config)
     model = Exported(network)
     with tempfile.TemporaryDirectory() as directory:
         reference, file = Path(directory) / "reference.onnx", Path(directory) / "export.onnx"
         report(f"exporting in {config.precision}")
         export_onnx(model, reference, maps[:PARITY_MAPS])
         _convert(model, reference, file, config.precision, maps)
-        draft = _draft(model, run, epoch, run_dir, config)
+        draft = _draft(model, run, encoding, epoch, run_dir, config)
         for path in (reference, file):
             write_card(msgspec.structs.replace(draft, sha256=sha256_of(path)), path)
         report(f"scoring on {len(scenes.tested)} scenes")
@@ -245,7 +251,15 @@ def _convert(model: Exported, reference: Path, file: Path, precision: Precision,
         shutil.copyfile(reference, file)
 
 
-def _draft(model: Exported, run: RunConfig, epoch: int, run_dir: Path, config: ExportConfig) -> ModelCard:
+def _cropped(network: nn.Module, range_bins: int) -> nn.Module:
+    if not isinstance(network, CompactUNet):
+        raise ValueError(f"export.range_bins must go with a compact_unet, got {type(network).__name__}")
+    return network.cropped(range_bins)
+
+
+def _draft(
+    model: Exported, run: RunConfig, encoding: Encoding, epoch: int, run_dir: Path, config: ExportConfig
+) -> ModelCard:
     """The card without what the file and its scores decide."""
     training = run.training
     draft = ModelCard(
@@ -256,9 +270,9 @@ def _draft(model: Exported, run: RunConfig, epoch: int, run_dir: Path, config: E
         precision=config.precision,
         head=model.head,
         anchor_stride=model.anchor_stride or 1,
-        encoding=run.data.encoding,
+        encoding=encoding,
         grid=run.data.grid,
-        input_shape=(1, *run.data.encoding.shape),
+        input_shape=(1, *encoding.shape),
         output_shape=(),
         threshold=load_summary(run_dir).best.best_threshold,
         scores=(),
@@ -296,11 +310,11 @@ def _training_command(run: RunConfig, run_dir: Path) -> str:
     return "mirrorwave train dense" + given + "".join(f" --more {folder}" for folder in run.data.more)
 
 
-def _training_maps(scenes: _Scenes, run: RunConfig, config: ExportConfig) -> np.ndarray:
+def _training_maps(scenes: _Scenes, run: RunConfig, encoding: Encoding, config: ExportConfig) -> np.ndarray:
     """Encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
     count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
     chosen = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
-    return np.stack([encode_map(run.data.encoding, frame.ra_map) for frame in scenes.data.frames(chosen)])
+    return np.stack([encode_map(encoding, frame.ra_map) for frame in scenes.data.frames(chosen)])
 
 
 def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, float], ...]:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 from models.perception.pursuit import PursuitParams, pursued_peaks
 from models.training.targets import gaussian_heatmap
@@ -27,6 +28,21 @@ def test_a_broad_hill_gives_as_many_peaks_as_its_mass_is_worth() -> None:
     assert (np.diff(np.sort(cells[:, 1])) >= 3).all()
     assert (score >= 0.3).all()
     assert (np.diff(score) <= 1e-12).all()
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_first_peak_is_the_highest_cell_of_the_blurred_map(seed: int) -> None:
+    """Reference: SciPy's Gaussian filter with zeros beyond the edges. Where it stays under the threshold, no peak."""
+    rng = np.random.default_rng(seed)
+    confidence = (rng.random((int(rng.integers(1, 30)), int(rng.integers(1, 60)))) ** 6).astype(np.float32)
+    confidence[rng.random(confidence.shape) < 0.05] = np.nan
+    reference = gaussian_filter(np.nan_to_num(confidence.astype(np.float64)), (0.5, 2.0), mode="constant")
+    for threshold in (0.01, 0.1, 0.3):
+        cells, score = pursued_peaks(confidence, threshold, PursuitParams())
+        assert (len(cells) > 0) == (reference.max() >= threshold)
+        if len(cells):
+            assert tuple(cells[0]) == np.unravel_index(reference.argmax(), reference.shape)
+            assert score[0] == pytest.approx(reference.max(), rel=1e-12)
 
 
 def test_threshold_only_cuts_the_list() -> None:
