@@ -1,7 +1,9 @@
 """The whole graph at the radar's real rate, one process a node: losses, latency, CPU and memory.
 
 Latency counts from the nominal end of the last beam (its start plus its time on air) to the arrival of the view at a
-subscriber outside the graph. Usage: python -m benchmarks.live_graph [--launch FILE] [--duration S] [--viewer] [--json]
+subscriber outside the graph.
+Usage: python -m benchmarks.live_graph [--launch FILE] [--duration S] [--viewer] [--json]
+       [--profile NAME | --budget-ms N]
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -23,27 +26,46 @@ from msgs.zmq_bus import ZmqBus, run_dir
 from nodes.live_timing import latency_ns, stage_figures
 
 ROOT = Path(__file__).resolve().parents[1]
+#: The graph runs so much longer than it is looked at: a scan that the end cuts short waits for beams that never come.
+STOPPING_S = 2.0
 
 
-def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool) -> dict:
+def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool, options: list[str]) -> dict:
     domain = f"bench{os.getpid()}"
-    command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--duration", str(duration_s)]
+    command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--duration", str(duration_s + STOPPING_S)]
     command += ["--domain", domain] + [part for item in overrides for part in ("-p", item)]
-    command += [] if viewer else ["--headless"]
+    command += options + ([] if viewer else ["--headless"])
     bus = ZmqBus("benchmark", run_dir(domain))
     for topic in ("perception/hidden_objects", "diagnostics/node"):
         bus.subscribe(topic)
-    graph = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL)
     latency_ms, status = [], {}
+    with tempfile.TemporaryFile("w+") as said:
+        graph = subprocess.Popen(command, cwd=ROOT, stdout=said)
+        _watch(bus, graph, duration_s, latency_ms, status)
+        said.seek(0)
+        chosen = [line.strip() for line in said if line.startswith("profile ")]
+    bus.close()
+    return {"options": options, "chosen": chosen, **report(np.array(latency_ms), status, graph.returncode)}
+
+
+def _watch(
+    bus: ZmqBus,
+    graph: subprocess.Popen,
+    duration_s: float,
+    latency_ms: list[float],
+    status: dict[str, list[NodeStatus]],
+) -> None:
+    """Take down when views come, for so long since the first, and what the nodes say until the graph ends."""
+    end_ns = None
     while graph.poll() is None:
         for received in bus.receive(0.05):
             now_ns = time.monotonic_ns()
             if isinstance(received.message, BevFrame):
-                latency_ms.append(1e-6 * latency_ns(received.message.stamp_ns, now_ns))
+                end_ns = end_ns or now_ns + round(1e9 * duration_s)
+                if now_ns < end_ns:
+                    latency_ms.append(1e-6 * latency_ns(received.message.stamp_ns, now_ns))
             elif isinstance(received.message, NodeStatus):
                 status.setdefault(received.message.node, []).append(received.message)
-    bus.close()
-    return report(np.array(latency_ms), status, graph.returncode)
 
 
 def report(latency_ms: np.ndarray, status: dict[str, list[NodeStatus]], exit_code: int) -> dict:
@@ -106,9 +128,13 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=60.0)
     parser.add_argument("-p", dest="overrides", action="append", default=[])
     parser.add_argument("--viewer", action="store_true", help="start the launch file's viewers too")
+    parser.add_argument("--profile")
+    parser.add_argument("--budget-ms", help="let the graph choose the profile")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
-    result = run(arguments.launch, arguments.duration, arguments.overrides, arguments.viewer)
+    options = ["--profile", arguments.profile] if arguments.profile else []
+    options += ["--latency-budget-ms", arguments.budget_ms] if arguments.budget_ms else []
+    result = run(arguments.launch, arguments.duration, arguments.overrides, arguments.viewer, options)
     print(json.dumps(result) if arguments.json else json.dumps(result, indent=2))
 
 

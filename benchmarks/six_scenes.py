@@ -3,7 +3,7 @@
 Cases: at rest over noise seeds (the seed also draws the speckle of walls and vehicles), hidden objects moving, the
 radar moving, beams with random phases. A moving object is compared with where it was when its beams were measured.
 Usage: python -m benchmarks.six_scenes [--method network|cfar] [--seeds 10] [--scans 1] [--effects basic] [--json]
-       [--model FILE] [--refine WAY] [--confidence FILE|none]
+       [--model FILE] [--refine WAY] [--confidence FILE|none]   or   [--profile NAME]
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from mirrorwave.tradeoff_settings import profiles
 from models.perception.chain import Chain
 from models.perception.confidence import load_confidence
 from models.perception.detectors import CfarDetector, NetworkDetector
@@ -25,7 +26,9 @@ from models.perception.metrics import match_objects
 from models.perception.onnx_model import DEFAULT_MODEL
 from msgs.perception import BevFrame, SceneTruth
 from msgs.radar import RadarSetup
+from nodes import dense_predictor, geometry, ra_former
 from nodes.player import Params, scene_player
+from nodes.validation import convert_at
 from sim_player.player import ScenePlayer
 
 SCENES = sorted((Path(__file__).resolve().parents[1] / "launch" / "scenes").glob("*.yaml"))
@@ -54,11 +57,24 @@ class Row(msgspec.Struct, kw_only=True):
 
 def chain_of(way: argparse.Namespace, setup: RadarSetup) -> Chain:
     """The chain as asked for."""
+    if way.profile:
+        return chain_of_profile(way.profile, setup)
     if way.method == "cfar":
         return Chain(setup, CfarDetector(setup))
     confidence = None if way.confidence == "none" else load_confidence(Path(way.confidence))
     detector = NetworkDetector(setup, Path(way.model), refine=way.refine or True)
     return Chain(setup, detector, confidence=confidence)
+
+
+def chain_of_profile(name: str, setup: RadarSetup) -> Chain:
+    """The chain with a profile's parameters; those of a residual are not heeded."""
+    row = next((one for one in profiles() if one.value == name), None)
+    if row is None:
+        raise SystemExit(f"--profile must be one of {', '.join(one.value for one in profiles())}, got {name!r}")
+    forming = convert_at(row.of("ra_former"), ra_former.Params, "ra_former")
+    detector = convert_at(row.of("dense_predictor"), dense_predictor.Params, "dense_predictor")
+    placed, _, confidence = geometry.parts_of(convert_at(row.of("geometry"), geometry.Params, "geometry"))
+    return Chain(setup, dense_predictor.detector_for(detector, setup), forming, placed, confidence)
 
 
 def views(player: ScenePlayer, way: argparse.Namespace, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:
@@ -100,6 +116,7 @@ def main() -> None:
     parser.add_argument("--model", default=str(DEFAULT_MODEL))
     parser.add_argument("--refine", default="", help="where peaks are placed; default the detector's")
     parser.add_argument("--confidence", default="none", help="a file, or none")
+    parser.add_argument("--profile", help="all node parameters of a profile in place of these four")
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--scans", type=int, default=1)
     parser.add_argument("--effects", default="basic")
@@ -115,7 +132,11 @@ def main() -> None:
                 print(line(row), flush=True)
     if arguments.json:
         machine = f"{platform.machine()}, {os.cpu_count()} cores, {platform.platform()}"
-        print(json.dumps({"machine": machine, "method": arguments.method, "rows": msgspec.to_builtins(rows)}))
+        print(
+            json.dumps(
+                {"machine": machine, "method": arguments.profile or arguments.method, "rows": msgspec.to_builtins(rows)}
+            )
+        )
 
 
 if __name__ == "__main__":

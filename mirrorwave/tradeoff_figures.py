@@ -20,13 +20,18 @@ COLOURS = {"transport": "#9aa5b1", "forming": "#3b6fb6", "detection": "#d9822b",
 
 
 def draw_front(report: Report, path: Path) -> None:
-    """Recovered F1 over median latency with the deadline; the front is joined, profiles are named."""
+    """Recovered F1 over median latency with the deadline; the front is joined and numbered, profiles are named."""
     rows = [row for row in report.rows if point_of(row) is not None]
-    figure = Figure(figsize=(11, 6.5), layout="constrained")
+    figure = Figure(figsize=(12.5, 6.5), layout="constrained")
     axes = figure.subplots()
     for row in rows:
         _draw_point(axes, row)
-    front = sorted(point for row in rows if row.pareto and (point := point_of(row)))
+    ordered = sorted((row for row in rows if row.pareto), key=lambda row: point_of(row) or (0.0, 0.0))
+    front = [point for row in ordered if (point := point_of(row))]
+    for number, point in enumerate(front, 1):
+        axes.annotate(str(number), point, xytext=(0, 7), textcoords="offset points", fontsize=9, ha="center")
+    listed = [f"{number}  {row.name}" for number, row in enumerate(ordered, 1)]
+    axes.text(1.02, 0.98, "\n".join(["the front", *listed]), transform=axes.transAxes, va="top", fontsize=9)
     axes.step(
         *np.reshape(front, (-1, 2)).T,
         where="post",
@@ -45,8 +50,9 @@ def draw_front(report: Report, path: Path) -> None:
     axes.grid(alpha=0.25, which="both")
     for part in ("forming", "detection", "geometry"):
         axes.plot([], [], "o", color=COLOURS[part], label=f"changes {part} alone")
+    axes.plot([], [], "o", color="#222222", label="changes several")
     axes.plot([], [], "s", color=VERMILION, label="profile")
-    axes.legend(loc="lower right")
+    axes.legend(loc="center right")
     FigureCanvasAgg(figure).print_figure(path, dpi=110, metadata={"Software": None})
 
 
@@ -60,9 +66,10 @@ def _draw_point(axes: Axes, row: Row) -> None:
     if accuracy.low is not None and accuracy.high is not None:
         axes.plot([point[0]] * 2, [accuracy.low, accuracy.high], color=colour, lw=0.7, alpha=0.4)
     axes.plot(*point, "s" if profile else "o", color=colour, ms=8 if profile else 5)
-    if profile or row.pareto:
-        weight = "bold" if profile else "normal"
-        axes.annotate(row.name, point, xytext=(5, 6), textcoords="offset points", fontsize=9, weight=weight)
+    if profile:
+        axes.annotate(
+            row.name, point, xytext=(4, -15), textcoords="offset points", fontsize=10, weight="bold", zorder=5
+        )
 
 
 def _colour(row: Row) -> str:

@@ -170,13 +170,13 @@ def quantiles_ms(samples_ms: np.ndarray) -> Times:
 
 
 def _median(samples_ms: np.ndarray, weights: np.ndarray) -> Interval:
-    """The median [frames, repeats] with its interval under draws of the frames."""
+    """The median of the frames' medians [frames, repeats], with its interval under draws of the frames."""
     of_frame_ms = np.median(samples_ms, axis=1)
     order = np.argsort(of_frame_ms)
     share = np.cumsum(weights[:, order], axis=1) / weights.sum(axis=1, keepdims=True)
     drawn_ms = of_frame_ms[order][np.argmax(share >= 0.5, axis=1)]
     low_ms, high_ms = np.percentile(drawn_ms, (2.5, 97.5))
-    return Interval(value=float(np.median(samples_ms)), low=float(low_ms), high=float(high_ms))
+    return Interval(value=float(np.median(of_frame_ms)), low=float(low_ms), high=float(high_ms))
 
 
 def _intervals(found: dict[str, Estimate]) -> dict[str, Interval]:

@@ -332,8 +332,6 @@ def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda
 
 def _row_memory_mib(row: Setting) -> float:
     """Run one empty scan through a row's chain in the calling process."""
-    import resource
-
     stages, setup, way = _Stages(), RadarSetup(), Way.of(row)
     stages.build(row)
     samples = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
@@ -350,4 +348,10 @@ def _row_memory_mib(row: Setting) -> float:
         )
         maps += stages.former[way.former].add(beam)
     recover_bev(stages.detector[way.detector[1]].detect(maps[0]), *stages.geometry[way.geometry[2]])
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    return _peak_resident_mib()
+
+
+def _peak_resident_mib() -> float:
+    """Of the calling process since it was started; `ru_maxrss` would still hold that of the process it came from."""
+    status = Path("/proc/self/status").read_text()
+    return float(status.split("VmHWM:")[1].split()[0]) / 1024.0

@@ -42,6 +42,7 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     incoherent: bool = False
     missing_beams: tuple[int, ...] = ()
     saturated_share: float = 0.0
+    faults: tuple[str, ...] = ()
     #: Beam power over noise an isotropic 0 dBsm target at 1 m would have, dB: what the observability mask needs.
     sensitivity_db: float = 0.0
     #: Checksum of the network that found them and how it placed them, "SHA256/WAY"; empty where none did.
@@ -174,7 +175,8 @@ class BevFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     visibility_rcs_dbsm: float = 10.0
     #: Motion of the vehicle when the scan began, None where nothing recent is known.
     ego: VehicleState | None = None
-    #: Conditions of this scan that a reader should know: "incoherent", "missing_beams", "saturated".
+    #: Conditions of this scan that a reader should know: "incoherent", "missing_beams", "saturated", and the names in
+    #: `msgs.radar.MAP_FAULTS`.
     flags: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

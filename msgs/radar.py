@@ -258,6 +258,9 @@ class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 #: Profiles and azimuths coherent; profiles alone, azimuths from magnitudes; mean power of single chirps.
 FORMING_MODES = ("coherent", "magnitude", "welch")
+#: Chirps of zeros; beams without any echo; beams under foreign noise; tones that fill all beams; columns whose gains
+#: or phases are not those of the set-up.
+MAP_FAULTS = ("lost_chirps", "silent_beams", "drowned_beams", "spurs", "array_error")
 
 
 class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -275,7 +278,7 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     noise_power_mw: float
     #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].
     incoherent: np.ndarray
-    #: Indices of beams that never came, and of those that were not asked for.
+    #: Indices of beams that never came or were left out as silent or drowned, and of those that were not asked for.
     missing_beams: tuple[int, ...] = ()
     unused_beams: tuple[int, ...] = ()
     #: Share of samples at full scale.
@@ -283,6 +286,8 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     #: The radar's own motion was taken out beam by beam.
     ego_compensated: bool = False
     mode: str = "coherent"
+    #: Names in `MAP_FAULTS` of what the scan shows of its own hardware.
+    faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         require_array("map.values", self.values, "<c8", self.grid.shape)
@@ -292,3 +297,5 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
         if self.mode not in FORMING_MODES:
             raise ValueError(f"map.mode must be one of {', '.join(FORMING_MODES)}, got {self.mode!r}")
+        if not set(self.faults) <= set(MAP_FAULTS):
+            raise ValueError(f"map.faults must be among {', '.join(MAP_FAULTS)}, got {self.faults!r}")

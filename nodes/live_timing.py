@@ -64,7 +64,7 @@ def _stage(name: str, stages: list[StageTime]) -> StageFigures:
     return StageFigures(
         name=name,
         count=count,
-        mean_ms=sum(stage.mean_ms * stage.count for stage in stages) / count,
+        mean_ms=sum(stage.mean_ms * stage.count for stage in stages) / max(count, 1),
         p50_ms=p50_ms,
         p99_ms=p99_ms,
         max_ms=max(stage.max_ms for stage in stages),

@@ -24,6 +24,7 @@ class StateHistory:
 
     def at(self, stamp_ns: int) -> VehicleState | None:
         """The newest state not younger than `stamp_ns`, None where it is too old or there is none."""
+        # by stamp, not by arrival: what was held up on its way must not pass for the newest
         known = (state for state in reversed(self._states) if state.stamp_ns <= stamp_ns)
-        state = next(known, None)
+        state = max(known, key=lambda state: state.stamp_ns, default=None)
         return state if state is not None and stamp_ns - state.stamp_ns <= MAX_AGE_NS else None

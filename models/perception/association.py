@@ -248,4 +248,6 @@ def nearest_in_angle(images_m: np.ndarray, points_m: np.ndarray) -> np.ndarray:
     """Index of the point [M, 2] whose polar angle is nearest to each image's [N]; ties: the first."""
     image_rad = np.arctan2(images_m[:, 1], images_m[:, 0])
     point_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
-    return np.abs(image_rad[:, None] - point_rad).argmin(axis=1)
+    apart_rad = np.abs(image_rad[:, None] - point_rad)
+    # behind the radar angles jump by a turn
+    return np.minimum(apart_rad, 2.0 * math.pi - apart_rad).argmin(axis=1)

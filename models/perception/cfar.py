@@ -117,7 +117,7 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
 
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
-    power = np.square(np.abs(ra_map.values)).astype(np.float64)
+    power = np.square(np.abs(ra_map.values), dtype=np.float64)
     mask, noise_power_mw = cfar_mask(power, params), ra_map.noise_power_mw
     cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges)
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)

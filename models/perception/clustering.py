@@ -28,39 +28,64 @@ def dbscan(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
-    """Labels of points [N, 2]: core points joined to trees whose root is their first point, then border points."""
-    first, second = _near_pairs(points_m, eps_m)
-    count = len(points_m)
-    neighbours = np.ones(count, np.int64)
-    for k in range(len(first)):
-        neighbours[first[k]] += 1
-        neighbours[second[k]] += 1
-    core = neighbours >= min_points
-    parent = np.arange(count)
-    for k in range(len(first)):
-        if core[first[k]] and core[second[k]]:
-            one, other = _root(parent, first[k]), _root(parent, second[k])
-            parent[max(one, other)] = min(one, other)
-    _join_border(points_m, core, parent, first, second)
+    """Labels of points [N, 2]: core points joined to trees whose root is their first point, then border points.
+
+    Near pairs are looked for in a sweep along x and never kept: where all points lie together there are as many as
+    points squared.
+    """
+    order = np.argsort(points_m[:, 0], kind="mergesort")
+    start, stop = _reach(points_m[order, 0], eps_m)
+    core = _core(points_m, eps_m, min_points, order, start, stop)
+    parent = np.arange(len(order))
+    for k in range(len(order)):
+        i = order[k]
+        if not core[i]:
+            continue
+        root = _root(parent, i)
+        for m in range(k + 1, stop[k]):
+            j = order[m]
+            if core[j] and parent[j] != root and _distance2(points_m, i, j) <= eps_m * eps_m:
+                other = _root(parent, j)
+                parent[max(root, other)] = min(root, other)
+                root = min(root, other)
+    _join_border(points_m, eps_m, order, start, stop, core, parent)
     return _in_order_of_first_point(parent)
 
 
 @njit(cache=True, nogil=True)
-def _near_pairs(points_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Pairs of points within `eps_m`, found in a sweep along x."""
-    order = np.argsort(points_m[:, 0], kind="mergesort")
-    first, second = [0 for _ in range(0)], [0 for _ in range(0)]
+def _reach(x_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """For each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond; [N] each."""
+    start, stop = np.zeros(len(x_m), np.int64), np.empty(len(x_m), np.int64)
+    last = 0
+    for k in range(len(x_m)):
+        while last < len(x_m) and x_m[last] - x_m[k] <= eps_m:
+            start[last] = k
+            last += 1
+        stop[k] = last
+    return start, stop
+
+
+@njit(cache=True, nogil=True)
+def _core(
+    points_m: np.ndarray, eps_m: float, min_points: int, order: np.ndarray, start: np.ndarray, stop: np.ndarray
+) -> np.ndarray:
+    """Which points have enough others within reach, themselves included; bool [N]."""
+    core = np.zeros(len(order), np.bool_)
     for k in range(len(order)):
-        i = order[k]
-        for m in range(k + 1, len(order)):
-            j = order[m]
-            dx, dy = points_m[j, 0] - points_m[i, 0], points_m[j, 1] - points_m[i, 1]
-            if dx > eps_m:
+        count = 0
+        for m in range(start[k], stop[k]):
+            count += _distance2(points_m, order[k], order[m]) <= eps_m * eps_m
+            if count >= min_points:
+                core[order[k]] = True
                 break
-            if dx * dx + dy * dy <= eps_m * eps_m:
-                first.append(i)
-                second.append(j)
-    return np.array(first, np.int64), np.array(second, np.int64)
+    return core
+
+
+@njit(cache=True, nogil=True)
+def _distance2(points_m: np.ndarray, i: int, j: int) -> float:
+    """Square of the distance of two points."""
+    dx, dy = points_m[j, 0] - points_m[i, 0], points_m[j, 1] - points_m[i, 1]
+    return float(dx * dx + dy * dy)
 
 
 @njit(cache=True, nogil=True)
@@ -74,20 +99,25 @@ def _root(parent: np.ndarray, i: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _join_border(
-    points_m: np.ndarray, core: np.ndarray, parent: np.ndarray, first: np.ndarray, second: np.ndarray
+    points_m: np.ndarray,
+    eps_m: float,
+    order: np.ndarray,
+    start: np.ndarray,
+    stop: np.ndarray,
+    core: np.ndarray,
+    parent: np.ndarray,
 ) -> None:
     """Give each point that is not core its nearest core point for a parent, the first of equals, or `NOISE`."""
-    nearest_m = np.full(len(core), np.inf)
-    for i in range(len(core)):
-        if not core[i]:
-            parent[i] = NOISE
-    for k in range(len(first)):
-        for i, j in ((first[k], second[k]), (second[k], first[k])):
-            if core[i] or not core[j]:
-                continue
-            distance_m = np.sqrt((points_m[i, 0] - points_m[j, 0]) ** 2 + (points_m[i, 1] - points_m[j, 1]) ** 2)
-            if distance_m < nearest_m[i] or (distance_m == nearest_m[i] and j < parent[i]):
-                parent[i], nearest_m[i] = j, distance_m
+    for k in range(len(order)):
+        i = order[k]
+        if core[i]:
+            continue
+        parent[i], nearest2 = NOISE, eps_m * eps_m
+        for j in order[start[k] : stop[k]]:
+            distance2 = _distance2(points_m, i, j)
+            first = parent[i] == NOISE or j < parent[i]
+            if core[j] and (distance2 < nearest2 or (distance2 == nearest2 and first)):
+                parent[i], nearest2 = j, distance2
 
 
 @njit(cache=True, nogil=True)

@@ -13,6 +13,7 @@ of an ideal centred array is real, not negative, and spanned by the same coeffic
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import msgspec
 import numpy as np
@@ -108,6 +109,12 @@ class AzimuthInterpolator:
     def coherent_matrix(self) -> np.ndarray:
         """What takes the profiles of all beams to the azimuths of a coherent scene, complex [beams, azimuths]."""
         return self._inverse(()).coherent
+
+    @cached_property
+    def coefficient_matrix(self) -> np.ndarray | None:
+        """Profiles of all beams to co-array coefficients, complex64 [beams, 2N-1]; None where beams are too few."""
+        beams, coefficients = self._beam_matrix.shape
+        return None if beams <= coefficients else np.linalg.pinv(self._beam_matrix).T.astype(np.complex64)
 
     def interpolate(
         self,

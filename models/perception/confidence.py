@@ -16,6 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import expit
 
 from models.perception.association import DirectReturns, Passing, RecoveryParams
 from models.perception.cards import learned_path, read_card
@@ -232,7 +233,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             raise ValueError(f"features must be within {LARGEST:g}, {FEATURES[column]} is {features[row, column]}")
         seen = standardised(features, self.means, self.scales)
         hidden = np.tanh(seen @ np.array(self.hidden_weights).T + self.hidden_biases)
-        return np.asarray(1.0 / (1.0 + np.exp(-(hidden @ np.array(self.weights) + self.bias))))
+        return np.asarray(expit(hidden @ np.array(self.weights) + self.bias))
 
 
 def standardised(features: np.ndarray, means: ArrayLike, scales: ArrayLike) -> np.ndarray:

@@ -95,14 +95,19 @@ class DigitalArrayMap:
 def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray:
     """Spectra complex64 [Doppler, channels, range] in sqrt(mW), TDM phases turned back, of unit coherent gain.
 
-    `samples` complex64 [chirps, channels, samples], a chirp of every transmitter counted once.
+    `samples` complex64 [chirps, channels, samples], a chirp of every transmitter counted once. Raises `ValueError`
+    where there are none or one is not finite.
     """
     require_array("samples", samples, "<c8", (None, len(params.channel_slot), None))
     if 0 in samples.shape:
         raise ValueError(f"samples must hold at least one chirp and one sample, got {samples.shape}")
+    # the transforms would spread a single one over every cell
+    if not np.isfinite(samples).all():
+        raise ValueError(f"samples must be finite, got {np.count_nonzero(~np.isfinite(samples))} that are not")
     series = samples.conj() if params.beat_sign < 0 else samples
     if params.remove_static:
-        series = series - series.mean(axis=0)
+        # summed in float64: what stands still may be 100 dB over what moves, and there are thousands of chirps
+        series = series - series.mean(axis=0, dtype=np.complex128).astype(np.complex64)
     chirps, _, length = series.shape
     offset_turns = params.beat_offset_hz / params.sample_rate_hz * np.arange(length)
     ramp = np.exp(-2j * np.pi * (offset_turns % 1.0)) * _window(length, params.window)

@@ -142,4 +142,4 @@ def condition_flags(peaks: Peaks) -> tuple[str, ...]:
         "missing_beams": bool(peaks.missing_beams),
         "saturated": peaks.saturated_share > 0.0,
     }
-    return tuple(name for name, holds in present.items() if holds)
+    return tuple(name for name, holds in present.items() if holds) + peaks.faults

@@ -94,37 +94,44 @@ def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
     offset_m = np.broadcast_to(walls.offset_m, shape).copy()
     for index in np.flatnonzero(walls.curvature_per_m):
         one = walls.select(np.array([index]))
-        way, at = _on_arc(origin, targets, along_ray[:, index], one)
-        centre, radius_m = arc_centre(one)
+        way, at, normal[:, index] = _on_arc(origin, targets, along_ray[:, index], one)
         chord = one.b[0] - one.a[0]
         along_ray[:, index], along_wall[:, index] = way, (at - one.a[0]) @ chord / (chord @ chord)
-        normal[:, index] = (centre - at) / radius_m * np.sign(one.curvature_per_m[0])
         offset_m[:, index] = -np.sum(normal[:, index] * at, axis=1)
     return Hits(along_ray, along_wall, normal, offset_m)
 
 
-def arc_centre(one: WallArrays) -> tuple[np.ndarray, float]:
-    """Centre [2] and radius [m] of one curved wall."""
-    curvature = float(one.curvature_per_m[0])
-    radius_m = 1.0 / abs(curvature)
-    rise_m = np.sqrt(max(radius_m**2 - 0.25 * float(one.length_m[0]) ** 2, 0.0))
-    return 0.5 * (one.a[0] + one.b[0]) + np.sign(curvature) * rise_m * one.normal[0], radius_m
-
-
 def _on_arc(
     origin: np.ndarray, targets: np.ndarray, near: np.ndarray, one: WallArrays
-) -> tuple[np.ndarray, np.ndarray]:
-    """Share of the rays and point where they meet the circle, nearest to the share `near` on the chord; NaN: never."""
-    centre, radius_m = arc_centre(one)
-    start = np.broadcast_to(origin, targets.shape)
-    ray, away = targets - start, start - centre
-    second, first = np.sum(ray**2, axis=1), np.sum(ray * away, axis=1)
-    root = first**2 - second * (np.sum(away**2, axis=1) - radius_m**2)
-    spread = np.sqrt(np.where(root >= 0.0, root, np.nan))
-    ways = (np.stack([-spread, spread]) - first) / np.maximum(second, 1e-18)
-    nearest = np.abs(ways - near).argmin(axis=0)
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Share of the rays and point where they meet the circle, nearest to the share `near` on the chord, and its unit
+    normal there; NaN: never.
+
+    From the chord's middle, s along it and d towards the radar, the circle of curvature k over a chord 2 h long is
+    k (s^2 + d^2 - h^2) = 2 d sqrt(1 - k^2 h^2): no centre, which runs off to infinity as the wall becomes flat.
+    """
+    curvature, half_m = one.curvature_per_m[0], 0.5 * one.length_m[0]
+    rise = np.sqrt(max(1.0 - (curvature * half_m) ** 2, 0.0))
+    middle, normal = 0.5 * (one.a[0] + one.b[0]), one.normal[0]
+    start = np.broadcast_to(origin, targets.shape) - middle
+    ray = targets - middle - start
+    second = curvature * np.sum(ray**2, axis=1)
+    first = curvature * np.sum(start * ray, axis=1) - rise * (ray @ normal)
+    constant = curvature * (np.sum(start**2, axis=1) - half_m**2) - 2.0 * rise * (start @ normal)
+    root = first**2 - second * constant
+    # of the same sign as what it is added to: neither root is a difference of like numbers
+    away = -first - np.copysign(np.sqrt(np.where(root >= 0.0, root, np.nan)), first)
+    ways = np.stack([_quotient(constant, away), _quotient(away, second)])
+    nearest = np.nan_to_num(np.abs(ways - near), nan=np.inf).argmin(axis=0)
     way = ways[nearest, np.arange(len(targets))]
-    return way, start + way[:, None] * ray
+    at = start + way[:, None] * ray
+    return way, middle + at, rise * normal - curvature * at
+
+
+def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
+    """Quotients [N], NaN where they would be larger than any way along a ray."""
+    fits = np.abs(below) > 1e-12 * np.abs(above)
+    return np.where(fits, above / np.where(fits, below, 1.0), np.nan)
 
 
 def behind(points_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np.ndarray:

@@ -163,7 +163,8 @@ def _in_wedge(x, y, wall, eye):  # type: ignore[no-untyped-def]
     ax, ay, bx, by = wall[0] - eye[0], wall[1] - eye[1], wall[2] - eye[0], wall[3] - eye[1]
     x, y = x - eye[0], y - eye[1]
     turn = np.sign(ax * by - ay * bx)
-    return turn * (ax * y - ay * x) >= 0.0 and turn * (x * by - y * bx) >= 0.0
+    # a wall seen edge-on has no wedge: without a turn every ray would pass
+    return turn != 0.0 and turn * (ax * y - ay * x) >= 0.0 and turn * (x * by - y * bx) >= 0.0
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

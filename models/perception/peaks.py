@@ -104,7 +104,8 @@ def peaks_at(
 ) -> Peaks:
     """The message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it peaks."""
     grid = ra_map.grid
-    power = np.square(np.abs(ra_map.values))
+    # the square of a float32 magnitude may leave float32
+    power = np.square(np.abs(ra_map.values), dtype=np.float64)
     range_index = _refined_range(power, cells, fractional[:, 0])
     snr_db = _snr_db(power, cells, ra_map.noise_power_mw)
     return Peaks(
@@ -120,6 +121,7 @@ def peaks_at(
         incoherent=bool(ra_map.incoherent[cells[:, 0]].any()),
         missing_beams=ra_map.missing_beams,
         saturated_share=ra_map.saturated_share,
+        faults=ra_map.faults,
     )
 
 

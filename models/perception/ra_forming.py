@@ -17,6 +17,14 @@ from scipy.special import gammaincinv
 
 from models.perception.coarray import AzimuthInterpolator, CoherenceTest
 from models.perception.folding import fold_chirps, group_edges
+from models.perception.map_quality import (
+    ARRAY_LIMIT,
+    array_deviation,
+    drowned_beams,
+    has_spurs,
+    lost_chirps,
+    silent_beams,
+)
 from models.physics.waveform import WINDOW_TAPS
 from msgs.arrays import require_array, require_positive
 from msgs.frames import Pose2
@@ -89,6 +97,8 @@ class ScanProfiles:
     #: Beams that were not looked at.
     unused_beams: tuple[int, ...] = ()
     saturated_share: float = 0.0
+    #: What the beams show of broken hardware, names in `MAP_FAULTS`.
+    faults: tuple[str, ...] = ()
     #: Azimuth each beam looked at as seen from the map's pose, [beams, range]; None: ego motion was not taken out.
     look_azimuth_rad: np.ndarray | None = None
 
@@ -119,6 +129,7 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
     else:
         values, incoherent = interpolator.interpolate(scan.profiles, scan.noise_power_mw, missing, looks)
         noise_power_mw = scan.noise_power_mw * interpolator.noise_gain(missing)
+    deviates = mode == "coherent" and not missing and _deviates(scan, interpolator, ~incoherent)
     return RangeAzimuthMap(
         stamp_ns=scan.stamp_ns,
         scan_id=scan.scan_id,
@@ -132,7 +143,16 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
         saturated_share=scan.saturated_share,
         ego_compensated=looks is not None,
         mode=mode,
+        faults=(*scan.faults, "array_error") if deviates else scan.faults,
     )
+
+
+def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: np.ndarray) -> bool:
+    """Whether the coherent ranges [range] of a whole scan show another array than the set-up's."""
+    if interpolator.coefficient_matrix is None:
+        return False
+    coefficients = scan.profiles[:, coherent].T @ interpolator.coefficient_matrix
+    return array_deviation(coefficients, scan.noise_power_mw) > ARRAY_LIMIT
 
 
 def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np.ndarray:
@@ -412,6 +432,7 @@ class _OpenScan:
         self._noise_power_mw = np.full(beams, np.nan)
         self._beam_stamp_ns = self.stamp_ns + folder.setup.beam_interval_ns * np.arange(beams, dtype=np.int64)
         self._saturated = 0
+        self._lost_chirps = 0
         self._used = np.arange(beams) % folder.params.beam_step == 0
 
     def holds(self, beam: RadarBeam) -> bool:
@@ -434,6 +455,7 @@ class _OpenScan:
             self._looks[index] = ego.look_azimuth_rad
         self._beam_stamp_ns[index] = beam.stamp_ns
         self._saturated += saturated
+        self._lost_chirps += lost_chirps(beam.samples[: self._folder.chirps])
         return True
 
     def _ego(self, beam: RadarBeam) -> EgoCorrection | None:
@@ -443,18 +465,32 @@ class _OpenScan:
         return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
 
     def profiles(self) -> ScanProfiles:
-        """What has been folded; noise is the median over beams, so that one disturbed beam does not set it."""
+        """What has been folded; noise is the median over beams, so that one disturbed beam does not set it.
+
+        Silent and drowned beams are left out like those that never came: their neighbours say more about their place.
+        """
         came = ~np.isnan(self._noise_power_mw)
+        noise_power_mw = float(np.median(self._noise_power_mw[came]))
+        silent = came & silent_beams(self._profiles, noise_power_mw)
+        drowned = drowned_beams(self._noise_power_mw)
+        heard = came & ~silent & ~drowned
+        shown = {
+            "lost_chirps": self._lost_chirps > 0,
+            "silent_beams": silent.any(),
+            "drowned_beams": drowned.any(),
+            "spurs": has_spurs(self._profiles[heard], noise_power_mw),
+        }
         radar = self._folder.setup.radar
         samples = int(came.sum()) * self._folder.chirps * radar.samples_per_chirp
         return ScanProfiles(
             stamp_ns=self.stamp_ns,
             scan_id=self.scan_id,
-            profiles=self._profiles,
-            noise_power_mw=float(np.median(self._noise_power_mw[came])),
+            profiles=np.where(heard[:, None], self._profiles, np.complex64(0.0)),
+            noise_power_mw=noise_power_mw,
             beam_stamp_ns=self._beam_stamp_ns,
-            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~came)),
+            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~heard)),
             unused_beams=tuple(int(index) for index in np.flatnonzero(~self._used)),
             saturated_share=self._saturated / samples,
+            faults=tuple(name for name, holds in shown.items() if holds),
             look_azimuth_rad=None if self._state is None else self._looks,
         )

@@ -21,6 +21,8 @@ from msgs.radar import RadarSetup
 
 #: Step of the central differences, in bins and in radians: errors of 1e-8 of a slope.
 _STEP = 1e-4
+#: Least singular value of the information's root, tangents of length one: smaller ones are rounding.
+_LEAST_SIZE = 1e-16
 #: Value and slope, in order: what stands for (Re a, Im a, range, azimuth), and with which factor.
 _TANGENTS = ((0, 0, 1.0), (0, 0, 1.0j), (1, 0, 1.0), (0, 1, 1.0))
 
@@ -32,7 +34,7 @@ def raw_bound(
 
     No window, every sample: nothing that the receiver delivers is lost. `amplitude` complex [P] in sqrt(mW);
     `noise_power_mw` that of a Hann bin, 1.5 times what the samples put in a bin. Raises ValueError where that is not
-    positive.
+    positive. Variances of what the samples do not tell are huge or infinite.
     """
     count = setup.radar.samples_per_chirp
     turns = np.arange(count) / count
@@ -122,10 +124,41 @@ def _bound(
     before, here, after = (azimuth_response(setup, azimuth_rad + k * _STEP) for k in (-1, 0, 1))
     azimuth_parts = np.stack([here, (after - before) / (2.0 * _STEP)])
     scaled = np.asarray(amplitude, np.complex128) / np.sqrt(noise_power_mw)
-    covariance = np.linalg.inv(fisher_information(range_parts, azimuth_parts, scaled))
+    covariance = _inverse_information(range_parts, azimuth_parts, scaled)
     count = len(scaled)
     own = np.arange(count)
     blocks = covariance.reshape(4, count, 4, count)
     place = np.stack([[blocks[row, own, column, own] for column in (2, 3)] for row in (2, 3)])
     metres = np.array([setup.radar.range_bin_m, 1.0])
     return np.moveaxis(place, -1, 0) * np.multiply.outer(metres, metres)
+
+
+def _inverse_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    """Inverse of `fisher_information` from the singular values of its root, [4P, 4P].
+
+    Echoes 1e-3 deg apart leave nothing of their difference in a matrix of squares: its own inverse has negative
+    variances. What changes no sample at all (azimuth at endfire) has infinite variance.
+    """
+    left, right = _coordinates(range_parts), _coordinates(azimuth_parts)
+    rows = [
+        f * (np.ones_like(amplitude) if k < 2 else amplitude)[:, None]
+        * np.einsum("im,ib->imb", left[q], right[a]).reshape(len(amplitude), -1)
+        for k, (q, a, f) in enumerate(_TANGENTS)
+    ]  # fmt: skip
+    root = np.concatenate(rows) * np.sqrt(2.0)
+    # zeros: at least as many columns as unknowns, or those that nothing tells would go missing
+    root = np.concatenate([root.real, root.imag, np.zeros((len(root), len(root)))], axis=1)
+    # tangents of one length: amplitudes, bins and radians are no units of one another
+    length = np.linalg.norm(root, axis=1)
+    known = length > 0.0
+    directions, size, _ = np.linalg.svd(root[known] / length[known, None], full_matrices=False)
+    spread = directions / np.maximum(size, _LEAST_SIZE) / length[known, None]
+    covariance = np.diag(np.where(known, 0.0, np.inf))
+    covariance[np.ix_(known, known)] = spread @ spread.T
+    return covariance
+
+
+def _coordinates(parts: np.ndarray) -> np.ndarray:
+    """Parts [2, P, rows] in an orthonormal basis of their own, [2, P, at most 2P]: inner products stay."""
+    flat = parts.reshape(-1, parts.shape[-1])
+    return np.linalg.qr(flat.T).R.T.reshape(*parts.shape[:2], -1)

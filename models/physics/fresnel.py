@@ -32,12 +32,7 @@ def half_space_reflection(
 
     Raises ValueError for an active medium (Im(eps) > 0) or a cosine outside 0..1.
     """
-    permittivity, cos_theta = _checked(permittivity, cos_theta)
-    q = _inner_cosine(permittivity, cos_theta)
-    outer = cos_theta if polarisation == "te" else permittivity * cos_theta
-    total = outer + q
-    # eps = 1 at grazing: nothing is there to reflect, 0/0 means 0
-    return np.where(total == 0.0, 0.0, (outer - q) / np.where(total == 0.0, 1.0, total))
+    return _half_space(*_checked(permittivity, cos_theta), polarisation)[0]
 
 
 def slab_reflection(
@@ -50,14 +45,15 @@ def slab_reflection(
     """Complex field reflection of one slab in air (broadcast); an infinite thickness is a half-space.
 
     r (1 - p) / (1 - r^2 p) with p = exp(-2j k q d): p only ever decays, so opaque slabs need no care (p -> 0).
+    Written with 1 - p and 1 - r^2, which keep their digits for the thinnest film and at grazing.
     Raises ValueError for a negative thickness.
     """
     permittivity, cos_theta = _checked(permittivity, cos_theta)
-    r = half_space_reflection(permittivity, cos_theta, polarisation)
-    p = _round_trip(permittivity, cos_theta, thickness_m, wavelength_m, 2.0)
-    denominator = 1.0 - r**2 * p
+    r, kept = _half_space(permittivity, cos_theta, polarisation)
+    lost = _round_trip_loss(permittivity, cos_theta, thickness_m, wavelength_m)
+    denominator = kept + r**2 * lost
     # 0/0 as r -> -1 and p -> 1 together (grazing): there the half-space value is the limit
-    return np.where(denominator == 0.0, r, r * (1.0 - p) / np.where(denominator == 0.0, 1.0, denominator))
+    return np.where(denominator == 0.0, r, r * lost / np.where(denominator == 0.0, 1.0, denominator))
 
 
 def slab_transmission(
@@ -69,10 +65,10 @@ def slab_transmission(
 ) -> np.ndarray:
     """Complex field transmission through one slab in air (broadcast): (1 - r^2) e^{-jkqd} / (1 - r^2 p)."""
     permittivity, cos_theta = _checked(permittivity, cos_theta)
-    r = half_space_reflection(permittivity, cos_theta, polarisation)
-    once = _round_trip(permittivity, cos_theta, thickness_m, wavelength_m, 1.0)
-    denominator = 1.0 - (r * once) ** 2
-    return np.where(denominator == 0.0, 0.0, (1.0 - r**2) * once / np.where(denominator == 0.0, 1.0, denominator))
+    r, kept = _half_space(permittivity, cos_theta, polarisation)
+    once = _passage(permittivity, cos_theta, thickness_m, wavelength_m)
+    denominator = kept + r**2 * _round_trip_loss(permittivity, cos_theta, thickness_m, wavelength_m)
+    return np.where(denominator == 0.0, 0.0, kept * once / np.where(denominator == 0.0, 1.0, denominator))
 
 
 def stack_reflection(
@@ -123,7 +119,7 @@ def _walk(
     for medium, thickness_m in reversed(layers):
         rho, tau = _interface(medium, behind, cos_theta, polarisation)
         reflected, transmitted = _add_interface(rho, tau, reflected, transmitted)
-        once = _round_trip(medium, cos_theta, np.asarray(thickness_m), wavelength_m, 1.0)
+        once = _passage(medium, cos_theta, np.asarray(thickness_m), wavelength_m)
         reflected, transmitted = reflected * once**2, transmitted * once
         behind = medium
     rho, tau = _interface(air, behind, cos_theta, polarisation)
@@ -170,16 +166,45 @@ def _checked_stack(
     return [(medium, float(thickness)) for medium, thickness in zip(media, thicknesses, strict=True)], cos_theta
 
 
-def _round_trip(
-    permittivity: np.ndarray, cos_theta: np.ndarray, thickness_m: np.ndarray, wavelength_m: float, passes: float
+def _half_space(
+    permittivity: np.ndarray, cos_theta: np.ndarray, polarisation: Polarisation
+) -> tuple[np.ndarray, np.ndarray]:
+    """Eq. (13) of a half-space: r, and 1 - r^2 = 4 outer q / (outer + q)^2, which does not cancel at grazing."""
+    q = _inner_cosine(permittivity, cos_theta)
+    outer = cos_theta if polarisation == "te" else permittivity * cos_theta
+    total = outer + q
+    # eps = 1 at grazing: nothing is there to reflect, 0/0 means 0
+    empty = total == 0.0
+    safe = np.where(empty, 1.0, total)
+    return np.where(empty, 0.0, (outer - q) / safe), np.where(empty, 1.0, 4.0 * (outer / safe) * (q / safe))
+
+
+def _passage(
+    permittivity: np.ndarray, cos_theta: np.ndarray, thickness_m: np.ndarray, wavelength_m: float
 ) -> np.ndarray:
-    """exp(-j passes k q d), zero where the thickness is infinite."""
+    """exp(-j k q d), zero where the thickness is infinite."""
+    exponent, endless = _exponent(permittivity, cos_theta, thickness_m, wavelength_m)
+    return np.where(endless, 0.0, np.exp(exponent))
+
+
+def _round_trip_loss(
+    permittivity: np.ndarray, cos_theta: np.ndarray, thickness_m: np.ndarray, wavelength_m: float
+) -> np.ndarray:
+    """1 - exp(-2j k q d) to all digits, one where the thickness is infinite."""
+    exponent, endless = _exponent(permittivity, cos_theta, thickness_m, wavelength_m)
+    return np.where(endless, 1.0, -np.expm1(2.0 * exponent))
+
+
+def _exponent(
+    permittivity: np.ndarray, cos_theta: np.ndarray, thickness_m: np.ndarray, wavelength_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """-j k q d, zero for infinite thicknesses, and which those are; ValueError for a negative one."""
     thickness_m = np.asarray(thickness_m, np.float64)
     if np.any(thickness_m < 0.0) or np.isnan(thickness_m).any():
         raise ValueError(f"thickness_m must not be negative, got {thickness_m.min()!r}")
     endless = np.isinf(thickness_m)
-    depth = passes * 2.0 * np.pi / wavelength_m * np.where(endless, 0.0, thickness_m)
-    return np.where(endless, 0.0, np.exp(-1j * depth * _inner_cosine(permittivity, cos_theta)))
+    depth = 2.0 * np.pi / wavelength_m * np.where(endless, 0.0, thickness_m)
+    return -1j * depth * _inner_cosine(permittivity, cos_theta), endless
 
 
 def _checked(permittivity: np.ndarray, cos_theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

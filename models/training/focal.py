@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import torch
 from torch import Tensor
 from torch.nn import functional
 
@@ -14,6 +15,8 @@ def binary_focal_loss(logits: Tensor, mask: Tensor, alpha: float = 0.99, gamma: 
     """
     if logits.shape != mask.shape:
         raise ValueError(f"logits must have the mask's shape {tuple(mask.shape)}, got {tuple(logits.shape)}")
+    # halves have no room for the weights of sure cells
+    logits = logits.to(torch.promote_types(logits.dtype, torch.float32))
     mask = mask.to(logits.dtype)
     towards_truth = (2.0 * mask - 1.0) * logits
     weight = alpha * mask + (1.0 - alpha) * (1.0 - mask)

@@ -20,6 +20,8 @@ def heatmap_focal_loss(
     """
     if logits.shape != heatmap.shape:
         raise ValueError(f"logits must have the heatmap's shape {tuple(heatmap.shape)}, got {tuple(logits.shape)}")
+    # halves hold neither the square of a small confidence nor a sum over a map
+    logits = logits.to(torch.promote_types(logits.dtype, torch.float32))
     is_peak = heatmap == 1.0
     weight = torch.ones_like(heatmap) if weights is None else weights.expand_as(heatmap).to(heatmap.dtype)
     at_peak = logits[is_peak]

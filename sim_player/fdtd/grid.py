@@ -23,6 +23,8 @@ from sim_player.fdtd.media import electric_coefficients, real_medium
 ABSORBER = CpmlParams(cells=20, leak=1e-6)
 #: Steps between looks at the field's level (and flushes of what nears the subnormal numbers).
 LOOK_STEPS = 64
+#: What has sunk below becomes zero, long before subnormal numbers slow the steps.
+FLUSHED = 1e-30
 #: Below so many cells (of all parts) a step is too short to share between threads on a busy machine.
 PARALLEL_CELLS = 400_000
 
@@ -173,6 +175,8 @@ class YeeGrid:
             if not math.isfinite(self.level):
                 raise FloatingPointError(f"the field is not finite after {self.steps} steps")
             self.peak = max(self.peak, self.level)
+            for psi in (*self.psi_z, *self.psi_x):
+                psi[np.abs(psi) < FLUSHED] = 0.0
         numba.set_num_threads(threads)
 
     @property
@@ -353,7 +357,7 @@ def _add_picture(u, turn, picture):  # type: ignore[no-untyped-def]
 
 @numba.njit(parallel=True, cache=True)
 def _level_and_flush(u, vx, vz):  # type: ignore[no-untyped-def]
-    """Largest |u|, or NaN; what has sunk below 1e-30 becomes zero, long before subnormal numbers slow the steps."""
+    """Largest |u|, or NaN; what has sunk below `FLUSHED` becomes zero."""
     parts, rows, nz = u.shape
     levels = np.zeros(parts * rows)
     for row in numba.prange(parts * rows):
@@ -364,10 +368,10 @@ def _level_and_flush(u, vx, vz):  # type: ignore[no-untyped-def]
                 levels[row] = abs(u[p, i, k])
             if math.isnan(levels[row]):
                 break
-            if abs(u[p, i, k]) < 1e-30:
+            if abs(u[p, i, k]) < FLUSHED:
                 u[p, i, k] = 0.0
-            if abs(vx[p, i, k]) < 1e-30:
+            if abs(vx[p, i, k]) < FLUSHED:
                 vx[p, i, k] = 0.0
-            if abs(vz[p, i, k]) < 1e-30:
+            if abs(vz[p, i, k]) < FLUSHED:
                 vz[p, i, k] = 0.0
     return levels.sum() if np.isnan(levels).any() else levels.max()

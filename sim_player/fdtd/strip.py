@@ -151,7 +151,8 @@ def run_strip(strip: Strip, frequency_hz: float, polarisation: Polarisation, par
         deviation_steps,
         DECAY,
     )
-    if not 0.0 <= residue < math.inf:
+    # a field that went past infinity leaves a residue of -1 / inf, which is not below zero: ask the answer too
+    if not (0.0 <= residue < math.inf and np.isfinite([front, back]).all()):
         raise FloatingPointError(f"the field is not finite after {steps} steps")
     return Phasors(front, back, cells, steps, residue)
 

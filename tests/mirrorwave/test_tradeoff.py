@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from mirrorwave.tradeoff import tradeoff
 from mirrorwave.tradeoff_report import Interval, Report, Row, Times, latency_ms, measuring_ms, read_report, with_front
-from mirrorwave.tradeoff_run import BEFORE, PARTS, Plan, run_plan
+from mirrorwave.tradeoff_run import BEFORE, PARTS, Plan, _peak_resident_mib, peak_memory_mib, run_plan
 from mirrorwave.tradeoff_settings import Setting, read_settings
 from models.perception.cfar import CfarParams, cfar_peaks
 from models.perception.onnx_model import DEFAULT_MODEL
@@ -72,6 +72,14 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     assert "--row beams --row 'network: UNet'" in page
     for name in ("front.png", "stages.png"):
         assert (out / name).stat().st_size > 5000
+
+
+def test_memory_of_a_row_is_its_own_and_not_that_of_who_asks() -> None:
+    """256 MiB that the asking process once held are not the row's."""
+    np.ones(2**28, np.uint8)
+    row = read_settings()[0]
+    found_mib = peak_memory_mib([row])[row.name]
+    assert 50.0 < found_mib < _peak_resident_mib() - 50.0
 
 
 def test_a_stopped_run_goes_on_to_the_same_accuracy(made: tuple[Path, Report], tmp_path: Path) -> None:

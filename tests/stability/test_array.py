@@ -2,42 +2,86 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import mpmath
 import numpy as np
 import pytest
 
 from models.perception.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
+from models.perception.observability import VisibilityParams, observability
 from models.physics.antenna import coupling_matrix, one_way_pattern, setup_weights, two_way_pattern
+from models.physics.cramer_rao import azimuth_response, fisher_information, window_covariance, windowed_bound
+from models.physics.waveform import tone_profile
+from msgs.perception import BevGrid, Visibility, Wall
 from msgs.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
+from tests.stability.catalogue import Errors
 
 GRID = RangeAzimuthGrid()
+#: Bins of the range profiles that bounds are asked for, about bin 100.
+BINS = np.arange(97, 104)
+NOISE_MW = 1e-12
 
 
 def _coefficients(azimuth_deg: float) -> np.ndarray:
     return np.exp(-1j * np.pi * (np.arange(15) - 7) * np.sin(np.radians(azimuth_deg)))
 
 
-def _noise(beams: int, bins: int, seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    return ((rng.normal(size=(beams, bins)) + 1j * rng.normal(size=(beams, bins))) / np.sqrt(2.0)).astype(np.complex64)
-
-
 def _profiles(setup: RadarSetup, azimuth_deg: float) -> np.ndarray:
     return (beam_matrix(setup) @ _coefficients(azimuth_deg)).astype(np.complex64)[:, None]
 
 
-def test_a_gap_of_three_beams_naive_and_ours() -> None:
-    """Plain least squares is exact without noise but shouts in the gap: 19 dB over a beam's noise at its worst azimuth.
+def _least_squares_gain(setup: RadarSetup, missing: tuple[int, ...] = ()) -> float:
+    """Noise power of the worst cell over a beam's, in dB, by least squares (of least norm under 15 beams)."""
+    present = [beam for beam in range(len(setup.beams)) if beam not in missing]
+    beams = beam_matrix(setup)[present]
+    adjoint = beams.conj().T
+    try:
+        if len(beams) < beams.shape[1]:
+            inverse = adjoint @ np.linalg.inv(beams @ adjoint)
+        else:
+            inverse = np.linalg.inv(adjoint @ beams) @ adjoint
+    except np.linalg.LinAlgError:
+        return np.inf
+    return float(10.0 * np.log10(np.sum(np.abs(ideal_beams(setup, GRID.azimuth_rad) @ inverse) ** 2, axis=1).max()))
 
-    Ours gives up some exactness for at most 4 dB (ridge chosen so).
-    """
-    setup, missing = RadarSetup(), (11, 12, 13)
-    present = [beam for beam in range(25) if beam not in missing]
-    naive = ideal_beams(setup, GRID.azimuth_rad) @ np.linalg.pinv(beam_matrix(setup)[present])
-    naive_db = 10.0 * np.log10(np.sum(np.abs(naive) ** 2, axis=1).max())
-    values, _ = AzimuthInterpolator(setup, GRID).interpolate(_noise(25, 4000, seed=1), 1.0, missing)
-    ours_db = 10.0 * np.log10(np.mean(np.abs(values) ** 2, axis=0).max())
-    assert naive_db > 19.0
-    assert ours_db < 4.2
+
+def _noise_gain(setup: RadarSetup, missing: tuple[int, ...] = ()) -> float:
+    """The same by the interpolator: what it makes of each beam alone."""
+    alone = np.eye(len(setup.beams), dtype=np.complex64)
+    values, _ = AzimuthInterpolator(setup, GRID).interpolate(alone, np.inf, missing)
+    return float(10.0 * np.log10(np.sum(np.abs(values) ** 2, axis=0).max()))
+
+
+@pytest.mark.hard(
+    where="models.perception.coarray",
+    naive="least squares on the beams that came",
+    bound=4.0,
+    unit="dB",
+    source="ridge: no cell above 2.5 times a beam's noise",
+)
+def test_a_gap_of_three_beams(errors: Errors) -> None:
+    """Beams 11 to 13 missing: exact without noise, but in the gap noise shouts. Worst cell over a beam's noise."""
+    missing = (11, 12, 13)
+    errors(naive=_least_squares_gain(RadarSetup(), missing), ours=_noise_gain(RadarSetup(), missing))
+
+
+@pytest.mark.hard(
+    where="models.perception.coarray",
+    naive="least squares",
+    bound=4.0,
+    unit="dB",
+    source="ridge: no cell above 2.5 times a beam's noise",
+)
+@pytest.mark.parametrize(
+    "azimuth_deg",
+    [(0.0, 0.0, 0.0), (-1.0, -0.5, 0.0, 0.5, 1.0), tuple(np.linspace(80.0, 89.9, 25))],
+    ids=["thrice the same", "five in one beam width", "all at endfire"],
+)
+def test_beams_that_repeat_one_another(azimuth_deg: tuple[float, ...], errors: Errors) -> None:
+    """Rows all but equal: their differences are noise, and least squares lives on them. Worst cell over a beam's."""
+    setup = RadarSetup(beams=BeamGrid(azimuth_deg=azimuth_deg))
+    errors(naive=_least_squares_gain(setup), ours=_noise_gain(setup))
 
 
 @pytest.mark.parametrize(
@@ -75,6 +119,94 @@ def test_a_dead_beam_does_not_reach_far() -> None:
     left = np.abs(values[0]) * (GRID.azimuth_rad < np.radians(-20.0))
     assert np.degrees(GRID.azimuth_rad[left.argmax()]) == pytest.approx(-30.0, abs=1.0)
     assert left.max() == pytest.approx(8.0, rel=0.1)
+
+
+def _largest_db(values: np.ndarray) -> float:
+    """Level of a map's largest cell over the 8 of an ideal beam on its target."""
+    return float(20.0 * np.log10(np.abs(values).max() / 8.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.coarray",
+    naive="zeros in its place",
+    bound=2e-4,
+    unit="dB",
+    source="ridge of 1e-7 over least singular values squared of 6e-3",
+)
+def test_a_missing_beam(errors: Errors) -> None:
+    """The beam on the target never came: a row of zeros says that nothing stands there. Level of the target."""
+    setup = RadarSetup()
+    interpolator = AzimuthInterpolator(setup, GRID)
+    profiles = _profiles(setup, 20.0)
+    profiles[16] = 0.0
+    values, _ = interpolator.interpolate(profiles, np.inf, (16,))
+    ideal_db = _largest_db(ideal_beams(setup, GRID.azimuth_rad) @ _coefficients(20.0))
+    errors(
+        naive=abs(_largest_db(profiles[:, 0] @ interpolator.coherent_matrix) - ideal_db),
+        ours=abs(_largest_db(values) - ideal_db),
+    )
+
+
+@pytest.mark.hard(
+    where="models.perception.coarray",
+    naive="one coherent fit, untested",
+    bound=0.2,
+    unit="dB",
+    source="6-bit phases: 1.6 deg rms a column, 2 % of a two-way beam of 8",
+)
+def test_a_mover(errors: Errors) -> None:
+    """0.6 m/s: the phase turns by half a circle from beam to beam, and beams add up to nothing. Level of its peak."""
+    setup = RadarSetup()
+    interpolator = AzimuthInterpolator(setup, GRID)
+    turns = 2.0 * 0.6 * 0.012 / setup.radar.wavelength_m * np.arange(25)
+    profiles = (_profiles(setup, 10.0) * np.exp(2j * np.pi * turns)[:, None]).astype(np.complex64)
+    values, incoherent = interpolator.interpolate(profiles, 1e-6)
+    assert incoherent.all()
+    naive = profiles[:, 0] @ interpolator.coherent_matrix
+    errors(naive=abs(_largest_db(naive)), ours=abs(_largest_db(values)))
+
+
+@pytest.mark.hard(
+    where="models.perception.coarray",
+    naive="exact phases assumed",
+    bound=2e-5,
+    unit="",
+    source="ridge of 1e-7 over least singular values squared of 6e-3",
+)
+@pytest.mark.parametrize("bits", [2, 6])
+def test_quantised_phases(bits: int, errors: Errors) -> None:
+    """Beams of phases rounded to so many bits are no ideal beams; relative error of the map of one target."""
+    setup = RadarSetup(array=ArrayParams(phase_bits=bits))
+    exact = ideal_beams(setup, GRID.azimuth_rad) @ _coefficients(12.0)
+    profiles = _profiles(setup, 12.0)
+
+    def error(assumed: RadarSetup) -> float:
+        values, _ = AzimuthInterpolator(assumed, GRID).interpolate(profiles, np.inf)
+        return float(np.linalg.norm(values[0] - exact) / np.linalg.norm(exact))
+
+    errors(naive=error(RadarSetup(array=ArrayParams(phase_bits=0))), ours=error(setup))
+
+
+@pytest.mark.hard(
+    where="models.perception.coarray",
+    naive="energies summed in float32",
+    bound=0.0,
+    unit="of movers",
+    source="float64 holds 1e-46: every mover without noise is found",
+)
+def test_movers_in_tiny_units(errors: Errors) -> None:
+    """Amplitudes of 1e-23: |y|^2 is below the least float32, no residual exceeds anything. Share not found."""
+    setup = RadarSetup()
+    interpolator = AzimuthInterpolator(setup, GRID)
+    turns = np.multiply.outer(np.arange(25), np.linspace(0.1, 0.5, 9))
+    profiles = (1e-23 * _profiles(setup, 10.0) * np.exp(2j * np.pi * turns)).astype(np.complex64)
+    _, incoherent = interpolator.interpolate(profiles, 0.0)
+    beams = beam_matrix(setup)
+    left = (profiles - beams @ np.linalg.pinv(beams) @ profiles).astype(np.complex64)
+    energy, whole = (np.sum(part.real**2 + part.imag**2, axis=0) for part in (left, profiles))
+    naive = energy > interpolator.coherence.model_error * whole
+    assert energy.dtype == np.float32
+    errors(naive=1.0 - naive.mean(), ours=1.0 - incoherent.mean())
 
 
 @pytest.mark.parametrize("scale", [1e-18, 1e-9, 1.0, 1e9, 1e15])
@@ -118,3 +250,119 @@ def test_total_coupling_leaves_one_pattern() -> None:
     one_way = one_way_pattern(setup, weights, azimuth_rad, np.zeros(33), coupling=coupling_matrix(8, 0.0))
     ahead = one_way_pattern(setup, np.ones((1, 8)), azimuth_rad, np.zeros(33))
     np.testing.assert_allclose(one_way, weights.sum(axis=1)[:, None] * ahead, atol=1e-9)
+
+
+def _parts(
+    response: Callable[[np.ndarray], np.ndarray], at: np.ndarray, step: float = 1e-4
+) -> tuple[np.ndarray, np.ndarray]:
+    """Value and central difference of a response, [P, ...] each, with the step of the bounds."""
+    before, here, after = (response(at + k * step) for k in (-1, 0, 1))
+    return here, (after - before) / (2.0 * step)
+
+
+def _tangent_parts(azimuth_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Range and azimuth parts of echoes on bin 100, as `windowed_bound` takes them."""
+    setup, at = RadarSetup(), np.full(len(azimuth_rad), 100.0)
+    white = np.linalg.inv(np.linalg.cholesky(window_covariance("hann", len(BINS))))
+    tones = _parts(lambda q: tone_profile(setup.radar.samples_per_chirp, q, len(BINS), "hann", int(BINS[0])), at)
+    return np.stack(tones) @ white.T, np.stack(_parts(lambda a: azimuth_response(setup, a), azimuth_rad))
+
+
+def _exact_azimuth_variance(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    """Azimuth variances [P] from the same parts, their information made and inverted with 60 digits."""
+    count = len(amplitude)
+    with mpmath.workdps(60):
+        exact = [[mpmath.matrix(one.tolist()) for one in parts] for parts in (range_parts, azimuth_parts)]
+        gram = [
+            [[left.apply(mpmath.conj) * right.T for right in parts] for left in parts] for parts in exact
+        ]  # fmt: skip
+        tangents = [
+            (q, a, mpmath.mpmathify(f if q == a == 0 else complex(amplitude[p])), p)
+            for q, a, f in ((0, 0, 1.0), (0, 0, 1j), (1, 0, 1.0), (0, 1, 1.0))
+            for p in range(count)
+        ]
+        information = mpmath.matrix(4 * count, 4 * count)
+        for row, (q, a, left, i) in enumerate(tangents):
+            for column, (p, b, right, j) in enumerate(tangents):
+                product = mpmath.conj(left) * right * gram[0][q][p][i, j] * gram[1][a][b][i, j]
+                information[row, column] = 2 * mpmath.re(product)
+        covariance = information**-1
+        return np.array([float(covariance[3 * count + p, 3 * count + p]) for p in range(count)])
+
+
+@pytest.mark.hard(
+    where="models.physics.cramer_rao",
+    naive="inverse of the information matrix",
+    bound=1e-7,
+    unit="",
+    source="2^-52 times condition 1.8e8 of the matrix' root, twice for a variance",
+)
+def test_two_echoes_a_thousandth_of_a_degree_apart(errors: Errors) -> None:
+    """The variance of their azimuths is huge, and comes out negative where squares are inverted. Relative error."""
+    azimuth_rad, amplitude = np.radians([0.0, 1e-3]), np.array([1e-5, 1e-5j])
+    parts = _tangent_parts(azimuth_rad)
+    scaled = amplitude / np.sqrt(NOISE_MW)
+    exact = _exact_azimuth_variance(*parts, scaled)
+    naive = np.linalg.inv(fisher_information(*parts, scaled)).diagonal()[-2:]
+    ours = windowed_bound(RadarSetup(), np.full(2, 100.0), azimuth_rad, amplitude, NOISE_MW, BINS)[:, 1, 1]
+    errors(naive=np.abs(naive / exact - 1.0).max(), ours=np.abs(ours / exact - 1.0).max())
+
+
+@pytest.mark.hard(
+    where="models.physics.cramer_rao",
+    naive="beam width over sqrt(2 SNR)",
+    bound=1e-6,
+    unit="",
+    source="central difference: rounding 1e-16 over h cos = 6e-8",
+)
+def test_a_bound_that_grows_towards_endfire(errors: Errors) -> None:
+    """89.999 deg: sines no longer tell angles apart, an error 57,000 times the sine's. Relative error of sigma."""
+    setup, azimuth_rad, amplitude = RadarSetup(), np.radians([89.999]), np.array([1e-5])
+    range_parts, azimuth_parts = _tangent_parts(azimuth_rad)
+    # in the sine instead of the angle all is plain: slope with respect to it, in closed form
+    position = np.arange(15) - 7
+    phases = np.exp(-1j * np.pi * position * np.sin(azimuth_rad))
+    slope = (beam_matrix(setup) / 8.0) @ (-1j * np.pi * position * phases)
+    in_sine = np.stack([azimuth_parts[0], slope[None]])
+    information = fisher_information(range_parts, in_sine, amplitude / np.sqrt(NOISE_MW))
+    with mpmath.workdps(30):
+        cosine = float(mpmath.cos(mpmath.mpf(azimuth_rad[0])))
+    exact = np.sqrt(np.linalg.inv(information)[3, 3]) / cosine
+    snr = np.sum(np.abs(azimuth_parts[0]) ** 2) * amplitude[0] ** 2 / NOISE_MW
+    naive = np.radians(12.7) / np.sqrt(2.0 * snr)
+    ours = np.sqrt(windowed_bound(setup, np.array([100.0]), azimuth_rad, amplitude, NOISE_MW, BINS)[0, 1, 1])
+    errors(naive=abs(naive / exact - 1.0), ours=abs(ours / exact - 1.0))
+
+
+def test_what_no_sample_tells_has_no_finite_bound() -> None:
+    """At endfire itself, and without an echo: infinite, not an exception, and no burden to the echo beside."""
+    setup = RadarSetup()
+    alone = windowed_bound(setup, np.array([100.0]), np.array([0.1]), np.array([1e-5]), NOISE_MW, BINS)
+    for azimuth_rad, amplitude in ((0.5 * np.pi, 1e-5), (0.3, 0.0)):
+        both = np.array([0.1, azimuth_rad]), np.array([1e-5, amplitude])
+        bound = windowed_bound(setup, np.array([100.0, 120.0]), *both, NOISE_MW, BINS)
+        assert np.isinf(bound[1, 1, 1])
+        assert (np.diagonal(bound[0]) >= np.diagonal(alone[0]) * (1.0 - 1e-9)).all()
+    # one beam and three bins know less than two echoes ask for
+    single = RadarSetup(beams=BeamGrid(azimuth_deg=(0.0,)))
+    bound = windowed_bound(single, np.full(2, 100.0), np.array([0.0, 0.1]), np.ones(2), 1.0, BINS[2:5])
+    assert (bound[:, 1, 1] > 1e20).all()
+
+
+@pytest.mark.hard(
+    where="models.perception.observability",
+    naive="both cross products on the wedge's side",
+    bound=0.0,
+    unit="of the cells in sight",
+    source="a wall seen edge-on hides nothing",
+)
+def test_radar_on_the_line_of_a_wall(errors: Errors) -> None:
+    """The wedge behind the wall has no width and no side: 0 >= 0 lets every cell pass. Share of cells lost."""
+    grid, params = BevGrid(), VisibilityParams()
+    a, b = (5.0, 0.0), (20.0, 0.0)
+    wall = Wall(normal=(0.0, 1.0), offset_m=0.0, ends_m=(a, b), inliers=9)
+    free, masked = (observability(walls, 110.0, grid, params) == Visibility.DIRECT for walls in ([], [wall]))
+    x, y = np.moveaxis(grid.cell_centres_m().reshape(*free.shape, 2), -1, 0)
+    turn = np.sign(a[0] * b[1] - a[1] * b[0])
+    behind = (y < 0.0) & (turn * (a[0] * y - a[1] * x) >= 0.0) & (turn * (x * b[1] - y * b[0]) >= 0.0)
+    errors(naive=(free & behind).sum() / free.sum(), ours=(free & ~masked).sum() / free.sum())

@@ -8,18 +8,19 @@ import numpy as np
 import pytest
 
 from models.perception.arcs import ArcParams
-from models.perception.association import RecoveryParams, associate_crossing, facing_radar
+from models.perception.association import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
 from models.perception.clustering import dbscan
 from models.perception.geometry import GeometryParams, fold_scan, recover_bev
 from models.perception.mirrors import RADAR, hits, wall_arrays
-from models.perception.objects import ObjectParams
+from models.perception.objects import ObjectParams, form_objects
 from models.perception.published_geometry import PublishedParams, recover_published
-from models.perception.recovery import NO_WALL, cartesian_covariance, folded
+from models.perception.recovery import NO_WALL, Recovered, cartesian_covariance, folded
 from models.perception.walls import WallParams, find_walls
 from models.physics.curved_mirror import arc_points, fermat_points
 from models.physics.mirror import reflect, wall_from_ends
 from msgs.frames import polar_from_xy, xy_from_polar
 from msgs.perception import PathClass, Peaks, Wall
+from tests.stability.catalogue import Errors
 
 RANGE_STD_M, AZIMUTH_STD_RAD = 0.06, math.radians(0.7)
 FAR, SIDE = ((20.0, -8.0), (20.0, 6.0)), ((8.0, 6.0), (20.0, 6.0))
@@ -216,3 +217,147 @@ def test_same_peaks_same_view():
     assert peaks.path_class[0] == PathClass.LOS
     one, two = (recover_bev(peaks, GeometryParams()) for _ in range(2))
     assert (one.points, one.objects, one.walls) == (two.points, two.objects, two.walls)
+
+
+def centre_hit_share(image_m: np.ndarray, one: Wall) -> float:
+    """Share of the ray to an image at which it meets an arc, by the arc's centre and radius."""
+    radius_m, (a, b) = 1.0 / one.curvature_per_m, np.array(one.ends_m)
+    rise_m = math.sqrt(radius_m**2 - 0.25 * float(np.sum((b - a) ** 2)))
+    centre = 0.5 * (a + b) + rise_m * np.array(one.normal)
+    second, first = float(image_m @ image_m), -float(image_m @ centre)
+    root = first**2 - second * (float(centre @ centre) - radius_m**2)
+    if root < 0.0:
+        return math.inf
+    ways = (np.array([-1.0, 1.0]) * math.sqrt(root) - first) / second
+    return float(ways[np.abs(ways - 2.0 / 3.0).argmin()])
+
+
+@pytest.mark.hard(
+    where="models.perception.mirrors",
+    naive="circle about its centre",
+    bound=1e-12,
+    unit="m",
+    source="sagitta below 1e-14 m, rounding",
+)
+def test_all_but_flat_arc_is_its_chord(errors: Errors) -> None:
+    """Curvature 1e-16 1/m: a centre 1e16 m away is off by metres, and the squares of both legs are all the same."""
+    arc, image_m = wall((24.0, -10.0), (24.0, 10.0), 1e-16), np.array([36.0, 5.0])
+    met = hits(RADAR, image_m[None], wall_arrays([arc]))
+    length_m, exact = float(np.hypot(*image_m)), 24.0 / 36.0
+    errors(
+        naive=abs(centre_hit_share(image_m, arc) - exact) * length_m,
+        ours=abs(float(met.along_ray[0, 0]) - exact) * length_m + abs(float(met.offset_m[0, 0]) - 24.0),
+    )
+
+
+@pytest.mark.hard(
+    where="models.perception.association",
+    naive="difference of two arctan2",
+    bound=0.0,
+    unit="rad",
+    source="the nearest of three, by hand",
+)
+def test_nearest_direction_behind_the_radar(errors: Errors) -> None:
+    """An image at 179 degrees, returns at -179, 170 and 0: 2 degrees across the cut of the angles, or 358."""
+    image_rad, returns_rad = math.radians(179.0), np.radians([-179.0, 170.0, 0.0])
+    exact = 0
+    chosen = nearest_in_angle(xy_from_polar(np.array([9.0]), image_rad), xy_from_polar(np.array(5.0), returns_rad))[0]
+    naive = int(np.abs(returns_rad - image_rad).argmin())
+    apart_rad = np.radians([2.0, 9.0, 179.0])
+    errors(naive=apart_rad[naive] - apart_rad[exact], ours=apart_rad[chosen] - apart_rad[exact])
+
+
+def face_of(points_m: np.ndarray, variance_m2: float = 1e-6) -> Recovered:
+    """Folded places of one face, alike in all but where they stand."""
+    count = len(points_m)
+    return Recovered(
+        points_m=points_m, images_m=points_m + np.array([30.0, 0.0]),
+        image_covariance_m2=np.tile(variance_m2 * np.eye(2), (count, 1, 1)),
+        wall_covariance_m2=np.zeros((count, 2, 2)), wall=np.zeros(count, int), second=np.full(count, NO_WALL),
+        score=np.full(count, 0.9), snr_db=np.full(count, 30.0), stamp_ns=1_700_000_000_123_456_789 + np.arange(count),
+    )  # fmt: skip
+
+
+@pytest.mark.hard(
+    where="models.perception.objects",
+    naive="mean of the directions from point to point",
+    bound=1e-12,
+    unit="rad",
+    source="symmetry; rounding of 15 m over 4 m of face",
+)
+def test_yaw_of_a_face_across_the_view(errors: Errors) -> None:
+    """Points a centimetre to either side of x = 15: directions near +90 and -90 degrees, the same, mean 0."""
+    points_m = np.stack([15.0 + 0.01 * np.cos(np.pi * np.arange(9)), np.linspace(9.0, 13.0, 9)], axis=1)
+    (box,) = form_objects(face_of(points_m), [], ObjectParams(open_view_min_points=1))
+    step = np.diff(points_m, axis=0)
+    naive_rad = float(np.arctan(step[:, 1] / step[:, 0]).mean())
+    quarter = 0.5 * math.pi
+    errors(naive=abs(abs(naive_rad) - quarter), ours=abs(abs(box.yaw_rad) - quarter))
+
+
+@pytest.mark.hard(
+    where="models.perception.objects",
+    naive="E[p p'] - E[p] E[p]'",
+    bound=0.0,
+    unit="boxes",
+    source="scatter is no less than nothing, errors are more",
+)
+def test_covariance_of_a_face_without_depth(errors: Errors) -> None:
+    """50 faces of exactly collinear points 100 m away: moments about the radar leave negative variances across them."""
+    rng = np.random.default_rng(4)
+    naive = ours = 0
+    for _ in range(50):
+        along = xy_from_polar(np.array(1.0), rng.uniform(-3.0, 3.0))
+        points_m = rng.uniform(60.0, 80.0, 2) + rng.uniform(-2.0, 2.0, 12)[:, None] * along
+        (box,) = form_objects(face_of(points_m), [], ObjectParams(open_view_min_points=1))
+        mean = points_m.mean(axis=0)
+        naive += not is_positive(points_m.T @ points_m / len(points_m) - np.outer(mean, mean))
+        ours += not is_positive(np.array(box.cov_m2))
+    errors(naive=naive, ours=ours)
+
+
+def is_positive(covariance: np.ndarray) -> bool:
+    """Whether a matrix has a Cholesky factor."""
+    try:
+        np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return False
+    return True
+
+
+@pytest.mark.hard(
+    where="models.perception.recovery",
+    naive="(J C) J' in float32",
+    bound=0.0,
+    unit="peaks",
+    source="J is invertible: J C J' is positive definite",
+)
+def test_covariance_of_far_peaks_with_fine_range(errors: Errors) -> None:
+    """100 peaks at 100 m, 1 mm by 4 degrees: 5e7 between the variances, more than float32 holds off the axes."""
+    rng = np.random.default_rng(5)
+    range_m, azimuth_rad = rng.uniform(90.0, 109.0, 100), rng.uniform(-1.0, 1.0, 100)
+    polar = np.tile(np.diag([0.001**2, math.radians(4.0) ** 2]), (100, 1, 1))
+    ours = cartesian_covariance(range_m, azimuth_rad, polar)
+    cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
+    turn = np.stack([np.stack([cos, -range_m * sin], -1), np.stack([sin, range_m * cos], -1)], -2).astype(np.float32)
+    naive = turn @ polar.astype(np.float32) @ turn.transpose(0, 2, 1)
+    errors(
+        naive=sum(not is_positive(one) for one in naive),
+        ours=sum(not is_positive(one) for one in ours),
+    )
+
+
+@pytest.mark.hard(
+    where="models.perception.objects",
+    naive="int64 sum over the number",
+    bound=1.0,
+    unit="ns",
+    source="rounded towards the first stamp",
+)
+def test_stamp_of_an_object(errors: Errors) -> None:
+    """Nine stamps of 1.7e18 ns add up to 1.5e19: int64 ends at 9.2e18."""
+    points_m = np.stack([np.full(9, 15.0), np.linspace(9.0, 13.0, 9)], axis=1)
+    face = face_of(points_m)
+    (box,) = form_objects(face, [], ObjectParams(open_view_min_points=1))
+    exact_ns = int(face.stamp_ns[0]) + 4
+    errors(naive=abs(int(face.stamp_ns.sum()) // 9 - exact_ns), ours=abs(box.stamp_ns - exact_ns))

@@ -1,4 +1,4 @@
-"""Hard numerical and statistical cases of the geometry stage.
+"""Hard numerical and statistical cases of peaks, clusters, walls, networks and scores.
 
 The scenes are synthetic: true walls and vehicles, sampled as a radar would see them (visible points, thinned to four
 cells), given polar errors of 0.1 m and 1.0 degree, missed with 15 %, 3 % put in the wrong class, and a fifth as many
@@ -8,20 +8,41 @@ clutter peaks of both classes added. They share no code with the simulator.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import lru_cache
+from hashlib import sha256
 
+import mpmath
 import msgspec
 import numpy as np
 import pytest
+import torch
+from scipy import ndimage
+from scipy.optimize import linear_sum_assignment
+from scipy.spatial import cKDTree
+from scipy.special import gamma
 
-from models.perception.cfar import ordered_statistic_alpha
+from models.networks.compact_unet import CompactUNet, CompactUNetConfig
+from models.networks.residual_reflect_net import ResidualReflectNet
+from models.perception.cfar import CfarParams, cell_averaging_mask, cfar_mask, detect, ordered_statistic_alpha
+from models.perception.clustering import dbscan
+from models.perception.confidence import FEATURES, PlaceConfidence
+from models.perception.encoding import Encoding, encode_columns
+from models.perception.evaluation import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
 from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.metrics import match_objects
-from models.perception.walls import fit_line
+from models.perception.metrics import chamfer, match_objects, match_points
+from models.perception.onnx_model import DensePredictor, ModelCard
+from models.perception.peaks import PeakParams, peaks_at
+from models.perception.walls import WallParams, find_walls, fit_line
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
+from models.training.export_onnx import Exported, export_onnx, write_card
+from models.training.quantize import quantize_int8
 from msgs.frames import polar_from_xy
 from msgs.perception import Peaks, SceneTruth, TruthObject
+from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from tests.stability.catalogue import Errors
 
 RADAR = np.zeros(2)
 RANGE_STD_M, AZIMUTH_STD_RAD = 0.1, math.radians(1.0)
@@ -234,29 +255,434 @@ def test_peaks_at_the_radar_itself():
     assert recover_bev(peaks, GeometryParams()).walls == ()
 
 
-def test_total_least_squares_of_a_wall_along_the_line_of_sight():
-    """Points (x, 0.5) for x = 5 .. 45 have y-on-x slope 0; turned by 90 degrees, x-on-y regression divides by zero and
-    slope-intercept form has no finite slope at all. The normal form is exact for both to 1e-12."""
-    line = np.stack([np.linspace(5.0, 45.0, 20), np.full(20, 0.5)], axis=1)
-    covariance = np.tile(0.01 * np.eye(2), (20, 1, 1))
-    for points in (line, line[:, ::-1] * [1.0, 1.0]):
-        normal, offset_m, _, _ = fit_line(points, covariance)
-        assert np.abs(points @ normal + offset_m).max() < 1e-12
-        assert offset_m == pytest.approx(0.5, abs=1e-12)
+def off_true_m(points_m: np.ndarray, normal: np.ndarray, offset_m: float) -> float:
+    """Largest distance of points [N, 2] from a line [m]; infinite where the line is none."""
+    off_m = np.abs(points_m @ normal + offset_m)
+    return float(off_m.max()) if np.isfinite(off_m).all() else math.inf
 
 
-def test_wall_far_from_the_origin_keeps_its_direction():
-    """1 m long at 1 km: raw second moments (x^2 ~ 1e6) lose 1e-10 of a variance of 0.08, and with float32 all of it;
-    centred ones keep 1e-12 rad."""
+def slope_line(points_m: np.ndarray) -> tuple[np.ndarray, float]:
+    """The line y = a x + b of least squares as normal and offset [m]."""
+    x, y = points_m.T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        slope = np.sum((x - x.mean()) * (y - y.mean())) / np.sum((x - x.mean()) ** 2)
+    normal = np.array([-slope, 1.0]) / np.hypot(slope, 1.0)
+    return normal, float(-normal @ points_m.mean(axis=0))
+
+
+@pytest.mark.hard(
+    where="models.perception.lines",
+    naive="regression of y on x",
+    bound=1e-12,
+    unit="m",
+    source="rounding of 45 m coordinates",
+)
+def test_vertical_wall(errors: Errors) -> None:
+    """Points (0.5, y) of a wall along the line of sight, turned: no slope fits, the normal form does."""
+    points_m = np.stack([np.full(20, 0.5), np.linspace(5.0, 45.0, 20)], axis=1)
+    normal, offset_m, _, _ = fit_line(points_m, np.tile(0.01 * np.eye(2), (20, 1, 1)))
+    assert offset_m == pytest.approx(0.5, abs=1e-12)
+    errors(naive=off_true_m(points_m, *slope_line(points_m)), ours=off_true_m(points_m, normal, offset_m))
+
+
+@pytest.mark.hard(
+    where="models.perception.lines",
+    naive="second moments about the origin in float32",
+    bound=1e-11,
+    unit="rad",
+    source="rounding of 1 km over 0.3 m of scatter",
+)
+def test_wall_far_from_the_origin(errors: Errors) -> None:
+    """1 m long at 1 km: raw moments of 1e6 m^2 hold a variance of 0.1 m^2; centred ones lose nothing."""
     along = np.array([math.cos(1.0), math.sin(1.0)])
-    points = np.array([800.0, 600.0]) + np.linspace(-0.5, 0.5, 11)[:, None] * along
-    normal, _, _, _ = fit_line(points, np.tile(1e-4 * np.eye(2), (11, 1, 1)))
-    assert abs(normal @ along) < 1e-11
-    moments = (points.astype(np.float32).T @ points.astype(np.float32)) / np.float32(11) - np.outer(
-        points.mean(axis=0), points.mean(axis=0)
-    )
+    points_m = np.array([800.0, 600.0]) + np.linspace(-0.5, 0.5, 11)[:, None] * along
+    normal, _, _, _ = fit_line(points_m, np.tile(1e-4 * np.eye(2), (11, 1, 1)))
+    single = points_m.astype(np.float32)
+    moments = single.T @ single / np.float32(11) - np.outer(single.mean(axis=0), single.mean(axis=0))
     naive = np.linalg.eigh(moments.astype(np.float64))[1][:, 0]
-    assert abs(naive @ along) > 1e-3
+    errors(naive=abs(naive @ along), ours=abs(normal @ along))
+
+
+@pytest.mark.hard(
+    where="models.perception.lines",
+    naive="running sums in float32",
+    bound=1e-10,
+    unit="m",
+    source="1e5 sums rounded at 2e-16 of 45 m",
+)
+def test_wall_of_1e5_points(errors: Errors) -> None:
+    """The centre of 1e5 points 45 m away is their sum over their number: at 4e6 float32 adds in steps of 0.25 m."""
+    points_m = np.array([20.0, 40.0]) + np.linspace(-5.0, 5.0, 100_000)[:, None] * [0.6, 0.8]
+    normal, offset_m, _, _ = fit_line(points_m, np.broadcast_to(0.01 * np.eye(2), (100_000, 2, 2)))
+    centre = np.cumsum(points_m.astype(np.float32), axis=0)[-1] / np.float32(100_000)
+    exact = np.array([0.8, -0.6])
+    naive_m = abs(float(exact @ (centre.astype(np.float64) - [20.0, 40.0])))
+    errors(naive=naive_m, ours=off_true_m(points_m, normal, offset_m))
+
+
+@pytest.mark.hard(
+    where="models.perception.lines",
+    naive="residual variance over n - 2",
+    bound=1e-15,
+    unit="m",
+    source="closed form sigma / sqrt(2), rounding",
+)
+def test_two_points_know_how_well_they_know_their_line(errors: Errors) -> None:
+    """Two points leave no residual and no freedom, 0 / 0; their own errors say how far off the line may be."""
+    points_m, sigma_m = np.array([[10.0, -2.0], [10.0, 2.0]]), 0.1
+    _, _, _, offset_std_m = fit_line(points_m, np.tile(sigma_m**2 * np.eye(2), (2, 1, 1)))
+    residual_m = points_m @ [-1.0, 0.0] + 10.0
+    with np.errstate(invalid="ignore"):
+        naive_m = np.sqrt(np.sum(residual_m**2) / np.float64(len(points_m) - 2) / len(points_m))
+    exact_m = sigma_m / math.sqrt(2.0)
+    errors(naive=float(np.nan_to_num(abs(naive_m - exact_m), nan=np.inf)), ours=abs(offset_std_m - exact_m))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2])
+def test_few_points_are_no_wall(count: int) -> None:
+    points_m = np.array([[10.0, -2.0], [10.0, 2.0]])[:count]
+    found, wall = find_walls(points_m, np.tile(0.01 * np.eye(2), (count, 1, 1)), np.zeros(count, int), WallParams())
+    assert found == []
+    assert wall.tolist() == [-1] * count
+    assert dbscan(points_m, 5.0, 2).tolist() == ([0, 0] if count == 2 else [-1] * count)
+
+
+@pytest.mark.hard(
+    where="models.perception.walls",
+    naive="least squares through all points",
+    bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 20.0),
+    unit="m",
+    source="3 sigma of 20 points at an end of their line, sigma 0.09 m",
+)
+def test_wall_among_80_percent_outliers(errors: Errors) -> None:
+    """20 returns of a wall among 80 scattered over 35 x 40 m: the fit must find who belongs to it."""
+    rng = np.random.default_rng(5)
+    wall_m = np.stack([20.0 + 0.05 * rng.standard_normal(20), np.linspace(-9.0, 9.0, 20)], axis=1)
+    points_m = np.concatenate([wall_m, rng.uniform([5.0, -20.0], [40.0, 20.0], (80, 2))])
+    covariance_m2 = np.tile(0.05**2 * np.eye(2), (100, 1, 1))
+    found = find_walls(points_m, covariance_m2, np.zeros(100, int), WallParams(curved=False, open_gap_m=0.0))[0][0]
+    ends_m = np.array([[20.0, -9.0], [20.0, 9.0]])
+    naive = np.linalg.svd(points_m - points_m.mean(axis=0))[2][1]
+    errors(
+        naive=off_true_m(ends_m, naive, float(-naive @ points_m.mean(axis=0))),
+        ours=off_true_m(ends_m, np.array(found.normal), found.offset_m),
+    )
+
+
+@pytest.mark.hard(
+    where="models.perception.walls",
+    naive="one principal axis a cluster",
+    bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 15.0),
+    unit="m",
+    source="3 sigma of 15 points at an end of their line, sigma 0.09 m",
+)
+def test_parallel_walls_in_one_cluster(errors: Errors) -> None:
+    """The two sides of a lane 3 m wide are one cluster: one line through it runs down the middle."""
+    rng = np.random.default_rng(6)
+    along_m = np.linspace(6.0, 24.0, 15)
+    sides = [np.stack([along_m, side + 0.05 * rng.standard_normal(15)], axis=1) for side in (-1.5, 1.5)]
+    points_m = np.concatenate(sides)
+    assert dbscan(points_m, 4.0, 2).tolist() == [0] * 30
+    found, _ = find_walls(points_m, np.tile(0.05**2 * np.eye(2), (30, 1, 1)), np.zeros(30, int), WallParams())
+    assert len(found) == 2
+    ends_m = [np.array([[6.0, side], [24.0, side]]) for side in (-1.5, 1.5)]
+    naive = np.linalg.svd(points_m - points_m.mean(axis=0))[2][1]
+    errors(
+        naive=off_true_m(ends_m[0], naive, float(-naive @ points_m.mean(axis=0))),
+        ours=max(min(off_true_m(side, np.array(one.normal), one.offset_m) for one in found) for side in ends_m),
+    )
+
+
+def flooded(points_m: np.ndarray, eps_m: float) -> np.ndarray:
+    """Labels of points [N, 2] by region growing as it is first written: each point asks its neighbours in turn."""
+    tree, labels = cKDTree(points_m), np.full(len(points_m), -1)
+
+    def grow(index: int, label: int) -> None:
+        labels[index] = label
+        for other in tree.query_ball_point(points_m[index], eps_m):
+            if labels[other] < 0:
+                grow(other, label)
+
+    for index in range(len(points_m)):
+        if labels[index] < 0:
+            grow(index, int(labels.max()) + 1)
+    return labels
+
+
+@pytest.mark.hard(
+    where="models.perception.clustering",
+    naive="regions grown by recursion",
+    bound=0.0,
+    unit="points",
+    source="one chain is one cluster",
+)
+def test_chain_of_1e5_points(errors: Errors) -> None:
+    """1e5 points a metre apart in any order: every one is reached through all before it."""
+    chain_m = np.random.default_rng(0).permutation(np.stack([np.arange(1e5), np.zeros(100_000)], axis=1))
+    try:
+        naive = float(np.count_nonzero(flooded(chain_m, 1.5)))
+    except RecursionError:
+        naive = math.inf
+    errors(naive=naive, ours=float(np.count_nonzero(dbscan(chain_m, 1.5, 2))))
+
+
+def test_20_000_points_in_one_place_are_one_cluster() -> None:
+    """2e8 pairs: 3 GB if they were kept."""
+    assert not dbscan(np.full((20_000, 2), 17.0), 4.0, 2).any()
+
+
+def first_bin_map(gain: float = 1.0, bin_at: int = 0, vertex: float = 0.0) -> RangeAzimuthMap:
+    """A map whose level is a parabola of -6 dB a bin^2 about one range, over faint noise, strong at the far edge."""
+    grid = RangeAzimuthGrid()
+    level_db = -6.0 * (np.arange(grid.range_bins) - bin_at - vertex) ** 2
+    amplitude = 10.0 ** (np.maximum(level_db, -60.0) / 20.0)
+    amplitude[-1 - bin_at] = 0.9
+    values = np.zeros(grid.shape, np.complex64)
+    values[:, 100] = gain * amplitude
+    return RangeAzimuthMap(
+        stamp_ns=0, scan_id=0, grid=grid, values=values, azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
+        noise_power_mw=1e-9 * gain**2, incoherent=np.zeros(grid.range_bins, bool),
+    )  # fmt: skip
+
+
+def refined_bin(ra_map: RangeAzimuthMap, row: int) -> float:
+    """Range bin of the one peak that a heat map points at in a cell."""
+    cells = np.array([[row, 100]])
+    peaks = peaks_at(ra_map, cells, cells.astype(float), np.ones(1), np.zeros(1, np.uint8), PeakParams())
+    return float(peaks.range_m[0] / ra_map.grid.range_bin_m)
+
+
+def parabola_bin(power: np.ndarray, row: int) -> float:
+    """Vertex of the parabola through three levels as it is first written."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        before, here, after = (np.log(power[(row + step) % len(power)]) for step in (-1, 0, 1))
+        return float(row + 0.5 * (before - after) / (before - 2.0 * here + after))
+
+
+@pytest.mark.parametrize("edge", ["first", "last"])
+@pytest.mark.hard(
+    where="models.perception.peaks",
+    naive="parabola over neighbours modulo the map",
+    bound=1e-6,
+    unit="bins",
+    source="float32 rounding of the map",
+)
+def test_peak_on_the_edge_of_the_map(errors: Errors, edge: str) -> None:
+    """A peak in the first or last range bin has one neighbour: index -1 is the other end of the map."""
+    row = 0 if edge == "first" else RangeAzimuthGrid().range_bins - 1
+    ra_map = first_bin_map(bin_at=row)
+    power = np.abs(ra_map.values[:, 100]).astype(np.float64) ** 2
+    errors(naive=abs(parabola_bin(power, row) - row), ours=abs(refined_bin(ra_map, row) - row))
+
+
+@pytest.mark.hard(
+    where="models.perception.peaks",
+    naive="square of a complex64 magnitude",
+    bound=1e-6,
+    unit="bins",
+    source="float32 rounding of the map",
+)
+def test_peak_of_an_enormous_map(errors: Errors) -> None:
+    """At 1e25 sqrt(mW) the power leaves float32 and inf - inf is no vertex; the square is taken in float64."""
+    ra_map = first_bin_map(gain=1e25, bin_at=200, vertex=0.3)
+    naive = abs(parabola_bin(naive_power(ra_map.values[:, 100]), 200) - 200.3)
+    errors(naive=naive if math.isfinite(naive) else math.inf, ours=abs(refined_bin(ra_map, 200) - 200.3))
+
+
+def naive_power(values: np.ndarray) -> np.ndarray:
+    """|z|^2 in the precision the map came in."""
+    with np.errstate(over="ignore"):
+        return np.square(np.abs(values))
+
+
+@pytest.mark.hard(
+    where="models.perception.cfar",
+    naive="square of a complex64 magnitude",
+    bound=0.0,
+    unit="peaks",
+    source="a gain common to signal and noise changes nothing",
+)
+def test_detections_of_an_enormous_map(errors: Errors) -> None:
+    """Noise, an echo and all of it times 2^80: powers beyond float32 are all alike, and no maximum is left."""
+    rng = np.random.default_rng(0)
+    noise = (rng.standard_normal((*RangeAzimuthGrid().shape, 2)) @ np.array([1.0, 1.0j])).astype(np.complex64)
+    noise[200:203, 95:106] = 100.0
+    plain, gain = msgspec.structs.replace(first_bin_map(), values=noise, noise_power_mw=2.0), np.float32(2.0**80)
+    large = msgspec.structs.replace(plain, values=noise * gain, noise_power_mw=2.0 * 4.0**80)
+    reference = detect(plain, CfarParams())
+    found = detect(large, CfarParams())
+    assert len(reference) > 0
+    naive = cfar_mask(naive_power(large.values).astype(np.float64), CfarParams())
+    same = np.array_equal(found.range_m, reference.range_m) and np.array_equal(found.score, reference.score)
+    errors(naive=len(reference) - min(np.count_nonzero(naive), len(reference)), ours=0.0 if same else math.inf)
+
+
+@pytest.mark.hard(
+    where="models.perception.cfar",
+    naive="integral image in float32",
+    bound=0.0,
+    unit="cells",
+    source="direct sums decide the same",
+)
+def test_cell_averaging_beside_a_strong_echo(errors: Errors) -> None:
+    """An echo 130 dB over the noise: all windows behind it are differences of sums that hold it."""
+    power = np.random.default_rng(0).exponential(1e-14, (160, 128))
+    power[20, 30] = 0.1
+    params = CfarParams(kind="ca", training=(10, 12), guard=(2, 4), false_alarm_rate=1e-2)
+
+    def window(half: tuple[int, int], values: np.ndarray) -> np.ndarray:
+        return ndimage.convolve(values, np.ones([2 * h + 1 for h in half]), mode="constant")
+
+    def mask(total: np.ndarray) -> np.ndarray:
+        count = window(params.training, np.ones(power.shape)) - window(params.guard, np.ones(power.shape))
+        return power > (params.false_alarm_rate ** (-1.0 / count) - 1.0) * total
+
+    def integral(half: tuple[int, int]) -> np.ndarray:
+        table = np.zeros([length + 1 for length in power.shape], np.float32)
+        table[1:, 1:] = power.astype(np.float32).cumsum(axis=0, dtype=np.float32).cumsum(axis=1, dtype=np.float32)
+        ends = [(np.maximum(np.arange(n) - h, 0), np.minimum(np.arange(n) + h + 1, n))
+                for n, h in zip(power.shape, half, strict=True)]  # fmt: skip
+        (r0, r1), (a0, a1) = ends
+        return table[np.ix_(r1, a1)] - table[np.ix_(r0, a1)] - table[np.ix_(r1, a0)] + table[np.ix_(r0, a0)]
+
+    ring = np.ones([2 * h + 1 for h in params.training])
+    ring[tuple(slice(t - g, t + g + 1) for t, g in zip(params.training, params.guard, strict=True))] = 0.0
+    exact = mask(ndimage.convolve(power, ring, mode="constant"))
+    naive = mask(integral(params.training).astype(np.float64) - integral(params.guard))
+    errors(naive=np.count_nonzero(naive != exact), ours=np.count_nonzero(cell_averaging_mask(power, params) != exact))
+
+
+@pytest.mark.hard(
+    where="models.perception.cfar",
+    naive="n! (n - k + a)! / ((n - k)! (n + a)!)",
+    bound=1e-11,
+    unit="",
+    source="root to 2e-12, times its slope of 0.4 a unit",
+)
+def test_ordered_statistic_rate_without_factorials(errors: Errors) -> None:
+    """The rate of the 38th of 128 cells: 128! (90 + a)! leaves float64; the sum of log1p(a / i) does not."""
+    count, rank, rate = 128, 38, 1e-4
+    alpha = ordered_statistic_alpha(count, rank, rate)
+    with np.errstate(over="ignore", invalid="ignore"):
+        naive = gamma(count + 1.0) * gamma(count - rank + alpha + 1.0)
+        naive /= gamma(count - rank + 1.0) * gamma(count + alpha + 1.0)
+    with mpmath.workdps(40):
+        exact = mpmath.mpf(1)
+        for left in range(count - rank + 1, count + 1):
+            exact *= mpmath.mpf(left) / (left + mpmath.mpf(alpha))
+    errors(naive=float(np.nan_to_num(abs(naive / rate - 1.0), nan=np.inf)), ours=abs(float(exact) / rate - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.metrics",
+    naive="assign first, drop what is too far",
+    bound=0.0,
+    unit="pairs",
+    source="both pairs lie within the gate",
+)
+def test_gate_belongs_into_the_assignment(errors: Errors) -> None:
+    """The cheapest assignment pairs the nearest two and leaves two 2.5 m apart; both fit the gate of 2 m otherwise."""
+    truth_m, predicted_m = np.array([[0.0, 0.0], [0.1, 1.95]]), np.array([[0.1, 0.0], [1.9, 0.0]])
+    distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
+    rows, columns = linear_sum_assignment(distance_m)
+    naive = np.count_nonzero(distance_m[rows, columns] <= 2.0)
+    errors(naive=abs(naive - 2), ours=abs(len(match_points(predicted_m, truth_m, 2.0)) - 2))
+
+
+@pytest.mark.hard(
+    where="models.perception.metrics",
+    naive="infinite cost beyond the gate",
+    bound=0.0,
+    unit="pairs",
+    source="one pair lies within the gate",
+)
+def test_a_prediction_out_of_everyones_reach(errors: Errors) -> None:
+    """One of two predictions has no truth within the gate: with infinite costs no assignment is feasible."""
+    truth_m, predicted_m = np.array([[0.0, 0.0], [9.0, 0.0]]), np.array([[0.5, 0.0], [-50.0, 0.0]])
+    distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
+    try:
+        naive = abs(len(linear_sum_assignment(np.where(distance_m <= 2.0, distance_m, np.inf))[0]) - 1.0)
+    except ValueError:
+        naive = math.inf
+    errors(naive=naive, ours=abs(len(match_points(predicted_m, truth_m, 2.0)) - 1))
+
+
+@pytest.mark.hard(
+    where="models.perception.evaluation",
+    naive="mean of the least distances",
+    bound=0.0,
+    unit="m",
+    source="definition: the cap each way",
+)
+def test_chamfer_of_an_empty_set(errors: Errors) -> None:
+    """No prediction for five true points: the least of no distances; a miss is charged the cap both ways."""
+    truth_m, nothing_m = np.zeros((5, 2)), np.zeros((0, 2))
+    assert match_points(nothing_m, truth_m, 2.0).shape == (0, 2)
+    try:
+        naive = abs(float(np.linalg.norm(truth_m[:, None] - nothing_m, axis=-1).min(axis=1).mean()) - 2.0 * CAP_M)
+    except ValueError:
+        naive = math.inf
+    errors(naive=naive, ours=abs(capped_chamfer(nothing_m, truth_m).metres - 2.0 * CAP_M))
+
+
+@pytest.mark.hard(
+    where="models.perception.metrics",
+    naive="a.a - 2 a.b + b.b in float32",
+    bound=1e-13,
+    unit="m",
+    source="rounding of 100 m coordinates",
+)
+def test_chamfer_of_close_points_far_away(errors: Errors) -> None:
+    """Predictions 1 mm off at 100 m: squares of 1e4 m^2 leave nothing of 1e-6 m^2."""
+    truth_m = np.stack([np.linspace(60.0, 80.0, 21), np.linspace(80.0, 60.0, 21)], axis=1)
+    predicted_m = truth_m + np.array([1e-3, 0.0])
+    exact_m = 2.0 * float(np.mean(predicted_m[:, 0] - truth_m[:, 0]))
+    a, b = truth_m.astype(np.float32), predicted_m.astype(np.float32)
+    squares = np.sum(a**2, axis=1)[:, None] - 2.0 * a @ b.T + np.sum(b**2, axis=1)
+    distance_m = np.sqrt(np.maximum(squares, 0.0))
+    naive_m = float(distance_m.min(axis=0).mean() + distance_m.min(axis=1).mean())
+    errors(naive=abs(naive_m - exact_m), ours=abs(chamfer(predicted_m, truth_m).metres - exact_m))
+
+
+@pytest.mark.hard(
+    where="models.perception.evaluation",
+    naive="mean +- 1.96 s / sqrt(n)",
+    bound=0.0,
+    unit="m",
+    source="definition: all draws are the frame",
+)
+def test_interval_of_one_frame(errors: Errors) -> None:
+    """One frame has no spread, 0 / 0: its bootstrap interval is the frame itself."""
+    got = estimates(FrameScores(np.ones((1, 8, 3), int), np.ones((1, 4, 4))), bootstrap_weights(1, 10, 0))
+    one = got["recovered_chamfer_m"]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        values = np.array([one.value])
+        spread = np.sqrt(np.sum((values - values.mean()) ** 2) / np.float64(len(values) - 1))
+    naive = float(1.96 * spread)
+    errors(naive=naive if math.isfinite(naive) else math.inf, ours=max(one.high - one.value, one.value - one.low))
+
+
+@pytest.mark.hard(
+    where="models.perception.confidence",
+    naive="e^z / (1 + e^z)",
+    bound=1e-15,
+    unit="",
+    source="rounding of one quotient",
+)
+def test_probability_of_a_sure_place(errors: Errors) -> None:
+    """A legal model whose weights of 1e3 say z = 16e3: both exponentials are infinite."""
+    hidden, count = 16, len(FEATURES)
+    sure = PlaceConfidence(
+        features=FEATURES, means=(0.0,) * count, scales=(1.0,) * count, hidden_weights=((1e3,) * count,) * hidden,
+        hidden_biases=(0.0,) * hidden, weights=(1e3,) * hidden, bias=0.0, threshold=0.5,
+    )  # fmt: skip
+    ours = sure.probability(np.stack([np.ones(count), -np.ones(count)]))
+    with np.errstate(over="ignore", invalid="ignore"):
+        naive = np.exp([16e3, -16e3]) / (1.0 + np.exp([16e3, -16e3]))
+    errors(
+        naive=float(np.nan_to_num(np.abs(naive - [1.0, 0.0]), nan=np.inf).max()),
+        ours=float(np.abs(ours - [1.0, 0.0]).max()),
+    )
 
 
 @pytest.mark.parametrize(("count", "rank", "rate"), [(128, 38, 1e-4), (16, 16, 1e-2), (512, 1, 1e-6)])
@@ -265,3 +691,113 @@ def test_ordered_statistic_threshold_meets_its_rate(count, rank, rate):
     alpha = ordered_statistic_alpha(count, rank, rate)
     left = count - np.arange(rank)
     assert np.prod(left / (left + alpha)) == pytest.approx(rate, rel=1e-6)
+
+
+@pytest.fixture(scope="module")
+def networks(tmp_path_factory: pytest.TempPathFactory) -> dict[str, DensePredictor]:
+    """One small network in three precisions, with a head that tells cells apart."""
+    torch.set_num_threads(1)
+    torch.manual_seed(0)
+    encoding = Encoding(range_bins=32, columns=8)
+    config = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
+    network = CompactUNet(config).eval()
+    torch.nn.init.normal_(network.head.weight, std=0.3)
+    folder = tmp_path_factory.mktemp("networks")
+    paths = {name: folder / f"{name}.onnx" for name in ("fp32", "fp16", "int8")}
+    export_onnx(Exported(network), paths["fp32"])
+    export_onnx(Exported(network, half=True), paths["fp16"])
+    samples = [encode_columns(encoding, noise_columns(seed), np.float64(1.0)) for seed in range(4)]
+    quantize_int8(paths["fp32"], paths["int8"], np.stack(samples))
+    for path in paths.values():
+        card = ModelCard(
+            name=path.stem, sha256=sha256(path.read_bytes()).hexdigest(), parameters=1, encoding=encoding,
+            grid=RangeAzimuthGrid(range_bins=48, azimuth_bins=64), input_shape=(1, 5, 32, 8),
+            output_shape=(1, 2, 32, 64), threshold=0.3, scores=(), data={}, training={},
+        )  # fmt: skip
+        write_card(card, path)
+    return {name: DensePredictor(path) for name, path in paths.items()}
+
+
+def noise_columns(seed: int) -> np.ndarray:
+    """Sampled map [32, 8] of noise with echoes up to 60 dB over it."""
+    rng = np.random.default_rng(seed)
+    strength = 10.0 ** rng.uniform(0.0, 3.0, (32, 8))
+    return (strength * (rng.standard_normal((32, 8)) + 1j * rng.standard_normal((32, 8)))).astype(np.complex64)
+
+
+def naive_encoding(encoding: Encoding, columns: np.ndarray, noise_power_mw: float) -> np.ndarray:
+    """The input of a map with its level as it is first written: 10 log10(|z|^2 / noise) in the map's float32."""
+    encoded = encode_columns(encoding, columns, np.float64(noise_power_mw))
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        level_db = 10.0 * np.log10(np.square(np.abs(columns)) / np.float32(noise_power_mw))
+        encoded[0] = (level_db - encoding.level_min_db) / (encoding.level_max_db - encoding.level_min_db)
+        encoded[0] = np.clip(encoded[0], 0.0, 1.0)
+        encoded[2] = encoded[0] - encoded[0].max(axis=-1, keepdims=True)
+    return encoded
+
+
+#: Steps of the arithmetic in a confidence.
+STEP = {"fp32": 2.0**-17, "fp16": 2.0**-8, "int8": 2.0**-6}
+
+
+@pytest.mark.parametrize(
+    "precision",
+    [
+        pytest.param(
+            name,
+            marks=pytest.mark.hard(
+                where="models.perception.encoding",
+                naive="10 log10(abs(z)^2 / noise) in float32",
+                bound=step,
+                unit="",
+                source="a gain changes nothing, an empty map is level 0; 64 roundings of the network's arithmetic",
+            ),
+        )
+        for name, step in STEP.items()
+    ],
+)
+def test_network_on_zero_constant_and_enormous_maps(
+    errors: Errors, networks: dict[str, DensePredictor], precision: str
+) -> None:
+    """Confidence of a map times 2^100 against that of the map itself, and of an empty one: inf / inf and 0 / 0."""
+    network, gain = networks[precision], np.float32(2.0**100)
+    encoding = network.card.encoding
+    empty = np.zeros((32, 8), np.complex64)
+    silent = encode_columns(encoding, empty, np.float64(1.0))
+    assert not silent[:3].any()
+    pairs = [(columns * gain, 4.0**100, encode_columns(encoding, columns, np.float64(1.0)))
+             for columns in (noise_columns(9), np.ones((32, 8), np.complex64))]  # fmt: skip
+    pairs.append((empty, 0.0, silent))
+
+    def change(encode: Callable[[Encoding, np.ndarray, float], np.ndarray]) -> float:
+        apart = [np.abs(network.infer(encode(encoding, columns, noise_mw)) - network.infer(reference)).max()
+                 for columns, noise_mw, reference in pairs]  # fmt: skip
+        return float(np.nan_to_num(apart, nan=np.inf).max())
+
+    ours = change(lambda encoding, columns, noise_mw: encode_columns(encoding, columns, np.float64(noise_mw)))
+    with np.errstate(over="ignore"):
+        errors(naive=change(naive_encoding), ours=ours)
+
+
+@pytest.mark.hard(
+    where="models.networks.residual_reflect_net",
+    naive="exp(s) / sum(exp(s))",
+    bound=1e-5,
+    unit="",
+    source="float32 rounding through three layers, relative to the answer",
+)
+def test_attention_with_points_far_away(errors: Errors) -> None:
+    """A patch 10 km off makes scores of 1e5, whose exponentials are infinite; held against the same in float64."""
+    torch.manual_seed(0)
+    network = ResidualReflectNet().eval()
+    image, state = torch.tensor([[6e3, 8e3]]), torch.tensor([[6e3, 8e3, -1.0, 0.0, 1e4, 0.0]])
+    patch = torch.tensor([6e3, -8e3]) + 1e3 * torch.randn(1, 16, 2, generator=torch.Generator().manual_seed(1))
+    with torch.no_grad():
+        exact = deepcopy(network).double()(image.double(), patch.double(), state.double())
+        points, query = network.patch_encoder(patch - image[:, None]), network.query_encoder(image)
+        weight = torch.exp(points @ query[:, :, None])
+        weight = weight / weight.sum(dim=1, keepdim=True)
+        feature = torch.cat(((weight * points).sum(dim=1), network.state_encoder(state)), dim=1)
+        naive, ours = ((answer.double() - exact).norm() / exact.norm()
+                       for answer in (network.decoder(feature), network(image, patch, state)))  # fmt: skip
+    errors(naive=naive.item() if torch.isfinite(naive) else math.inf, ours=ours.item())

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import mpmath
 import msgspec
 import numpy as np
 import pytest
 
 from models.perception.coarray import AzimuthInterpolator
 from models.perception.detectors import NetworkDetector
-from models.perception.refinement import EchoRefiner, RefinementParams
+from models.perception.refinement import EchoRefiner, RefinementParams, _sinc_slope
 from msgs.radar import BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from tests.stability.catalogue import Errors
 
 SETUP = RadarSetup()
 GRID = RangeAzimuthGrid()
@@ -61,10 +63,42 @@ def test_no_noise_stated() -> None:
     check(beam_noise(), corners(), noise_mw=0.0)
 
 
-def test_echoes_in_one_place_share_it() -> None:
-    """Twenty starts on the same cell and twenty a hair apart."""
-    start = np.concatenate([np.full((20, 2), 100.0), 100.0 + 1e-9 * np.arange(40).reshape(20, 2)])
+@pytest.mark.hard(
+    where="models.perception.refinement",
+    naive="inverse of the Fisher information alone",
+    bound=0.0,
+    unit="echoes",
+    source="information plus a prior is positive definite",
+)
+def test_covariance_of_echoes_in_one_place(errors: Errors) -> None:
+    """Twenty starts on the same cell and twenty a hair apart: what tells them apart vanishes, its inverse does not."""
+    apart = np.concatenate([np.zeros(20), 1e-9 * np.arange(40)])
+    start = 100.0 + np.stack([apart, apart], axis=1)
+    found = REFINER.refine(ra_map(beam_noise()), start)
     check(beam_noise(), start)
+    # all places of a column of echoes by range alone: tone and slope of each
+    tone, slope = REFINER.range_response(2.0 + apart[20:24])
+    tangents = np.concatenate([tone, slope])
+    information = np.real(tangents.conj() @ tangents.T)
+    naive = sum(np.linalg.eigvalsh(information) <= 0.0)
+    ours = sum((np.linalg.eigvalsh(found.covariance[found.refined]) <= 0.0).any(axis=1))
+    errors(naive=naive, ours=ours)
+
+
+@pytest.mark.hard(
+    where="models.perception.refinement",
+    naive="(cos(pi x) - sinc(x)) / x",
+    bound=1e-11,
+    unit="1/bin",
+    source="next term of the series, pi^4 x^3 / 30, and rounding over 1e-4, at the change between the two",
+)
+def test_slope_of_a_tone_on_its_bin(errors: Errors) -> None:
+    """Echoes 1e-9 to 1e-4 bins off a bin: the slope of sin(x) / x is a difference of two ones over nearly nothing."""
+    offset = np.concatenate([10.0 ** np.arange(-12.0, -3.0), [0.99e-4, 1.01e-4]])
+    with mpmath.workdps(50):
+        exact = np.array([float(mpmath.diff(lambda x: mpmath.sincpi(x), mpmath.mpf(float(x)))) for x in offset])
+    naive = (np.cos(np.pi * offset) - np.sinc(offset)) / offset
+    errors(naive=np.abs(naive - exact).max(), ours=np.abs(_sinc_slope(offset) - exact).max())
 
 
 def test_two_hundred_echoes_on_a_wall() -> None:

@@ -7,16 +7,24 @@ from typing import Any
 import numpy as np
 import pytest
 
+from models.perception.cfar import CfarParams, cell_averaging_mask
+from models.perception.digital_array import DigitalArrayParams, range_doppler
+from models.perception.encoding import Encoding, encode_columns
+from models.perception.folding import SATURATION_CODE, fold_chirps, group_edges
+from models.perception.peaks import PeakParams, peaks_at
 from models.perception.ra_forming import FormingParams, RaFormer
-from models.physics.waveform import beat_samples, range_profile
+from models.physics.waveform import beat_samples, range_profile, window_noise_gain
+from msgs.perception import PathClass, Peaks
 from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.vehicle import VehicleState
 from sim_player.fmcw import noise_bank
 from sim_player.front_end import FrontEnd, Spur
 from sim_player.literal import literal_echoes
 from sim_player.paths import Paths
+from sim_player.receiver import convert, flicker_ratio, spur_profile
 from sim_player.signal_effects import ALL, SignalEffects
 from sim_player.signal_levels import beam_beats, beat_terms, kernel_profiles, record_beam
+from tests.stability.catalogue import Errors
 
 
 def _setup(chirps: int = 4, samples: int = 2048, beams: int = 25) -> RadarSetup:
@@ -71,11 +79,16 @@ def test_rails(code: int) -> None:
     assert np.abs(formed.values[2:]).max() <= 1e-6 * np.abs(formed.values[0]).max()
 
 
-def test_huge_offset_beside_a_weak_echo() -> None:
-    """30000 codes of offset, an echo of 3 codes, 80 dB below: window side lobes of bin 0 are gone by bin 100.
-
-    Without a window the offset on a bin vanishes too, but a spur half a bin off leaves 1 / (pi 100) of itself, 30 dB
-    over the echo.
+@pytest.mark.hard(
+    where="models.perception.ra_forming",
+    naive="no window",
+    bound=0.015,
+    unit="of the echo",
+    source="five sigma of noise, sqrt(1.5 / 2^15) / 3 each, and Hann's side lobe 100 bins out, 1e4 / (pi 1e6)",
+)
+def test_huge_offset_beside_a_weak_echo(errors: Errors) -> None:
+    """30000 codes half a bin off zero, an echo of 3 codes 100 bins further: 1 / (pi 100) of the one is 30 times the
+    other.
     """
     setup = _setup(chirps=16)
     radar = setup.radar
@@ -85,11 +98,333 @@ def test_huge_offset_beside_a_weak_echo() -> None:
     noise = rng.normal(size=(16, 2048, 2))
     beat = 30000.0 * spur + echo
     samples = np.rint(np.stack([beat.real, beat.imag], axis=-1) + noise).astype(np.int16)
-    profile = {
-        window: np.abs(_form(setup, samples, range_window=window).values[90:111, 128]) for window in ("hann", "none")
-    }
-    assert profile["hann"].argmax() == 10
-    assert profile["none"][5] > 10.0 * profile["hann"][10]
+    exact = 3.0 * np.sqrt(setup.milliwatt_per_code_squared)
+
+    def error(window: str) -> float:
+        return float(abs(abs(_fold(setup, samples, range_window=window)[0][100]) / exact - 1.0))
+
+    errors(naive=error("none"), ours=error("hann"))
+
+
+def _fold(setup: RadarSetup, samples: np.ndarray, **params: Any) -> tuple[np.ndarray, float]:
+    """Profile and noise power of the beam straight ahead."""
+    middle = len(setup.beams) // 2
+    beam = RadarBeam(
+        stamp_ns=0, scan_id=0, beam_index=middle, beam_count=len(setup.beams), azimuth_rad=0.0, samples=samples,
+        full_scale_dbm=setup.full_scale_dbm,
+    )  # fmt: skip
+    profile, noise_power_mw, _ = RaFormer(setup, FormingParams(**params)).folder.fold(beam)
+    return profile, noise_power_mw
+
+
+def _bin_noise_mw(setup: RadarSetup, codes_rms: float, averaged: int = 1) -> float:
+    """Noise of a Hann bin under so many codes rms a component, rounding included, `averaged` samples of each."""
+    per_sample = 2.0 * (codes_rms**2 + 1.0 / 12.0) * setup.milliwatt_per_code_squared
+    return per_sample * window_noise_gain("hann") / (averaged * setup.radar.samples_per_chirp)
+
+
+@pytest.mark.hard(
+    where="models.perception.ra_forming",
+    naive="mean square less squared mean, float32",
+    bound=0.1,
+    unit="",
+    source="four sigma of a median over 6600 bins: 1.44 / sqrt(n), 1.4 times for what a window shares between bins",
+)
+def test_noise_under_a_huge_offset(errors: Errors) -> None:
+    """30000 codes of offset and noise of 2: squares of 9e8 are known to 64 where 4 is looked for. Relative error."""
+    setup = _setup(chirps=1, samples=8192)
+    rng = np.random.default_rng(7)
+    codes = np.rint(30000.0 + 2.0 * rng.normal(size=(1, 8192, 2))).astype(np.int16)
+    exact = _bin_noise_mw(setup, 2.0)
+    plain = codes.astype(np.float32)
+    variance = float(np.mean(plain * plain) - np.mean(plain) ** 2)
+    naive = 2.0 * variance * setup.milliwatt_per_code_squared * window_noise_gain("hann") / 8192
+    errors(naive=abs(naive / exact - 1.0), ours=abs(_fold(setup, codes)[1] / exact - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.ra_forming",
+    naive="spread between chirps",
+    bound=0.41,
+    unit="",
+    source="no independence between chirps: at most 1 - ln 2 = 0.31 low; four sigma of a median over 6600 bins: 0.1",
+)
+@pytest.mark.parametrize("chirps", [1, 16], ids=["one chirp", "all chirps alike"])
+def test_welch_with_zero_variance(chirps: int, errors: Errors) -> None:
+    """Noise that repeats from chirp to chirp has no spread, one chirp alone not even that (0 / 0). Relative error."""
+    setup = _setup(chirps=chirps, samples=8192)
+    rng = np.random.default_rng(23)
+    codes = np.repeat(np.rint(100.0 * rng.normal(size=(1, 8192, 2))).astype(np.int16), chirps, axis=0)
+    exact = _bin_noise_mw(setup, 100.0)
+    spectra = np.fft.fft(codes[..., 0] + 1j * codes[..., 1], axis=1)[:, 1024:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        spread = np.sum(np.abs(spectra - spectra.mean(axis=0)) ** 2, axis=0) / np.float64(chirps - 1)
+    naive = np.median(spread) / np.log(2.0) * setup.milliwatt_per_code_squared * 1.5 / 8192**2
+    errors(naive=abs(naive / exact - 1.0), ours=abs(_fold(setup, codes, mode="welch")[1] / exact - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.ra_forming",
+    naive="median over ln 2",
+    bound=0.02,
+    unit="",
+    source="four sigma of a median over 6600 bins of 128 chirps: 1.25 / sqrt(128 n), 1.4 times for the window",
+)
+def test_welch_of_many_chirps(errors: Errors) -> None:
+    """The power of 128 chirps hardly varies: its median is its mean, not ln 2 of it. Relative error of the noise."""
+    setup = _setup(chirps=128, samples=8192)
+    codes = np.rint(100.0 * np.random.default_rng(29).standard_normal((128, 8192, 2), np.float32)).astype(np.int16)
+    exact = _bin_noise_mw(setup, 100.0)
+    spectra = np.fft.fft((codes[..., 0] + 1j * codes[..., 1])[:, :, None], axis=1)[:, 1024:, 0]
+    naive = np.median(np.mean(np.abs(spectra) ** 2, axis=0)) / np.log(2.0)
+    naive *= setup.milliwatt_per_code_squared * window_noise_gain("hann") / 8192**2
+    errors(naive=abs(naive / exact - 1.0), ours=abs(_fold(setup, codes, mode="welch")[1] / exact - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.folding",
+    naive="sum of int16",
+    bound=0.0,
+    unit="codes",
+    source="integers are exact",
+)
+@pytest.mark.parametrize("code", [32767, -32768])
+def test_sums_of_128_chirps_at_full_scale(code: int, errors: Errors) -> None:
+    """2^22 in 16 bits: what is left is -128 or 0."""
+    samples = np.full((128, 16, 2), code, np.int16)
+    sums, _ = fold_chirps(samples, 1)
+    naive = samples.sum(axis=0, dtype=np.int16).astype(np.int64)
+    errors(naive=np.abs(naive - 128 * code).max(), ours=np.abs(sums.astype(np.int64) - 128 * code).max())
+
+
+@pytest.mark.hard(
+    where="models.perception.folding",
+    naive="sum of int32",
+    bound=0.0,
+    unit="codes",
+    source="integers are exact; more than 65536 chirps a group are refused",
+)
+def test_sums_beyond_32_bits(errors: Errors) -> None:
+    """65537 chirps at -32768: one more than an int32 holds, and the sum turns positive. Two groups hold them."""
+    chirps = 65537
+    samples = np.full((chirps, 1, 2), -32768, np.int16)
+    with pytest.raises(ValueError, match="chirps per group must be at most 65536"):
+        group_edges(chirps, 1)
+    sums, _ = fold_chirps(samples, 2)
+    naive = samples.sum(axis=0, dtype=np.int32).astype(np.int64)
+    exact = -32768 * chirps
+    errors(naive=np.abs(naive - exact).max(), ours=np.abs(sums.sum(axis=0, dtype=np.int64) - exact).max())
+
+
+@pytest.mark.hard(
+    where="models.perception.folding",
+    naive="|code| >= 32767 in int16",
+    bound=0.0,
+    unit="of the samples",
+    source="counting is exact",
+)
+def test_saturation_at_the_lower_rail(errors: Errors) -> None:
+    """|-32768| is -32768 in 16 bits: the rail that most converters reach goes unnoticed. Share missed."""
+    samples = np.full((5, 16, 2), -32768, np.int16)
+    _, saturated = fold_chirps(samples, 1)
+    naive = (np.abs(samples) >= SATURATION_CODE).any(axis=-1).mean()
+    errors(naive=1.0 - naive, ours=1.0 - saturated / 80)
+
+
+@pytest.mark.hard(
+    where="sim_player.receiver",
+    naive="cast without a clip",
+    bound=0.5,
+    unit="codes",
+    source="rounding to the nearest code within the rails",
+)
+def test_converter_past_full_scale(errors: Errors) -> None:
+    """40000 codes wrap around to -25536: a strong echo changes sign."""
+    level = np.array([40000.0 - 40000.0j, 32767.4 + 1e9j, -5e8 + 0.3j])
+    both = np.stack([level.real, level.imag], axis=-1)
+    limited = np.clip(both, -32768.0, 32767.0)
+    naive = np.rint(both).astype(np.int64).astype(np.int16)
+    errors(naive=np.abs(naive - limited).max(), ours=np.abs(convert(level) - limited).max())
+
+
+@pytest.mark.hard(
+    where="models.perception.digital_array",
+    naive="transformed as it is",
+    bound=0.0,
+    unit="of the cells",
+    source="refused: no cell is given out",
+)
+@pytest.mark.parametrize("value", [np.nan, np.inf], ids=["NaN", "Inf"])
+def test_a_float_capture_that_is_not_finite(value: float, errors: Errors) -> None:
+    """One sample in 16384: its transform fills every cell of its channel, and beams add all channels. Share spoilt."""
+    samples = np.ones((16, 8, 128), np.complex64)
+    samples[3, 2, 40] = value
+    with np.errstate(invalid="ignore"):
+        beams = np.fft.fft2(samples, axes=(0, 2)).sum(axis=1)
+    with pytest.raises(ValueError, match="samples must be finite, got 1 that are not"):
+        range_doppler(samples, DigitalArrayParams())
+    errors(naive=1.0 - np.isfinite(beams).mean(), ours=0.0)
+
+
+@pytest.mark.hard(
+    where="models.perception.digital_array",
+    naive="mean of complex64",
+    bound=0.06,
+    unit="",
+    source="rounding of 1e6 in float32, half a unit",
+)
+def test_what_stands_still_at_a_million(errors: Errors) -> None:
+    """4096 chirps of 1e6 summed in float32: a still echo of 20 is left of what was to be taken off."""
+    samples = np.full((4096, 1, 16), 1e6 * (0.7 + 0.3j), np.complex64)
+    params = DigitalArrayParams(remove_static=True, window="none", channel_slot=(0,), channel_y_m=(0.0,))
+    errors(naive=np.abs(samples - samples.mean(axis=0)).max(), ours=np.abs(range_doppler(samples, params)).max())
+
+
+@pytest.mark.hard(
+    where="models.perception.cfar",
+    naive="integral image in float32",
+    bound=3e-7,
+    unit="",
+    source="four corners of 2^-53 of the map's sum each, over the window's",
+)
+def test_training_cells_beside_a_wall(errors: Errors) -> None:
+    """A wall 80 dB over noise of 1e-14 mW: its integral swallows the windows behind it. Relative error of their sum."""
+    power = np.random.default_rng(3).exponential(1e-14, (512, 256))
+    power[40:60] = 1e-6
+    cell, params = (300, 128), CfarParams(kind="ca")
+    (outer_r, outer_a), (inner_r, inner_a) = params.training, params.guard
+    outer, inner = (
+        power[cell[0] - r : cell[0] + r + 1, cell[1] - a : cell[1] + a + 1].astype(np.longdouble)
+        for r, a in ((outer_r, outer_a), (inner_r, inner_a))
+    )
+    exact = float(outer.sum() - inner.sum())
+    integral = np.zeros((513, 257), np.float32)
+    integral[1:, 1:] = power.astype(np.float32).cumsum(axis=0).cumsum(axis=1)
+    boxes = [
+        integral[cell[0] + r + 1, cell[1] + a + 1]
+        - integral[cell[0] - r, cell[1] + a + 1]
+        - integral[cell[0] + r + 1, cell[1] - a]
+        + integral[cell[0] - r, cell[1] - a]
+        for r, a in ((outer_r, outer_a), (inner_r, inner_a))
+    ]
+    count = outer.size - inner.size
+    alpha_over_n = params.false_alarm_rate ** (-1.0 / count) - 1.0
+
+    def detected(share: float) -> bool:
+        """Whether a cell at so much of the exact threshold is; guard cells do not count."""
+        power[cell] = share * alpha_over_n * exact
+        return bool(cell_averaging_mask(power, params)[cell])
+
+    low, high = 1.0 - 1e-5, 1.0 + 1e-5
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if detected(middle) else (middle, high)
+    errors(naive=abs(float(boxes[0] - boxes[1]) / exact - 1.0), ours=abs(high - 1.0))
+
+
+def _map(values: np.ndarray, noise_power_mw: float) -> RangeAzimuthMap:
+    grid = RangeAzimuthGrid()
+    return RangeAzimuthMap(
+        stamp_ns=0, scan_id=0, grid=grid, values=values.astype(np.complex64), noise_power_mw=noise_power_mw,
+        azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64), incoherent=np.zeros(grid.range_bins, bool),
+    )  # fmt: skip
+
+
+def _peak_at(ra_map: RangeAzimuthMap, cell: tuple[int, int]) -> Peaks:
+    cells = np.array([cell])
+    path_class = np.array([PathClass.LOS], np.uint8)
+    return peaks_at(ra_map, cells, cells.astype(np.float64), np.ones(1), path_class, PeakParams())
+
+
+@pytest.mark.hard(
+    where="models.perception.peaks",
+    naive="10 log10(power / noise)",
+    bound=1e-12,
+    unit="dB",
+    source="what is nothing stands at the floor of -30 dB, to rounding",
+)
+def test_level_of_nothing_over_nothing(errors: Errors) -> None:
+    """A peak of the network on an all-zero map without noise: logarithm of 0 / 0."""
+    silent = _map(np.zeros((512, 256)), 0.0)
+    peak = _peak_at(silent, (100, 100))
+    assert np.isfinite(peak.covariance).all()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        naive = 10.0 * np.log10(np.abs(silent.values[100, 100]) ** 2 / np.float64(silent.noise_power_mw))
+    errors(naive=abs(naive + 30.0), ours=abs(peak.snr_db[0] + 30.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.peaks",
+    naive="parabola through the logarithms",
+    bound=1e-12,
+    unit="bins",
+    source="symmetry: the peak lies on its bin, to rounding",
+)
+def test_peak_of_a_single_cell(errors: Errors) -> None:
+    """Nothing beside it: the logarithms of its neighbours are minus infinity, and so is their difference (NaN)."""
+    values = np.zeros((512, 256))
+    values[100, 100] = 1e-4
+    peak = _peak_at(_map(values, 0.0), (100, 100))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        before, here, after = np.log(values[99:102, 100] ** 2)
+        naive = 0.5 * (before - after) / (before - 2.0 * here + after)
+    errors(naive=abs(naive), ours=abs(peak.range_m[0] / RangeAzimuthGrid().range_bin_m - 100.0))
+
+
+@pytest.mark.hard(
+    where="models.perception.encoding",
+    naive="less the mean, over the spread",
+    bound=1e-6,
+    unit="",
+    source="float32; an empty map is 0, a flat one at the noise (0 + 5) / 90",
+)
+@pytest.mark.parametrize(("level", "expected"), [(0.0, 0.0), (1e-7, 5.0 / 90.0)], ids=["empty", "flat"])
+def test_maps_without_contrast(level: float, expected: float, errors: Errors) -> None:
+    """A map of one value has no spread: 0 / 0, or rounding over rounding. Level that the network sees."""
+    encoding = Encoding(channels=("level",))
+    columns = np.full((320, 32), level, np.complex64)
+    ours = encode_columns(encoding, columns, np.array(np.square(np.float64(columns.real[0, 0]))))
+    magnitude = np.abs(columns)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        naive = (magnitude - magnitude.mean()) / magnitude.std()
+    errors(naive=np.abs(naive - expected).max(), ours=np.abs(ours - expected).max())
+
+
+@pytest.mark.hard(
+    where="sim_player.receiver",
+    naive="corner over |f|",
+    bound=1e-15,
+    unit="",
+    source="flat below what a beam resolves: corner times its duration",
+)
+def test_flicker_at_zero_frequency(errors: Errors) -> None:
+    """1 / f at f = 0, the first bin of every transform. Relative error."""
+    radar = _setup().radar
+    exact = 1e3 * radar.beam_duration_s
+    with np.errstate(divide="ignore"):
+        naive = 1e3 / np.abs(np.zeros(1))
+    ours = flicker_ratio(radar, np.zeros(1), 1e3)
+    errors(naive=abs(naive[0] / exact - 1.0), ours=abs(ours[0] / exact - 1.0))
+
+
+@pytest.mark.hard(
+    where="sim_player.receiver",
+    naive="sin(pi f T_f) / (N sin(pi f T_c)), twice",
+    bound=1e-9,
+    unit="",
+    source="2^-53 of 7e5 turns over a beam's start, times 2 pi",
+)
+@pytest.mark.parametrize("frequency_bins", [0.0, 40.0], ids=["at zero", "on a bin"])
+def test_spur_that_repeats_with_the_chirps(frequency_bins: float, errors: Errors) -> None:
+    """A whole number of turns a chirp: the sums over samples and chirps are sin(n pi) / sin(n pi). Its level."""
+    radar = _setup(chirps=128).radar
+    spur = Spur(frequency_hz=frequency_bins / radar.chirp_period_s, power_dbm=0.0)
+    bins = range(int(frequency_bins), int(frequency_bins) + 1)
+    turns = np.float64(frequency_bins)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        chirps = np.sin(np.pi * turns * 128) / (128 * np.sin(np.pi * turns))
+        samples = np.sin(np.pi * (turns - bins[0])) / (2048 * np.sin(np.pi * (turns - bins[0]) / 2048))
+    errors(naive=abs(abs(chirps * samples) - 1.0), ours=abs(abs(spur_profile(radar, spur, 0.0, bins)[0]) - 1.0))
 
 
 @pytest.mark.parametrize("samples", [512, 576, 1080, 1400])

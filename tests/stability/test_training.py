@@ -1,23 +1,30 @@
-"""Hard numerical cases of the dense network: confident logits, empty and enormous maps."""
+"""Hard numerical cases of training: confident logits, maps without peaks, half precision, borders, enormous maps."""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 import pytest
 import torch
+from torch.nn import functional
 
 from models.perception.encoding import Encoding, encode_columns
+from models.training.anchor_targets import anchor_loss, anchor_targets
+from models.training.datasets import PointLabels
+from models.training.fit_confidence import FitConfig, _Loss
+from models.training.focal import binary_focal_loss
 from models.training.losses import heatmap_focal_loss
+from models.training.objectives import Heatmaps, ObjectiveConfig
+from models.training.targets import gaussian_heatmap
+from tests.stability.catalogue import Errors
 
 ENCODING = Encoding(range_bins=8, columns=8)
 
 
-@pytest.mark.parametrize("logit", [-1e4, -200.0, 200.0, 1e4])
+@pytest.mark.parametrize("logit", [-200.0, 200.0])
 def test_focal_loss_of_confident_logits(logit: float) -> None:
-    """Where the network is sure and wrong the loss is |logit| a cell, and its gradient at most 1 a cell.
-
-    Naive form: log of a float32 sigmoid is -inf from 104 on the negative side and from 17 on the positive one.
-    """
+    """Where the network is sure and wrong the loss is |logit| a cell, and its gradient at most 1 a cell."""
     logits = torch.full((1, 1, 2, 1), logit, requires_grad=True)
     heatmap = torch.tensor([1.0, 0.0]).reshape(1, 1, 2, 1)
     loss = heatmap_focal_loss(logits, heatmap)
@@ -25,14 +32,237 @@ def test_focal_loss_of_confident_logits(logit: float) -> None:
     assert loss.item() == pytest.approx(abs(logit), rel=1e-6)
     assert torch.isfinite(logits.grad).all()
     assert logits.grad.abs().max().item() == pytest.approx(1.0, abs=1e-6)
-    naive = torch.log(torch.sigmoid(logits.detach())) + torch.log(1.0 - torch.sigmoid(logits.detach()))
-    assert not torch.isfinite(naive).all()
 
 
-def test_focal_loss_without_a_peak_is_the_sum_of_the_negatives() -> None:
-    logits = torch.zeros(1, 1, 4, 4)
-    # (1 - 0)^4 * 0.5^2 * log 2 a cell
-    assert heatmap_focal_loss(logits, torch.zeros_like(logits)).item() == pytest.approx(16 * 0.25 * np.log(2), rel=1e-6)
+def number(value: float) -> float:
+    """The value, infinite where it is none."""
+    return value if math.isfinite(value) else math.inf
+
+
+@pytest.mark.parametrize("logit", [-1e4, 1e4])
+@pytest.mark.hard(
+    where="models.training.losses",
+    naive="log of the sigmoid",
+    bound=1e-6,
+    unit="",
+    source="rounding to float32, relative to the loss |z|",
+)
+def test_focal_loss_of_sure_and_wrong(errors: Errors, logit: float) -> None:
+    """A peak and a cell without one, both at z = +-1e4: the loss is 1e4, log sigmoid is -inf beyond 17 and -104."""
+    logits = torch.full((1, 1, 2, 1), logit)
+    heatmap = torch.tensor([1.0, 0.0]).reshape(1, 1, 2, 1)
+    c = torch.sigmoid(logits)
+    naive = -torch.where(heatmap == 1.0, (1.0 - c) ** 2 * torch.log(c), c**2 * torch.log(1.0 - c)).sum().item()
+    ours = heatmap_focal_loss(logits, heatmap).item()
+    errors(naive=number(abs(naive / abs(logit) - 1.0)), ours=abs(ours / abs(logit) - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.training.losses",
+    naive="sigmoid clamped to 1e-6 .. 1 - 1e-6",
+    bound=1e-6,
+    unit="",
+    source="rounding to float32",
+)
+def test_gradient_of_sure_and_wrong(errors: Errors) -> None:
+    """A peak missed at z = -50: the gradient is -1, a clamp makes the loss flat and nothing is ever learnt again."""
+    gradients = []
+    for loss_of in (
+        lambda z: -((1.0 - torch.sigmoid(z).clamp(1e-6, 1.0 - 1e-6)) ** 2 * torch.sigmoid(z).clamp(1e-6).log()).sum(),
+        lambda z: heatmap_focal_loss(z, torch.ones(1)),
+    ):
+        logits = torch.full((1,), -50.0, requires_grad=True)
+        loss_of(logits).backward()
+        gradients.append(abs(logits.grad.item() + 1.0))
+    errors(naive=gradients[0], ours=gradients[1])
+
+
+@pytest.mark.parametrize("logit", [-1e4, 1e4])
+@pytest.mark.hard(
+    where="models.training.focal",
+    naive="log of the sigmoid",
+    bound=1e-6,
+    unit="",
+    source="rounding to float32, relative to the loss",
+)
+def test_binary_focal_loss_of_sure_and_wrong(errors: Errors, logit: float) -> None:
+    """Mask and background at z = +-1e4: one is right, 0 log 0, the other costs its weight times 1e4."""
+    logits, mask, alpha = torch.full((2,), logit), torch.tensor([1.0, 0.0]), 0.75
+    p = torch.sigmoid(logits)
+    terms = alpha * mask * (1.0 - p) ** 2 * p.log() + (1.0 - alpha) * (1.0 - mask) * p**2 * (1.0 - p).log()
+    exact = 0.5 * (alpha if logit < 0.0 else 1.0 - alpha) * 1e4
+    ours = binary_focal_loss(logits, mask, alpha).item()
+    errors(naive=number(abs(-terms.mean().item() / exact - 1.0)), ours=abs(ours / exact - 1.0))
+
+
+def labels_of(row: list[float], column: list[float], path_class: int = 0) -> PointLabels:
+    count = len(row)
+    return PointLabels(
+        row=np.array(row), column=np.array(column), path_class=np.full(count, path_class, np.uint8),
+    )  # fmt: skip
+
+
+@pytest.mark.hard(
+    where="models.training.objectives",
+    naive="cross-entropy of the sigmoid",
+    bound=1e-6,
+    unit="",
+    source="rounding to float32, relative to the loss",
+)
+def test_plain_segmentation_of_sure_and_wrong(errors: Errors) -> None:
+    """All 32 cells at z = 1e4, none of them a point: the loss is 1e4; of a sigmoid torch cuts the logarithm at -100."""
+    objective = Heatmaps(ObjectiveConfig(kind="binary"), (4, 4))
+    answer = torch.full((1, 2, 4, 4), 1e4)
+    naive = functional.binary_cross_entropy(torch.sigmoid(answer), torch.zeros_like(answer)).item()
+    errors(naive=abs(naive / 1e4 - 1.0), ours=abs(objective.loss(answer, [labels_of([], [])]).item() / 1e4 - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.training.losses",
+    naive="mean over the peaks",
+    bound=1e-6,
+    unit="",
+    source="closed form 16 ln 2 / 4, rounding to float32",
+)
+def test_focal_loss_without_a_peak(errors: Errors) -> None:
+    """A map without a peak, all cells at z = 0: divided by no peak; what is left is the sum of the negatives."""
+    logits, exact = torch.zeros(1, 1, 4, 4), 16 * 0.25 * math.log(2.0)
+    negatives = (torch.sigmoid(logits) ** 2 * functional.softplus(logits)).sum()
+    naive = (negatives / torch.zeros_like(logits).sum()).item()
+    ours = heatmap_focal_loss(logits, torch.zeros_like(logits)).item()
+    errors(naive=number(abs(naive / exact - 1.0)), ours=abs(ours / exact - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.training.anchor_targets",
+    naive="mean over the anchors of points",
+    bound=1e-6,
+    unit="",
+    source="closed form, rounding to float32",
+)
+def test_anchors_of_an_empty_batch(errors: Errors) -> None:
+    """No point in the whole batch: the mean over its anchors is 0 / 0, and offsets have nothing to be held against."""
+    classes, offsets = anchor_targets([labels_of([], [])] * 2, (4, 4))
+    output = torch.zeros(2, 5, 4, 4)
+    exact = (2.0 / 3.0) ** 2 * math.log(3.0)
+    focal = torch.full((2, 4, 4), exact)
+    is_point = torch.from_numpy(classes) != 2
+    naive = (focal[is_point].mean() + focal[~is_point].mean()).item()
+    ours = anchor_loss(output, torch.from_numpy(classes), torch.from_numpy(offsets)).item()
+    errors(naive=number(abs(naive / exact - 1.0)), ours=abs(ours / exact - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.training.anchor_targets",
+    naive="log of exp(z) / sum(exp(z))",
+    bound=1e-6,
+    unit="",
+    source="rounding to float32, relative to the loss",
+)
+def test_anchor_sure_of_noise(errors: Errors) -> None:
+    """One anchor of a point at z = (0, 0, 1e4): e^1e4 over itself; the loss is 1e4 and its gradient finite."""
+    output = torch.zeros(1, 5, 1, 1)
+    output[0, 2] = 1e4
+    output.requires_grad_()
+    loss = anchor_loss(output, torch.zeros(1, 1, 1, dtype=torch.int64), torch.zeros(1, 2, 1, 1))
+    loss.backward()
+    assert torch.isfinite(output.grad).all()
+    weight = output.detach()[0, :3].exp()
+    naive = -torch.log(weight[0] / weight.sum()).item()
+    errors(naive=number(abs(naive / 1e4 - 1.0)), ours=abs(loss.item() / 1e4 - 1.0))
+
+
+#: Focal loss in float64, Eq. (23).
+def exact_focal(logits: torch.Tensor, heatmap: torch.Tensor) -> float:
+    z, y = logits.double(), heatmap.double()
+    at_peak = torch.sigmoid(-z) ** 2 * functional.softplus(-z)
+    elsewhere = (1.0 - y) ** 4 * torch.sigmoid(z) ** 2 * functional.softplus(z)
+    return torch.where(y == 1.0, at_peak, elsewhere).sum().item() / max(int((y == 1.0).sum()), 1)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=["float16", "bfloat16"])
+@pytest.mark.hard(
+    where="models.training.losses",
+    naive="the loss in the answer's own type",
+    bound=1e-5,
+    unit="",
+    source="rounding of 1.6e5 terms summed in float32, relative to the loss",
+)
+def test_focal_loss_of_half_precision_answers(errors: Errors, dtype: torch.dtype) -> None:
+    """Mixed precision, 320 x 256 x 2 cells at z = -9 and eight sure ones: squares of 1e-4 underflow or are rounded."""
+    logits = torch.full((1, 2, 320, 256), -9.0)
+    logits[0, 0, ::40, 7] = 3.3
+    logits = (logits + 0.3 * torch.randn(logits.shape, generator=torch.Generator().manual_seed(0))).to(dtype)
+    heatmap = torch.zeros(logits.shape)
+    heatmap[0, 0, ::40, 7] = 1.0
+    c, y = torch.sigmoid(logits), heatmap.to(dtype)
+    naive = torch.where(y == 1.0, -((1.0 - c) ** 2) * torch.log(c), -((1.0 - y) ** 4) * c**2 * torch.log(1.0 - c))
+    exact = exact_focal(logits, heatmap)
+    ours = heatmap_focal_loss(logits, heatmap).item()
+    errors(naive=number(abs(naive.sum().item() / 8 / exact - 1.0)), ours=abs(ours / exact - 1.0))
+
+
+@pytest.mark.hard(
+    where="models.training.focal",
+    naive="the loss in the answer's own type",
+    bound=2e-6,
+    unit="",
+    source="an exponent of 16 rounded at 6e-8, and the product; relative to the loss",
+)
+def test_binary_focal_loss_of_half_precision_answers(errors: Errors) -> None:
+    """Background at z = -8 in float16: (1 - alpha) p^2 is 1e-9, the least float16 6e-8."""
+    logits, mask = torch.full((64,), -8.0, dtype=torch.float16), torch.zeros(64)
+    p = torch.sigmoid(logits)
+    naive = -(0.01 * p**2 * torch.log1p(-p)).mean().item()
+    z = logits.double()
+    exact = (0.01 * torch.sigmoid(z) ** 2 * functional.softplus(z)).mean().item()
+    errors(naive=abs(naive / exact - 1.0), ours=abs(binary_focal_loss(logits, mask).item() / exact - 1.0))
+
+
+def sliced_heatmap(shape: tuple[int, int], row: int, column: int) -> np.ndarray:
+    """A Gaussian about a cell as it is first written: a kernel added to the square of cells about it."""
+    heatmap, step = np.zeros(shape, np.float32), np.arange(-6, 7)
+    square = heatmap[row - 6 : row + 7, column - 6 : column + 7]
+    square += np.exp(-0.5 * np.add.outer(step**2, step**2)).astype(np.float32)
+    return heatmap
+
+
+@pytest.mark.parametrize("cell", [(0, 0), (31, 15)], ids=["first", "last"])
+@pytest.mark.hard(
+    where="models.training.targets",
+    naive="kernel on heatmap[i - r : i + r + 1]",
+    bound=math.exp(-0.5 * 5.4**2) + 1e-7,
+    unit="",
+    source="the Gaussian is cut at 5.4 sigma; one rounding to float32",
+)
+def test_target_at_the_border(errors: Errors, cell: tuple[int, int]) -> None:
+    """A point in a corner: the slice about it starts at -6, counted from the other end, or stops short."""
+    rows, columns = np.ogrid[:32, :16]
+    exact = np.exp(-0.5 * ((rows - cell[0]) ** 2 + (columns - cell[1]) ** 2))
+    try:
+        naive = float(np.abs(sliced_heatmap((32, 16), *cell) - exact).max())
+    except ValueError:
+        naive = math.inf
+    ours = gaussian_heatmap((32, 16), np.array([cell[0]]), np.array([cell[1]]))
+    errors(naive=naive, ours=float(np.abs(ours - exact).max()))
+
+
+@pytest.mark.hard(
+    where="models.training.fit_confidence",
+    naive="-t log(p) - (1 - t) log(1 - p)",
+    bound=1e-12,
+    unit="",
+    source="rounding of 1e4, relative",
+)
+def test_log_loss_of_probabilities_0_and_1(errors: Errors) -> None:
+    """Places at logits of +-1e4, half of them wrongly: log p of a p that is 0 or 1 in float64."""
+    loss = _Loss(np.array([[1.0], [-1.0]]), np.array([1.0, 1.0]), FitConfig(hidden=1, penalty=1e-300))
+    ours, gradient = loss(np.array([1e3, 0.0, 1e4, 0.0]))
+    assert np.isfinite(gradient).all()
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        p = 1.0 / (1.0 + np.exp(-np.array([1e4, -1e4])))
+        naive = float(np.mean(-loss.is_true * np.log(p) - (1.0 - loss.is_true) * np.log(1.0 - p)))
+    errors(naive=number(abs(naive / 5e3 - 1.0)), ours=abs(ours / 5e3 - 1.0))
 
 
 def hard_maps() -> dict[str, np.ndarray]:
@@ -59,14 +289,22 @@ def test_encoding_is_finite_and_bounded(name: str, noise_power_mw: float) -> Non
     assert np.abs(encoded).max() <= 1.0 + 1e-6
 
 
-def test_naive_level_of_an_enormous_map_overflows() -> None:
-    """|z|^2 of 1e37 leaves float32 (3e38); ours squares in float64 and keeps the level."""
-    values = hard_maps()["enormous"]
-    with np.errstate(over="ignore"):
-        assert not np.isfinite(np.abs(values) ** 2).all()
-    ordinary = encode_columns(ENCODING, hard_maps()["constant"], np.float64(1e-3))
-    scaled = encode_columns(ENCODING, hard_maps()["constant"] * np.float32(1e37), np.float64(1e71))
-    np.testing.assert_allclose(scaled, ordinary, atol=1e-5)
+@pytest.mark.hard(
+    where="models.perception.encoding",
+    naive="abs(z)^2 in float32",
+    bound=1e-5,
+    unit="",
+    source="rounding of the gain in float32: 1e-7 of the power, and the map's own",
+)
+def test_level_of_an_enormous_map(errors: Errors) -> None:
+    """|z|^2 of 1e37 leaves float32 (3e38): a gain common to signal and noise must not change the level."""
+    values, gain = hard_maps()["constant"], np.float32(1e37)
+    ordinary = encode_columns(ENCODING, values, np.float64(1e-3))
+    ours = encode_columns(ENCODING, values * gain, np.float64(1e-3 * float(gain) ** 2))
+    with np.errstate(over="ignore", invalid="ignore"):
+        level_db = 10.0 * np.log10(np.abs(values * gain) ** 2 / (1e-3 * float(gain) ** 2))
+    naive = np.abs((level_db - ENCODING.level_min_db) / 90.0 - ordinary[0]).max()
+    errors(naive=number(float(naive)), ours=float(np.abs(ours - ordinary).max()))
 
 
 def test_empty_map_is_level_zero_whatever_the_noise() -> None:
