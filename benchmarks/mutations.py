@@ -61,9 +61,9 @@ MUTATIONS = (
     ),
     Mutation(
         "roots on an arc without a difference of like numbers",
-        "models/perception/mirrors.py",
-        "away = -first - np.copysign(np.sqrt(np.where(root >= 0.0, root, np.nan)), first)",
-        "away = -first - np.sqrt(np.where(root >= 0.0, root, np.nan))",
+        "models/physics/curved_mirror.py",
+        "larger = -0.5 * (first + np.copysign(np.sqrt(np.maximum(root, 0.0)), first))",
+        "larger = -0.5 * (first + np.sqrt(np.maximum(root, 0.0)))",
     ),
     Mutation(
         "logarithm of the sigmoid in one step",
@@ -81,9 +81,9 @@ MUTATIONS = (
 
 
 def copied(folder: Path) -> Path:
-    """A copy of the sources without what was compiled from others."""
+    """A copy of the sources; kernels compiled of them come along, a changed file's are compiled anew."""
     for room in ROOMS:
-        shutil.copytree(ROOT / room, folder / room, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / room, folder / room)
     shutil.copy(ROOT / "pyproject.toml", folder)
     return folder
 

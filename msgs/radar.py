@@ -222,6 +222,11 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             require_array("setup.steering_weights", self.steering_weights, "<c8", (len(self.beams), self.array.columns))
         if self.background is not None:
             require_array("setup.background", self.background, "<c8", (len(self.beams), self.radar.samples_per_chirp))
+        for name in ("steering_weights", "background"):
+            array = getattr(self, name)
+            # a number that is none would spread over every cell of every map
+            if array is not None and not np.isfinite(array).all():
+                raise ValueError(f"setup.{name} must be finite")
 
     @property
     def beam_interval_ns(self) -> int:

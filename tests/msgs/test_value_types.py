@@ -132,6 +132,8 @@ def test_beam_refuses(change: dict, rule: str) -> None:
         (lambda: RangeAzimuthGrid(range_bins=0), "grid.range_bins must be 1..8192, got 0"),
         (lambda: RadarSetup(beat_sign=0), "setup.beat_sign must be"),
         (lambda: RadarSetup(steering_weights=np.ones((3, 8), "<c8")), "setup.steering_weights must have shape 25x8"),
+        (lambda: RadarSetup(steering_weights=np.full((25, 8), np.nan, "<c8")), "setup.steering_weights must be finite"),
+        (lambda: RadarSetup(background=np.full((25, 8192), np.inf, "<c8")), "setup.background must be finite"),
         (lambda: VehicleState(stamp_ns=0, speed_mps=math.inf), "vehicle must be finite"),
         (lambda: Wall(normal=(1.0, 1.0), offset_m=0.0, ends_m=((0, 0), (1, 1)), inliers=2), "length 1"),
         (lambda: BevGrid(rows=0), "bev_grid.rows"),
