@@ -88,7 +88,7 @@ class Watcher(threading.Thread):
         self.join()
 
     def draw(self, path: Path) -> Path:
-        """Picture of the last view."""
+        """Picture of the last view of a whole scan."""
         from mirrorwave.bev_picture import draw_bev
 
         assert self.frame is not None
@@ -104,7 +104,10 @@ class Watcher(threading.Thread):
             case SceneTruth():
                 self.board.add_truth(message)
             case RangeAzimuthMap():
-                self.ra_map = message
+                # the end of the demo cuts a scan short: the picture shall be of a whole one
+                if self.ra_map is None or not message.missing_beams:
+                    self.ra_map = message
             case BevFrame():
-                self.frame = message
+                if self.frame is None or "missing_beams" not in message.flags:
+                    self.frame = message
                 self.board.add_frame(message)
