@@ -1,0 +1,80 @@
+"""Counting the first photon of every laser period: probabilities, histograms, and the way back to mean counts.
+
+A single-photon detector that is armed anew each period keeps its first detection alone. With mean counts m[i] in the
+bins of a period the first photon falls into bin i with exp(-(m[0] + .. + m[i-1])) (1 - exp(-m[i])): early bins fill,
+later ones are depleted (pile-up). Periods are independent here: the dead time ends before the next one begins.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+
+
+def first_photon_probability(mean_counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Probability of the first photon in each bin, float64 [..., bins], and of none at all [...].
+
+    `mean_counts` [..., bins] of one period, signal and ambient light together. Raises `ValueError` where one is
+    negative or not finite. Source: Poisson counts of Eqs. (11) and (12), first detection kept.
+    """
+    mean_counts = _checked(mean_counts)
+    # counts before the bin are summed, not subtracted from those up to it
+    until = np.cumsum(mean_counts, axis=-1)
+    before = np.concatenate([np.zeros_like(until[..., :1]), until[..., :-1]], axis=-1)
+    return np.exp(-before) * -np.expm1(-mean_counts), np.exp(-until[..., -1])
+
+
+def first_photon_histogram(mean_counts: np.ndarray, periods: int, rng: np.random.Generator) -> np.ndarray:
+    """First photons of so many periods, int64 [bins], of mean counts [bins]: an exact draw, bin after bin.
+
+    Of the periods without a photon so far each has one in the next bin with 1 - exp(-m): no probability is ever
+    normalised, whatever the flux. Raises `ValueError` for counts as above, and unless `periods` is 0 or more.
+    """
+    mean_counts = _checked(mean_counts)
+    if mean_counts.ndim != 1:
+        raise ValueError(f"mean_counts must have shape [bins], got {mean_counts.shape}")
+    if periods < 0:
+        raise ValueError(f"periods must not be negative, got {periods}")
+    histogram, waiting = np.zeros(len(mean_counts), np.int64), periods
+    for index, probability in enumerate(-np.expm1(-mean_counts)):
+        histogram[index] = rng.binomial(waiting, probability)
+        waiting -= int(histogram[index])
+    return histogram
+
+
+def mean_counts_of(histogram: np.ndarray, periods: int) -> np.ndarray:
+    """Likeliest mean counts per bin and period, float64 [bins], of first photons int64 [bins]: pile-up undone.
+
+    Infinite in the bin that took all that were left; NaN behind it, where nobody was left to see. Raises `ValueError`
+    where counts are negative or more than there were periods.
+    """
+    histogram = np.asarray(histogram, np.int64)
+    taken = np.cumsum(histogram)
+    if (histogram < 0).any() or (len(taken) and taken[-1] > periods):
+        raise ValueError(f"histogram must be counts of at most {periods} periods, got {histogram.sum()}")
+    # whole numbers until here: in floats the difference of 1e12 and its neighbour would be gone
+    left = (periods - taken + histogram).astype(np.float64)
+    share = np.divide(histogram, left, out=np.full(len(left), np.nan), where=left > 0.0)
+    full = share == 1.0
+    return np.where(full, np.inf, -np.log1p(-np.where(full, 0.0, share)))
+
+
+def bins_of_ticks(ticks: np.ndarray, ticks_per_bin: Fraction, bins: int) -> np.ndarray:
+    """Histogram bin of timestamps in whole ticks, int64 of the same shape, the period being so many bins.
+
+    The ratio is exact: with 55 ps and 1 / (512 x 15 MHz) every 264th bin edge is a tick, and an event there belongs to
+    the later bin. Raises `ValueError` where ticks are negative or so many that the product leaves 64 bits.
+    """
+    ticks = np.asarray(ticks, np.int64)
+    largest = int(ticks.max(initial=0))
+    if ticks.min(initial=0) < 0 or largest * ticks_per_bin.denominator > np.iinfo(np.int64).max:
+        raise ValueError(f"ticks must be 0 or more and fit 64 bits times {ticks_per_bin.denominator}, got {largest}")
+    return np.asarray(ticks * ticks_per_bin.denominator // ticks_per_bin.numerator % bins)
+
+
+def _checked(mean_counts: np.ndarray) -> np.ndarray:
+    mean_counts = np.asarray(mean_counts, np.float64)
+    if not (np.isfinite(mean_counts) & (mean_counts >= 0.0)).all():
+        raise ValueError("mean_counts must be finite and not negative")
+    return mean_counts
