@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar
 
 app = typer.Typer(no_args_is_help=True, help="Bring captures of others into data sets.")
 
@@ -19,6 +19,14 @@ class KindOption(StrEnum):
 
     SIM = "sim"
     REAL = "real"
+
+
+class DeviceOption(StrEnum):
+    """Device whose lanes the file was written from."""
+
+    XWR14XX = "xwr14xx"
+    XWR16XX = "xwr16xx"
+    XWR18XX = "xwr18xx"
 
 
 @app.callback()
@@ -70,3 +78,44 @@ def xradarnlos(
             f"{summary.negative_cells} cells below zero, {len(summary.broken)} captures left out"
         )
     return ExitCode.DONE_WITH_LOSS if summary.broken else ExitCode.DONE
+
+
+@app.command()
+def dca1000(
+    capture: Annotated[Path, typer.Argument(metavar="CAPTURE.bin", help="Raw samples as the DCA1000 stored them.")],
+    config: Annotated[Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg, or .json with the same commands.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for maps, picture and summary; empty or new.")],
+    device: Annotated[
+        DeviceOption | None, typer.Option(help='Device, where FILE does not name it ("% Platform:").')
+    ] = None,
+    remove_static: Annotated[bool, typer.Option(help="Take off what stands still.")] = False,
+    mirrored: Annotated[bool, typer.Option(help="Receivers run to the right as the radar looks.")] = False,
+    min_range_m: Annotated[float, typer.Option(metavar="M", help="List no return nearer than this.")] = 0.0,
+    returns: Annotated[int, typer.Option(metavar="N", help="Strongest returns to list a frame.")] = 5,
+    as_json: AsJson = False,
+) -> int:
+    """Raw frames of a 77 GHz board as range-azimuth maps, with a picture and the strongest returns."""
+    from mirrorwave.import_dca1000 import ImportParams, import_capture, read_config
+    from models.perception.dca1000 import frames_of
+
+    params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
+    chirps = read_config(config, device.value if device else None)
+    found = frames_of(capture.stat().st_size, chirps, str(capture))
+    with progress_bar("frames", found.whole) as advance:
+        summary = import_capture(capture, config, chirps, out, params, found, advance)
+    if found.loss:
+        typer.echo(f"mirrorwave: {capture}: {found.loss}", err=True)
+    if as_json:
+        print_json({"folder": str(out), **summary})
+    else:
+        names = ("range_m", "azimuth_deg", "closing_speed_mps", "snr_db")
+        print_table(
+            ("frame", *names),
+            [
+                [each["frame"], *(one[name] for name in names)]
+                for each in summary["per_frame"]
+                for one in each["returns"]
+            ],
+        )
+        print_line(f"{out}: {found.whole} maps, ra_map.png and summary.json")
+    return ExitCode.DONE_WITH_LOSS if found.loss else ExitCode.DONE
