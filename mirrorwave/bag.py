@@ -1,4 +1,4 @@
-"""`mirrorwave bag`: record, inspect, replay, recover and trim recordings."""
+"""`mirrorwave bag`: record, inspect, replay, recover, trim and convert recordings."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Annotated, Any
 
 import typer
 
+from mirrorwave import bag_convert
+from mirrorwave.bag_convert import Conversion, Format
 from mirrorwave.console import (
     DEFAULT_DOMAIN,
     AsJson,
@@ -19,11 +21,12 @@ from mirrorwave.console import (
     print_json,
     print_line,
     print_table,
+    progress_bar,
     require_new_file,
 )
 from msgs.topics import TOPICS
 
-app = typer.Typer(help="Record, inspect, replay, recover and trim recordings (MCAP).", no_args_is_help=True)
+app = typer.Typer(help="Record, inspect, replay, recover, trim and convert recordings (MCAP).", no_args_is_help=True)
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Recording.")]
 Out = Annotated[Path, typer.Argument(metavar="OUT", help="New recording.")]
@@ -137,6 +140,33 @@ def trim(
         file, out, topics=_split(topics), start_ns=start_ns, end_ns=end_ns, compress=compress
     )
     _report_copy(out, count, loss)
+
+
+@app.command()
+def convert(
+    file: File,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New file (foxglove, sigmf) or folder (ros2, numpy).")],
+    to: Annotated[Format | None, typer.Option("--to", help="Format; follows from OUT's suffix if left out.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Convert a recording for other tools (docs/convert.md); exit code 3 if something was missing or damaged."""
+    require_new_file(out)
+    found = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
+    if as_json:
+        print_json(found)
+    else:
+        _print_conversion(found)
+    if found.loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+
+
+def _print_conversion(found: Conversion) -> None:
+    print_line(f"{found.out}: {found.format.value}, {sum(found.converted.values())} messages converted")
+    parts = (("converted", found.converted), ("not converted", found.not_converted), ("left out", found.left_out))
+    rows = [(what, became, count) for became, counts in parts for what, count in counts.items()]
+    print_table(("TOPIC", "WHAT BECAME OF IT", "MESSAGES"), rows)
+    if found.loss:
+        print_line(f"loss: {found.loss}")
 
 
 def _report_copy(out: Path, count: int, loss: str | None) -> None:
