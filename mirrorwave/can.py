@@ -12,6 +12,7 @@ import typer
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table
 
 if TYPE_CHECKING:
+    from mirrorwave.can_signals import SignalReport
     from models.vehicle.can_state import CanDecoder, Judged
     from msgs.vehicle import VehicleState
     from nodes.can_link import LogFrame
@@ -123,11 +124,17 @@ def _state_row(state: VehicleState) -> dict[str, Any]:
     }
 
 
-def _until_error(frames: Iterable[LogFrame], report: LogReport) -> Iterator[LogFrame]:
+def _until_error(frames: Iterable[LogFrame], report: LogReport | _Loss) -> Iterator[LogFrame]:
     try:
         yield from frames
     except ValueError as error:
         report.loss = str(error)
+
+
+class _Loss:
+    """Why a log could not be read on; empty if it could."""
+
+    loss = ""
 
 
 @app.command()
@@ -137,11 +144,17 @@ def decode(
     mapping: Mapping = _MAPPING,
     channel: Annotated[str | None, typer.Option("--channel", help="Only frames of this channel of the log.")] = None,
     every: Annotated[float, typer.Option("--every", metavar="S", min=0.0, help="Show a state each S seconds.")] = 1.0,
+    signals: Annotated[
+        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
     from nodes.can_link import checkout_path, load_decoder, read_log
 
+    if signals:
+        _decode_signals(log, dbc, channel, every, as_json)
+        return
     report = LogReport(load_decoder(checkout_path(str(dbc)), checkout_path(str(mapping))), every)
     report.read(read_log(log, channel))
     if report.frames == 0:
@@ -173,6 +186,47 @@ def _print_report(report: LogReport) -> None:
     print_line(f"{report.valid_states} of {report.states} states valid")
     if report.loss:
         print_line(f"the log breaks off: {report.loss}")
+
+
+def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, as_json: bool) -> None:
+    """All that a DBC knows of a log; exit code 1 if it knows none of its frames."""
+    from mirrorwave.can_signals import SignalReport
+    from nodes.can_link import checkout_path, load_dbc, read_log
+
+    report, ending = SignalReport(load_dbc(checkout_path(str(dbc))), every_s), _Loss()
+    report.read(_until_error(read_log(log, channel), ending))
+    if report.frames == 0:
+        raise ValueError(ending.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
+    if as_json:
+        print_json({"log": str(log), **report.as_dict(), "loss": ending.loss or None})
+    else:
+        _print_signals(report, ending.loss)
+    if ending.loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+    if not report.known:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _print_signals(report: SignalReport, loss: str) -> None:
+    columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
+    print_table([name.upper() for name in columns], [_signals_row(row) for row in report.messages()])
+    print_line("")
+    print_line(f"{report.known} of {report.frames} frames in {report.duration_s:.2f} s are of this DBC")
+    if loss:
+        print_line(f"the log breaks off: {loss}")
+
+
+def _signals_row(row: dict[str, Any]) -> list[Any]:
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in row["frames_by_verdict"].items())
+    values = " ".join(f"{name}={value:g}" for name, value in row["signals"].items())
+    return [
+        f"{row['message']} ({row['id']:#x})",
+        row["frames"],
+        row["period_ms"],
+        row["longest_gap_ms"],
+        verdicts,
+        values,
+    ]
 
 
 @app.command()

@@ -1,0 +1,186 @@
+"""The hidden-object list on a CAN bus: sent at the DBC's cycle time, whether or not a new view has come.
+
+One list is a status and the messages of all its places, spread over the cycle by the delays of the DBC so that no
+queue of the interface overflows. It holds what was known when its status was sent and carries one counter.
+"""
+
+from __future__ import annotations
+
+import logging
+from typing import Literal
+
+import can
+
+from models.vehicle.hidden_object_list import HiddenObjectList, ListFrame
+from msgs.arrays import require_positive
+from msgs.bus import Outgoing, Received
+from msgs.diagnostics import NodeState
+from msgs.perception import BevFrame
+from msgs.units import NANOSECONDS_PER_SECOND, ns_from_s
+from nodes.can_link import MAX_RETRY_S, RETRY_S, BusParams, CanLink, checkout_path, load_dbc
+from nodes.node import Node
+
+_LOG = logging.getLogger(__name__)
+
+
+class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """On which bus the list is sent, and how old its view may be."""
+
+    dbc: str = "launch/can/mirrorwave_out.dbc"
+    #: The list says that it is not valid when its view is older than this.
+    max_age_s: float = 1.0
+    #: The age of a view counts from its first beam, or from its arrival where stamps are of another clock (a capture).
+    age_from: Literal["acquisition", "arrival"] = "acquisition"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        require_positive("max_age_s", self.max_age_s)
+
+
+class Outlet:
+    """Sends frames on a bus that may fail: what it does not take is counted, never kept for later.
+
+    After bus-off the interface is closed and stays so for a delay that grows while it happens again.
+    """
+
+    def __init__(self, link: CanLink) -> None:
+        self._link = link
+        self._hold_s = RETRY_S
+        self._resume_ns: int | None = None
+        self.sent = self.refused = self.bus_offs = 0
+
+    @property
+    def trouble(self) -> str:
+        """What is wrong with the bus; empty while it is well."""
+        return self._link.trouble
+
+    def send(self, frames: list[ListFrame], now_ns: int) -> None:
+        """Send frames, in order."""
+        if self._is_held(now_ns):
+            self.refused += len(frames)
+            return
+        for frame in frames:
+            if self._link.send(_message(frame, now_ns), now_ns):
+                self.sent += 1
+            else:
+                self.refused += 1
+
+    def note_good_list(self) -> None:
+        """A whole list went out: the next bus-off is the first again."""
+        self._hold_s = RETRY_S
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self._link.close()
+
+    def _is_held(self, now_ns: int) -> bool:
+        if self._resume_ns is not None:
+            if now_ns < self._resume_ns:
+                return True
+            self._resume_ns = None
+            return False
+        # the interface says in what it receives that the controller has left the bus
+        self._link.receive(now_ns)
+        if not self._link.trouble.endswith(": bus-off"):
+            return False
+        self.bus_offs += 1
+        self._link.close()
+        self._resume_ns = now_ns + ns_from_s(self._hold_s)
+        self._hold_s = min(MAX_RETRY_S, 2.0 * self._hold_s)
+        return True
+
+
+class CanOut(Node):
+    """perception/hidden_objects -> CAN, list after list on a grid of cycles that starts with the first step."""
+
+    inputs = ("perception/hidden_objects",)
+
+    def __init__(self, outlet: Outlet, encoder: HiddenObjectList, max_age_ns: int, by_arrival: bool = False) -> None:
+        super().__init__()
+        self.outlet = outlet
+        self._encoder, self._max_age_ns, self._by_arrival = encoder, max_age_ns, by_arrival
+        self._view: BevFrame | None = None
+        self._view_ns = 0
+        self._cycle_ns: int | None = None
+        self._counter = 0
+        self._waiting: list[ListFrame] = []
+        self._refused_before = 0
+
+    def due_ns(self, now_ns: int) -> int:
+        """When the next frame is to be sent."""
+        if self._cycle_ns is None:
+            return now_ns
+        return self._cycle_ns + (self._waiting[0].delay_ns if self._waiting else self._encoder.period_ns)
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        """Keep the newest view; send the frames whose time has come."""
+        for received in inputs:
+            assert isinstance(received.message, BevFrame)
+            self._view = received.message
+            self._view_ns = now_ns if self._by_arrival else received.message.stamp_ns
+        if now_ns >= self.due_ns(now_ns):
+            with self.stages("send"):
+                self._advance(now_ns)
+        return []
+
+    def health(self) -> tuple[NodeState, str]:
+        """DEGRADED while the bus takes no frames."""
+        if self.outlet.trouble:
+            return NodeState.DEGRADED, f"{self.outlet.trouble}; {self.outlet.refused} frames not sent"
+        return NodeState.READY, ""
+
+    def close(self) -> None:
+        """Let go of the bus."""
+        self.outlet.close()
+
+    def _advance(self, now_ns: int) -> None:
+        if self._cycle_ns is None or now_ns >= self._cycle_ns + self._encoder.period_ns:
+            self._begin_list(now_ns)
+        assert self._cycle_ns is not None
+        elapsed_ns = now_ns - self._cycle_ns
+        due = [frame for frame in self._waiting if frame.delay_ns <= elapsed_ns]
+        self._waiting = self._waiting[len(due) :]
+        self.outlet.send(due, now_ns)
+        if not self._waiting and self.outlet.refused == self._refused_before:
+            self.outlet.note_good_list()
+
+    def _begin_list(self, now_ns: int) -> None:
+        """The list of the cycle that runs at `now_ns`; what is left of the one before is given up."""
+        period_ns = self._encoder.period_ns
+        if self._cycle_ns is None:
+            self._cycle_ns = now_ns
+        else:
+            cycles = (now_ns - self._cycle_ns) // period_ns
+            self._cycle_ns += cycles * period_ns
+            if self._waiting:
+                self.shed.add("frame", "late", len(self._waiting))
+            if cycles > 1:
+                self.shed.add("list", "late", cycles - 1)
+        age_ns = None if self._view is None else now_ns - self._view_ns
+        self._waiting = self._encoder.frames(self._view, age_ns, self._max_age_ns, self._counter)
+        self._counter += 1
+        self._refused_before = self.outlet.refused
+
+
+def _message(frame: ListFrame, now_ns: int) -> can.Message:
+    # most interfaces stamp what they send themselves; those that keep this one stay on the bus clock
+    return can.Message(
+        timestamp=now_ns / NANOSECONDS_PER_SECOND,
+        arbitration_id=frame.arbitration_id,
+        data=frame.data,
+        is_extended_id=frame.extended,
+    )
+
+
+def create(params: Params) -> CanOut:
+    """The node; `ValueError` for a DBC that does not fit. A bus that is not there may come later."""
+    path = checkout_path(params.dbc)
+    database = load_dbc(path)
+    try:
+        encoder = HiddenObjectList(database)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    if 1000.0 * params.max_age_s >= encoder.max_age_ms:
+        raise ValueError(f"max_age_s must be below {encoder.max_age_ms} ms, the DBC's AGE, got {params.max_age_s!r}")
+    by_arrival = params.age_from == "arrival"
+    return CanOut(Outlet(CanLink(params)), encoder, ns_from_s(params.max_age_s), by_arrival)
