@@ -112,7 +112,7 @@ class HiddenObject(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Track(msgspec.Struct, frozen=True, kw_only=True):
-    """An object followed over scans."""
+    """An object followed over scans: its place at the frame's stamp in the frame's axes, its velocity over ground."""
 
     id: int
     x_m: float
@@ -123,6 +123,10 @@ class Track(msgspec.Struct, frozen=True, kw_only=True):
     cov_m2: Covariance
     #: Time until it enters direct sight, None where it is not on its way.
     time_to_appear_s: float | None = None
+    #: Covariance of the velocity, None where the writer of a recording did not say.
+    velocity_cov_m2ps2: Covariance | None = None
+    #: Scans since an object was last assigned to it.
+    misses: int = 0
 
 
 class BevGrid(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,0 +1,139 @@
+"""Where the vehicle is, from its speed and yaw rate alone: an odometry frame that drifts slowly and never jumps.
+
+A gyroscope at rest shows its bias: it is learnt while the vehicle stands and taken off while it drives.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from typing import NamedTuple
+
+import msgspec
+
+from msgs.arrays import require_positive
+from msgs.frames import Pose2
+from msgs.units import ns_from_s, s_from_ns
+from msgs.vehicle import VehicleState, ego_motion
+
+
+class OdometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """When the vehicle stands, how fast its bias is learnt, and what silence ends the frame."""
+
+    standstill_speed_mps: float = 0.05
+    #: The vehicle stands once it has been this slow for so long: a car rocks as it stops.
+    settle_s: float = 0.5
+    #: Time constant of the bias after the first so many seconds, in which it is their plain mean.
+    bias_time_s: float = 10.0
+    #: A yaw rate at rest beyond this is no bias: a turntable, a ferry.
+    max_bias_rps: float = 0.05
+    #: A state holds this long; after a longer silence, or a clock that went back, a new frame begins.
+    max_gap_s: float = 1.0
+    #: Poses are kept for questions about the past.
+    history_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            require_positive(f"odometry.{name}", getattr(self, name))
+
+
+class Placed(NamedTuple):
+    """The vehicle at a time: pose `odom_from_vehicle` in frame number `frame`, speed, yaw rate without bias."""
+
+    frame: int
+    odom_from_vehicle: Pose2
+    speed_mps: float
+    yaw_rate_rps: float
+
+
+class _Known(NamedTuple):
+    """A pose with the motion measured there."""
+
+    stamp_ns: int
+    pose: Pose2
+    speed_mps: float
+    yaw_rate_rps: float
+
+
+class Odometry:
+    """Integrates vehicle states to poses; a change of the frame's number says that old poses mean nothing any more."""
+
+    def __init__(self, params: OdometryParams | None = None) -> None:
+        self._params = params or OdometryParams()
+        self._known: deque[_Known] = deque()
+        self._frame = 0
+        self._slow_since_ns: int | None = None
+        self._rested_s = 0.0
+        #: Learnt at standstill, zero before the first.
+        self.yaw_rate_bias_rps = 0.0
+
+    def add(self, state: VehicleState) -> None:
+        """Take in a state; those not valid, late or repeated count for nothing."""
+        if not state.valid or self._is_late(state.stamp_ns):
+            return
+        pose = self._next_pose(state)
+        yaw_rate_rps = self._corrected(state)
+        self._known.append(_Known(state.stamp_ns, pose, state.speed_mps, yaw_rate_rps))
+        while self._known[0].stamp_ns < state.stamp_ns - ns_from_s(self._params.history_s):
+            self._known.popleft()
+
+    def at(self, stamp_ns: int) -> Placed | None:
+        """The vehicle at a time, None where no state near enough is known."""
+        index = bisect_right(self._known, stamp_ns, key=lambda one: one.stamp_ns) - 1
+        if index < 0:
+            return None
+        start = self._known[index]
+        elapsed_s = s_from_ns(stamp_ns - start.stamp_ns)
+        if elapsed_s > self._params.max_gap_s:
+            return None
+        after = self._known[index + 1] if index + 1 < len(self._known) else start
+        share = elapsed_s / max(s_from_ns(after.stamp_ns - start.stamp_ns), elapsed_s, 1e-9)
+        speed_mps = start.speed_mps + share * (after.speed_mps - start.speed_mps)
+        yaw_rate_rps = start.yaw_rate_rps + share * (after.yaw_rate_rps - start.yaw_rate_rps)
+        return Placed(self._frame, _moved(start, speed_mps, yaw_rate_rps, elapsed_s), speed_mps, yaw_rate_rps)
+
+    def _is_late(self, stamp_ns: int) -> bool:
+        """Behind the newest, but not so far that the clock must have been set back."""
+        return bool(self._known) and 0 <= self._known[-1].stamp_ns - stamp_ns <= ns_from_s(self._params.max_gap_s)
+
+    def _next_pose(self, state: VehicleState) -> Pose2:
+        """Pose at a new state: the trapezoid of both motions, or the origin of a new frame."""
+        if self._known:
+            last = self._known[-1]
+            elapsed_s = s_from_ns(state.stamp_ns - last.stamp_ns)
+            if 0.0 < elapsed_s <= self._params.max_gap_s:
+                self._learn(state, elapsed_s)
+                return _moved(last, state.speed_mps, self._corrected(state), elapsed_s)
+            self._known.clear()
+            self._frame += 1
+        self._slow_since_ns = None
+        self._learn(state, 0.0)
+        return Pose2()
+
+    def _learn(self, state: VehicleState, elapsed_s: float) -> None:
+        """Note since when the vehicle is slow, and the yaw rate it shows once it stands."""
+        if abs(state.speed_mps) > self._params.standstill_speed_mps:
+            self._slow_since_ns = None
+            return
+        if self._slow_since_ns is None:
+            self._slow_since_ns = state.stamp_ns
+        if self._stands(state) and abs(state.yaw_rate_rps) <= self._params.max_bias_rps:
+            self._rested_s = min(self._rested_s + elapsed_s, self._params.bias_time_s)
+            gain = min(elapsed_s / max(self._rested_s, 1e-9), 1.0)
+            self.yaw_rate_bias_rps += gain * (state.yaw_rate_rps - self.yaw_rate_bias_rps)
+
+    def _stands(self, state: VehicleState) -> bool:
+        since_ns = self._slow_since_ns
+        return since_ns is not None and state.stamp_ns - since_ns >= ns_from_s(self._params.settle_s)
+
+    def _corrected(self, state: VehicleState) -> float:
+        """Yaw rate without bias; none at all while the vehicle stands, unless it is turned as a whole."""
+        if self._stands(state) and abs(state.yaw_rate_rps) <= self._params.max_bias_rps:
+            return 0.0
+        return state.yaw_rate_rps - self.yaw_rate_bias_rps
+
+
+def _moved(start: _Known, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
+    """Pose after a time over which the motion changes evenly to the given one."""
+    mean = 0.5 * (start.speed_mps + speed_mps), 0.5 * (start.yaw_rate_rps + yaw_rate_rps)
+    return start.pose @ ego_motion(*mean, elapsed_s)

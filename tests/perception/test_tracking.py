@@ -1,0 +1,248 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.perception.odometry import Odometry, OdometryParams, Placed
+from models.perception.tracking import Estimate, Tracker, TrackerParams, assign, sightings, standing
+from msgs.frames import Pose2
+from msgs.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Wall
+from msgs.vehicle import VehicleState, ego_motion
+
+PERIOD_NS = 300_000_000
+EYE: Covariance = ((0.09, 0.0), (0.0, 0.09))
+#: Its end at (10, 4) is the corner that things come out from behind.
+HOUSE = Wall(normal=(0.0, -1.0), offset_m=4.0, ends_m=((0.0, 4.0), (10.0, 4.0)), inliers=9)
+
+
+def seen(x_m: float, y_m: float, stamp_ns: int = 0, cov_m2: Covariance = EYE) -> HiddenObject:
+    return HiddenObject(
+        id=0, x_m=x_m, y_m=y_m, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.9, cov_m2=cov_m2, stamp_ns=stamp_ns
+    )
+
+
+def frame(scan: int, *objects: HiddenObject, walls: Sequence[Wall] = (HOUSE,)) -> BevFrame:
+    return BevFrame(
+        stamp_ns=1_000_000_000 + scan * PERIOD_NS, scan_id=scan, objects=objects, walls=tuple(walls),
+        los_points_m=np.zeros((0, 2), np.float32), grid=BevGrid(rows=1, columns=1),
+        visibility=np.zeros((1, 1), np.uint8),
+    )  # fmt: skip
+
+
+def drive(tracker: Tracker, places: Sequence[Sequence[tuple[float, float]]], start: int = 0) -> list[tuple[Track, ...]]:
+    """A standing radar's scans with objects at the given places."""
+    scans = enumerate(places, start)
+    return [tracker.step(frame(scan, *(seen(*place) for place in there)), standing()) for scan, there in scans]
+
+
+def state(time_s: float, speed_mps: float = 0.0, yaw_rate_rps: float = 0.0, valid: bool = True) -> VehicleState:
+    return VehicleState(
+        stamp_ns=round(time_s * 1e9), speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, valid=valid
+    )  # fmt: skip
+
+
+def test_confirmed_by_three_hits_and_given_up_after_six_misses():
+    told = drive(Tracker(), [[(8.0, 9.0)]] * 4 + [[]] * 6)
+    assert [len(tracks) for tracks in told] == [0, 0, 1, 1, 1, 1, 1, 1, 1, 0]
+    assert [one.misses for tracks in told for one in tracks] == [0, 0, 1, 2, 3, 4, 5]
+    assert {one.id for tracks in told for one in tracks} == {1}
+
+
+def test_three_hits_in_five_scans_are_enough_and_two_are_not():
+    here: list[tuple[float, float]] = [(8.0, 9.0)]
+    assert [len(tracks) for tracks in drive(Tracker(), [here, [], here, [], here])] == [0, 0, 0, 0, 1]
+    assert not any(drive(Tracker(), [here, [], [], here, [], [], here]))
+
+
+def test_place_velocity_and_age_of_a_moving_object():
+    told = drive(Tracker(), [[(8.0, 20.0 - 1.2 * scan)] for scan in range(20)])
+    (last,) = told[-1]
+    assert (last.x_m, last.y_m) == pytest.approx((8.0, 20.0 - 1.2 * 19), abs=0.05)
+    assert (last.velocity_x_mps, last.velocity_y_mps) == pytest.approx((0.0, -4.0), abs=0.1)
+    assert last.age_s == pytest.approx(19 * 0.3)
+    assert last.velocity_cov_m2ps2 is not None
+    assert np.linalg.eigvalsh(np.array(last.cov_m2))[0] > 0.0
+    assert math.sqrt(last.velocity_cov_m2ps2[1][1]) < 1.5
+
+
+def test_an_object_is_where_it_was_when_its_beams_were_measured():
+    """Measured 0.2 s after the stamp, at 5 m/s a metre on; the track says where it was at the stamp."""
+    tracker, told = Tracker(), ()
+    for scan in range(30):
+        stamp_ns = frame(scan).stamp_ns + 200_000_000
+        told = tracker.step(frame(scan, seen(1.5 * scan + 1.0, 9.0, stamp_ns)), standing())
+    assert told[0].x_m == pytest.approx(1.5 * 29, abs=0.05)
+
+
+def test_a_parked_object_stands_while_the_radar_drives_a_bend():
+    """Seen from a radar mounted ahead of the axle and turned, at 8 m/s and 0.3 rad/s."""
+    mounted = Pose2(2.0, 0.5, 0.4)
+    tracker, odometry, parked = Tracker(TrackerParams(vehicle_from_radar=mounted)), Odometry(), np.array([25.0, 12.0])
+    told: tuple[Track, ...] = ()
+    for scan in range(10):
+        for step in range(15):
+            odometry.add(state(1.0 + 0.3 * scan + 0.02 * step, 8.0, 0.3))
+        one = frame(scan)
+        place = odometry.at(one.stamp_ns)
+        assert place is not None
+        radar = ego_motion(8.0, 0.3, 0.3 * scan) @ mounted
+        x_m, y_m = radar.inverse().apply(parked)
+        told = tracker.step(msgspec.structs.replace(one, objects=(seen(float(x_m), float(y_m)),)), place)
+        if told:
+            assert math.dist((told[0].x_m, told[0].y_m), (x_m, y_m)) < 1e-6
+    assert math.hypot(told[0].velocity_x_mps, told[0].velocity_y_mps) < 1e-6
+
+
+def test_two_that_pass_each_other_keep_their_ids():
+    """Against each other, three metres apart, and told in changing order."""
+    ways = [[(4.0 + 1.2 * scan, 9.0), (16.0 - 1.2 * scan, 12.0)] for scan in range(11)]
+    told = drive(Tracker(), [way if scan % 2 else way[::-1] for scan, way in enumerate(ways)])
+    ids = [{one.id: one.y_m for one in tracks} for tracks in told if tracks]
+    assert all(math.dist(list(now.values()), list(ids[0].values())) < 0.2 for now in ids)
+    assert all(list(now) == list(ids[0]) for now in ids)
+
+
+def test_assignment_is_global():
+    """The first track's nearest is the second's only one: greedy choice would lose a pair."""
+    tracks = [Estimate(frame(0).stamp_ns, np.array([x, 0.0, 0.0, 0.0]), 0.25 * np.eye(4)) for x in (0.0, 2.4)]
+    places = sightings(frame(0, seen(1.1, 0.0), seen(-1.0, 0.0)), Pose2(), 0.4)
+    assert assign(tracks, places, TrackerParams()) == {0: 1, 1: 0}
+
+
+def test_nothing_outside_the_gate_is_assigned():
+    told = drive(Tracker(), [[(8.0, 9.0)]] * 8 + [[(8.0, 13.0)]])
+    assert [one.misses for one in told[-1]] == [1]
+
+
+def test_ids_are_never_used_twice():
+    tracker = Tracker()
+    first = drive(tracker, [[(8.0, 9.0)]] * 3)[-1]
+    assert tracker.step(frame(3), None) == ()
+    second = drive(tracker, [[(8.0, 9.0)]] * 3, start=4)[-1]
+    third = drive(tracker, [[(8.0, 9.0)]] * 3, start=400)[-1]
+    assert [one.id for one in (*first, *second, *third)] == [1, 2, 3]
+
+
+def test_time_to_appear_is_when_the_nose_passes_the_corner():
+    """Along y = 8 at 4 m/s: the ray from the radar past (10, 4) reaches that line at x = 20."""
+    told = drive(Tracker(), [[(4.0 + 1.2 * scan, 8.0)] for scan in range(8)])
+    (last,) = told[-1]
+    assert last.time_to_appear_s == pytest.approx((20.0 - TrackerParams().nose_m - last.x_m) / 4.0, abs=0.15)
+
+
+def test_time_to_appear_counts_the_radars_own_way():
+    """A parked object at (12, 8), hidden by the house up to x = 10; the radar at 4 m/s sees it from x = 8 on."""
+    tracker, told = Tracker(), ()
+    for scan in range(4):
+        ahead = Pose2(1.2 * scan)
+        x_m, y_m = ahead.inverse().apply(np.array([12.0, 8.0]))
+        ends = ahead.inverse().apply(np.array(HOUSE.ends_m))
+        wall = msgspec.structs.replace(HOUSE, ends_m=tuple(map(tuple, ends.tolist())))
+        told = tracker.step(frame(scan, seen(float(x_m), float(y_m)), walls=(wall,)), Placed(0, ahead, 4.0, 0.0))
+    assert told[0].time_to_appear_s == pytest.approx((8.0 - 3.6) / 4.0, abs=0.11)
+
+
+def test_time_to_appear_is_none_where_it_does_not_or_nothing_hides_it():
+    away = drive(Tracker(), [[(6.0, 8.0 + 0.9 * scan)] for scan in range(4)])[-1]
+    assert away[0].time_to_appear_s is None
+    tracker, told = Tracker(), ()
+    for scan in range(4):
+        told = tracker.step(frame(scan, seen(4.0, 8.0), walls=()), standing())
+    assert told[0].time_to_appear_s is None
+
+
+def test_a_wall_that_one_scan_missed_still_stands():
+    tracker, told = Tracker(), ()
+    for scan in range(6):
+        told = tracker.step(frame(scan, seen(8.0 + 0.9 * scan, 8.0), walls=() if scan == 5 else (HOUSE,)), standing())
+    assert told[0].time_to_appear_s is not None
+    assert told[0].time_to_appear_s > 0.5
+
+
+def test_odometry_follows_a_circle_back_to_its_start():
+    odometry = Odometry()
+    for step in range(1001):
+        odometry.add(state(0.02 * step, 10.0, 2.0 * math.pi / 20.0))
+    place = odometry.at(20_000_000_000)
+    assert place is not None
+    pose = place.odom_from_vehicle
+    assert (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+
+
+def test_odometry_between_states_and_after_the_last():
+    odometry = Odometry()
+    odometry.add(state(1.0, 4.0))
+    odometry.add(state(1.5, 8.0))
+    places = [odometry.at(round(time_s * 1e9)) for time_s in (1.25, 1.5, 2.0, 2.6)]
+    # evenly faster: 4 t + 4 t^2; then straight on; then unknown
+    assert [one and one.odom_from_vehicle.x_m for one in places] == [pytest.approx(1.25), 3.0, 7.0, None]
+    assert odometry.at(999_999_999) is None
+
+
+def test_bias_is_learnt_at_rest_and_taken_off():
+    rng = np.random.default_rng(3)
+    odometry = Odometry()
+    for step in range(150):
+        odometry.add(state(0.02 * step, 0.0, 0.02 + 0.004 * rng.standard_normal()))
+    at_rest = odometry.at(2_980_000_000)
+    assert at_rest is not None
+    # it turned until it counted as standing, half a second
+    assert at_rest.odom_from_vehicle.yaw_rad == pytest.approx(0.02 * 0.5, rel=0.1)
+    assert odometry.yaw_rate_bias_rps == pytest.approx(0.02, abs=3 * 0.004 / math.sqrt(125))
+    odometry.add(state(3.0, 5.0, 0.12))
+    now = odometry.at(3_000_000_000)
+    assert now is not None
+    assert now.yaw_rate_rps == pytest.approx(0.10, abs=1.1e-3)
+
+
+def test_bias_is_not_learnt_on_a_turntable_nor_while_creeping():
+    odometry = Odometry()
+    for step in range(100):
+        odometry.add(state(0.02 * step, 0.0, 0.2))
+    turned = odometry.at(1_980_000_000)
+    assert turned is not None
+    assert turned.odom_from_vehicle.yaw_rad == pytest.approx(0.2 * 1.98)
+    for step in range(100, 200):
+        odometry.add(state(0.02 * step, 0.3, 0.02))
+    assert odometry.yaw_rate_bias_rps == 0.0
+
+
+def test_states_that_are_late_repeated_or_not_valid_change_nothing():
+    odometry = Odometry()
+    for one in (state(1.0, 4.0), state(1.1, 4.0), state(1.05, 99.0), state(1.1, 99.0), state(1.2, 99.0, valid=False)):
+        odometry.add(one)
+    place = odometry.at(1_200_000_000)
+    assert place is not None
+    assert (place.frame, place.speed_mps) == (0, 4.0)
+    assert place.odom_from_vehicle.x_m == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(
+    ("make", "complaint"),
+    [
+        (lambda: TrackerParams(gate=0.0), "tracker.gate"),
+        (lambda: TrackerParams(confirm_hits=6), "confirm_hits must be at most confirm_scans"),
+        (lambda: OdometryParams(max_gap_s=math.nan), "odometry.max_gap_s"),
+    ],
+)
+def test_parameters_are_checked_at_the_door(make, complaint):
+    with pytest.raises(ValueError, match=complaint):
+        make()
+
+
+def test_objects_that_make_no_sense_are_left_out():
+    bad = (
+        seen(math.nan, 1.0), seen(1.0, 1.0, cov_m2=((math.inf, 0.0), (0.0, 1.0))),
+        seen(1.0, 1.0, cov_m2=((1.0, 2.0), (2.0, 1.0))), seen(1.0, 1.0, stamp_ns=1 << 60),
+    )  # fmt: skip
+    assert sightings(frame(0, *bad), Pose2(), 0.4) == []
+
+
+def test_recordings_without_the_newer_fields_of_a_track_decode():
+    old = {"id": 1, "x_m": 1.0, "y_m": 2.0, "velocity_x_mps": 0.0, "velocity_y_mps": 1.0, "age_s": 1.0, "cov_m2": EYE}
+    track = msgspec.msgpack.decode(msgspec.msgpack.encode(old), type=Track)
+    assert (track.velocity_cov_m2ps2, track.misses) == (None, 0)
