@@ -18,6 +18,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from mirrorwave.tradeoff_run import params_of
 from mirrorwave.tradeoff_settings import profiles
 from models.perception.chain import Chain
 from models.perception.confidence import load_confidence
@@ -26,9 +27,9 @@ from models.perception.metrics import match_objects
 from models.perception.onnx_model import DEFAULT_MODEL
 from msgs.perception import BevFrame, SceneTruth
 from msgs.radar import RadarSetup
-from nodes import dense_predictor, geometry, ra_former
+from nodes.dense_predictor import detector_for
+from nodes.geometry import parts_of
 from nodes.player import Params, scene_player
-from nodes.validation import convert_at
 from sim_player.player import ScenePlayer
 
 SCENES = sorted((Path(__file__).resolve().parents[1] / "launch" / "scenes").glob("*.yaml"))
@@ -71,10 +72,9 @@ def chain_of_profile(name: str, setup: RadarSetup) -> Chain:
     row = next((one for one in profiles() if one.value == name), None)
     if row is None:
         raise SystemExit(f"--profile must be one of {', '.join(one.value for one in profiles())}, got {name!r}")
-    forming = convert_at(row.of("ra_former"), ra_former.Params, "ra_former")
-    detector = convert_at(row.of("dense_predictor"), dense_predictor.Params, "dense_predictor")
-    placed, _, confidence = geometry.parts_of(convert_at(row.of("geometry"), geometry.Params, "geometry"))
-    return Chain(setup, dense_predictor.detector_for(detector, setup), forming, placed, confidence)
+    detector = detector_for(params_of(row, "dense_predictor"), setup)
+    placed, _, confidence = parts_of(params_of(row, "geometry"))
+    return Chain(setup, detector, params_of(row, "ra_former"), placed, confidence)
 
 
 def views(player: ScenePlayer, way: argparse.Namespace, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:

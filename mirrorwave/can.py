@@ -124,17 +124,11 @@ def _state_row(state: VehicleState) -> dict[str, Any]:
     }
 
 
-def _until_error(frames: Iterable[LogFrame], report: LogReport | _Loss) -> Iterator[LogFrame]:
+def _until_error(frames: Iterable[LogFrame], report: LogReport | SignalReport) -> Iterator[LogFrame]:
     try:
         yield from frames
     except ValueError as error:
         report.loss = str(error)
-
-
-class _Loss:
-    """Why a log could not be read on; empty if it could."""
-
-    loss = ""
 
 
 @app.command()
@@ -193,27 +187,27 @@ def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, a
     from mirrorwave.can_signals import SignalReport
     from nodes.can_link import checkout_path, load_dbc, read_log
 
-    report, ending = SignalReport(load_dbc(checkout_path(str(dbc))), every_s), _Loss()
-    report.read(_until_error(read_log(log, channel), ending))
+    report = SignalReport(load_dbc(checkout_path(str(dbc))), every_s)
+    report.read(_until_error(read_log(log, channel), report))
     if report.frames == 0:
-        raise ValueError(ending.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
+        raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
     if as_json:
-        print_json({"log": str(log), **report.as_dict(), "loss": ending.loss or None})
+        print_json({"log": str(log), **report.as_dict()})
     else:
-        _print_signals(report, ending.loss)
-    if ending.loss:
+        _print_signals(report)
+    if report.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
     if not report.known:
         raise typer.Exit(ExitCode.FAILED)
 
 
-def _print_signals(report: SignalReport, loss: str) -> None:
+def _print_signals(report: SignalReport) -> None:
     columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
     print_table([name.upper() for name in columns], [_signals_row(row) for row in report.messages()])
     print_line("")
     print_line(f"{report.known} of {report.frames} frames in {report.duration_s:.2f} s are of this DBC")
-    if loss:
-        print_line(f"the log breaks off: {loss}")
+    if report.loss:
+        print_line(f"the log breaks off: {report.loss}")
 
 
 def _signals_row(row: dict[str, Any]) -> list[Any]:

@@ -32,6 +32,8 @@ class SignalReport:
         self._start_ns: int | None = None
         self.frames = self.known = 0
         self.duration_s = 0.0
+        #: Why the log could not be read on; empty if it could.
+        self.loss = ""
         #: Values over time: the first frame of each message in each interval.
         self.samples: list[dict[str, Any]] = []
 
@@ -61,6 +63,7 @@ class SignalReport:
             "duration_s": self.duration_s,
             "messages": self.messages(),
             "samples": self.samples,
+            "loss": self.loss or None,
         }
 
     def _sample(self, watch: _Watch, time_s: float, verdict: str) -> None:

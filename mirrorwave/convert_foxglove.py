@@ -92,8 +92,7 @@ class _Sink:
     def _take_state(self, state: VehicleState, recorded: Recorded) -> None:
         pose = self._odometry.advance(state)
         if pose is None:
-            self._account.written[recorded.topic] -= 1
-            self._account.left_out["vehicle/state: not valid, or not newer than the one before"] += 1
+            self._account.leave_out(recorded.topic, Odometry.REFUSED)
             return
         if "/tf" not in self._channels:
             self._put("/tf", "FrameTransform", _transform(state.stamp_ns, VEHICLE, RADAR, Pose2()), recorded)

@@ -85,8 +85,7 @@ class _Sink:
     def _take_state(self, state: VehicleState, recorded: Recorded) -> None:
         pose = self._odometry.advance(state)
         if pose is None:
-            self._account.written[recorded.topic] -= 1
-            self._account.left_out["vehicle/state: not valid, or not newer than the one before"] += 1
+            self._account.leave_out(recorded.topic, Odometry.REFUSED)
             return
         self._put("/odom", self._build.odometry(state, pose), recorded.log_time_ns)
         self._put("/tf", self._build.transforms(state, pose), recorded.log_time_ns)

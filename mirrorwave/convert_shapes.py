@@ -6,10 +6,13 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 
+import numpy as np
+
+from models.physics.curved_mirror import arc_points
 from msgs.frames import Pose2
 from msgs.perception import Wall
 from msgs.recording import Recorded, RecordingReader
-from msgs.units import s_from_ns
+from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
 
 #: Two states further apart say nothing of what lay between them.
@@ -40,6 +43,16 @@ class Account:
         self.left_out: Counter[str] = Counter()
         self.lost: Counter[str] = Counter()
 
+    def leave_out(self, topic: str, reason: str) -> None:
+        """Take a message that was counted as written back: it was passed over on purpose."""
+        self.written[topic] -= 1
+        self.left_out[f"{topic}: {reason}"] += 1
+
+    def lose(self, topic: str, reason: str) -> None:
+        """Take a message that was counted as written back: it has no place and is lost."""
+        self.written[topic] -= 1
+        self.lost[f"{topic}: {reason}"] += 1
+
 
 def counted(
     reader: RecordingReader, topics: tuple[str, ...], account: Account, advance: Callable[[], None]
@@ -53,6 +66,9 @@ def counted(
 
 class Odometry:
     """The vehicle's pose since its first valid state, integrated from speed and yaw rate alone: it drifts."""
+
+    #: Why a state brings no pose.
+    REFUSED = "not valid, or not newer than the one before"
 
     def __init__(self) -> None:
         self.odom_from_vehicle = Pose2()
@@ -78,24 +94,14 @@ class Odometry:
 def wall_line_m(wall: Wall) -> list[tuple[float, float]]:
     """A wall as a polyline in metres: its two ends, or 17 points of its arc, hollow towards the normal."""
     (ax, ay), (bx, by) = wall.ends_m
-    half_m = 0.5 * math.hypot(bx - ax, by - ay)
-    curvature_per_m = wall.curvature_per_m
-    if abs(curvature_per_m) < _STRAIGHT_PER_M or half_m == 0.0 or abs(curvature_per_m) * half_m >= 1.0:
+    half_m, bend_per_m = 0.5 * math.hypot(bx - ax, by - ay), abs(wall.curvature_per_m)
+    if bend_per_m < _STRAIGHT_PER_M or half_m == 0.0 or bend_per_m * half_m >= 1.0:
         return [(ax, ay), (bx, by)]
-    along = (bx - ax) / (2.0 * half_m), (by - ay) / (2.0 * half_m)
-    half_rad = math.asin(curvature_per_m * half_m)
-    line = []
-    for index in range(_ARC_POINTS):
-        turn_rad = half_rad * (2.0 * index / (_ARC_POINTS - 1) - 1.0)
-        x_m = math.sin(turn_rad) / curvature_per_m
-        y_m = (math.cos(half_rad) - math.cos(turn_rad)) / curvature_per_m
-        line.append(
-            (
-                0.5 * (ax + bx) + x_m * along[0] + y_m * wall.normal[0],
-                0.5 * (ay + by) + x_m * along[1] + y_m * wall.normal[1],
-            )
-        )
-    return line
+    # an arc bends to the left of the way from end to end, a wall towards its normal
+    left = wall.normal[1] * (bx - ax) - wall.normal[0] * (by - ay)
+    curvature_per_m = math.copysign(1.0, left) * wall.curvature_per_m
+    points_m = arc_points(np.array((ax, ay)), np.array((bx, by)), curvature_per_m, np.linspace(0.0, 1.0, _ARC_POINTS))
+    return [(float(x_m), float(y_m)) for x_m, y_m in points_m]
 
 
 def quaternion_zw(yaw_rad: float) -> tuple[float, float]:
@@ -105,5 +111,5 @@ def quaternion_zw(yaw_rad: float) -> tuple[float, float]:
 
 def stamp_parts(stamp_ns: int) -> tuple[int, int]:
     """Seconds and nanoseconds; a negative stamp becomes 0, which these formats cannot go below."""
-    seconds, nanoseconds = divmod(max(stamp_ns, 0), 1_000_000_000)
+    seconds, nanoseconds = divmod(max(stamp_ns, 0), NANOSECONDS_PER_SECOND)
     return seconds, nanoseconds

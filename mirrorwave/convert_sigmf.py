@@ -42,13 +42,11 @@ def _beams(
         message = recorded.message
         if not isinstance(message, RadarBeam):
             if account.written[recorded.topic] > 1:
-                account.written[recorded.topic] -= 1
-                account.left_out["radar/setup: a capture holds one, the first"] += 1
+                account.leave_out(recorded.topic, "a capture holds one, the first")
             continue
         place = message.scan_id, message.beam_index
         if last is not None and place <= last:
-            account.written[recorded.topic] -= 1
-            account.lost["radar/beam: late or twice"] += 1
+            account.lose(recorded.topic, "late or twice")
             continue
         last = place
         yield message

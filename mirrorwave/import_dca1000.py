@@ -25,7 +25,7 @@ from models.perception.dca1000 import (
 from models.perception.digital_array import DigitalArrayMap, form_digital_map
 from models.perception.peaks import keep_apart, local_maxima
 from models.training.files import json_lines, whole, write_whole
-from msgs.units import db_from_ratio, ns_from_s
+from msgs.units import db_from_ratio, ns_from_s, ratio_from_db
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.
 FRAMES_PER_FILE = 50
@@ -164,7 +164,7 @@ def strongest_returns(formed: DigitalArrayMap, params: ImportParams) -> list[dic
     power = np.square(np.abs(formed.map.values), dtype=np.float64)
     power[grid.range_m < params.min_range_m] = 0.0
     # a silent frame has neither noise nor returns
-    threshold = max(noise_mw * 10.0 ** (LEAST_SNR_DB / 10.0), 1e-30)
+    threshold = max(noise_mw * ratio_from_db(LEAST_SNR_DB), 1e-30)
     maxima = local_maxima(power, threshold, SPACING_CELLS[0])
     cells = maxima[keep_apart(maxima, SPACING_CELLS)[: params.returns]]
     return [

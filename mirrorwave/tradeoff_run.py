@@ -39,6 +39,12 @@ from sim_player.labelled_beams import LabelledPlace
 
 #: What a row's latency is made of, in order: from the arrival of the last beam to that of the view.
 PARTS = ("transport", "forming", "detection", "geometry")
+#: What the parameters of a stage are.
+PARAMS: dict[str, type[Any]] = {
+    "ra_former": ra_former.Params,
+    "dense_predictor": dense_predictor.Params,
+    "geometry": geometry.Params,
+}
 #: Beside them, the work on all beams but the last, done while the next one is measured.
 BEFORE = "earlier beams"
 #: A hop over a socket on one machine that takes longer never comes.
@@ -120,6 +126,11 @@ def socket_hop() -> Iterator[Hop]:
             source.close()
 
 
+def params_of(row: Setting, stage: str) -> Any:
+    """A node's parameters under a row; raises `ValueError` naming the field that does not fit."""
+    return convert_at(row.of(stage), PARAMS[stage], stage)
+
+
 @dataclass
 class _Stages:
     """The parts of all rows, built at first use, and why some could not be."""
@@ -132,14 +143,11 @@ class _Stages:
         """Build what a row needs; raises whatever its parameters raise."""
         way, setup = Way.of(row), RadarSetup()
         if way.former not in self.former:
-            params = convert_at(row.of("ra_former"), ra_former.Params, "ra_former")
-            self.former[way.former] = RaFormer(setup, params)
+            self.former[way.former] = RaFormer(setup, params_of(row, "ra_former"))
         if way.detector[1] not in self.detector:
-            found = convert_at(row.of("dense_predictor"), dense_predictor.Params, "dense_predictor")
-            self.detector[way.detector[1]] = dense_predictor.detector_for(found, setup)
+            self.detector[way.detector[1]] = dense_predictor.detector_for(params_of(row, "dense_predictor"), setup)
         if way.geometry[2] not in self.geometry:
-            placed = convert_at(row.of("geometry"), geometry.Params, "geometry")
-            self.geometry[way.geometry[2]] = geometry.parts_of(placed)
+            self.geometry[way.geometry[2]] = geometry.parts_of(params_of(row, "geometry"))
 
 
 @contextmanager

@@ -67,10 +67,10 @@ def bins_of_ticks(ticks: np.ndarray, ticks_per_bin: Fraction, bins: int) -> np.n
     the later bin. Raises `ValueError` where ticks are negative or so many that the product leaves 64 bits.
     """
     ticks = np.asarray(ticks, np.int64)
-    largest = int(ticks.max(initial=0))
-    if ticks.min(initial=0) < 0 or largest * ticks_per_bin.denominator > np.iinfo(np.int64).max:
-        raise ValueError(f"ticks must be 0 or more and fit 64 bits times {ticks_per_bin.denominator}, got {largest}")
-    return np.asarray(ticks * ticks_per_bin.denominator // ticks_per_bin.numerator % bins)
+    factor, least, most = ticks_per_bin.denominator, int(ticks.min(initial=0)), int(ticks.max(initial=0))
+    if least < 0 or most * factor > np.iinfo(np.int64).max:
+        raise ValueError(f"ticks must be 0 or more and fit 64 bits times {factor}, got {least if least < 0 else most}")
+    return np.asarray(ticks * factor // ticks_per_bin.numerator % bins)
 
 
 def _checked(mean_counts: np.ndarray) -> np.ndarray:

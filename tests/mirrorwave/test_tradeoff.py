@@ -13,18 +13,16 @@ from typer.testing import CliRunner
 
 from mirrorwave.tradeoff import tradeoff
 from mirrorwave.tradeoff_report import Interval, Report, Row, Times, latency_ms, measuring_ms, read_report, with_front
-from mirrorwave.tradeoff_run import BEFORE, PARTS, Plan, _peak_resident_mib, peak_memory_mib, run_plan
+from mirrorwave.tradeoff_run import BEFORE, PARAMS, PARTS, Plan, _peak_resident_mib, peak_memory_mib, run_plan
 from mirrorwave.tradeoff_settings import Setting, read_settings
 from models.perception.cfar import CfarParams, cfar_peaks
 from models.perception.onnx_model import DEFAULT_MODEL
 from msgs.perception import Peaks
 from msgs.radar import RangeAzimuthMap
-from nodes import dense_predictor, geometry, ra_former
 from nodes.validation import convert_at
 
 app = typer.Typer()
 app.command()(tradeoff)
-PARAMS = {"ra_former": ra_former.Params, "dense_predictor": dense_predictor.Params, "geometry": geometry.Params}
 
 
 def run(out: Path, *options: str) -> Report:
