@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test lint stability bench tables fdtd-figures results results-gpu clean
+.PHONY: help setup setup-dev demo test lint stability reference bench tables fdtd-figures results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -40,6 +40,9 @@ lint: setup-dev  ## style, types, house laws
 
 stability: setup-dev  ## the hard cases with the errors of the naive form and of ours: docs/numerical-stability.md
 	$(BIN)/python -m pytest -q tests/stability --stability-page docs/numerical-stability.md
+
+reference: setup-dev  ## docs/reference, written from the types and the verbs
+	$(BIN)/python -m mirrorwave.reference docs/reference
 
 bench: setup-dev  ## the committed benchmarks, printed
 	$(BIN)/python -m benchmarks.ra_forming

@@ -1,0 +1,267 @@
+"""Command blocks of the documentation, and how they are run: page by page, top to bottom, as a reader would.
+
+A page's commands run in one folder that has the checkout's files and some recordings, data and runs beside them. What
+would take minutes runs in its short form: `SHORTER` lists every change, nothing is left out silently.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import yaml
+from markdown_it import MarkdownIt
+
+from mirrorwave.cli import main
+from mirrorwave.node import collect_heartbeats
+from msgs.diagnostics import NodeState
+from msgs.zmq_bus import run_dir
+
+ROOT = Path(__file__).resolve().parents[2]
+#: A graph that the documentation starts in the background gets this long to be ready.
+READY_S = 60.0
+
+#: Programs that a reader may have and a test machine need not.
+OPTIONAL = ("node", "npm")
+#: (pattern, replacement): what is changed in a command before it is run, in this order. Sizes and times only, or the
+#: same verb on what is small; `make` says what it would do.
+SHORTER: tuple[tuple[str, str], ...] = (
+    (r"^make (?!-n)", "make -n "),
+    # benchmarks: that the module is there and knows its options' help
+    (r"^(OPENBLAS_NUM_THREADS=1 )?python -m (benchmarks\.\S+)(?!.* --record ).*$", r"python -m \2 --help"),
+    (r"^mirrorwave demo$", "mirrorwave demo --headless --duration 1"),
+    (r"--duration \d+", "--duration 2"),
+    (r"--window 10\b", "--window 2"),
+    (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
+    (r"--scans \d+", "--scans 2"),
+    (r"^mirrorwave launch (launch/\S+)(?!.*--duration)(.*)$", r"mirrorwave launch \1 --duration 2\2"),
+    (r"^mirrorwave launch (launch/corner\S*)(.*)$", r"mirrorwave launch \1 -p player.chirps_per_beam=8\2"),
+    (r"^mirrorwave top$", "mirrorwave top --once --window 1"),
+    (r"--count \d+", "--count 8"),
+    (r"--workers 2", "--workers 1"),
+    (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
+    # the network of one short epoch finds nothing to learn from
+    (r"^(mirrorwave train residual .*) --model net.onnx$", r"\1 --epochs 1 --model models/weights/compact_unet.onnx"),
+    # whether a budget can be held is a matter of the machine
+    (r"--latency-budget-ms \d+", "--latency-budget-ms 5000"),
+    (r" --full$| --full ", " "),
+    (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --frames 1 --repeats 1 --no-memory"),
+    (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
+    # minutes whatever one asks; tests/mirrorwave/test_tradeoff_simulator.py runs it on small cases
+    (r"^mirrorwave tradeoff --simulator.*$", "mirrorwave tradeoff --simulator --help"),
+    # the other machine is this one: what SSH forwards is relayed between two sockets here
+    (r"^ssh -N -L (\$XDG\S+) vehicle( &)?$", r"python -m tests.docs.relay \1\2"),
+    (r"^ssh -N -L 8765:127.0.0.1:8765 vehicle$", "mirrorwave view --help"),
+    (r"^scp vehicle:(\S+) \.$", r"test -f \1"),
+    (r"/run/user/1000", "$XDG_RUNTIME_DIR"),
+    (r"-i socketcan -c can0", "-i virtual -c docs --duration 1"),
+    (r"^(mirrorwave eval .*)$", r"\1 --draws 10 --limit 2"),
+)
+
+
+class Block(NamedTuple):
+    """A block of code of a page."""
+
+    page: Path
+    line: int
+    language: str
+    text: str
+
+
+def blocks_of(page: Path) -> list[Block]:
+    """Every block of code of a page, in order; what is not said of its language is told from its text."""
+    tokens = MarkdownIt().parse(page.read_text(encoding="utf-8"))
+    found = [token for token in tokens if token.type in ("fence", "code_block")]
+    return [
+        Block(page, (token.map or [0])[0] + 1, token.info.strip() or _language(token.content), token.content)
+        for token in found
+    ]
+
+
+def _language(text: str) -> str:
+    if re.search(r"^(mirrorwave|python -m|make|alias|OPENBLAS\w+=) ?", text, re.MULTILINE):
+        return "sh"
+    if re.search(r"^(import|from) \w", text, re.MULTILINE):
+        return "python"
+    with contextlib.suppress(yaml.YAMLError):
+        if isinstance(yaml.safe_load(text), dict) and not text.lstrip().startswith("{"):
+            return "yaml"
+    return "text"
+
+
+def commands_of(text: str) -> Iterator[tuple[int, str]]:
+    """(line, command) of a shell block: comments off, continued lines joined, aliases and settings left out."""
+    joined = re.sub(r"\\\n", lambda _match: " \0", text)
+    line = 1
+    for raw in joined.split("\n"):
+        command = " ".join(shlex.join(_words(raw)).split()) if raw.strip() else ""
+        if command and not command.startswith("alias "):
+            yield line, _raw_words(raw)
+        line += 1 + raw.count("\0")
+
+
+def _words(raw: str) -> list[str]:
+    return shlex.split(raw.replace("\0", ""), comments=True)
+
+
+def _raw_words(raw: str) -> str:
+    """The command as written, without its comment."""
+    lexer = shlex.shlex(raw.replace("\0", ""), posix=False)
+    lexer.whitespace_split, lexer.commenters = True, "#"
+    return " ".join(lexer)
+
+
+def shortened(command: str) -> str:
+    """The form in which a command is run."""
+    for pattern, replacement in SHORTER:
+        command = re.sub(pattern, replacement, command)
+    return command
+
+
+class Runner:
+    """Runs the blocks of one page in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._background: list[subprocess.Popen[str]] = []
+        #: Programs of `OPTIONAL` that a command would have needed.
+        self.missing: list[str] = []
+
+    def run(self, block: Block) -> None:
+        """Run a block; a failure names page, line and command."""
+        where = f"{block.page.relative_to(ROOT)}:{block.line}"
+        if block.language in ("sh", "bash"):
+            self._shell(block, where)
+        elif block.language == "python":
+            self._python(block, where)
+        elif block.language == "yaml":
+            assert yaml.safe_load(block.text) is not None, where
+
+    @contextlib.contextmanager
+    def beside(self, command: str) -> Iterator[None]:
+        """Run the body while a command, if any, runs in the background."""
+        if command:
+            self._command(command, "beside the page")
+        started, self._background = self._background, []
+        try:
+            yield
+        finally:
+            self._background += started
+            self.close()
+
+    def close(self) -> None:
+        """End what runs in the background."""
+        for process in self._background:
+            process.send_signal(signal.SIGINT)
+        for process in self._background:
+            output, _ = process.communicate(timeout=30)
+            assert process.returncode == 0, f"ended with {process.returncode}: {process.args}: {output[-2000:]}"
+        self._background.clear()
+
+    def _shell(self, block: Block, where: str) -> None:
+        try:
+            for line, command in commands_of(block.text):
+                self._command(command, f"{where}+{line - 1}")
+        finally:
+            self.close()
+
+    def _command(self, written: str, where: str) -> None:
+        background = written.endswith("&")
+        command = shortened(written.rstrip("& "))
+        words = [word for word in shlex.split(command) if not re.match(r"[A-Z_]+=", word)]
+        plain = command.startswith("mirrorwave ")
+        if words[0] in OPTIONAL and shutil.which(words[0]) is None:
+            self.missing.append(words[0])
+            return
+        if words[1:2] == ["launch"]:
+            # by then the graph before it has ended by itself
+            self.close()
+        if background or words[:2] == ["mirrorwave", "view"]:
+            self._start(words, command)
+            return
+        code, output = self._mirrorwave(words[1:]) if plain else self._process(command)
+        assert code == 0, f"{where}: {command!r} ended with {code}: {output[-2000:]}"
+
+    def _mirrorwave(self, arguments: list[str]) -> tuple[int, str]:
+        """In this process, where packages are loaded already."""
+        handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)}
+        output = io.StringIO()
+        before = Path.cwd()
+        try:
+            os.chdir(self._folder)
+            with contextlib.redirect_stdout(output), contextlib.redirect_stderr(output):
+                code = main(arguments)
+        finally:
+            os.chdir(before)
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
+        return code, output.getvalue()
+
+    def _process(self, command: str) -> tuple[int, str]:
+        done = subprocess.run(
+            ["bash", "-c", command], cwd=self._folder, env=_environment(), capture_output=True, text=True, check=False
+        )
+        return done.returncode, done.stdout + done.stderr
+
+    def _python(self, block: Block, where: str) -> None:
+        code, output = self._process(f"{shlex.quote(sys.executable)} -W error -c {shlex.quote(block.text)}")
+        assert code == 0, f"{where}: {output[-2000:]}"
+
+    def _start(self, words: list[str], command: str) -> None:
+        """Start in the background, with as long to run as the page's foreground needs."""
+        verb = words[1] if words[0] == "mirrorwave" else ""
+        if verb == "view":
+            command += " --no-browser --port 0"
+        process = self._popen(command.replace("--duration 2", ""))
+        self._background.append(process)
+        if verb == "launch":
+            # without a source there are no views until `bag play` sends beams
+            _wait_until_ready(process, has_source="launch/replay.yaml" not in words)
+        elif verb == "view":
+            assert process.stdout is not None
+            lines = iter(process.stdout.readline, "")
+            assert any("open http" in line for line in lines), f"{command}: no address"
+        else:
+            time.sleep(1.0)
+
+    def _popen(self, command: str) -> subprocess.Popen[str]:
+        return subprocess.Popen(
+            ["bash", "-c", f"exec env {command}"],
+            cwd=self._folder,
+            env=_environment(),
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+
+
+def _environment() -> dict[str, str]:
+    return {**os.environ, "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}"}
+
+
+def _wait_until_ready(process: subprocess.Popen[str], has_source: bool) -> None:
+    """Until all are ready and, where there is a source, a view came: the last node of a graph is then up."""
+    deadline_s = time.monotonic() + READY_S
+    while time.monotonic() < deadline_s:
+        assert process.poll() is None, f"the graph ended with {process.returncode}"
+        beats = collect_heartbeats(run_dir("default"), 0.6)
+        states = {name: found[-1].state for name, found in beats.items()}
+        seen = sum(
+            count.messages
+            for found in beats.values()
+            for count in found[-1].published
+            if count.topic == "perception/hidden_objects"
+        )
+        if states and (seen or not has_source) and all(state is NodeState.READY for state in states.values()):
+            return
+    raise TimeoutError(f"no graph in {READY_S:g} s")

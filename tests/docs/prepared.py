@@ -1,0 +1,103 @@
+"""Files that pages of the documentation take for given, made once and small."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+
+from mirrorwave.cli import main
+from msgs.vehicle import VehicleState
+from nodes.can_link import load_dbc, load_mapping
+from sim_player.car import SimulatedCar
+from tests.mirrorwave.test_can import write_drive
+from tests.mirrorwave.test_import_dca1000 import CFG, point, two_lanes
+from tests.nodes.test_can_out import write_log
+
+SMALL = ["-p", "player.chirps_per_beam=8"]
+#: Channel of python-can's virtual bus on which a car speaks while pages are run.
+CAN_CHANNEL = "docs"
+
+
+def _corner(folder: Path) -> None:
+    scene = ["launch/scenes/corner.yaml", "--scans", "2", "--chirps-per-beam", "8", "--effects", "basic"]
+    assert main(["sim", "run", *scene, "--out", str(folder / "corner.mcap")]) == 0
+
+
+def _seen(folder: Path) -> None:
+    """Everything that a graph says, raw beams included."""
+    recorded = ["--record", str(folder / "seen.mcap"), "--raw", "--runs-dir", str(folder / "seen_run")]
+    assert main(["launch", "launch/corner.yaml", *SMALL, "--duration", "2", *recorded]) == 0
+
+
+def _drive(folder: Path) -> None:
+    write_drive(folder / "drive.log")
+    for suffix in ("dbc", "yaml"):
+        shutil.copy(f"launch/can/mirrorwave.{suffix}", folder / f"car.{suffix}")
+
+
+def _list(folder: Path) -> None:
+    bus = {"interface": "virtual", "channel": "list", "options": {"preserve_timestamps": True}}
+    write_log(bus, folder / "list.log")
+
+
+def _dca1000(folder: Path) -> None:
+    (folder / "capture.bin").write_bytes(2 * two_lanes(point()))
+    (folder / "chirps.cfg").write_text(CFG)
+
+
+#: What a page needs beside the checkout: file or folder -> how it is made. Those of one maker come together.
+MAKERS: dict[str, Callable[[Path], None]] = {
+    "corner.mcap": _corner,
+    "seen.mcap": _seen,
+    "drive.log": _drive,
+    "car.dbc": _drive,
+    "car.yaml": _drive,
+    "list.log": _list,
+    "capture.bin": _dca1000,
+    "chirps.cfg": _dca1000,
+}
+
+
+class Prepared:
+    """Makes files at first use and lends copies of them."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._made: set[Callable[[Path], None]] = set()
+
+    def lend(self, name: str, folder: Path) -> None:
+        """Put a file into a page's folder."""
+        if MAKERS[name] not in self._made:
+            MAKERS[name](self._folder)
+            self._made.add(MAKERS[name])
+        shutil.copy(self._folder / name, folder / name)
+
+
+@contextmanager
+def speaking_car() -> Iterator[None]:
+    """A car that says on a virtual CAN bus of this process how it moves, ten times a second."""
+    ended = threading.Event()
+
+    def speak() -> None:
+        car = SimulatedCar(
+            load_dbc(Path("launch/can/mirrorwave.dbc")), load_mapping(Path("launch/can/mirrorwave.yaml"))
+        )
+        with can.Bus(interface="virtual", channel=CAN_CHANNEL, ignore_config=True) as bus:
+            now_ns = 0
+            while not ended.wait(0.02):
+                now_ns += 20_000_000
+                for frame in car.frames(VehicleState(stamp_ns=now_ns, speed_mps=9.0, yaw_rate_rps=0.1)):
+                    bus.send(can.Message(arbitration_id=frame.arbitration_id, data=frame.data, is_extended_id=False))
+
+    thread = threading.Thread(target=speak, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()

@@ -1,0 +1,120 @@
+"""Every command block of the documentation is run: `tests/docs/pages.py` says how, `SHORTER` what is shortened."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.docs.pages import ROOT, SHORTER, Runner, blocks_of, commands_of, shortened
+from tests.docs.prepared import Prepared, speaking_car
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
+#: Files of the reader's own that a page speaks of.
+GIVEN: dict[str, tuple[str, ...]] = {
+    "README.md": ("drive.log", "car.dbc", "car.yaml"),
+    "docs/can-out.md": ("list.log",),
+    "docs/convert.md": ("seen.mcap",),
+    "docs/formats.md": ("seen.mcap",),
+    "docs/import-dca1000.md": ("capture.bin", "chirps.cfg"),
+    "docs/tools.md": ("drive.log",),
+    "docs/connect-my-car.md": ("drive.log", "car.dbc", "car.yaml"),
+    "docs/other-languages.md": ("seen.mcap",),
+    "docs/python.md": ("corner.mcap",),
+    "docs/vehicle.md": ("drive.log", "car.dbc", "car.yaml"),
+    "docs/viewer.md": ("seen.mcap",),
+}
+#: Pages that speak of a graph that runs already.
+OF_A_GRAPH = {"docs/live-timing.md", "docs/two-machines.md"}
+#: Written from the code, with usage lines in place of commands; held by tests/mirrorwave/test_reference.py.
+GENERATED = "docs/reference/commands.md"
+#: What of the checkout a page finds beside it.
+CHECKOUT = (
+    "launch",
+    "docs",
+    "benchmarks",
+    "models",
+    "msgs",
+    "nodes",
+    "sim_player",
+    "mirrorwave",
+    "tests",
+    "Makefile",
+    "pyproject.toml",
+)
+
+
+@pytest.fixture(scope="session")
+def prepared(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+    return Prepared(tmp_path_factory.mktemp("prepared"))
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A reader's folder: the checkout's files, nothing of other pages, a graph of its own."""
+    for name in CHECKOUT:
+        (tmp_path / name).symlink_to(ROOT / name)
+    # a short path: socket names are limited
+    with tempfile.TemporaryDirectory(prefix="mw") as path:
+        monkeypatch.delenv("MIRRORWAVE_RUN_DIR", raising=False)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", path)
+        yield tmp_path
+
+
+def pages_with_code() -> list[str]:
+    names = [str(page.relative_to(ROOT)) for page in PAGES if blocks_of(page)]
+    return [name for name in names if name != GENERATED]
+
+
+@pytest.mark.graph
+@pytest.mark.parametrize("name", pages_with_code())
+def test_page(name: str, folder: Path, prepared: Prepared) -> None:
+    for given in GIVEN.get(name, ()):
+        prepared.lend(given, folder)
+    runner = Runner(folder)
+    graph = "mirrorwave launch launch/corner.yaml &" if name in OF_A_GRAPH else ""
+    with speaking_car(), runner.beside(graph):
+        for block in blocks_of(ROOT / name):
+            runner.run(block)
+    if runner.missing:
+        pytest.skip(f"all but what needs {', '.join(runner.missing)}, which this machine lacks")
+
+
+def test_every_shortening_is_used() -> None:
+    """One that no command needs any more would hide the next command that it fits."""
+    commands = [
+        command
+        for page in PAGES
+        if str(page.relative_to(ROOT)) != GENERATED
+        for block in blocks_of(page)
+        if block.language == "sh"
+        for _, command in commands_of(block.text)
+    ]
+    assert len(commands) > 50
+    used = {number for command in commands for number in _used(command)}
+    assert used == set(range(len(SHORTER)))
+
+
+def _used(command: str) -> Iterator[int]:
+    import re
+
+    for number, (pattern, replacement) in enumerate(SHORTER):
+        changed = re.sub(pattern, replacement, command.rstrip("& "))
+        if changed != command.rstrip("& "):
+            yield number
+        command = changed
+
+
+def test_comments_continued_lines_and_aliases() -> None:
+    text = "alias mirrorwave=x\n# words\nmirrorwave top \\\n    --once   # now\n\nmirrorwave sim run 'a b.yaml' &\n"
+    assert list(commands_of(text)) == [(3, "mirrorwave top --once"), (6, "mirrorwave sim run 'a b.yaml' &")]
+
+
+def test_short_forms() -> None:
+    assert shortened("make test") == "make -n test"
+    assert shortened("mirrorwave top") == "mirrorwave top --once --window 1"
+    assert shortened("mirrorwave sim effects launch/scenes/corner.yaml") == (
+        "mirrorwave sim effects launch/scenes/corner.yaml"
+    )

@@ -1,0 +1,105 @@
+"""The Python API: the same bytes as the command line, and plain words for what does not fit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from mirrorwave.api import Perception, View, scan_beams, views
+from mirrorwave.cli import main
+from models.perception.objects import bev_to_json
+from msgs.radar import RadarBeam, RadarSetup
+from nodes.player import Params, scene_player
+
+SCENE = "launch/scenes/corner.yaml"
+CHIRPS = 4
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("capture") / "corner.mcap"
+    command = ["sim", "run", SCENE, "--out", str(path), "--scans", "2", "--effects", "basic"]
+    assert main([*command, "--chirps-per-beam", str(CHIRPS)]) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def beams() -> tuple[RadarSetup, list[RadarBeam]]:
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
+    return player.setup, [player.beam(0, index) for index in range(25)]
+
+
+def lines_of(found: list[View]) -> str:
+    return "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in found)
+
+
+def test_views_are_what_process_writes(capture: Path, tmp_path: Path) -> None:
+    assert main(["process", str(capture), "--out", str(tmp_path)]) == 0
+    found = list(views(capture))
+    assert lines_of(found) == (tmp_path / "objects.jsonl").read_text()
+    assert [view.scan_id for view in found] == [0, 1]
+    assert all(view.truth is not None and view.truth.scan_id == view.scan_id for view in found)
+    assert all(view.ra_map.scan_id == view.peaks.scan_id == view.scan_id for view in found)
+
+
+def test_profile_and_overrides_reach_the_nodes(capture: Path, tmp_path: Path) -> None:
+    assert main(["process", str(capture), "--out", str(tmp_path), "--profile", "cfar"]) == 0
+    assert lines_of(list(views(capture, "cfar"))) == (tmp_path / "objects.jsonl").read_text()
+    assert lines_of(list(views(capture, overrides=["dense_predictor.method=cfar"]))) == lines_of(
+        list(views(capture, "cfar"))
+    )
+
+
+def test_a_scan_as_one_array_is_a_scan_of_beams(beams: tuple[RadarSetup, list[RadarBeam]]) -> None:
+    setup, one_scan = beams
+    whole = Perception(setup, "cfar").see(np.stack([beam.samples for beam in one_scan]), stamp_ns=0)
+    perception = Perception(setup, "cfar")
+    single = [view for beam in one_scan for view in perception.add(beam)]
+    assert lines_of([whole]) == lines_of(single)
+    assert whole.frame.objects
+
+
+def test_scans_follow_each_other_in_time(beams: tuple[RadarSetup, list[RadarBeam]]) -> None:
+    setup, one_scan = beams
+    perception = Perception(setup, "cfar")
+    samples = np.stack([beam.samples for beam in one_scan])
+    first, second = perception.see(samples), perception.see(samples)
+    assert (first.scan_id, second.scan_id) == (0, 1)
+    assert second.frame.stamp_ns - first.frame.stamp_ns == round(1e9 * setup.radar.scan_period_s)
+
+
+def test_a_scan_without_its_end_is_finished_with_what_there_is(beams: tuple[RadarSetup, list[RadarBeam]]) -> None:
+    setup, one_scan = beams
+    perception = Perception(setup, "cfar")
+    assert [view for beam in one_scan[:20] for view in perception.add(beam)] == []
+    (view,) = perception.finish()
+    assert "missing_beams" in view.frame.flags
+
+
+def test_what_does_not_fit_is_refused_in_one_line(beams: tuple[RadarSetup, list[RadarBeam]], tmp_path: Path) -> None:
+    setup, one_scan = beams
+    with pytest.raises(ValueError, match=r"samples must be \[25 beams, chirps, samples, 2\], got \(3, 4, 8192, 2\)"):
+        scan_beams(np.zeros((3, 4, 8192, 2), np.int16), setup)
+    with pytest.raises(ValueError, match="dtype <i2"):
+        Perception(setup, "cfar").see(np.zeros((25, 4, 8192, 2)))
+    foreign = msgspec.structs.replace(one_scan[0], samples=np.zeros((4, 100, 2), np.int16))
+    with pytest.raises(ValueError, match="100"):
+        Perception(setup, "cfar").add(foreign)
+    with pytest.raises(ValueError, match="unknown profile 'best'"):
+        Perception(setup, "best")
+    with pytest.raises(ValueError, match=r"nothing\.mcap: no such file"):
+        next(views(tmp_path / "nothing.mcap"))
+    (tmp_path / "empty.mcap").touch()
+    with pytest.raises(ValueError, match="is empty"):
+        next(views(tmp_path / "empty.mcap"))
+
+
+def test_a_view_draws_itself(beams: tuple[RadarSetup, list[RadarBeam]], tmp_path: Path) -> None:
+    setup, one_scan = beams
+    view = Perception(setup, "cfar").see(np.stack([beam.samples for beam in one_scan]))
+    view.draw(tmp_path / "view.png")
+    assert (tmp_path / "view.png").read_bytes().startswith(b"\x89PNG")
