@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
@@ -20,6 +21,10 @@ $(VENV)/.installed: pyproject.toml
 
 $(VENV)/.installed-dev: $(VENV)/.installed
 	$(BIN)/pip install --quiet --editable '.[dev]'
+	@# shared libraries of open3d (annotate) and pyadi-iio (phaser); what needs them is skipped by name where they lack
+	@if $(BIN)/python -c "import open3d, iio" 2>/dev/null; then :; \
+	elif [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && { apt-get -qq update && apt-get -qq install -y --no-install-recommends $(LIBRARIES); } >/dev/null 2>&1; then :; \
+	else echo "some tests will be skipped; on Debian: apt-get install $(LIBRARIES)"; fi
 	@touch $@
 
 setup: $(VENV)/.installed  ## make .venv with .venv/bin/mirrorwave
@@ -30,7 +35,9 @@ demo: setup  ## a simulated corner through the whole graph: hidden objects besid
 	$(BIN)/mirrorwave demo
 
 test: setup-dev  ## all tests
-	$(BIN)/python -m pytest -q
+	@# graphs of processes want the machine to themselves
+	$(BIN)/python -m pytest -q -m "not graph" -n auto --dist loadfile
+	$(BIN)/python -m pytest -q -m graph
 
 lint: setup-dev  ## style, types, house laws
 	$(BIN)/ruff check .

@@ -98,6 +98,7 @@ class DoubleChain:
             missing_beams=(),
             saturated_share=stamps.saturated_share,
             faults=stamps.faults,
+            vehicle_from_radar=stamps.vehicle_from_radar,
         )
 
     def heatmap(self, double_map: SimpleNamespace) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +11,26 @@ import typer
 
 from mirrorwave import bag_convert
 from mirrorwave.bag_convert import Conversion, Format
-from mirrorwave.bag_options import EndS, File, Out, StartS, Topics, span_ns, split_topics, stop_by_signal
+from mirrorwave.bag_options import (
+    EndS,
+    File,
+    MaxParts,
+    MinFree,
+    Out,
+    Raw,
+    SnapshotBytes,
+    SnapshotS,
+    SplitDuration,
+    SplitSize,
+    StartS,
+    Topics,
+    command_line,
+    recorder_params,
+    require_new_recording,
+    span_ns,
+    split_topics,
+    stop_by_signal,
+)
 from mirrorwave.bag_play import play
 from mirrorwave.console import (
     DEFAULT_DOMAIN,
@@ -32,40 +52,117 @@ app.command()(play)
 def record(
     out: Out,
     topics: Topics = None,
-    raw: Annotated[bool, typer.Option("--raw", help="Raw beams too (350 MB/s).")] = False,
+    raw: Raw = False,
     duration: Annotated[float | None, typer.Option("--duration", metavar="S", min=0.1, help="Stop after S s.")] = None,
+    split_size: SplitSize = None,
+    split_duration: SplitDuration = None,
+    max_parts: MaxParts = None,
+    snapshot: SnapshotS = None,
+    snapshot_bytes: SnapshotBytes = None,
+    min_free: MinFree = None,
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
-    """Record a running graph until Ctrl-C; exit code 3 if messages were lost on the way."""
+    """Record a running graph until Ctrl-C (docs/recording.md); exit code 3 if messages are missing."""
     from msgs.zmq_bus import ZmqBus, run_dir
     from nodes.node import Heartbeat, Stop, run_loop
-    from nodes.recorder import Params, Recorder
+    from nodes.recorder import Params
 
-    require_new_file(out)
-    bus = ZmqBus(f"bag_record-{os.getpid()}", run_dir(domain))
+    options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
+    meeting_place = run_dir(domain)
+    params = Params(
+        path=str(out),
+        topics=split_topics(topics),
+        raw=raw,
+        metadata={"command": command_line(), **_launch_of(meeting_place)},
+        run_dir=str(meeting_place),
+        **options,
+    )
+    require_new_recording(out, options)
+    name = f"bag_record-{os.getpid()}"
+    bus = ZmqBus(name, meeting_place)
     try:
-        recorder = Recorder(Params(path=str(out), topics=split_topics(topics), raw=raw))
-        stop = stop_by_signal(Stop(), duration)
-        run_loop(recorder, bus, stop, Heartbeat(bus, f"bag_record-{os.getpid()}"))
-        lost = sum(count.lost + count.rejected for count in bus.counts()[0]) + recorder.missed
+        bus.want_all()
+        recorder = _recorder(params)
+        run_loop(recorder, bus, stop_by_signal(Stop(), duration), Heartbeat(bus, name))
     finally:
         bus.close()
-    print_line(f"{out}: {recorder.messages} messages, {lost} lost")
-    if lost:
+    _report_recorded(recorder)
+
+
+def _recorder(params: Any) -> Any:
+    """The node; on its own it has nothing to stay for once the disk has refused."""
+    from nodes.recorder import Recorder, create
+
+    return create(params) if params.snapshot_s is not None else Recorder(params, ends_when_refused=True)
+
+
+def _launch_of(run_dir: Path) -> dict[str, str]:
+    """The launch file of the graph that runs in a directory, as it was resolved; nothing where none is found."""
+    from nodes.launch_file import dump_launch, read_launch_file, without_metadata
+    from nodes.supervisor import read_lock
+
+    try:
+        launch = read_launch_file(Path(read_lock(run_dir)["run"]) / "launch.yaml")
+    except (KeyError, OSError, ValueError):
+        return {}
+    return {"launch": dump_launch(without_metadata(launch))}
+
+
+def _report_recorded(recorder: Any) -> None:
+    missing = recorder.lost + getattr(recorder, "missed", 0)
+    for path in recorder.paths:
+        print_line(str(path))
+    print_line(f"{recorder.messages} messages, {missing} missing")
+    if recorder.refused:
+        print_line(recorder.refused)
+    if missing or recorder.refused:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
 
 @app.command()
-def info(file: File, as_json: AsJson = False) -> None:
+def snapshot(
+    timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="Wait S s for the answer.")] = 60.0,
+    as_json: AsJson = False,
+    domain: Domain = DEFAULT_DOMAIN,
+) -> None:
+    """Have each recorder that was started with --snapshot write what it holds; done when it is written."""
+    from msgs.zmq_bus import run_dir
+    from nodes.snapshot_trigger import ask, find_recorders
+
+    recorders = find_recorders(run_dir(domain))
+    if not recorders:
+        raise ValueError(f"domain {domain!r}: no recorder with --snapshot runs here")
+    answers = [ask(path, timeout) for path in recorders]
+    if as_json:
+        print_json(answers)
+    else:
+        for answer in answers:
+            print_line(answer.error or f"{answer.path}: {answer.messages} messages, the last {answer.span_s:.1f} s")
+    if any(answer.error for answer in answers):
+        raise typer.Exit(ExitCode.FAILED)
+    if any(answer.lost for answer in answers):
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+
+
+@app.command()
+def info(
+    file: File,
+    as_json: AsJson = False,
+    config: Annotated[bool, typer.Option("--config", help="Print the launch file of the recorded graph.")] = False,
+) -> None:
     """What a recording holds, its checksums verified; exit code 3 if something is missing or damaged."""
     from msgs import recording
 
     found = recording.info(file)
-    if as_json:
+    if config:
+        if "launch" not in found.metadata:
+            raise ValueError(f"{file}: holds no launch file: recorded without a graph of `mirrorwave launch`")
+        print_line(found.metadata["launch"].rstrip())
+    elif as_json:
         print_json(found)
     else:
         _print_info(found)
-    if found.loss:
+    if found.loss or (found.losses and (found.losses.total or found.losses.ended)):
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
 
@@ -92,7 +189,8 @@ def trim(
     from msgs import recording
 
     require_new_file(out)
-    start_ns, end_ns = span_ns(recording.info(file), start, end)
+    with recording.RecordingReader(file) as reader:
+        start_ns, end_ns = span_ns(reader, start, end)
     count, loss = recording.copy_recording(
         file, out, topics=split_topics(topics), start_ns=start_ns, end_ns=end_ns, compress=compress
     )
@@ -136,6 +234,8 @@ def _print_info(found: Any) -> None:
     print_line(f"{found.path}: {found.size_bytes / (1 << 20):.1f} MiB, {found.duration_s:.2f} s")
     complete, checksums = "yes" if found.complete else "no", "good" if found.checksums_agree else "bad"
     print_line(f"complete: {complete}, checksums: {checksums}")
+    for line in _origin(found.metadata):
+        print_line(line)
     if found.loss:
         print_line(f"loss: {found.loss}")
     columns = ("TOPIC", "TYPE", "MESSAGES", "BYTES", "HZ", "PUBLISHERS")
@@ -144,3 +244,30 @@ def _print_info(found: Any) -> None:
         for topic in found.topics
     ]
     print_table(columns, rows)
+    _print_losses(found.losses)
+
+
+def _origin(metadata: dict[str, str]) -> list[str]:
+    """Where a recording comes from, as far as it says so; written by anybody, so nothing is taken for granted."""
+    lines = [f"{key}: {metadata[key]}" for key in ("started_utc", "part", "command") if key in metadata]
+    try:
+        machine = json.loads(metadata.get("machine", ""))
+        lines.append(f"machine: {machine['processor']}, {machine['cores']} cores, {machine['kernel']}")
+    except (ValueError, KeyError, TypeError):
+        pass
+    if "launch" in metadata:
+        lines.append("launch file: yes (--config prints it)")
+    return lines
+
+
+def _print_losses(losses: Any) -> None:
+    if losses is None:
+        return
+    if losses.ended:
+        print_line(f"ended early: {losses.ended}")
+    if not losses.topics:
+        print_line("missing messages: none")
+        return
+    print_line(f"missing messages: {losses.total}")
+    rows = [(topic.topic, topic.lost, topic.rejected, topic.outdated, topic.missed) for topic in losses.topics]
+    print_table(("TOPIC", "LOST", "REJECTED", "OUTDATED", "NOT WRITTEN"), rows)

@@ -1,18 +1,86 @@
-"""What the verbs of `mirrorwave bag` share: their arguments, spans of time, the wish to stop."""
+"""What the verbs of `mirrorwave bag` and `launch --record` share: arguments, spans of time, the wish to stop."""
 
 from __future__ import annotations
 
+import shlex
 import signal
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+
+from mirrorwave.console import require_new_file
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Recording.")]
 Out = Annotated[Path, typer.Argument(metavar="OUT", help="New recording.")]
 Topics = Annotated[str | None, typer.Option("--topics", metavar="A,B", help="Only these topics, by comma.")]
 StartS = Annotated[float, typer.Option("--start", metavar="S", min=0.0, help="Leave out the first S seconds.")]
 EndS = Annotated[float | None, typer.Option("--end", metavar="S", min=0.0, help="Stop S seconds from the start.")]
+
+Raw = Annotated[bool, typer.Option("--raw", help="Record raw beams too (350 MB/s).")]
+SplitSize = Annotated[
+    float | None,
+    typer.Option("--split-size", metavar="MB", help="A new file, OUT-00001 and so on, every MB (10^6 bytes)."),
+]
+SplitDuration = Annotated[
+    float | None, typer.Option("--split-duration", metavar="S", help="A new file every S seconds.")
+]
+MaxParts = Annotated[
+    int | None, typer.Option("--max-parts", metavar="N", help="Delete the oldest file of a split recording beyond N.")
+]
+SnapshotS = Annotated[
+    float | None,
+    typer.Option("--snapshot", metavar="S", help="Hold the last S seconds; write them at `mirrorwave bag snapshot`."),
+]
+SnapshotBytes = Annotated[
+    float | None, typer.Option("--snapshot-bytes", metavar="MB", help="Hold no more than this in memory (1074 MB).")
+]
+MinFree = Annotated[
+    float | None, typer.Option("--min-free", metavar="MB", help="End before the disk has less room (100 MB).")
+]
+_BYTES_PER_MB = 1_000_000
+
+
+def recorder_params(
+    split_size: float | None,
+    split_duration: float | None,
+    max_parts: int | None,
+    snapshot: float | None,
+    snapshot_bytes: float | None,
+    min_free: float | None,
+) -> dict[str, Any]:
+    """Parameters of the recorder from its options, those that were not given left out."""
+    given = {
+        "split_bytes": _bytes("--split-size", split_size),
+        "split_s": split_duration,
+        "max_parts": max_parts,
+        "snapshot_s": snapshot,
+        "snapshot_bytes": _bytes("--snapshot-bytes", snapshot_bytes),
+        "min_free_bytes": _bytes("--min-free", min_free),
+    }
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def require_new_recording(out: Path, params: dict[str, Any]) -> None:
+    """Raise `FileExistsError` where OUT, or one of the files OUT-00001, ... that `params` ask for, exists already."""
+    from nodes.recording_files import numbered_files, numbered_path
+
+    several = any(params.get(name) is not None for name in ("split_bytes", "split_s", "snapshot_s"))
+    require_new_file(next(iter(numbered_files(out).values()), numbered_path(out, 1)) if several else out)
+
+
+def command_line() -> str:
+    """The command as it was given."""
+    return shlex.join(["mirrorwave", *sys.argv[1:]])
+
+
+def _bytes(option: str, megabytes: float | None) -> int | None:
+    if megabytes is None:
+        return None
+    if not 0.0 <= megabytes < 1e12:
+        raise ValueError(f"{option} must be a number of MB from 0, got {megabytes:g}")
+    return round(_BYTES_PER_MB * megabytes)
 
 
 def split_topics(topics: str | None) -> tuple[str, ...] | None:

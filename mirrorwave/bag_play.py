@@ -1,16 +1,24 @@
-"""`mirrorwave bag play`: a recording into a running graph."""
+"""`mirrorwave bag play`: a recording into a running graph (docs/replay.md)."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from typing import Annotated, Any
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mirrorwave.bag_options import EndS, File, StartS, Topics, span_ns, split_topics, stop_by_signal
-from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line
+from mirrorwave.bag_options import EndS, File, StartS, Topics, split_topics, stop_by_signal
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line
 from msgs.topics import TOPICS
+
+if TYPE_CHECKING:
+    from mirrorwave.replay import Position, ReplayParams, Summary
+    from mirrorwave.replay_keys import Keyboard
+    from msgs.recording import RecordingReader
+    from msgs.zmq_bus import ZmqBus
+    from nodes.node import Stop
 
 #: What nodes say about themselves; played back, it would be taken for living nodes.
 _SELF_TALK = ("diagnostics/node", "log")
@@ -19,122 +27,173 @@ _PLAYER = "bag_player"
 
 def play(
     file: File,
-    rate: Annotated[float, typer.Option("--rate", "-r", help="Speed against the recording.")] = 1.0,
+    rate: Annotated[float, typer.Option("--rate", "-r", help="Speed, at most; 0: as fast as it goes.")] = 1.0,
+    realtime: Annotated[bool, typer.Option("--realtime", help="Keep time; lose what the graph cannot take.")] = False,
     loop: Annotated[bool, typer.Option("--loop", "-l", help="Start again at the end, until Ctrl-C.")] = False,
     topics: Topics = None,
+    remap: Annotated[
+        list[str] | None, typer.Option("--remap", metavar="OLD:=NEW", help="Play a topic as another; repeatable.")
+    ] = None,
     start: StartS = 0.0,
     end: EndS = None,
+    duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Play S seconds.")] = None,
+    clock: Annotated[bool, typer.Option("--clock", help="Move stamps onto the clock of now.")] = False,
+    start_paused: Annotated[bool, typer.Option("--start-paused", help="Wait for the space key.")] = False,
     domain: Domain = DEFAULT_DOMAIN,
+    as_json: AsJson = False,
 ) -> None:
-    """Publish a recording into a graph, under its own topics and in its own time.
+    """Publish a recording into a graph, holding back where the graph needs longer; exit code 3 if it missed anything.
 
-    What nodes said about themselves (diagnostics/node, log) is left out unless --topics names it.
+    What nodes said about themselves (diagnostics/node, log) is left out unless --topics names it, and so is what a
+    living node makes itself. In a terminal: space pauses, s steps one scan, left and right seek, up and down change the
+    rate, q ends.
     """
+    from mirrorwave.replay import ReplayParams, first_sensed_ns, require_pace, span_of
+    from mirrorwave.replay_graph import await_nodes
+    from mirrorwave.replay_keys import Keyboard
     from msgs.recording import RecordingReader
+    from msgs.zmq_bus import ZmqBus, list_publishers, run_dir
+    from nodes.node import Stop
 
-    if not 0.0 < rate <= 1000.0:
-        raise ValueError(f"--rate must be above 0 and at most 1000, got {rate:g}")
-    with RecordingReader(file) as reader:
-        summary = reader.info()
-        chosen = _playable(summary, split_topics(topics))
-        bus = _open_player(chosen, domain)
-        try:
-            played = _Player(reader, bus, chosen, span_ns(summary, start, end)).play(
-                rate, loop, _total(summary, chosen)
-            )
-        finally:
-            bus.close()
-        print_line(f"{file}: {played} messages played")
-        if reader.loss or any(reader.skipped.get(topic) for topic in chosen):
-            print_line(f"{file}: {reader.loss or 'unreadable messages were left out'}")
-            raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+    require_pace(rate, realtime, clock)
+    meeting = run_dir(domain)
+    with RecordingReader(file) as reader, Keyboard() as keyboard, ExitStack() as closing:
+        if start_paused and not keyboard.is_there:
+            raise ValueError("--start-paused needs a terminal: nobody could press a key")
+        renamed = _renamed(reader, remap or [])
+        stop = stop_by_signal(Stop(), None)
+        bus = ZmqBus(_PLAYER, meeting, paced=not realtime, counted=True)
+        closing.callback(bus.close)
+        await_nodes(bus, meeting, lambda: stop.requested)
+        chosen = _playable(reader, renamed, split_topics(topics), list_publishers(meeting), domain, clock)
+        first_ns = first_sensed_ns(reader, chosen, renamed)
+        start_ns, end_ns = span_of(first_ns, start, end, duration)
+        params = ReplayParams(
+            topics=chosen, renamed=renamed, rate=rate, keeps_time=realtime, loop=loop, first_ns=first_ns,
+            start_ns=start_ns, end_ns=end_ns, on_clock=clock, paused=start_paused,
+        )  # fmt: skip
+        summary = _played(reader, bus, params, keyboard, meeting, stop)
+    if as_json:
+        print_json(summary)
+    else:
+        _print_summary(summary)
+    if not summary.is_whole:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
 
-def _playable(summary: Any, wanted: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Topics to play: the wanted ones, each of which the recording must hold, or all that this program knows."""
-    known = [topic.topic for topic in summary.topics if topic.known]
+def _renamed(reader: RecordingReader, remap: list[str]) -> dict[str, str]:
+    """New names of topics; raises `ValueError` naming a pair that does not fit."""
+    types, renamed = reader.types, {}
+    for pair in remap:
+        old, arrow, new = (part.strip() for part in pair.partition(":="))
+        if not (old and arrow and new):
+            raise ValueError(f"--remap must be OLD:=NEW, got {pair!r}")
+        if old not in types:
+            raise ValueError(f"--remap {pair}: {reader.path} holds no topic {old!r}; it holds {', '.join(types)}")
+        if new not in TOPICS:
+            raise ValueError(f"--remap {pair}: unknown topic {new!r}; known are {', '.join(sorted(TOPICS))}")
+        if types[old] != TOPICS[new].type.__name__:
+            wanted = TOPICS[new].type.__name__
+            raise ValueError(f"--remap {pair}: {new} carries {wanted}, but {old} {types[old] or 'has no type'}")
+        renamed[old] = new
+    return renamed
+
+
+def _playable(
+    reader: RecordingReader,
+    renamed: dict[str, str],
+    wanted: tuple[str, ...] | None,
+    publishers: list[tuple[str, str]],
+    domain: str,
+    sensed_only: bool,
+) -> tuple[str, ...]:
+    """Topics to play, as the recording names them: the wanted ones, or all that are known and that no node makes.
+
+    Raises `ValueError` where a wanted one is missing, is published already or would come from two topics.
+    """
+    from nodes.player import SENSED_TOPICS
+
+    known = [topic for topic in reader.types if renamed.get(topic, topic) in TOPICS]
     for topic in wanted or ():
         if topic not in known:
-            raise ValueError(f"{summary.path}: holds no topic {topic!r} to play; it holds {', '.join(known)}")
-    chosen = tuple(topic for topic in known if topic in wanted) if wanted else ()
-    chosen = chosen or tuple(topic for topic in known if topic not in _SELF_TALK)
-    if not chosen:
-        raise ValueError(f"{summary.path}: holds nothing to play")
-    return chosen
+            raise ValueError(f"{reader.path}: holds no topic {topic!r} to play; it holds {', '.join(known) or 'none'}")
+    living = {topic for topic, _ in publishers}
+    made = living - set(SENSED_TOPICS)
+    names = {topic: renamed.get(topic, topic) for topic in known}
+    if wanted:
+        names = {topic: names[topic] for topic in known if topic in wanted}
+    else:
+        names = {topic: name for topic, name in names.items() if name not in _SELF_TALK and name not in made}
+        names = {topic: name for topic, name in names.items() if name in SENSED_TOPICS or not sensed_only}
+    _require_free(names, publishers, domain)
+    if not names:
+        raise ValueError(f"{reader.path}: holds nothing to play")
+    if sensed_only and (others := [name for name in names.values() if name not in SENSED_TOPICS]):
+        raise ValueError(f"--clock moves the stamps of {', '.join(SENSED_TOPICS)} alone, got {', '.join(others)}")
+    return tuple(names)
 
 
-def _open_player(topics: tuple[str, ...], domain: str) -> Any:
-    """A bus that publishes `topics`; refused where a living node publishes one of them already."""
-    from msgs.zmq_bus import ZmqBus, list_publishers, run_dir
-    from nodes.node import SETTLE_S
-
-    taken = [f"{topic} ({node})" for topic, node in list_publishers(run_dir(domain)) if topic in topics]
+def _require_free(names: dict[str, str], publishers: list[tuple[str, str]], domain: str) -> None:
+    """Raise `ValueError` where two would publish one topic."""
+    double = sorted({name for name in names.values() if list(names.values()).count(name) > 1})
+    if double:
+        both = ", ".join(topic for topic, name in names.items() if name in double)
+        raise ValueError(f"--remap: {both} would all be {', '.join(double)}; choose one with --topics")
+    taken = [f"{topic} ({node})" for topic, node in publishers if topic in names.values()]
     if taken:
         raise ValueError(f"domain {domain!r} has living publishers of {', '.join(taken)}; choose --topics or --domain")
-    bus = ZmqBus(_PLAYER, run_dir(domain))
+
+
+def _played(
+    reader: RecordingReader, bus: ZmqBus, params: ReplayParams, keyboard: Keyboard, meeting: Path, stop: Stop
+) -> Summary:
+    """Play once all who listen are connected, with the position shown where stderr is a terminal."""
+    from mirrorwave.replay import Replay
+    from mirrorwave.replay_graph import ReplayedGraph
+    from nodes.node import SETTLE_S
+
+    topics = tuple(params.renamed.get(topic, topic) for topic in params.topics)
+    graph = ReplayedGraph(bus, meeting, topics, lambda: stop.requested)
     for topic in topics:
         bus.advertise(topic)
-    time.sleep(SETTLE_S)
-    return bus
+    graph.await_subscribers(SETTLE_S)
+    end_ns = params.end_ns or reader.span_ns[1]
+    with _shown(reader.path.name, 1e-9 * (end_ns - params.start_ns), keyboard.is_there) as show:
+        return Replay(reader, bus, graph, params, stop, keyboard, show).run()
 
 
-def _total(summary: Any, topics: tuple[str, ...]) -> int:
-    return sum(topic.messages for topic in summary.topics if topic.topic in topics)
+def _print_summary(found: Summary) -> None:
+    rate = "" if found.achieved_rate is None else f", rate {found.achieved_rate:.2f}"
+    print_line(f"{found.path}: {sum(found.messages.values())} messages played in {found.elapsed_s:.2f} s{rate}")
+    if found.answered_on and found.unanswered is not None:
+        answered = found.scans - found.unanswered
+        print_line(f"{answered} of {found.scans} scans answered on {found.answered_on}")
+    elif not found.nodes:
+        print_line("no node was there to take them")
+    for loss in found.lost:
+        print_line(f"lost: {loss.node}: {loss.count} x {loss.what} {loss.reason}")
+    if found.loss:
+        print_line(f"{found.path}: {found.loss}")
 
 
-class _Player:
-    """Publishes some topics and some span of a recording on a bus."""
-
-    def __init__(self, reader: Any, bus: Any, topics: tuple[str, ...], span: tuple[int | None, int | None]) -> None:
-        from nodes.node import Stop
-
-        self._reader, self._bus, self._topics, self._span = reader, bus, topics, span
-        self._stop = stop_by_signal(Stop(), None)
-
-    def play(self, rate: float, loop: bool, total: int) -> int:
-        """Play once, or until asked to stop; returns the number of messages."""
-        from nodes.node import FLUSH_S
-
-        self._publish_latched()
-        played = 0
-        with _progress() as progress:
-            task = progress.add_task(self._reader.path.name, total=total)
-            again = True
-            while again and not self._stop.requested:
-                progress.reset(task)
-                for recorded in self._paced(rate):
-                    self._bus.publish(recorded.topic, recorded.message)
-                    progress.advance(task)
-                    played += 1
-                again = loop and played > 0
-        self._bus.receive(FLUSH_S)
-        return played
-
-    def _publish_latched(self) -> None:
-        """Whoever starts in the middle still needs what was said once, before."""
-        latched = [topic for topic in self._topics if TOPICS[topic].latched]
-        last = {recorded.topic: recorded for recorded in self._reader.messages(latched, None, self._span[0])}
-        for recorded in last.values():
-            self._bus.publish(recorded.topic, recorded.message)
-
-    def _paced(self, rate: float) -> Iterator[Any]:
-        """Hand each message out when its time has come; the bus is served meanwhile, for those who join late."""
-        first_ns: int | None = None
-        start_ns = self._bus.now_ns()
-        for recorded in self._reader.messages(self._topics, *self._span):
-            first_ns = recorded.log_time_ns if first_ns is None else first_ns
-            due_ns = start_ns + int((recorded.log_time_ns - first_ns) / rate)
-            while not self._stop.requested and (wait_ns := due_ns - self._bus.now_ns()) > 0:
-                self._bus.receive(min(1e-9 * wait_ns, 0.1))
-            if self._stop.requested:
-                return
-            yield recorded
-
-
-def _progress() -> Any:
+@contextmanager
+def _shown(name: str, total_s: float, has_keys: bool) -> Iterator[Callable[[Position], None]]:
+    """A line that shows the position on stderr where that is a terminal."""
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    from rich.progress import BarColumn, Progress, TextColumn
+
+    from mirrorwave.replay_keys import HELP
 
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=console, disable=not console.is_terminal)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[where]}"))
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        if has_keys and console.is_terminal:
+            progress.console.print(HELP, style="dim")
+        task = progress.add_task(name, total=total_s, where="")
+        yield lambda position: progress.update(task, completed=position.time_s, where=_where(position, total_s))
+
+
+def _where(position: Position, total_s: float) -> str:
+    pace = "as fast as it goes" if position.rate == 0.0 else f"rate {position.rate:g}"
+    state = "paused" if position.paused else pace
+    return f"{position.time_s:.1f} of {total_s:.1f} s  {state}  {position.messages} messages"

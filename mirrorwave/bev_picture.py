@@ -145,6 +145,7 @@ def _draw_view(axes: Axes, frame: BevFrame, truth: SceneTruth | None) -> None:
     _draw_points(axes, frame)
     for index, one in enumerate(frame.objects):
         _draw_object(axes, one, index)
+    _draw_tracks(axes, frame)
     axes.set_title("bird's-eye view", fontsize=11)
 
 
@@ -213,6 +214,22 @@ def _draw_object(axes: Axes, one: HiddenObject, index: int) -> None:
         f"#{one.id}  {one.score:.2f}", (one.y_m, one.x_m), (12, 12), textcoords="offset points", fontsize=10, zorder=11,
         bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": VERMILION, "alpha": 0.9},
     )  # fmt: skip
+
+
+def _draw_tracks(axes: Axes, frame: BevFrame) -> None:
+    """Where each track is, how far it comes in a second, and when it comes into sight."""
+    for index, one in enumerate(frame.tracks):
+        axes.plot(
+            one.y_m, one.x_m, "s", markersize=9, fillstyle="none", color="black", zorder=10, **_once("track", index)
+        )
+        axes.annotate(
+            "", (one.y_m + one.velocity_y_mps, one.x_m + one.velocity_x_mps), (one.y_m, one.x_m), zorder=10,
+            arrowprops={"arrowstyle": "->", "linewidth": 1.8},
+        )  # fmt: skip
+        sight = "" if one.time_to_appear_s is None else f", in sight in {one.time_to_appear_s:.1f} s"
+        axes.annotate(
+            f"track {one.id}{sight}", (one.y_m, one.x_m), (12, -18), textcoords="offset points", fontsize=9, zorder=11
+        )
 
 
 def _draw_truth(axes: Axes, truth: SceneTruth) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from mirrorwave.can_signals import SignalReport
     from models.vehicle.can_state import CanDecoder, Judged
     from msgs.vehicle import VehicleState
-    from nodes.can_link import LogFrame
+    from nodes.can_link import BusParams, LogFrame
 
 app = typer.Typer(help="Look at the vehicle's CAN bus and at logs of it.", no_args_is_help=True)
 
@@ -27,6 +27,8 @@ Mapping = Annotated[Path, typer.Option("--mapping", help="From the DBC's signals
 _EVENT_GAP_S = 1.0
 #: Longer lists are cut on the terminal; --json keeps them whole.
 _SHOWN_EVENTS = 40
+#: How often a live bus is read, and how many gaps between frames of a message its period is taken from.
+_POLL_S, _KEPT_GAPS = 0.005, 1000
 
 
 class LogReport:
@@ -45,22 +47,17 @@ class LogReport:
 
     def read(self, frames: Iterable[LogFrame]) -> None:
         """Take in a log; one that cannot be read on leaves its reason in `loss`."""
-        from models.vehicle.can_state import StateReporter
-        from nodes.can_link import decode_frame
+        from mirrorwave.can_log import log_states
 
-        reporter: StateReporter | None = None
-        for frame, stamp_ns in _until_error(frames, self):
+        for stamp_ns, judged, states in log_states(self._decoder, _until_error(frames, self)):
             self.frames += 1
-            judged = decode_frame(self._decoder, frame, stamp_ns)
             if stamp_ns < 0:
                 continue
-            if self.start_ns is None or reporter is None:
-                self.start_ns, reporter = stamp_ns, StateReporter(self._decoder, stamp_ns)
+            self.start_ns = stamp_ns if self.start_ns is None else self.start_ns
             self.duration_s = max(self.duration_s, self._time_s(stamp_ns))
             self._note_frame(judged, stamp_ns)
-            for state in (reporter.tick(stamp_ns), reporter.frame(judged, stamp_ns)):
-                if state is not None:
-                    self._note_state(state)
+            for state in states:
+                self._note_state(state)
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, as JSON has it."""
@@ -236,6 +233,9 @@ def monitor(
     mapping: Mapping = _MAPPING,
     every: Annotated[float, typer.Option("--every", metavar="S", min=0.01, help="A line each S seconds.")] = 0.5,
     duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Stop after S seconds.")] = None,
+    signals: Annotated[
+        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state of a live bus, line by line; exit code 1 if it was never valid."""
@@ -245,6 +245,9 @@ def monitor(
         interface=interface, channel=channel, bitrate=bitrate, options=_options(option or []),
         dbc=str(dbc), mapping=str(mapping),
     )  # fmt: skip
+    if signals:
+        _monitor_signals(params, every, duration, as_json)
+        return
     node = create(params)
     was_valid = False
     try:
@@ -258,6 +261,50 @@ def monitor(
         node.close()
     if not was_valid:
         raise typer.Exit(ExitCode.FAILED)
+
+
+def _monitor_signals(params: BusParams, every_s: float, duration_s: float | None, as_json: bool) -> None:
+    """All messages of a DBC on a live bus, each interval; exit code 1 if none came."""
+    from mirrorwave.can_signals import SignalReport
+    from nodes.can_link import CanLink, checkout_path, load_dbc
+    from nodes.vehicle_can import LiveSource, Params
+
+    assert isinstance(params, Params)
+    report = SignalReport(load_dbc(checkout_path(params.dbc)), None, _KEPT_GAPS)
+    source = LiveSource(CanLink(params))
+    start_s = time.monotonic()
+    try:
+        for _ in _ticks(every_s, duration_s, lambda: report.read(source.frames(time.monotonic_ns()))):
+            row = {"time_s": time.monotonic() - start_s, "trouble": source.trouble, "frames": report.frames}
+            if as_json:
+                print_json({**row, "known_frames": report.known, "messages": report.messages()})
+            else:
+                _print_signals_now(row, report)
+    finally:
+        source.close()
+    if not report.known:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _ticks(every_s: float, duration_s: float | None, poll: Callable[[], None]) -> Iterator[None]:
+    """Each `every_s`, `poll` being called all the while."""
+    start_s = time.monotonic()
+    due_s = every_s
+    while duration_s is None or time.monotonic() - start_s < duration_s:
+        poll()
+        if time.monotonic() - start_s >= due_s:
+            due_s += every_s
+            yield
+        time.sleep(_POLL_S)
+
+
+def _print_signals_now(row: dict[str, Any], report: SignalReport) -> None:
+    trouble = f"; {row['trouble']}" if row["trouble"] else ""
+    print_line(f"--- {row['time_s']:.1f} s: {report.known} of {row['frames']} frames are of this DBC{trouble}")
+    for message in report.messages():
+        name, frames, period_ms, _, verdicts, values = _signals_row(message)
+        every = "" if period_ms is None else f" every {period_ms:g} ms"
+        print_line(f"{name}: {frames} frames{every}, {verdicts}: {values}")
 
 
 def _live_states(node: Any, every_s: float, duration_s: float | None) -> Iterator[VehicleState]:

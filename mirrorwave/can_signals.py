@@ -1,16 +1,14 @@
-"""What a log's frames say, signal by signal, of any DBC: `mirrorwave can decode --signals`."""
+"""What the frames of a bus or a log say, signal by signal, of any DBC: `mirrorwave can decode|monitor --signals`."""
 
 from __future__ import annotations
 
 import math
 import statistics
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
-from cantools.database.errors import DecodeError
-
-from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus, counter_step
+from models.vehicle.frame_check import FrameCheck, Verdict
 from models.vehicle.hidden_object_list import is_protected, message_rule
 from models.vehicle.mapping import MessageRule
 
@@ -22,11 +20,15 @@ if TYPE_CHECKING:
 
 
 class SignalReport:
-    """Counts, periods and values of each message of a DBC; checksum and counter where the DBC has `E2EDataID`."""
+    """Counts, periods and values of each message of a DBC; checksum and counter where the DBC has `E2EDataID`.
 
-    def __init__(self, database: Database, every_s: float) -> None:
+    `every_s` spaces the samples, None keeps none; `kept_gaps` bounds what the median period is taken over (the newest),
+    so that a live bus may be watched for days.
+    """
+
+    def __init__(self, database: Database, every_s: float | None, kept_gaps: int | None = None) -> None:
         self._watches = {
-            (message.frame_id, message.is_extended_frame): _Watch(message) for message in database.messages
+            (message.frame_id, message.is_extended_frame): _Watch(message, kept_gaps) for message in database.messages
         }
         self._every_s = every_s
         self._start_ns: int | None = None
@@ -49,7 +51,9 @@ class SignalReport:
             watch = self._watches.get((frame.arbitration_id, frame.is_extended_id))
             if watch is not None:
                 self.known += 1
-                self._sample(watch, time_s, watch.take(bytes(frame.data), time_s))
+                verdict = watch.take(bytes(frame.data), time_s)
+                if self._every_s is not None:
+                    self._sample(watch, time_s, verdict, self._every_s)
 
     def messages(self) -> list[dict[str, Any]]:
         """Messages that came, in the order of the DBC."""
@@ -66,8 +70,8 @@ class SignalReport:
             "loss": self.loss or None,
         }
 
-    def _sample(self, watch: _Watch, time_s: float, verdict: str) -> None:
-        slot = math.floor(time_s / self._every_s) if self._every_s else watch.frames
+    def _sample(self, watch: _Watch, time_s: float, verdict: str, every_s: float) -> None:
+        slot = math.floor(time_s / every_s) if every_s else watch.frames
         if slot != watch.slot:
             watch.slot = slot
             row = {"time_s": time_s, "message": watch.message.name, "verdict": verdict, "signals": watch.values}
@@ -77,60 +81,39 @@ class SignalReport:
 class _Watch:
     """One message: how often it came, whether its frames are whole, what the last whole one said."""
 
-    def __init__(self, message: Message) -> None:
+    def __init__(self, message: Message, kept_gaps: int | None) -> None:
         self.message = message
-        self._rule = message_rule(message) if is_protected(message) else MessageRule()
+        self._check = FrameCheck(message, message_rule(message) if is_protected(message) else MessageRule())
         self.frames = 0
         self.slot: int | None = None
         self.values: dict[str, Any] = {}
         self._verdicts: Counter[str] = Counter()
-        self._times_s: list[float] = []
-        self._counter: int | None = None
+        self._gaps_s: deque[float] = deque(maxlen=kept_gaps)
+        self._longest_gap_s = 0.0
+        self._last_s: float | None = None
 
     def take(self, data: bytes, time_s: float) -> str:
         """Take in a frame; what is wrong with it, or "ok"."""
         self.frames += 1
-        self._times_s.append(time_s)
-        verdict = self._judge(data)
+        if self._last_s is not None:
+            self._gaps_s.append(time_s - self._last_s)
+            self._longest_gap_s = max(self._longest_gap_s, time_s - self._last_s)
+        self._last_s = time_s
+        found, _, values = self._check.check(data)
+        if values is not None:
+            self.values = values
+        verdict = "ok" if found in (Verdict.COUNTED, Verdict.FIRST) else str(found)
         self._verdicts[verdict] += 1
         return verdict
 
     def as_dict(self) -> dict[str, Any]:
         """The message's row."""
-        gaps_s = [after - before for before, after in zip(self._times_s, self._times_s[1:], strict=False)]
         return {
             "message": self.message.name,
             "id": self.message.frame_id,
             "frames": self.frames,
-            "period_ms": round(1e3 * statistics.median(gaps_s), 3) if gaps_s else None,
-            "longest_gap_ms": round(1e3 * max(gaps_s), 3) if gaps_s else None,
+            "period_ms": round(1e3 * statistics.median(self._gaps_s), 3) if self._gaps_s else None,
+            "longest_gap_ms": round(1e3 * self._longest_gap_s, 3) if self._gaps_s else None,
             "frames_by_verdict": dict(sorted(self._verdicts.items())),
             "signals": self.values,
         }
-
-    def _judge(self, data: bytes) -> str:
-        if len(data) < self.message.length:
-            return "wrong length"
-        data = data[: self.message.length]
-        rule = self._rule.checksum
-        if rule is not None:
-            position = checksum_byte(self.message, rule)
-            if data[position] != checksum_of(rule, data, position):
-                return "wrong checksum"
-        try:
-            decoded = self.message.decode(data, decode_choices=False)
-        except DecodeError:
-            return "undecodable"
-        assert isinstance(decoded, dict)
-        self.values = decoded
-        return self._judge_counter()
-
-    def _judge_counter(self) -> str:
-        rule = self._rule.counter
-        if rule is None:
-            return "ok"
-        last, self._counter = self._counter, int(self.values[rule.signal])
-        if last is None:
-            return "ok"
-        step = counter_step(last, self._counter, counter_modulus(self.message, rule))
-        return "ok" if 0 < step <= rule.max_step else "wrong counter"

@@ -28,12 +28,15 @@ _VERBS = {
     "tradeoff": "mirrorwave.tradeoff:tradeoff",
     "doctor": "mirrorwave.doctor:doctor",
     "top": "mirrorwave.top:top",
+    "graph": "mirrorwave.graph:graph",
+    "annotate": "mirrorwave.annotate:annotate",
 }
 #: Verb group -> module and `typer.Typer`.
 _GROUPS = {
     "sim": "mirrorwave.sim:app",
     "train": "mirrorwave.train:app",
     "bag": "mirrorwave.bag:app",
+    "calibrate": "mirrorwave.calibrate:app",
     "can": "mirrorwave.can:app",
     "import": "mirrorwave.import_:app",
     "topic": "mirrorwave.topic:app",

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mirrorwave.completion import complete_profiles
 from mirrorwave.console import ExitCode, print_line
 
 if TYPE_CHECKING:
@@ -26,7 +27,10 @@ def demo(
     duration: Annotated[
         float | None, typer.Option(metavar="S", min=1.0, help="Seconds to run [12, on a terminal 120].")
     ] = None,
-    profile: Annotated[str, typer.Option(metavar="NAME", help="Named parameters: fast, balanced, ...")] = "default",
+    profile: Annotated[
+        str,
+        typer.Option(metavar="NAME", help="Named parameters: fast, balanced, ...", autocompletion=complete_profiles),
+    ] = "default",
     out: Annotated[Path, typer.Option(help="Folder of the picture.")] = Path("out/demo"),
 ) -> None:
     """Run the demo scene live in the browser, print what it sees beside the truth, and draw the last view."""

@@ -7,8 +7,10 @@ import importlib
 import importlib.metadata
 import json
 import os
+import re
 import sys
 import tempfile
+import tomllib
 from collections.abc import Callable, Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -17,7 +19,6 @@ from typing import NamedTuple
 import typer
 
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, error_line, print_json, print_table
-from msgs.diagnostics import NodeState, NodeStatus
 
 _MIB = 1 << 20
 #: Package -> module to import: importing it is what finds a missing shared library.
@@ -25,6 +26,7 @@ _PACKAGES = {
     "numpy": "numpy",
     "scipy": "scipy.linalg",
     "numba": "numba",
+    "trimesh": "trimesh",
     "onnxruntime": "onnxruntime",
     "pyzmq": "zmq",
     "msgspec": "msgspec",
@@ -32,19 +34,26 @@ _PACKAGES = {
     "mcap": "mcap",
     "sigmf": "sigmf",
     "PyYAML": "yaml",
+    "typer": "typer",
     "rich": "rich",
     "matplotlib": "matplotlib",
     "psutil": "psutil",
+    "threadpoolctl": "threadpoolctl",
     "python-can": "can",
     "cantools": "cantools",
     "starlette": "starlette",
     "uvicorn": "uvicorn",
+    "websockets": "websockets",
 }
 _WEIGHTS = Path(__file__).resolve().parents[1] / "models" / "weights"
 #: Below this the graph's buffers and networks do not fit beside anything else.
 _MEMORY_NEEDED_BYTES = 1 << 30
-#: A heartbeat comes twice a second; a node that said nothing for this long has stopped turning.
-_STALE_S = 2.0
+_PYPROJECT = Path(__file__).resolve().parents[1] / "pyproject.toml"
+_CLOCK_SOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
+#: How the kernel numbers the kind of a network interface (ARPHRD_CAN).
+_CAN_DEVICE = "280"
+#: Where `bev_viewer` serves unless told otherwise.
+_VIEWER_PORT = 8765
 
 
 class Status(StrEnum):
@@ -81,9 +90,14 @@ def all_findings(domain: str) -> list[Finding]:
     checks: dict[str, Callable[[], Iterator[Finding]]] = {
         "python": check_python,
         "packages": check_packages,
+        "extras": check_extras,
         "processor": check_processor,
+        "disk": check_disk,
+        "clock": check_clock,
+        "can": check_can,
         "weights": lambda: check_weights(_WEIGHTS),
         "run directory": lambda: check_run_dir(run_dir(domain)),
+        "viewer port": check_viewer_port,
         "graph": lambda: check_graph(run_dir(domain)),
     }
     findings: list[Finding] = []
@@ -111,6 +125,59 @@ def check_packages() -> Iterator[Finding]:
             yield Finding(package, Status.FAILED, error_line(error))
 
 
+def check_extras() -> Iterator[Finding]:
+    """What of the optional packages is there, by extra, and how the rest is installed."""
+    extras = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
+    for extra, requirements in extras.items():
+        names = [match.group() for line in requirements if (match := re.match(r"[A-Za-z0-9_.-]+", line))]
+        absent = [name for name in names if name != "mirrorwave" and not _is_installed(name)]
+        hint = f"not installed: {', '.join(absent)}; pip install 'mirrorwave[{extra}]'" if absent else ", ".join(names)
+        yield Finding(f"extra {extra}", Status.OK, hint)
+
+
+def check_disk() -> Iterator[Finding]:
+    """Room for recordings and runs where the doctor was called."""
+    from mirrorwave.doctor_graph import check_room
+
+    yield check_room("disk", Path.cwd())
+
+
+def check_clock() -> Iterator[Finding]:
+    """The clock that stamps come from: reading it must cost nothing, and it must be as fine as a beam's time."""
+    import time
+
+    source = _CLOCK_SOURCE.read_text().strip() if _CLOCK_SOURCE.is_file() else "unknown"
+    resolution_ns = 1e9 * time.get_clock_info("monotonic").resolution
+    slow = source in ("hpet", "acpi_pm", "jiffies", "refined-jiffies") or resolution_ns > 1e5
+    detail = f"source {source}, {resolution_ns:g} ns"
+    yield Finding("clock", Status.WARNING if slow else Status.OK, detail + (": slow or coarse" if slow else ""))
+
+
+def check_can() -> Iterator[Finding]:
+    """CAN interfaces of this machine; having none is no fault."""
+    names = [
+        path.parent.name
+        for path in sorted(Path("/sys/class/net").glob("*/type"))
+        if path.read_text().strip() == _CAN_DEVICE
+    ]
+    yield Finding("can", Status.OK, ", ".join(names) or "no interface of the kernel (virtual buses and logs work)")
+
+
+def check_viewer_port() -> Iterator[Finding]:
+    """Whether the viewer will get its usual port."""
+    import socket
+
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind(("127.0.0.1", _VIEWER_PORT))
+        except OSError:
+            detail = f"{_VIEWER_PORT} is taken, by a viewer that runs or by another program; the next gets a free one"
+            yield Finding("viewer port", Status.OK, detail)
+            return
+    yield Finding("viewer port", Status.OK, f"{_VIEWER_PORT} is free")
+
+
 def check_processor() -> Iterator[Finding]:
     """Cores, memory, and a compiler that works."""
     import numba
@@ -130,7 +197,10 @@ def check_weights(folder: Path) -> Iterator[Finding]:
     if not networks:
         yield Finding("weights", Status.WARNING, f"{folder}: no network; `mirrorwave train` makes one")
     for network in networks:
-        yield _check_network(network)
+        try:
+            yield _check_network(network)
+        except (OSError, ValueError) as error:
+            yield Finding(f"weights {network.stem}", Status.FAILED, f"cannot be read: {error_line(error)}")
 
 
 def check_run_dir(run_dir: Path) -> Iterator[Finding]:
@@ -142,37 +212,10 @@ def check_run_dir(run_dir: Path) -> Iterator[Finding]:
 
 
 def check_graph(run_dir: Path) -> Iterator[Finding]:
-    """Every node of the running graph, worst first within its line: failed, silent, losing, degraded."""
-    from mirrorwave.node import collect_heartbeats
-    from msgs.zmq_bus import list_publishers
-    from nodes.supervisor import read_lock
+    """Every node and topic of the running graph: what fails, what is silent and why."""
+    from mirrorwave.doctor_graph import graph_findings
 
-    owner = read_lock(run_dir)
-    if not owner and not list_publishers(run_dir):
-        yield Finding("graph", Status.OK, "none runs in this domain")
-        return
-    heard = collect_heartbeats(run_dir, _STALE_S)
-    for name in sorted({*owner.get("nodes", ()), *heard}):
-        yield _check_node(name, heard.get(name, []))
-
-
-def _check_node(name: str, beats: list[NodeStatus]) -> Finding:
-    from mirrorwave.node import node_row
-
-    check = f"node {name}"
-    if not beats:
-        return Finding(check, Status.FAILED, f"no heartbeat in {_STALE_S:g} s: it crashed, hangs or was never started")
-    row = node_row(beats)
-    load = f"{row['cpu_percent']:.0f} % cpu, {row['resident_bytes'] / _MIB:.0f} MiB"
-    if row["state"] in (NodeState.DEGRADED, NodeState.STOPPING):
-        status = Status.FAILED if row["node"] == "supervisor" else Status.WARNING
-        return Finding(check, status, f"{row['state']}: {row['reason'] or 'no reason given'}; {load}")
-    losses = [
-        f"{count.topic}: {count.lost} lost, {count.rejected} rejected"
-        for count in beats[-1].received
-        if count.lost or count.rejected
-    ]
-    return Finding(check, Status.WARNING if losses else Status.OK, "; ".join([row["state"], *losses, load]))
+    yield from graph_findings(run_dir)
 
 
 def _check_network(network: Path) -> Finding:
@@ -185,6 +228,14 @@ def _check_network(network: Path) -> Finding:
     if promised != found:
         return Finding(check, Status.FAILED, f"checksum {found[:12]} is not the card's {str(promised)[:12]}")
     return Finding(check, Status.OK, f"{network.stat().st_size / _MIB:.1f} MiB, checksum as on its card")
+
+
+def _is_installed(package: str) -> bool:
+    try:
+        importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
 
 
 def _one_more(number: int) -> int:

@@ -1,4 +1,4 @@
-"""`mirrorwave import`: captures of others as data sets."""
+"""`mirrorwave import`: captures and logs of others as data sets and recordings."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_new_file
 
-app = typer.Typer(no_args_is_help=True, help="Bring captures of others into data sets.")
+app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others in.")
 
 
 class KindOption(StrEnum):
@@ -31,7 +31,7 @@ class DeviceOption(StrEnum):
 
 @app.callback()
 def _group() -> None:
-    """Bring captures of others into data sets."""
+    """Bring captures and logs of others in."""
 
 
 @app.command()
@@ -119,3 +119,61 @@ def dca1000(
         )
         print_line(f"{out}: {found.whole} maps, ra_map.png and summary.json")
     return ExitCode.DONE_WITH_LOSS if found.loss else ExitCode.DONE
+
+
+@app.command()
+def can(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="candump (.log), ASC, BLF, CSV or TRC, also gzipped.")],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of vehicle/state.")],
+    dbc: Annotated[Path, typer.Option("--dbc", help="The car's DBC.")] = Path("launch/can/mirrorwave.dbc"),
+    mapping: Annotated[
+        Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")
+    ] = Path("launch/can/mirrorwave.yaml"),
+    channel: Annotated[str | None, typer.Option("--channel", help="Only frames of this channel of the log.")] = None,
+    start_ns: Annotated[
+        int | None, typer.Option("--start-ns", metavar="N", help="Stamp of the first frame, to fit another recording.")
+    ] = None,
+    as_json: AsJson = False,
+) -> int:
+    """A CAN log as a recording of the vehicle's state; exit code 3 if the log breaks off."""
+    from mirrorwave.import_recording import CanSource, import_can
+    from nodes.can_link import checkout_path
+
+    require_new_file(out)
+    source = CanSource(
+        log=log,
+        dbc=checkout_path(str(dbc)),
+        mapping=checkout_path(str(mapping)),
+        channel=channel,
+        start_ns=start_ns,
+    )
+    found = import_can(source, out)
+    if found["loss"]:
+        typer.echo(f"mirrorwave: the log breaks off: {found['loss']}", err=True)
+    if as_json:
+        print_json({"recording": str(out), **found})
+    else:
+        verdicts = ", ".join(f"{count} {verdict}" for verdict, count in found["frames_by_verdict"].items())
+        print_line(f"{out}: {found['states']} states, {found['valid_states']} valid")
+        print_line(f"{found['frames']} frames: {verdicts}")
+    return ExitCode.DONE_WITH_LOSS if found["loss"] else ExitCode.DONE
+
+
+@app.command()
+def sigmf(
+    capture: Annotated[Path, typer.Argument(metavar="META", help="Capture: its .sigmf-meta, .sigmf-data or stem.")],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of set-up and raw beams.")],
+    as_json: AsJson = False,
+) -> int:
+    """A SigMF capture as a recording; one that does not fit is refused, naming the field."""
+    from mirrorwave.import_recording import import_sigmf
+    from msgs.sigmf_capture import SigmfCapture
+
+    require_new_file(out)
+    with progress_bar("beams", len(SigmfCapture.open(capture, verify=False))) as advance:
+        found = import_sigmf(capture, out, advance)
+    if as_json:
+        print_json({"recording": str(out), **found})
+    else:
+        print_line(f"{out}: {found['beams']} beams, {found['truth']} truths")
+    return ExitCode.DONE

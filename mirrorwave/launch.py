@@ -9,20 +9,36 @@ from typing import Annotated, Any
 
 import typer
 
-from mirrorwave.console import DEFAULT_DOMAIN, Domain, print_line, require_new_file
+from mirrorwave.bag_options import (
+    MaxParts,
+    MinFree,
+    Raw,
+    SnapshotBytes,
+    SnapshotS,
+    SplitDuration,
+    SplitSize,
+    command_line,
+    recorder_params,
+    require_new_recording,
+)
+from mirrorwave.completion import complete_launch_files, complete_profiles
+from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line
 
 _COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
 _LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red"}
 
 
 def launch(
-    file: Annotated[Path, typer.Argument(help="Launch file (YAML).")],
+    file: Annotated[Path, typer.Argument(help="Launch file (YAML).", autocompletion=complete_launch_files)],
     param: Annotated[
         list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
     ] = None,
     params_file: Annotated[Path | None, typer.Option(help="YAML mapping of node to parameters.")] = None,
     profile: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Named parameters: fast, balanced, accurate, ...")
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Named parameters: fast, balanced, accurate, ...", autocompletion=complete_profiles
+        ),
     ] = None,
     latency_budget_ms: Annotated[
         float | None,
@@ -33,12 +49,18 @@ def launch(
         float | None, typer.Option("--duration", metavar="S", help="Stop S seconds after all nodes are ready.")
     ] = None,
     record: Annotated[Path | None, typer.Option("--record", metavar="OUT", help="Record to this MCAP file.")] = None,
-    raw: Annotated[bool, typer.Option("--raw", help="Record raw beams too (350 MB/s).")] = False,
+    raw: Raw = False,
+    split_size: SplitSize = None,
+    split_duration: SplitDuration = None,
+    max_parts: MaxParts = None,
+    snapshot: SnapshotS = None,
+    snapshot_bytes: SnapshotBytes = None,
+    min_free: MinFree = None,
     headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
     runs_dir: Annotated[Path, typer.Option(help="Where each run gets a folder for its log.")] = Path("runs"),
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
-    """Run the graph of a launch file until it ends or Ctrl-C."""
+    """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages."""
     from mirrorwave.profiles import with_profile
     from nodes.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params
 
@@ -52,7 +74,11 @@ def launch(
     if params_file is not None:
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
     graph = with_overrides(graph, param or ())
-    raise typer.Exit(run_graph(graph, domain, duration, record, raw=raw, headless=headless, runs_dir=runs_dir))
+    options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
+    if record is None and (raw or options):
+        raise ValueError("--raw and the options of recording need --record OUT")
+    options |= {"raw": True} if raw else {}
+    raise typer.Exit(run_graph(graph, domain, duration, record, options, headless=headless, runs_dir=runs_dir))
 
 
 def _profile_within(budget_ms: float, measure: bool) -> str:
@@ -71,23 +97,46 @@ def run_graph(
     domain: str = DEFAULT_DOMAIN,
     duration_s: float | None = None,
     record: Path | None = None,
+    options: dict[str, Any] | None = None,
     *,
-    raw: bool = False,
     headless: bool = False,
     runs_dir: Path = Path("runs"),
 ) -> int:
-    """Supervise a `LaunchFile`, one coloured log on the terminal; returns the graph's exit code."""
+    """Supervise a `LaunchFile`, one coloured log on the terminal; returns the graph's exit code.
+
+    `record` names a recording of it all, `options` the recorder's parameters; where it lacks messages the code is 3.
+    """
     from msgs.zmq_bus import run_dir
-    from nodes.launch_file import with_recorder, without_viewers
+    from nodes.launch_file import with_origin, with_recorder, without_viewers
+    from nodes.recording_files import numbered_files
     from nodes.supervisor import Supervisor
 
     if headless:
         graph = without_viewers(graph)
     if record is not None:
-        require_new_file(record)
-        graph = with_recorder(graph, record.absolute(), raw)
+        record = record.absolute()
+        require_new_recording(record, options or {})
+        graph = with_recorder(graph, record, options)
+    graph = with_origin(graph, command_line(), run_dir(domain))
     printer = log_printer(list(graph.nodes))
-    return Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer).run()
+    code = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer).run()
+    if record is not None and code == ExitCode.DONE:
+        code = _code_of_recording([record] if record.exists() else list(numbered_files(record).values()))
+    return code
+
+
+def _code_of_recording(files: list[Path]) -> int:
+    """3 where one of the recordings lacks messages, each said in a line, else 0."""
+    from msgs.recording import RecordingReader
+
+    code = ExitCode.DONE
+    for path in files:
+        with RecordingReader(path) as reader:
+            lost = reader.losses.total if reader.losses else 0
+            if lost or reader.loss:
+                print_line(f"{path}: {reader.loss or f'{lost} messages are missing'}")
+                code = ExitCode.DONE_WITH_LOSS
+    return code
 
 
 def log_printer(nodes: list[str]) -> Callable[[dict[str, Any]], None]:

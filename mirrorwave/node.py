@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import shlex
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,6 +12,7 @@ from typing import Annotated, Any
 import msgspec
 import typer
 
+from mirrorwave.completion import complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
 from msgs.diagnostics import NodeState, NodeStatus, TopicCount
 
@@ -63,6 +66,36 @@ def node_row(beats: list[NodeStatus]) -> dict[str, Any]:
     }
 
 
+def topic_rows(beats: list[NodeStatus]) -> list[dict[str, Any]]:
+    """Each topic that a node receives (`way` in) or publishes (out): totals, and rates between its heartbeats."""
+    last = beats[-1]
+    first = next(status for status in beats if status.pid == last.pid)
+    elapsed_s = last.uptime_s - first.uptime_s
+    rows = []
+    for way, before, counts in (("in", first.received, last.received), ("out", first.published, last.published)):
+        earlier = {count.topic: count for count in before}
+        for count in counts:
+            start = earlier.get(count.topic, TopicCount(topic=count.topic, messages=0, bytes=0))
+            hz, bytes_per_s = (
+                (now - then) / elapsed_s if elapsed_s > 0.0 else None
+                for now, then in ((count.messages, start.messages), (count.bytes, start.bytes))
+            )
+            rows.append({"way": way, **msgspec.to_builtins(count), "hz": hz, "bytes_per_s": bytes_per_s})
+    return rows
+
+
+def node_process(pid: int) -> dict[str, Any]:
+    """Command line of a node's process on this machine and the parameters it was started with; None where unknown."""
+    import psutil
+
+    try:
+        words = psutil.Process(pid).cmdline()
+    except psutil.Error:
+        return {"command": None, "params": None}
+    at = words.index("--params") if "nodes.node" in words and "--params" in words else -1
+    return {"command": shlex.join(words) or None, "params": json.loads(words[at + 1]) if at >= 0 else None}
+
+
 def shed_text(shed: list[dict[str, Any]]) -> str:
     """What a node left undone, in words: "12 scan behind, 3 beam late"."""
     return ", ".join(f"{count['count']} {count['what']} {count['reason']}" for count in shed)
@@ -86,36 +119,34 @@ def list_nodes(window: WindowS = WINDOW_S, domain: Domain = DEFAULT_DOMAIN, as_j
 
 @app.command()
 def info(
-    name: Annotated[str, typer.Argument(help="Node, as `node list` names it.")],
+    name: Annotated[str, typer.Argument(help="Node, as `node list` names it.", autocompletion=complete_nodes)],
     window: WindowS = WINDOW_S,
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
 ) -> None:
-    """One node: its topics and the time its stages take."""
+    """One node: parameters, rates and losses of its topics, the time its stages take."""
     heard = _heartbeats(domain, window)
     if name not in heard:
         raise ValueError(f"unknown node {name!r}; heard of are {', '.join(heard)}")
-    status = next((beat for beat in reversed(heard[name]) if beat.stages), heard[name][-1])
+    beats = heard[name]
+    status = next((beat for beat in reversed(beats) if beat.stages), beats[-1])
+    row = {**node_row(beats), **node_process(beats[-1].pid)}
+    topics = topic_rows(beats)
     if as_json:
-        print_json({**node_row(heard[name]), **_details(status)})
+        ways = {key: [each for each in topics if each["way"] == way] for key, way in _WAYS.items()}
+        print_json({**row, **ways, "stages": list(status.stages)})
         return
-    row = node_row(heard[name])
-    for key, value in {**row, "shed": shed_text(row["shed"])}.items():
+    for key, value in {**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])}.items():
         print_line(f"{key}: {value}")
-    _print_details(status)
+    _print_details(topics, status)
 
 
-def _details(status: NodeStatus) -> dict[str, Any]:
-    return {"received": list(status.received), "published": list(status.published), "stages": list(status.stages)}
+_WAYS = {"received": "in", "published": "out"}
 
 
-def _print_details(status: NodeStatus) -> None:
-    counts = [("in", count) for count in status.received] + [("out", count) for count in status.published]
-    rows = [
-        (way, count.topic, count.messages, count.bytes, count.lost, count.rejected, count.outdated)
-        for way, count in counts
-    ]
-    print_table(("", "TOPIC", "MESSAGES", "BYTES", "LOST", "REJECTED", "OUTDATED"), rows)
+def _print_details(topics: list[dict[str, Any]], status: NodeStatus) -> None:
+    columns = ("way", "topic", "hz", "bytes_per_s", "messages", "bytes", "lost", "rejected", "outdated")
+    print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in topics])
     stages = [(stage.name, stage.count, stage.last_ms, stage.mean_ms, stage.max_ms) for stage in status.stages]
     print_table(("STAGE", "COUNT", "LAST MS", "MEAN MS", "MAX MS"), stages)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -11,6 +12,7 @@ from mirrorwave.bev_picture import draw_bev
 from mirrorwave.profiles import LAUNCH_DIR, with_profile
 from mirrorwave.scoreboard import Scoreboard
 from models.perception.objects import bev_to_json
+from models.perception.tracking import track_to_json
 from msgs.bus import Outgoing, Received
 from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame, Peaks, SceneTruth
@@ -21,13 +23,16 @@ from nodes.node import InProcessGraph, Node, load_node
 
 
 class Results(Node):
-    """Writes what comes out, line by line: objects, times; keeps the last scan for the picture and the score."""
+    """Writes what comes out, line by line: objects, tracks, times; keeps the last scan for picture and score."""
 
     inputs = ("radar/ra_map", "perception/peaks", "perception/hidden_objects", "sim/truth")
 
-    def __init__(self, objects: TextIO, timing: TextIO, timed: Mapping[str, Node], on_scan: Callable[[], None]) -> None:
+    def __init__(
+        self, objects: TextIO, tracks: TextIO, timing: TextIO, timed: Mapping[str, Node], on_scan: Callable[[], None]
+    ) -> None:
         super().__init__()
-        self._objects, self._timing, self._timed, self._on_scan = objects, timing, timed, on_scan
+        self._objects, self._tracks, self._timing = objects, tracks, timing
+        self._timed, self._on_scan = timed, on_scan
         self.scoreboard = Scoreboard()
         self.ra_map: RangeAzimuthMap | None = None
         self.peaks: Peaks | None = None
@@ -55,6 +60,8 @@ class Results(Node):
         self.frame = frame
         self.scoreboard.add_frame(frame)
         self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
+        scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": "radar"}
+        self._tracks.write(json.dumps({**scan, "tracks": [track_to_json(one) for one in frame.tracks]}) + "\n")
         stages = {
             f"{name}.{stage.name}": {"count": stage.count, "mean_ms": stage.mean_ms, "max_ms": stage.max_ms}
             for name, node in self._timed.items()
@@ -75,13 +82,19 @@ def run_capture(
     capture: Path, out: Path, profile: str = "default", overrides: list[str] | None = None,
     on_scan: Callable[[], None] = lambda: None,
 ) -> Results:  # fmt: skip
-    """Process `capture`; writes `objects.jsonl`, `timing.jsonl` and `bev.png` into `out`, returns what was seen."""
+    """Process `capture`; writes `objects.jsonl`, `tracks.jsonl`, `timing.jsonl` and `bev.png` into `out`.
+
+    Returns what was seen.
+    """
     launch = launch_for(capture, profile, overrides or [])
     nodes = {name: load_node(entry.module, entry.params, name) for name, entry in launch.nodes.items()}
     out.mkdir(parents=True, exist_ok=True)
-    objects_path, timing_path = out / "objects.jsonl", out / "timing.jsonl"
-    with objects_path.open("w", encoding="utf-8") as objects, timing_path.open("w", encoding="utf-8") as timing:
-        results = Results(objects, timing, nodes, on_scan)
+    with ExitStack() as files:
+        objects, tracks, timing = (
+            files.enter_context((out / f"{name}.jsonl").open("w", encoding="utf-8"))
+            for name in ("objects", "tracks", "timing")
+        )
+        results = Results(objects, tracks, timing, nodes, on_scan)
         graph = InProcessGraph(LocalNetwork(), {**nodes, "results": results})
         try:
             graph.run()

@@ -4,29 +4,27 @@ from __future__ import annotations
 
 import queue
 import time
-from typing import NamedTuple, NoReturn
+from typing import NoReturn
 
-from msgs.recording import RecordingReader
+from mirrorwave.view_log import overview_json, read_log
+from msgs.recording import Recorded, RecordingReader
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
-from nodes.viewer.assembly import TOPICS_SHOWN, Assembly
+from nodes.viewer.assembly import ScanAssembly, post_warnings
 from nodes.viewer.board import Board, json_text
 from nodes.viewer.server import Command, Play, Seek, Step
 
 VIEW_TOPIC = "perception/hidden_objects"
+#: Of these the messages of the shown scan are read; the rest follows from the whole recording (`view_log`).
+TOPICS_OF_A_SCAN = (VIEW_TOPIC, "radar/ra_map", "perception/peaks", "sim/truth", "vehicle/state")
 #: Truth that was sent a little after its view still belongs to it.
 LATE_NS = NANOSECONDS_PER_SECOND // 10
-#: After a jump this much before the view is read, for the vehicle's state and the nodes' rates.
+#: Map, peaks and truth of a view were sent this much before it at most.
 RUN_UP_NS = 3 * NANOSECONDS_PER_SECOND
 MAX_SPEED = 100.0
+#: The last scan stays this long before play begins anew.
+LAST_SCAN_S = 1.0
 #: A command is answered this much later at most while nothing else happens.
 POLL_S = 0.2
-
-
-class Scan(NamedTuple):
-    """A view of a recording."""
-
-    sent_ns: int
-    scan_id: int
 
 
 class Playback:
@@ -38,14 +36,18 @@ class Playback:
     def __init__(self, reader: RecordingReader, board: Board) -> None:
         self._reader, self._board = reader, board
         self.commands: queue.SimpleQueue[Command] = queue.SimpleQueue()
-        self._scans = [Scan(one.log_time_ns, one.message.scan_id) for one in reader.messages([VIEW_TOPIC])]  # type: ignore[attr-defined]
+        log = read_log(reader)
+        self._scans = log.moments
         if not self._scans:
             raise ValueError(f"{reader.path}: holds no {VIEW_TOPIC} to show; record one: mirrorwave launch --record")
         self._index = -1
+        self._recent: list[Recorded] = []
         self._speed = 0.0
+        self._loops = False
         #: When the next scan is due, on the monotonic clock.
         self._due_s = 0.0
-        self._assembly = Assembly(board)
+        overview = overview_json(log)
+        board.post("overview", lambda: (json_text(overview),))
         self.show(0)
 
     @property
@@ -86,8 +88,8 @@ class Playback:
         target = self._index
         for command in commands:
             match command:
-                case Play(speed):
-                    self._speed = min(max(speed, 0.0), MAX_SPEED)
+                case Play(speed, loops):
+                    self._speed, self._loops = min(max(speed, 0.0), MAX_SPEED), loops
                     # whoever plays at the end wants to see it again
                     target = 0 if self.playing and target >= self.count - 1 else target
                 case Seek(index):
@@ -100,39 +102,50 @@ class Playback:
         self._post_timeline()
 
     def show(self, index: int) -> None:
-        """Show scan `index`, or the nearest there is."""
+        """Show scan `index`, or the nearest there is: the same, whatever was shown before."""
         before, self._index = self._index, min(max(index, 0), self.count - 1)
-        scan, end_ns = self._scans[self._index], self._end_ns(self._index)
-        start_ns = self._end_ns(before)
-        if self._index != before + 1:
-            start_ns, self._assembly = max(scan.sent_ns - RUN_UP_NS, 0), Assembly(self._board)
-        for recorded in self._reader.messages(TOPICS_SHOWN, start_ns, end_ns):
-            # of other scans in the run-up nothing is shown, but the vehicle's motion and the heartbeats count
+        scan = self._scans[self._index]
+        self._read(before)
+        assembly = ScanAssembly(self._board)
+        for recorded in self._recent:
+            # of other scans in the run-up nothing is shown, but the vehicle's motion counts
             if getattr(recorded.message, "scan_id", scan.scan_id) == scan.scan_id:
-                self._assembly.take(recorded.message, recorded.log_time_ns)
-        self._assembly.post_table(end_ns)
+                assembly.take(recorded.message, recorded.log_time_ns, scan.past)
+        self._board.post("nodes", lambda: (scan.table,))
+        post_warnings(self._board, scan.warnings, scan.sent_ns)
         self._post_timeline()
 
+    def _read(self, before: int) -> None:
+        """Hold the messages of the shown scan and its run-up; those of the next scan are read on where it follows."""
+        start_ns = max(self._scans[self._index].sent_ns - RUN_UP_NS, 0)
+        follows = 0 <= before == self._index - 1
+        kept = [one for one in self._recent if one.log_time_ns >= start_ns] if follows else []
+        read_ns = max(start_ns, self._end_ns(before)) if follows else start_ns
+        self._recent = [*kept, *self._reader.messages(TOPICS_OF_A_SCAN, read_ns, self._end_ns(self._index))]
+
     def _end_ns(self, index: int) -> int:
-        """Where what belongs to scan `index` ends, exclusive; -1 stands before the first."""
-        if index < 0:
-            return max(self._scans[0].sent_ns - RUN_UP_NS, 0)
+        """Where what belongs to scan `index` ends, exclusive."""
         end_ns = self._scans[index].sent_ns + LATE_NS
         return min(end_ns, self._scans[index + 1].sent_ns) if index + 1 < self.count else end_ns
 
     def _gap_s(self) -> float:
         """Time to the next scan at the speed of play."""
-        if not self.playing or self._index + 1 >= self.count:
+        if not self.playing:
             return 0.0
+        if self._index + 1 >= self.count:
+            return LAST_SCAN_S if self._loops else 0.0
         return s_from_ns(self._scans[self._index + 1].sent_ns - self._scans[self._index].sent_ns) / self._speed
 
     def _advance(self, now_s: float) -> None:
-        """The next scan; after the last one play ends."""
-        if self._index + 1 >= self.count:
+        """The next scan; after the last one play ends, or begins anew."""
+        if self._index + 1 < self.count:
+            self.show(self._index + 1)
+        elif self._loops:
+            self.show(0)
+        else:
             self._speed = 0.0
             self._post_timeline()
             return
-        self.show(self._index + 1)
         # in step with the recording; where showing takes longer than that, as fast as it goes
         self._due_s = max(self._due_s + self._gap_s(), now_s)
 
@@ -145,6 +158,8 @@ class Playback:
             "time_s": round(s_from_ns(self._scans[self._index].sent_ns - start_ns), 3),
             "duration_s": round(s_from_ns(self._scans[-1].sent_ns - start_ns), 3),
             "playing": self.playing,
+            "speed": self._speed,
+            "loop": self._loops,
             "loss": self._reader.loss,
         }
         self._board.post("timeline", lambda: (json_text(timeline),))

@@ -7,13 +7,18 @@ from typing import Annotated
 
 import typer
 
+from mirrorwave.completion import complete_profiles
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line
 
 
 def process(
     capture: Annotated[Path, typer.Argument(help="SigMF capture or MCAP recording with raw beams.")],
-    out: Annotated[Path | None, typer.Option(help="Folder for objects.jsonl, timing.jsonl and bev.png.")] = None,
-    profile: Annotated[str, typer.Option(help="Named parameters: fast, balanced, ...")] = "default",
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for objects.jsonl, tracks.jsonl, timing.jsonl and bev.png.")
+    ] = None,
+    profile: Annotated[
+        str, typer.Option(help="Named parameters: fast, balanced, ...", autocompletion=complete_profiles)
+    ] = "default",
     param: Annotated[
         list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
     ] = None,
@@ -35,7 +40,7 @@ def process(
         print_json({"out": str(out), **loss, "score": board.summary()})
     else:
         board.print_table()
-        print_line(f"wrote {out / 'objects.jsonl'}, {out / 'timing.jsonl'} and {out / 'bev.png'}")
+        print_line(f"wrote objects.jsonl, tracks.jsonl, timing.jsonl and bev.png into {out}")
         if results.capture_loss:
             print_line(f"{capture}: {results.capture_loss}")
     if results.scans_with_loss or results.capture_loss:

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from mirrorwave.completion import complete_scenes
 from mirrorwave.console import print_line, require_new_file
 from mirrorwave.sim_dataset import dataset, statistics
 from mirrorwave.sim_effects import Budget, Effects, effects, paths
 from mirrorwave.sim_fdtd import reflectance, wall
+from mirrorwave.sim_lidar import lidar
 from mirrorwave.sim_material import material
 
 if TYPE_CHECKING:
@@ -19,13 +21,13 @@ if TYPE_CHECKING:
     from msgs.radar import RadarSetup
 
 app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
-for verb in (effects, paths, material, reflectance, wall, dataset, statistics):
+for verb in (effects, paths, material, reflectance, wall, dataset, statistics, lidar):
     app.command()(verb)
 
 
 @app.command()
 def run(
-    scene: Annotated[Path, typer.Argument(help="Scene file (YAML).")],
+    scene: Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)],
     out: Annotated[Path, typer.Option(help="Capture to write: NAME.mcap, or NAME.sigmf-meta for SigMF.")],
     scans: Annotated[int, typer.Option(min=1)] = 1,
     seed: int = 0,

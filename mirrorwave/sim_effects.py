@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mirrorwave.completion import complete_scenes
 from mirrorwave.console import AsJson, print_json, print_line, print_table
 
 if TYPE_CHECKING:
     from sim_player.planner import Plan
 
-SceneFile = Annotated[Path, typer.Argument(help="Scene file (YAML).")]
+SceneFile = Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)]
 Budget = Annotated[
     float, typer.Option("--budget-db", help="Most that any cell may be off, relative to noise or what stands there.")
 ]

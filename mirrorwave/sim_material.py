@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mirrorwave.completion import complete_materials
 from mirrorwave.console import AsJson, print_json, print_line, print_table
 
 if TYPE_CHECKING:
@@ -64,7 +65,10 @@ class Answer:
 
 def material(
     name: Annotated[
-        str | None, typer.Argument(metavar="NAME", help="Material or construction; none lists all.")
+        str | None,
+        typer.Argument(
+            metavar="NAME", help="Material or construction; none lists all.", autocompletion=complete_materials
+        ),
     ] = None,
     frequency_ghz: Annotated[list[float] | None, typer.Option(help="Repeat for several; 10 and 77 if none.")] = None,
     angles_deg: Annotated[str, typer.Option(metavar="FIRST:LAST:STEP", help="Angles of incidence.")] = "0:85:5",

@@ -25,6 +25,7 @@ def view(
     from nodes.viewer.server import ViewerServer
 
     with RecordingReader(recording) as reader:
+        print_line(f"{recording}: reading")
         board = Board()
         playback = Playback(reader, board)
         with (

@@ -19,6 +19,8 @@ class Envelope(msgspec.Struct, frozen=True, kw_only=True):
     sequence: int
     #: The bus clock when it was published.
     sent_ns: int
+    #: It comes of a player that waits for the graph: nobody needs to leave it out so as not to fall behind.
+    paced: bool = False
 
 
 class Received(NamedTuple):

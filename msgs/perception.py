@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from msgs.arrays import require_array, require_finite, require_positive
+from msgs.frames import Pose2
 from msgs.vehicle import VehicleState
 
 #: One object's covariance, row-major 2x2 [m^2].
@@ -47,6 +48,8 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     sensitivity_db: float = 0.0
     #: Checksum of the network that found them and how it placed them, "SHA256/WAY"; empty where none did.
     detector: str = ""
+    #: Where the radar sits on the vehicle, as the map was formed with.
+    vehicle_from_radar: Pose2 = Pose2()
 
     def __post_init__(self) -> None:
         count = len(self.range_m) if isinstance(self.range_m, np.ndarray) and self.range_m.ndim == 1 else None

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from msgs.arrays import require_array, require_finite, require_positive
+from msgs.frames import Pose2
 from msgs.units import (
     BOLTZMANN_J_PER_K,
     REFERENCE_TEMPERATURE_K,
@@ -38,12 +39,19 @@ class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
     noise_figure_db: float = 8.0
     #: Time from the first beam of a scan to the first beam of the next; beams are spread evenly over it.
     scan_period_s: float = 0.3
+    #: From the first sample of a chirp to that of the next; None: chirps follow without a gap.
+    chirp_interval_s: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("carrier_hz", "bandwidth_hz", "sample_rate_hz", "transmit_power_w", "scan_period_s"):
             require_positive(f"radar.{name}", getattr(self, name))
         for name in ("chirps_per_beam", "samples_per_chirp"):
             require_positive(f"radar.{name}", getattr(self, name))
+        if self.chirp_interval_s is not None and not self.chirp_period_s <= self.chirp_interval_s < math.inf:
+            raise ValueError(
+                "radar.chirp_interval_s must be finite and no shorter than a chirp's samples, "
+                f"{self.chirp_period_s!r} s, got {self.chirp_interval_s!r}"
+            )
 
     @property
     def wavelength_m(self) -> float:
@@ -61,9 +69,14 @@ class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
         return self.bandwidth_hz / self.chirp_period_s
 
     @property
+    def repetition_interval_s(self) -> float:
+        """From one chirp to the next: T_c unless the radar rests in between."""
+        return self.chirp_period_s if self.chirp_interval_s is None else self.chirp_interval_s
+
+    @property
     def beam_duration_s(self) -> float:
-        """T_f = N_c T_c, Table 1: time on air of one beam."""
-        return self.chirps_per_beam * self.chirp_period_s
+        """T_f = N_c T_c, Table 1: time that one beam takes, rests between chirps included."""
+        return self.chirps_per_beam * self.repetition_interval_s
 
     @property
     def range_bin_m(self) -> float:
@@ -92,6 +105,8 @@ class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
     row_spacing_m: float | None = None
     #: 0: ideal, unquantised phases.
     phase_bits: int = 6
+    #: 2: transmit and receive are steered alike; 1: receive alone, the transmitter is one fixed element.
+    steered_ways: int = 2
 
     def __post_init__(self) -> None:
         for name in ("columns", "rows"):
@@ -101,6 +116,8 @@ class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
                 require_positive(f"array.{name}", getattr(self, name))
         if not 0 <= self.phase_bits <= 16:
             raise ValueError(f"array.phase_bits must be 0..16, got {self.phase_bits!r}")
+        if self.steered_ways not in (1, 2):
+            raise ValueError(f"array.steered_ways must be 1 or 2, got {self.steered_ways!r}")
 
     def column_spacing(self, wavelength_m: float) -> float:
         """Column spacing in metres, lambda/2 unless given."""
@@ -290,6 +307,8 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     saturated_share: float = 0.0
     #: The radar's own motion was taken out beam by beam.
     ego_compensated: bool = False
+    #: Where the radar sits on the vehicle, as the map was formed with.
+    vehicle_from_radar: Pose2 = Pose2()
     mode: str = "coherent"
     #: Names in `MAP_FAULTS` of what the scan shows of its own hardware.
     faults: tuple[str, ...] = ()

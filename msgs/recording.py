@@ -4,18 +4,20 @@ Times: `log_time` is when the message was sent (the bus clock), which orders a r
 `publish_time` is the message's own `stamp_ns`, the time of acquisition. Each publisher of a topic has a channel of its
 own, named in the channel's metadata.
 
-A recording is written front to back and is readable at any moment: a process that is killed loses at most the chunk it
-was filling. Readers therefore never need the index at the end; they walk the file's records by their lengths.
+A recording is written front to back and is readable at any moment: a process that is killed loses at most the chunks it
+was filling, one of raw beams (plain) and one of all else (zstd). Readers therefore need no index at the end; they walk
+the file's records by their lengths, and turn to the index only where damage bars the way.
 """
 
 from __future__ import annotations
 
+import contextlib
 import heapq
 import os
 import struct
 import zlib
-from collections.abc import Collection, Iterator
-from io import BytesIO
+from collections.abc import Collection, Iterator, Mapping
+from io import BytesIO, FileIO
 from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, NamedTuple, Self
@@ -25,19 +27,23 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Footer, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Message, Metadata, Schema
 from mcap.stream_reader import breakup_chunk
 from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
+from mcap.writer import MCAP0_MAGIC
 
 from msgs.codec import CodecError, decode_inline, encode_inline, json_schema
+from msgs.mcap_file import CHUNK_BYTES, McapFile
 from msgs.topics import TOPICS, topic_facts
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
 
-CHUNK_BYTES = 1 << 20
+#: 350 MB/s of noise, which does not compress and must not cost time while it arrives; all else is compressed.
+RAW_TOPIC = "radar/beam"
 #: Bus time after which an unfilled chunk is written all the same: what a killed recorder loses of slow topics.
 FLUSH_INTERVAL_NS = NANOSECONDS_PER_SECOND
 METADATA_NAME = "mirrorwave"
+#: Metadata record with what the recorder knows of lost messages.
+LOSSES_NAME = "mirrorwave:losses"
 #: Just below the largest block that glibc may be taught to keep (32 MiB).
 _LARGEST_HEAP_BLOCK = 31 << 20
 _PUBLISHER_KEY = "publisher"
@@ -63,6 +69,51 @@ class Recorded(NamedTuple):
     sequence: int
     #: When it was sent.
     log_time_ns: int
+
+
+class Encoded(NamedTuple):
+    """A message as it stands in a recording."""
+
+    topic: str
+    publisher: str
+    sequence: int
+    #: When it was sent.
+    sent_ns: int
+    #: Its own stamp, the time of acquisition.
+    stamp_ns: int
+    data: bytes
+
+
+class TopicLoss(msgspec.Struct, frozen=True, kw_only=True):
+    """Messages of one topic that were sent and are not in the recording."""
+
+    topic: str
+    #: Lost on the way to the recorder, by gaps in the sequence numbers; those rejected leave a gap too.
+    lost: int = 0
+    #: Arrived but unreadable.
+    rejected: int = 0
+    #: Arrived, and passed over because a newer one stood beside it.
+    outdated: int = 0
+    #: Arrived, and not written: the disk refused.
+    missed: int = 0
+
+    @property
+    def total(self) -> int:
+        """Messages that are missing."""
+        return max(self.lost, self.rejected) + self.outdated + self.missed
+
+
+class Losses(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recorder knows of messages that are missing; topics without loss are left out."""
+
+    topics: tuple[TopicLoss, ...] = ()
+    #: Why the recording ended before it was asked to, None where it did not.
+    ended: str | None = None
+
+    @property
+    def total(self) -> int:
+        """Messages that are missing."""
+        return sum(topic.total for topic in self.topics)
 
 
 class TopicInfo(msgspec.Struct, frozen=True, kw_only=True):
@@ -91,8 +142,10 @@ class RecordingInfo(msgspec.Struct, frozen=True, kw_only=True):
     complete: bool
     #: Every checksum of the data agrees.
     checksums_agree: bool
-    #: What is missing or damaged, None where nothing is.
+    #: What is missing or damaged in the file, None where nothing is.
     loss: str | None
+    #: What the recorder never got or could not write; None where the file does not say.
+    losses: Losses | None = None
 
 
 class RecordingWriter:
@@ -105,43 +158,56 @@ class RecordingWriter:
     def __init__(self, path: Path, metadata: dict[str, str], *, overwrite: bool = False) -> None:
         self._file = _create(Path(path), overwrite)
         _keep_large_blocks()
-        self._writer = Writer(
-            self._file,
-            chunk_size=CHUNK_BYTES,
-            # noise does not compress, and must not cost time while it arrives
-            compression=CompressionType.NONE,
-            enable_crcs=True,
-            enable_data_crcs=True,
-        )
-        self._writer.start(profile=METADATA_NAME, library=METADATA_NAME)
-        self._writer.add_metadata(METADATA_NAME, metadata)
-        self._schemas: dict[str, int] = {}
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._file.close)
+            self._mcap = McapFile(self._file, METADATA_NAME)
+            self._mcap.add_metadata(METADATA_NAME, metadata)
+            stack.pop_all()
         self._channels: dict[tuple[str, str], int] = {}
         self._flushed_ns: int | None = None
 
+    @property
+    def size_bytes(self) -> int:
+        """Size so far, without the index."""
+        return self._mcap.size
+
+    def written(self) -> dict[str, int]:
+        """Messages per topic that the file system has taken; after `close`, all that are in the file."""
+        counts: dict[str, int] = {}
+        for (topic, _), number in self._channels.items():
+            counts[topic] = counts.get(topic, 0) + self._mcap.counts[number]
+        return counts
+
     def write(self, topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> None:
         """Append a message that `publisher` sent at `sent_ns` (not negative)."""
-        facts = topic_facts(topic)
-        if type(message) is not facts.type:
-            raise ValueError(f"{topic} carries {facts.type.__name__}, got {type(message).__name__}")
-        if not 0 <= sent_ns <= _MAX_U64:
-            raise ValueError(f"sent_ns must be 0..2^64-1, got {sent_ns!r}")
-        stamp_ns: int = getattr(message, "stamp_ns", sent_ns)
-        self._writer.add_message(
-            channel_id=self._channel(topic, publisher),
-            log_time=sent_ns,
+        self.write_encoded(encoded(topic, message, publisher=publisher, sequence=sequence, sent_ns=sent_ns))
+
+    def write_encoded(self, message: Encoded) -> None:
+        """Append a message that was encoded before."""
+        self._mcap.add_message(
+            self._channel(message.topic, message.publisher),
+            message.sequence & _MAX_U32,
+            message.sent_ns,
             # unsigned in the file; the message itself keeps its exact stamp
-            publish_time=min(max(stamp_ns, 0), _MAX_U64),
-            sequence=sequence & _MAX_U32,
-            data=encode_inline(message),
+            min(max(message.stamp_ns, 0), _MAX_U64),
+            message.data,
         )
-        self._flush_when_due(sent_ns)
+        self._flush_when_due(message.sent_ns)
+
+    def flush(self) -> None:
+        """Write the chunks in progress; what the disk refuses is lost."""
+        self._mcap.flush()
+
+    def write_losses(self, losses: Losses) -> None:
+        """Say what is missing: the last before `close` counts."""
+        values = {"topics": msgspec.json.encode(losses.topics).decode()}
+        self._mcap.add_metadata(LOSSES_NAME, values | ({"ended": losses.ended} if losses.ended else {}))
 
     def close(self) -> None:
         """Write the index and close the file; once is enough, twice does no harm."""
         if not self._file.closed:
             try:
-                self._writer.finish()
+                self._mcap.finish()
             finally:
                 self._file.close()
 
@@ -156,10 +222,14 @@ class RecordingWriter:
     def _channel(self, topic: str, publisher: str) -> int:
         key = topic, publisher
         if key not in self._channels:
-            if topic not in self._schemas:
-                self._schemas[topic] = _register_schema(self._writer, topic)
-            self._channels[key] = self._writer.register_channel(
-                topic, MessageEncoding.MessagePack, self._schemas[topic], {_PUBLISHER_KEY: publisher}
+            message_type = topic_facts(topic).type
+            schema = msgspec.json.encode(json_schema(message_type))
+            self._channels[key] = self._mcap.add_channel(
+                topic,
+                MessageEncoding.MessagePack,
+                self._mcap.add_schema(message_type.__name__, SchemaEncoding.JSONSchema, schema),
+                {_PUBLISHER_KEY: publisher},
+                compressed=topic != RAW_TOPIC,
             )
         return self._channels[key]
 
@@ -167,8 +237,19 @@ class RecordingWriter:
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
         if now_ns - self._flushed_ns >= FLUSH_INTERVAL_NS:
-            self._writer.flush()
+            self._mcap.flush()
             self._flushed_ns = now_ns
+
+
+def encoded(topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> Encoded:
+    """A message as it stands in a recording; raises `ValueError` where topic, type or time do not fit."""
+    facts = topic_facts(topic)
+    if type(message) is not facts.type:
+        raise ValueError(f"{topic} carries {facts.type.__name__}, got {type(message).__name__}")
+    if not 0 <= sent_ns <= _MAX_U64:
+        raise ValueError(f"sent_ns must be 0..2^64-1, got {sent_ns!r}")
+    stamp_ns: int = getattr(message, "stamp_ns", sent_ns)
+    return Encoded(topic, publisher, sequence, sent_ns, stamp_ns, encode_inline(message))
 
 
 class RecordingReader:
@@ -190,21 +271,28 @@ class RecordingReader:
         self._channels = self._walk.channels
         self._schemas = self._walk.schemas
         self._damage: dict[int, str] = {}
+        self._searched = False
         self.skipped: dict[str, int] = {}
-        if not self.complete:
-            # the index that repeats all channels is missing: they stand in the chunks alone
-            for _ in self._chunk_messages(self._walk.chunks):
-                pass
 
     @property
     def metadata(self) -> dict[str, str]:
         """What the recorder wrote about the run."""
-        return self._walk.metadata
+        return self._walk.metadata.get(METADATA_NAME, {})
+
+    @property
+    def losses(self) -> Losses | None:
+        """What the recorder knew of missing messages; None where it did not say, as in a file that is cut off."""
+        return _losses(self._walk.metadata.get(LOSSES_NAME))
 
     @property
     def complete(self) -> bool:
         """Whether the recorder closed the file."""
         return self._walk.complete
+
+    @property
+    def start_ns(self) -> int:
+        """When its first message was sent, 0 where it has none."""
+        return min((chunk.start_ns for chunk in self._walk.chunks), default=0)
 
     @property
     def loss(self) -> str | None:
@@ -215,19 +303,44 @@ class RecordingReader:
             reasons.append(f"{len(self._damage)} damaged chunks, the first at byte {first}: {self._damage[first]}")
         return "; ".join(reasons) or None
 
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time, without reading the messages; zeros where there are none."""
+        chunks = self._walk.chunks
+        return min((one.start_ns for one in chunks), default=0), max((one.end_ns for one in chunks), default=0)
+
+    @property
+    def types(self) -> dict[str, str]:
+        """Name of each topic's type; of a recording that is cut off all chunks are read for them."""
+        if not self.complete:
+            self._search_declarations()
+        schemas = self._schemas
+        return {
+            one.topic: schemas[one.schema_id].name if one.schema_id in schemas else ""
+            for one in self._channels.values()
+        }
+
     def messages(
-        self, topics: Collection[str] | None = None, start_ns: int | None = None, end_ns: int | None = None
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+        renamed: Mapping[str, str] | None = None,
     ) -> Iterator[Recorded]:
-        """Messages in order of their sending, start included, end not; holds no more than overlapping chunks."""
+        """Messages in order of their sending, start included, end not; holds no more than overlapping chunks.
+
+        `topics` as the recording has them; those `renamed` come, and are read, as the topics of their new names.
+        """
         self.skipped = {}
         for channel, raw in self._in_order(start_ns, end_ns):
             if topics is not None and channel.topic not in topics:
                 continue
-            message = _decode(channel, raw)
+            topic = (renamed or {}).get(channel.topic, channel.topic)
+            message = _decode(topic, channel, raw)
             if message is None:
                 self.skipped[channel.topic] = self.skipped.get(channel.topic, 0) + 1
             else:
-                yield Recorded(channel.topic, message, _publisher(channel), raw.sequence, raw.log_time)
+                yield Recorded(topic, message, _publisher(channel), raw.sequence, raw.log_time)
 
     def info(self) -> RecordingInfo:
         """Summary of the recording; reads all of it once to verify its checksums."""
@@ -245,6 +358,7 @@ class RecordingReader:
             complete=self.complete,
             checksums_agree=not self._damage and data_crc_agrees,
             loss=self.loss or (None if data_crc_agrees else "checksum of the data section disagrees"),
+            losses=self.losses,
         )
 
     def close(self) -> None:
@@ -274,23 +388,36 @@ class RecordingReader:
             yield heapq.heappop(waiting)[3:]
 
     def _chunk_messages(self, chunks: list[_Chunk]) -> Iterator[tuple[Channel, Message]]:
-        """Messages of intact chunks in file order; damaged ones are noted and left out."""
+        """Messages of intact chunks in the order given; damaged ones are noted and left out."""
         for chunk in chunks:
-            try:
-                records = _read_chunk(self._file, chunk)
-            except _DAMAGE as error:
-                self._damage[chunk.offset] = _one_line(error)
-                continue
-            for record in records:
-                if isinstance(record, Schema):
-                    self._schemas[record.id] = record
-                elif isinstance(record, Channel):
-                    self._channels[record.id] = record
-                elif isinstance(record, Message):
-                    if record.channel_id in self._channels:
-                        yield self._channels[record.channel_id], record
-                    else:
-                        self._damage[chunk.offset] = f"message of channel {record.channel_id}, which nothing declares"
+            for raw in self._declare(chunk):
+                if raw.channel_id not in self._channels:
+                    self._search_declarations()
+                if raw.channel_id in self._channels:
+                    yield self._channels[raw.channel_id], raw
+                else:
+                    self._damage[chunk.offset] = f"message of channel {raw.channel_id}, which nothing declares"
+
+    def _declare(self, chunk: _Chunk) -> list[Message]:
+        """Messages of a chunk, once all that it declares is known; none where it is damaged."""
+        try:
+            records = _read_chunk(self._file, chunk)
+        except _DAMAGE as error:
+            self._damage[chunk.offset] = _one_line(error)
+            return []
+        for record in records:
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
+        return [record for record in records if isinstance(record, Message)]
+
+    def _search_declarations(self) -> None:
+        """Other programs declare a channel once: where the index is missing, in whatever chunk came first."""
+        if not self._searched:
+            self._searched = True
+            for chunk in self._walk.chunks:
+                self._declare(chunk)
 
 
 class _Chunk(NamedTuple):
@@ -307,9 +434,12 @@ class _Walk:
     def __init__(self, size: int) -> None:
         self.size = size
         self.chunks: list[_Chunk] = []
+        #: The same, as the index has them.
+        self.indexed: list[_Chunk] = []
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        self.metadata: dict[str, str] = {}
+        #: Metadata records by name.
+        self.metadata: dict[str, dict[str, str]] = {}
         self.complete = False
         self.cut: str | None = None
         #: End of the data section and its checksum, None where the file gives none.
@@ -338,21 +468,18 @@ def copy_recording(
     Returns the number of messages and what the source had lost.
     """
     with RecordingReader(source) as reader, _create(Path(target), overwrite) as file:
-        compression = CompressionType.ZSTD if compress else CompressionType.NONE
-        writer = Writer(file, chunk_size=CHUNK_BYTES, compression=compression, enable_data_crcs=True)
-        writer.start(profile=METADATA_NAME, library=METADATA_NAME)
-        writer.add_metadata(METADATA_NAME, reader.metadata)
+        writer = McapFile(file, METADATA_NAME)
+        for name, values in reader._walk.metadata.items():
+            writer.add_metadata(name, values)
         channels: dict[int, int] = {}
-        count = 0
         for channel, raw in reader._in_order(start_ns, end_ns):
             if topics is not None and channel.topic not in topics:
                 continue
             if channel.id not in channels:
-                channels[channel.id] = _copy_channel(writer, channel, reader._schemas)
-            writer.add_message(channels[channel.id], raw.log_time, raw.data, raw.publish_time, raw.sequence)
-            count += 1
+                channels[channel.id] = _copy_channel(writer, channel, reader._schemas, compress)
+            writer.add_message(channels[channel.id], raw.sequence, raw.log_time, raw.publish_time, raw.data)
         writer.finish()
-        return count, reader.loss
+        return writer.messages, reader.loss
 
 
 class _Counts:
@@ -405,9 +532,20 @@ def _keep_large_blocks() -> None:
     del block
 
 
-def _create(path: Path, overwrite: bool) -> BinaryIO:
+def _losses(values: dict[str, str] | None) -> Losses | None:
+    """What a metadata record says is missing, None where there is none or another program's."""
+    if values is None:
+        return None
     try:
-        return path.open("wb" if overwrite else "xb")
+        topics = msgspec.json.decode(values.get("topics", ""), type=tuple[TopicLoss, ...])
+    except msgspec.MsgspecError:
+        return None
+    return Losses(topics=topics, ended=values.get("ended"))
+
+
+def _create(path: Path, overwrite: bool) -> FileIO:
+    try:
+        return path.open("wb" if overwrite else "xb", buffering=0)
     except FileExistsError as error:
         raise FileExistsError(f"{path}: exists already and is not overwritten unless asked") from error
 
@@ -433,7 +571,7 @@ def _walk_records(file: BinaryIO) -> _Walk:
     """Visit every record by its head alone; chunks are noted, not read. Stops where the file is cut or damaged."""
     walk = _Walk(os.fstat(file.fileno()).st_size)
     offset = len(MCAP0_MAGIC)
-    while not walk.complete:
+    while not (walk.complete or walk.cut):
         file.seek(offset)
         head = file.read(_RECORD_HEAD.size)
         if len(head) < _RECORD_HEAD.size:
@@ -448,9 +586,39 @@ def _walk_records(file: BinaryIO) -> _Walk:
             _note_record(walk, file, opcode, offset, length)
         except _DAMAGE as error:
             walk.cut = f"damaged at byte {offset}: {_one_line(error)}"
-            break
         offset = end
+    if walk.complete:
+        # the index has a checksum, the heads of the records have none
+        indexed = {chunk.offset for chunk in walk.indexed}
+        walk.chunks = [chunk for chunk in walk.chunks if chunk.offset not in indexed] + walk.indexed
+    else:
+        with contextlib.suppress(*_DAMAGE):
+            _take_index(walk, file)
     return walk
+
+
+def _take_index(walk: _Walk, file: BinaryIO) -> None:
+    """Have the index at the end, where it is intact, say where the chunks stand: damage barred the way to some."""
+    offset = walk.size - len(MCAP0_MAGIC) - _RECORD_HEAD.size - 20
+    file.seek(max(offset, 0))
+    opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+    if offset < 0 or (opcode, length) != (Opcode.FOOTER, 20):
+        return
+    footer = Footer.read(_body(file, length))
+    if not (footer.summary_start and footer.summary_crc):
+        return
+    _require_index_intact(file, footer, offset)
+    indexed = _Walk(walk.size)
+    at = footer.summary_start
+    while at < (footer.summary_offset_start or offset):
+        file.seek(at)
+        opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+        _note_record(indexed, file, opcode, at, length)
+        at += _RECORD_HEAD.size + length
+    if indexed.indexed:
+        walk.chunks = indexed.indexed
+        walk.channels, walk.schemas = indexed.channels, indexed.schemas
+        walk.cut = f"{walk.cut}; all chunks found by the index"
 
 
 def _note_record(walk: _Walk, file: BinaryIO, opcode: int, offset: int, length: int) -> None:
@@ -469,8 +637,10 @@ def _note_record(walk: _Walk, file: BinaryIO, opcode: int, offset: int, length: 
         walk.schemas[schema.id] = schema
     elif opcode == Opcode.METADATA:
         metadata = Metadata.read(_body(file, length))
-        if metadata.name == METADATA_NAME:
-            walk.metadata = metadata.metadata
+        walk.metadata[metadata.name] = metadata.metadata
+    elif opcode == Opcode.CHUNK_INDEX:
+        index = ChunkIndex.read(_body(file, length))
+        walk.indexed.append(_Chunk(index.chunk_start_offset, index.message_start_time, index.message_end_time))
     elif opcode == Opcode.DATA_END:
         walk.data_end = offset
         walk.data_crc = DataEnd.read(_body(file, length)).data_section_crc or None
@@ -508,11 +678,11 @@ def _read_chunk(file: BinaryIO, chunk: _Chunk) -> list[object]:
     return list(breakup_chunk(whole, validate_crc=True))
 
 
-def _decode(channel: Channel, raw: Message) -> msgspec.Struct | None:
-    """The message, or None where its topic or encoding is not ours or its bytes are unreadable."""
-    if channel.topic not in TOPICS or channel.message_encoding != MessageEncoding.MessagePack:
+def _decode(topic: str, channel: Channel, raw: Message) -> msgspec.Struct | None:
+    """A topic's message, or None where topic or encoding is not ours or its bytes are unreadable."""
+    if topic not in TOPICS or channel.message_encoding != MessageEncoding.MessagePack:
         return None
-    facts = TOPICS[channel.topic]
+    facts = TOPICS[topic]
     try:
         message: msgspec.Struct = decode_inline(facts.type, raw.data)
     except CodecError:
@@ -520,16 +690,13 @@ def _decode(channel: Channel, raw: Message) -> msgspec.Struct | None:
     return message
 
 
-def _register_schema(writer: Writer, topic: str) -> int:
-    message_type = topic_facts(topic).type
-    schema = msgspec.json.encode(json_schema(message_type))
-    return writer.register_schema(message_type.__name__, SchemaEncoding.JSONSchema, schema)
-
-
-def _copy_channel(writer: Writer, channel: Channel, schemas: dict[int, Schema]) -> int:
+def _copy_channel(writer: McapFile, channel: Channel, schemas: dict[int, Schema], compress: bool) -> int:
     schema = schemas.get(channel.schema_id)
-    schema_id = writer.register_schema(schema.name, schema.encoding, schema.data) if schema else 0
-    return writer.register_channel(channel.topic, channel.message_encoding, schema_id, channel.metadata)
+    schema_id = writer.add_schema(schema.name, schema.encoding, schema.data) if schema else 0
+    compressed = compress or channel.topic != RAW_TOPIC
+    return writer.add_channel(
+        channel.topic, channel.message_encoding, schema_id, channel.metadata, compressed=compressed
+    )
 
 
 def _publisher(channel: Channel) -> str:

@@ -46,8 +46,13 @@ class _Count:
 class Tally:
     """Sequence numbers and counts of one node's connection."""
 
-    def __init__(self, node: str) -> None:
+    def __init__(self, node: str, paced: bool = False, keeps_all: bool = False) -> None:
         self._node = node
+        self._paced, self._keeps_all = paced, keeps_all
+        #: What is outdated is handed out too.
+        self.wants_all = False
+        #: Topics whose last message was paced: what is made of them is paced too.
+        self._paced_topics: set[str] = set()
         self._published: dict[str, _Count] = {}
         self._received: dict[str, _Count] = {}
         self._last: dict[tuple[str, str], Envelope] = {}
@@ -56,7 +61,8 @@ class Tally:
     def pack(self, topic: str, message: msgspec.Struct, now_ns: int) -> tuple[Envelope, list[Buffer]]:
         """Envelope and frames of the next message; raises `CodecError`, and spends no number, if it cannot travel."""
         sequence = self._published[topic].messages if topic in self._published else 0
-        envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns)
+        paced = self._paced or bool(self._paced_topics)
+        envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns, paced=paced)
         frames = encode(envelope, message)
         self._published.setdefault(topic, _Count()).add(frames)
         return envelope, frames
@@ -83,6 +89,7 @@ class Tally:
             count.lost += max(0, received.envelope.sequence - last.sequence - 1)
         self._last[topic, received.envelope.publisher] = received.envelope
         count.add(frames)
+        (self._paced_topics.add if received.envelope.paced else self._paced_topics.discard)(topic)
         return received
 
     def forget(self, topic: str, publisher: str) -> None:
@@ -90,12 +97,17 @@ class Tally:
         self._last.pop((topic, publisher), None)
 
     def without_outdated(self, messages: list[Received]) -> list[Received]:
-        """`messages`, with the last of each publisher alone on topics whose receivers want the newest only; counts."""
+        """`messages`, with the last of each publisher alone on topics whose receivers want the newest only; counts.
+
+        What is paced is kept: its player waits until it is answered.
+        """
+        if self._keeps_all:
+            return messages
         newest = {(message.topic, message.envelope.publisher): message for message in messages}
         kept = []
         for message in messages:
             is_newest = newest[message.topic, message.envelope.publisher] is message
-            if topic_facts(message.topic).newest_only and not is_newest:
+            if topic_facts(message.topic).newest_only and not (is_newest or message.envelope.paced or self.wants_all):
                 self._received[message.topic].outdated += 1
             else:
                 kept.append(message)

@@ -29,6 +29,9 @@ _MAX_MESSAGES_A_CALL = 64
 _LINGER_MS = 500
 _RECONNECT_MS = 20
 _RECONNECT_MAX_MS = 200
+#: A subscriber of a paced topic that takes nothing may hold the publisher up for so long.
+_HELD_UP_NS = 10 * NANOSECONDS_PER_SECOND
+_RETRY_S = 0.001
 #: How often to look for publishers: while a topic has none yet, and afterwards.
 _SEARCH_INTERVAL_NS = 50_000_000
 _RESCAN_INTERVAL_NS = 250_000_000
@@ -37,11 +40,14 @@ _RESCAN_INTERVAL_NS = 250_000_000
 class ZmqBus:
     """One node's connection to the live graph; a `Bus`.
 
+    `paced`: subscribers that are behind hold `publish` up instead of missing messages, and every message says so.
+    `counted`: `subscribers` knows of every topic, as it does where messages are paced, and whatever comes is kept, on
+    topics whose receivers want the newest only too.
     Raises `ValueError` for a node name or run directory that cannot be used, `OSError` where the directory cannot be
     made.
     """
 
-    def __init__(self, node: str, run_dir: Path) -> None:
+    def __init__(self, node: str, run_dir: Path, paced: bool = False, counted: bool = False) -> None:
         if not _NODE_NAME.fullmatch(node):
             raise ValueError(f"node name must be 1..64 letters, digits, '_', '-' or '.', got {node!r}")
         self._node = node
@@ -51,10 +57,13 @@ class ZmqBus:
         self._dir.mkdir(parents=True, exist_ok=True, mode=0o700)
         self._dir.chmod(0o700)
         self._context = zmq.Context()
-        self._tally = Tally(node)
+        self._paced, self._counted = paced, paced or counted
+        self._tally = Tally(node, paced, keeps_all=counted)
         self._poller = zmq.Poller()
         self._publishers: dict[str, zmq.Socket[bytes]] = {}
         self._latched: dict[str, list[Buffer]] = {}
+        #: Subscribers of the topics whose publishers hear of them: all of a counted bus, else the latched.
+        self._joined: dict[str, int] = {}
         self._subscribers: dict[str, zmq.Socket[bytes]] = {}
         #: Publishers found per topic, and the life of each, as its socket file tells it.
         self._found: dict[str, dict[str, tuple[int, int]]] = {}
@@ -71,7 +80,8 @@ class ZmqBus:
     def publish(self, topic: str, message: msgspec.Struct) -> None:
         """Send `message` without waiting; subscribers that are behind by the topic's history miss it.
 
-        Arrays are not copied: do not change them afterwards. Raises `CodecError` if it cannot travel.
+        Arrays are not copied: do not change them afterwards. Raises `CodecError` if it cannot travel; on a paced bus
+        `TimeoutError` where a subscriber takes nothing for 10 s.
         """
         self.advertise(topic)
         _, frames = self._tally.pack(topic, message, self.now_ns())
@@ -79,7 +89,12 @@ class ZmqBus:
             # newcomers get the message below: nothing older is owed to them
             self._newcomers(topic)
             self._latched[topic] = frames
-        self._publishers[topic].send_multipart(frames, copy=False)
+        self._send(topic, frames)
+
+    def subscribers(self, topic: str) -> int:
+        """How many are connected to an advertised topic, latched or counted: they get what is sent from now on."""
+        self._serve_newcomers(topic)
+        return self._joined[topic]
 
     def subscribe(self, topic: str) -> None:
         """Receive `topic` from all its publishers, present and to come."""
@@ -98,6 +113,10 @@ class ZmqBus:
         self._poller.register(subscriber, zmq.POLLIN)
         self._tally.expect(topic)
         self._search()
+
+    def want_all(self) -> None:
+        """Receive what is outdated, too."""
+        self._tally.wants_all = True
 
     def receive(self, timeout_s: float) -> list[Received]:
         """Messages waiting, oldest first and at most 64 a topic; waits up to `timeout_s` for the first."""
@@ -125,19 +144,35 @@ class ZmqBus:
         self._subscribers.clear()
         self._context.term()
 
+    def _send(self, topic: str, frames: list[Buffer]) -> None:
+        """Hand a message to ZeroMQ, which refuses it while a subscriber of a paced topic is behind."""
+        end_ns = self.now_ns() + _HELD_UP_NS
+        while True:
+            try:
+                self._publishers[topic].send_multipart(frames, zmq.NOBLOCK, copy=False)
+                return
+            except zmq.Again:
+                if self.now_ns() > end_ns:
+                    raise TimeoutError(f"{topic}: a subscriber has taken nothing for 10 s") from None
+                time.sleep(_RETRY_S)
+
     def _bind(self, topic: Topic) -> zmq.Socket[bytes]:
         path = socket_path(self._dir, topic.name, self._node)
         if path.exists():
             if _is_alive(path):
                 raise ValueError(f"{path}: node {self._node!r} publishes {topic.name} already; names must differ")
             path.unlink(missing_ok=True)
-        publisher = self._context.socket(zmq.XPUB if topic.latched else zmq.PUB)
+        hears = topic.latched or self._counted
+        publisher = self._context.socket(zmq.XPUB if hears else zmq.PUB)
         # a reader reports what it took in steps of half the mark: only twice the history surely holds it
         publisher.set(zmq.SNDHWM, 2 * topic.history_messages)
-        publisher.set(zmq.LINGER, 0 if _is_bulk(topic) else _LINGER_MS)
-        if topic.latched:
-            publisher.set(zmq.XPUB_VERBOSE, 1)
-            self._latched[topic.name] = []
+        publisher.set(zmq.LINGER, 0 if _is_bulk(topic) and not self._paced else _LINGER_MS)
+        if hears:
+            publisher.set(zmq.XPUB_VERBOSER, 1)
+            publisher.set(zmq.XPUB_NODROP, int(self._paced))
+            self._joined[topic.name] = 0
+            if topic.latched:
+                self._latched[topic.name] = []
             self._poller.register(publisher, zmq.POLLIN)
         publisher.bind(f"ipc://{path}")
         return publisher
@@ -148,7 +183,7 @@ class ZmqBus:
             # a poll of nothing would return at once
             time.sleep(wait_ns / NANOSECONDS_PER_SECOND)
         ready = dict(self._poller.poll(-(-wait_ns // 1_000_000)))
-        for topic in self._latched:
+        for topic in self._joined:
             if self._publishers[topic] in ready:
                 self._serve_newcomers(topic)
         received: list[Received] = []
@@ -182,18 +217,20 @@ class ZmqBus:
 
     def _serve_newcomers(self, topic: str) -> None:
         """Send a latched topic's last message again if somebody joined; all others discard it as seen."""
-        if self._newcomers(topic) and self._latched[topic]:
+        if self._newcomers(topic) and self._latched.get(topic):
             self._publishers[topic].send_multipart(self._latched[topic], copy=False)
 
     def _newcomers(self, topic: str) -> bool:
-        """Whether anybody subscribed to a latched topic since the last look."""
+        """Whether anybody subscribed to a topic since the last look; counts who is there."""
         joined = False
         while True:
             try:
                 event = self._publishers[topic].recv_multipart(zmq.NOBLOCK)
             except zmq.Again:
                 return joined
-            joined |= event[0].startswith(b"\x01")
+            is_new = event[0].startswith(b"\x01")
+            self._joined[topic] += 1 if is_new else -1
+            joined |= is_new
 
     def _search_when_due(self) -> None:
         if self._subscribers and self.now_ns() >= self._next_scan_ns:

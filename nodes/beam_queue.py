@@ -2,7 +2,7 @@
 
 A scan that has not been begun is left out as soon as more beams have piled up behind its first than can be caught up
 with in time; once begun it is folded to its end. What counts is the pile, not the age of its beams: a source that is
-late as a whole is taken for what it is.
+late as a whole is taken for what it is. Beams of a player that waits for the graph are all folded.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class BeamQueue:
             self.shed_beams += 1
         elif self._begins(beam):
             self._to_begin.append(beam)
-            while self._is_behind():
+            while not received.envelope.paced and self._is_behind():
                 self._leave_out(self._to_begin[0].scan_id)
         else:
             self._under_way.append(beam)

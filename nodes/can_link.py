@@ -202,12 +202,13 @@ class LogFrame(NamedTuple):
 
 
 def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
-    """Frames of a candump (.log), ASC, BLF, CSV or TRC log, of one channel if one is named.
+    """Frames of a candump (.log), ASC, BLF, CSV or TRC log (also gzipped), of one channel if one is named.
 
     Raises `ValueError` naming the file and the frame where it cannot be read on; `OSError` if it cannot be opened.
     """
     # ASC is read as seconds since the first frame unless told otherwise; all others keep the time of day
-    options = {"relative_timestamp": False} if path.suffix.lower() == ".asc" else {}
+    is_asc = path.name.lower().removesuffix(".gz").endswith(".asc")
+    options = {"relative_timestamp": False} if is_asc else {}
     count = 0
     stamp_ns = 0
     try:

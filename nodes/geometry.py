@@ -9,6 +9,7 @@ import msgspec
 from models.perception.cards import learned_path
 from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
 from models.perception.geometry import GeometryParams, recover_bev, warm
+from models.perception.memory import MemoryParams, ScanMemory
 from models.perception.recovery import Residual
 from models.perception.residual_model import LearnedResidual
 from msgs.bus import Outgoing, Received
@@ -27,10 +28,12 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: network; `none`: all places are kept, with the scores of their peaks. The committed one was fitted on scenes at
     #: rest and drops what moves.
     confidence: str = "none"
+    #: What is kept from scan to scan: odometry, tracks, walls.
+    memory: MemoryParams = MemoryParams()
 
 
 class GeometryNode(Node):
-    """perception/peaks -> perception/hidden_objects, with the vehicle's motion at the time of the scan."""
+    """perception/peaks -> perception/hidden_objects, with tracks and the vehicle's motion at the time of the scan."""
 
     inputs = ("perception/peaks", "vehicle/state")
     outputs = ("perception/hidden_objects",)
@@ -41,6 +44,7 @@ class GeometryNode(Node):
         self._parts = parts_of(params)
         warm(params)
         self._states = StateHistory()
+        self._memory = ScanMemory(params.memory)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One view per set of peaks."""
@@ -49,13 +53,16 @@ class GeometryNode(Node):
             match received.message:
                 case VehicleState() as state:
                     self._states.add(state)
+                    self._memory.add(state)
                 case Peaks() as peaks:
                     out.append(Outgoing("perception/hidden_objects", self._view(peaks)))
         return out
 
     def _view(self, peaks: Peaks) -> BevFrame:
         with self.stages("geometry"):
-            view = recover_bev(peaks, *self._parts)
+            view = recover_bev(peaks, *self._parts, self._memory.walls_at(peaks))
+        with self.stages("tracking"):
+            view = self._memory.tracked(view, peaks.vehicle_from_radar)
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
 

@@ -21,6 +21,7 @@ MAX_DEPTH = 32
 #: Name under which the supervisor itself stands on the bus.
 SUPERVISOR = "supervisor"
 RECORDER = "recorder"
+RECORDER_MODULE = "nodes.recorder"
 
 
 def _require_duration(name: str, value: float) -> None:
@@ -197,15 +198,39 @@ def with_overrides(launch: LaunchFile, overrides: Iterable[str]) -> LaunchFile:
     return launch
 
 
-def with_recorder(launch: LaunchFile, path: Path, raw: bool = False) -> LaunchFile:
-    """`launch` with a recorder that is ready before all others start; the launch file goes into its metadata."""
+def with_recorder(launch: LaunchFile, path: Path, params: Mapping[str, Any] | None = None) -> LaunchFile:
+    """`launch` with a recorder, `params` beside its path, that is ready before all others start."""
     if RECORDER in launch.nodes:
         raise ValueError(f"nodes.{RECORDER}: the launch file has a recorder already; set its path with -p")
-    params = {"path": str(path), "raw": raw, "metadata": {"launch": dump_launch(launch)}}
-    nodes = {RECORDER: NodeEntry(module="nodes.recorder", params=params)}
+    nodes = {RECORDER: NodeEntry(module=RECORDER_MODULE, params={**(params or {}), "path": str(path)})}
     for name, entry in launch.nodes.items():
         nodes[name] = msgspec.structs.replace(entry, after=(RECORDER, *entry.after))
     return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
+    """`launch` with its recorders told the graph they record, as it stands here, the command and the meeting place."""
+    metadata = {"launch": dump_launch(without_metadata(launch)), "command": command}
+    nodes = dict(launch.nodes)
+    for name, entry in recorders(launch).items():
+        own = entry.params.get("metadata") or {}
+        told = {"run_dir": str(run_dir), **entry.params, "metadata": {**metadata, **own}}
+        nodes[name] = msgspec.structs.replace(entry, params=told)
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def without_metadata(launch: LaunchFile) -> LaunchFile:
+    """`launch` without what `with_origin` told its recorders of it."""
+    nodes = dict(launch.nodes)
+    for name, entry in recorders(launch).items():
+        kept = {key: value for key, value in entry.params.items() if key not in ("metadata", "run_dir")}
+        nodes[name] = msgspec.structs.replace(entry, params=kept)
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def recorders(launch: LaunchFile) -> dict[str, NodeEntry]:
+    """The nodes that record."""
+    return {name: entry for name, entry in launch.nodes.items() if entry.module == RECORDER_MODULE}
 
 
 def without_viewers(launch: LaunchFile) -> LaunchFile:

@@ -18,7 +18,7 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,7 @@ import msgspec
 import psutil
 
 from msgs.bus import Bus, Outgoing, Received
-from msgs.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime
+from msgs.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.topics import topic_facts
 from nodes.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
 from nodes.validation import convert_at
@@ -111,12 +111,16 @@ class Node:
 
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    #: Its inputs come complete, also where receivers otherwise want the newest only.
+    wants_all: bool = False
     #: How far the node's process gives way to the others where cores are short: Unix niceness, 0..19.
     nice: int = 0
 
     def __init__(self) -> None:
         self.stages = StageClock()
         self.shed = ShedTally()
+        #: What the bus counted of each input so far; nothing before the node stands on one.
+        self.counts: Callable[[], tuple[TopicCount, ...]] = tuple
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Answer what came in, in order of arrival; empty when the node is called because it was due."""
@@ -235,6 +239,7 @@ def run_loop(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
     """
     for topic in node.inputs:
         bus.subscribe(topic)
+    node.counts = lambda: bus.counts()[0]
     reason = ""
     try:
         heartbeat.beat(*node.health())
@@ -381,6 +386,8 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
             return EXIT_BAD_INPUT
         for topic in node.outputs:
             bus.advertise(topic)
+        if node.wants_all:
+            bus.want_all()
         _give_way(node.nice)
         run_loop(node, bus, stop, heartbeat)
         if not stop.at_once:

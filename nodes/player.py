@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
 
+from msgs.arrays import require_finite
 from msgs.bus import Outgoing, Received
+from msgs.units import ns_from_s
+from msgs.vehicle import VehicleState
 from nodes.node import Node
 
 if TYPE_CHECKING:
@@ -47,6 +50,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     budget_db: float = -20.0
     #: False where a car on a CAN bus says how the vehicle moves.
     publish_vehicle_state: bool = True
+    #: Added to the stamps of a capture's vehicle states: what `mirrorwave calibrate clock` finds.
+    vehicle_clock_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
         if (self.scene is None) == (self.capture is None):
@@ -55,6 +60,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"player.rate must be positive, got {self.rate!r}")
         if self.scans is not None and self.scans < 0:
             raise ValueError(f"player.scans must not be negative, got {self.scans!r}")
+        require_finite("player.vehicle_clock_offset_s", self.vehicle_clock_offset_s)
 
 
 class Event(NamedTuple):
@@ -182,6 +188,16 @@ def _recording_events(path: Path) -> Iterator[Event]:
             yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
 
 
+def _with_offset(event: Event, offset_ns: int) -> Event:
+    """A vehicle state on the radar's clock; everything else as it is."""
+    topic, message = event.outgoing
+    if not isinstance(message, VehicleState):
+        return event
+    return event._replace(
+        outgoing=Outgoing(topic, msgspec.structs.replace(message, stamp_ns=message.stamp_ns + offset_ns))
+    )
+
+
 def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
     first = next(events, None)
     if first is None:
@@ -227,4 +243,6 @@ def create(params: Params) -> Player:
         events = _not_empty(capture_events(Path(params.capture or "")), params.capture)
     if not params.publish_vehicle_state:
         events = (event for event in events if event.outgoing.topic != "vehicle/state")
+    elif params.vehicle_clock_offset_s:
+        events = (_with_offset(event, ns_from_s(params.vehicle_clock_offset_s)) for event in events)
     return Player(events, params.rate, params.settle_s, restamp=params.scene is not None)

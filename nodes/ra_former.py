@@ -10,7 +10,11 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 
+import msgspec
+
+from models.perception.background import load_background
 from models.perception.ra_forming import FormingParams, RaFormer
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
@@ -30,6 +34,8 @@ class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     """Parameters of the forming stage; `ego_compensation` takes the vehicle's own motion out."""
 
     ego_compensation: bool = True
+    #: Open-field background (.npy of `mirrorwave calibrate background`) in place of the set-up's own.
+    background: str | None = None
     #: A scan is not begun where beams have piled up so high that, at the pace of late, its last would be folded more
     #: than this many scans after it came: half the deadline, and the other half belongs to what follows.
     behind: float = 0.5
@@ -56,6 +62,7 @@ class RaFormerNode(Node):
         self._params = params
         # compiles the folding kernel while the graph still waits for this node, not when the first beam does
         RaFormer(RadarSetup(), params)
+        self._background = None if params.background is None else load_background(Path(params.background))
         self._former: RaFormer | None = None
         self._states = StateHistory()
         self._queue = BeamQueue(params.behind)
@@ -75,14 +82,17 @@ class RaFormerNode(Node):
         for received in sorted(inputs, key=lambda item: item.topic == "radar/beam"):
             match received.message:
                 case RadarSetup() as setup:
-                    self._former = RaFormer(setup, self._params)
+                    self._former = RaFormer(self._with_background(setup), self._params)
                 case VehicleState() as state:
                     self._states.add(state)
                 case RadarBeam():
                     self._put(received)
                     self._give_up_ns = now_ns + PATIENCE_NS
         maps = self._fold_next()
-        if self._give_up_ns is not None and now_ns >= self._give_up_ns:
+        if self._queue:
+            # what waits here is not missing, however long folding takes
+            self._give_up_ns = now_ns + PATIENCE_NS
+        elif self._give_up_ns is not None and now_ns >= self._give_up_ns:
             maps += self._close_scan()
             self._give_up_ns = None
         return [Outgoing("radar/ra_map", ra_map) for ra_map in maps if self._is_sound(ra_map)]
@@ -99,6 +109,10 @@ class RaFormerNode(Node):
         """DEGRADED while beams are refused, no set-up has come or scans are left out."""
         reason = self._trouble or self._behind
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
+
+    def _with_background(self, setup: RadarSetup) -> RadarSetup:
+        """The set-up with the background of the parameters, where they name one."""
+        return setup if self._background is None else msgspec.structs.replace(setup, background=self._background)
 
     def _put(self, received: Received) -> None:
         scans, beams = self._queue.shed_scans, self._queue.shed_beams

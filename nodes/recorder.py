@@ -1,26 +1,41 @@
-"""The node `recorder`: writes what it hears into an MCAP recording."""
+"""The node `recorder`: writes what it hears into MCAP recordings, one, several in turn, or one per trigger."""
 
 from __future__ import annotations
 
 import logging
+import math
+from collections import Counter
 from pathlib import Path
 
 import msgspec
 
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
-from msgs.recording import RecordingWriter
+from msgs.recording import RAW_TOPIC, Encoded, RecordingWriter, encoded
 from msgs.topics import TOPICS, topic_facts
+from msgs.units import s_from_ns
 from nodes.node import Node
+from nodes.recording_files import (
+    LatchedMessages,
+    about_this_run,
+    free_bytes,
+    free_path,
+    losses_between,
+    next_number,
+    numbered_path,
+    require_room,
+)
 
 _LOG = logging.getLogger(__name__)
 
-#: 350 MB/s: recorded only when asked for.
-RAW_TOPIC = "radar/beam"
+#: The disk is called short when it is full in less than this at the rate so far.
+_SHORT_S = 60.0
+#: The rate is known after this.
+_RATE_KNOWN_S = 5.0
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where to record to and what."""
+    """Where to record to and what; at most one of splitting and snapshots."""
 
     path: str
     #: None: all topics but raw beams.
@@ -29,12 +44,39 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     raw: bool = False
     #: Written into the recording's metadata.
     metadata: dict[str, str] = {}
+    #: A new file before one grows larger, and when one has lasted so long; path is then name-00001.mcap, ...
+    split_bytes: int | None = None
+    split_s: float | None = None
+    #: The oldest file of this run is deleted when there are more.
+    max_parts: int | None = None
+    #: Hold the last seconds in memory, in at most so many bytes, and write them when SIGUSR1 comes.
+    snapshot_s: float | None = None
+    snapshot_bytes: int = 1 << 30
+    #: The recording ends in good order before the disk has less room than this.
+    min_free_bytes: int = 100_000_000
+    #: Where `mirrorwave bag snapshot` finds the recorder; a launch fills it in.
+    run_dir: str | None = None
 
     def __post_init__(self) -> None:
         if not self.path:
             raise ValueError("path must name a file")
         for topic in self.topics or ():
             topic_facts(topic)
+        for name in ("split_bytes", "split_s", "max_parts", "snapshot_s", "snapshot_bytes"):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > 0):
+                raise ValueError(f"{name} must be above zero and finite, got {value!r}")
+        if self.min_free_bytes < 0:
+            raise ValueError(f"min_free_bytes must not be negative, got {self.min_free_bytes!r}")
+        if self.max_parts is not None and not self.splits:
+            raise ValueError(f"max_parts needs split_bytes or split_s, got {self.max_parts!r} without")
+        if self.snapshot_s is not None and self.splits:
+            raise ValueError("snapshot_s must not stand beside split_bytes or split_s: each snapshot is a file already")
+
+    @property
+    def splits(self) -> bool:
+        """Whether the recording goes into several files."""
+        return self.split_bytes is not None or self.split_s is not None
 
     def chosen_topics(self) -> tuple[str, ...]:
         """Topics to record, in the order of the topic table."""
@@ -43,74 +85,182 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Recorder(Node):
-    """Appends every message to one recording.
+    """Appends every message to a recording, part after part where it is to be split.
 
-    A disk that refuses ends the recording, not the graph: the node stays, DEGRADED, says why and counts what it missed.
+    A disk that refuses ends the recording, not the graph: the node stays, DEGRADED, says why and counts what it missed,
+    unless it `ends_when_refused`. Raises `OSError` where the first file cannot be created.
     """
 
-    def __init__(self, params: Params) -> None:
+    wants_all = True
+
+    def __init__(self, params: Params, *, ends_when_refused: bool = False) -> None:
         super().__init__()
         self.inputs = params.chosen_topics()
-        self.path = free_path(Path(params.path))
+        self.paths: list[Path] = []
+        #: Messages written, repeated ones included, and messages that came and could not be.
         self.messages = self.missed = 0
-        self._refused = ""
-        self._writer = RecordingWriter(self.path, params.metadata)
+        #: Messages that never came, over all files.
+        self.lost = 0
+        #: Why the recording has ended before it was asked to.
+        self.refused = ""
+        self._params, self._ends = params, ends_when_refused
+        self._folder = Path(params.path).absolute().parent
+        self._latched = LatchedMessages()
+        self._started_ns: int | None = None
+        self._recorded_bytes = 0
+        self._warned = False
+        self._open()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Write all messages that came in."""
         with self.stages("write"):
+            self._watch_disk(now_ns)
             for received in inputs:
-                self._write(received)
+                self._take(received)
         return []
+
+    def finished(self) -> bool:
+        """True once the disk has refused, if that is to end the node."""
+        return self._ends and bool(self.refused)
 
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED once the disk has refused."""
-        if not self._refused:
+        if not self.refused:
             return NodeState.READY, ""
-        return NodeState.DEGRADED, f"{self._refused}; {self.missed} messages missed"
+        return NodeState.DEGRADED, f"{self.refused}; {self.missed} messages missed"
 
     def close(self) -> None:
-        """Write the index and close the file."""
-        try:
-            self._writer.close()
-        except OSError as error:
-            self._refuse(error)
+        """Write what is missing and the index, close the file."""
+        if not self.refused:
+            self._close_file()
         missed = f", {self.missed} missed" if self.missed else ""
-        _LOG.info("%s: %d messages recorded%s", self.path, self.messages, missed)
+        files = f" in {len(self.paths)} files" if len(self.paths) > 1 else ""
+        _LOG.info("%s: %d messages recorded%s%s", self.paths[-1], self.messages, files, missed)
 
-    def _write(self, received: Received) -> None:
-        if self._refused:
+    def _open(self) -> None:
+        """Begin a file; the counts of what was handed to it and lost before begin anew."""
+        path = Path(self._params.path)
+        metadata = about_this_run(self._params.metadata)
+        if self._params.splits:
+            number = next_number(path)
+            path, metadata = numbered_path(path, number), metadata | {"part": str(number)}
+        else:
+            path = free_path(path)
+        self._writer = RecordingWriter(path, metadata)
+        self.paths.append(path)
+        self._handed: Counter[str] = Counter()
+        self._counts = self.counts()
+        self._part_start_ns: int | None = None
+
+    def _take(self, received: Received) -> None:
+        if self.refused:
             self.missed += 1
             return
-        envelope = received.envelope
-        try:
-            self._writer.write(
-                received.topic,
-                received.message,
-                publisher=envelope.publisher,
-                sequence=envelope.sequence,
-                sent_ns=envelope.sent_ns,
-            )
-            self.messages += 1
-        except OSError as error:
+        message = as_recorded(received)
+        self._latched.note(message)
+        if self._is_full(message):
+            self._next_part(message)
+        if self.refused:
             self.missed += 1
+        else:
+            self._put(message)
+
+    def _put(self, message: Encoded) -> None:
+        self._part_start_ns = message.sent_ns if self._part_start_ns is None else self._part_start_ns
+        # first, so that what the disk refuses counts as handed over and not written
+        self._handed[message.topic] += 1
+        self._recorded_bytes += len(message.data)
+        try:
+            self._writer.write_encoded(message)
+        except OSError as error:
             self._refuse(error)
 
+    def _is_full(self, message: Encoded) -> bool:
+        """Whether `message` belongs into the next file."""
+        if self._part_start_ns is None:
+            return False
+        split_bytes, split_s = self._params.split_bytes, self._params.split_s
+        too_large = split_bytes is not None and self._writer.size_bytes + len(message.data) > split_bytes
+        return too_large or (split_s is not None and message.sent_ns - self._part_start_ns >= round(1e9 * split_s))
+
+    def _next_part(self, first: Encoded) -> None:
+        """Close the file and begin one with all that `first`, the next message, may need to be understood."""
+        self._close_file()
+        try:
+            if not self.refused:
+                self._open()
+        except OSError as error:
+            self._say_refused(error)
+        for message in self._latched.before([first], first.sent_ns):
+            if not self.refused:
+                self._put(message)
+        if self._params.max_parts is not None and len(self.paths) > self._params.max_parts:
+            self.paths.pop(0).unlink(missing_ok=True)
+
+    def _close_file(self) -> None:
+        """Write what waits, then what is missing, then the index, as far as there is room."""
+        for step in (self._writer.flush, self._say_losses, self._writer.close):
+            try:
+                step()
+            except OSError as error:
+                self._say_refused(error)
+        written = Counter(self._writer.written())
+        self.messages += written.total()
+        self.missed += (self._handed - written).total()
+
+    def _say_losses(self) -> None:
+        missed = self._handed - Counter(self._writer.written())
+        losses = losses_between(self._counts, self.counts(), missed, self.refused)
+        self.lost += losses.total - missed.total()
+        self._writer.write_losses(losses)
+
     def _refuse(self, error: OSError) -> None:
-        if not self._refused:
-            self._refused = f"{self.path}: recording ended: {error.strerror or error}"
-            _LOG.error("%s", self._refused)
+        """End the recording; the file is closed as well as the disk allows."""
+        if not self.refused:
+            self._say_refused(error)
+            self._close_file()
+
+    def _say_refused(self, error: OSError) -> None:
+        if not self.refused:
+            self.refused = f"{self.paths[-1]}: recording ended: {error.strerror or error}"
+            _LOG.error("%s", self.refused)
+
+    def _watch_disk(self, now_ns: int) -> None:
+        """End in good order before the disk is full; warn once when that is near."""
+        if self.refused:
+            return
+        try:
+            free = free_bytes(self._folder)
+            require_room(self.paths[-1], self._params.min_free_bytes, free)
+        except OSError as error:
+            self._refuse(error)
+            return
+        self._started_ns = now_ns if self._started_ns is None else self._started_ns
+        elapsed_s = s_from_ns(now_ns - self._started_ns)
+        left = free - self._params.min_free_bytes
+        if not self._warned and elapsed_s > _RATE_KNOWN_S and left < _SHORT_S * self._recorded_bytes / elapsed_s:
+            self._warned = True
+            _LOG.warning("%s: the disk has room for less than %g s more", self.paths[-1], _SHORT_S)
 
 
-def free_path(path: Path) -> Path:
-    """`path`, or where it exists, as after a restart, the first free of name-2, name-3, ..."""
-    candidate, number = path, 1
-    while candidate.exists():
-        number += 1
-        candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
-    return candidate
+def as_recorded(received: Received) -> Encoded:
+    """What came in, as it stands in a recording."""
+    envelope = received.envelope
+    return encoded(
+        received.topic,
+        received.message,
+        publisher=envelope.publisher,
+        sequence=envelope.sequence,
+        sent_ns=envelope.sent_ns,
+    )
 
 
-def create(params: Params) -> Recorder:
+def create(params: Params) -> Node:
     """The node; raises `OSError` where the file cannot be created."""
-    return Recorder(params)
+    if params.snapshot_s is None:
+        return Recorder(params)
+    from nodes.snapshot_recorder import SnapshotRecorder
+
+    recorder = SnapshotRecorder(params)
+    recorder.listen()
+    return recorder

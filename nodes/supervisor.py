@@ -321,7 +321,9 @@ class Supervisor:
     def _report(self) -> None:
         if self._heartbeat.remaining_s() <= 0.0:
             failed = [f"{name} FAILED{_because(node.reason)}" for name, node in self._nodes.items() if _is_failed(node)]
-            self._heartbeat.beat(NodeState.DEGRADED if failed else NodeState.READY, "; ".join(failed))
+            is_up = all(node.was_ready or node.phase in (Phase.ENDED, Phase.FAILED) for node in self._nodes.values())
+            state = NodeState.READY if is_up else NodeState.STARTING
+            self._heartbeat.beat(NodeState.DEGRADED if failed else state, "; ".join(failed))
 
     def _say(self, level: str, text: str) -> None:
         self._write({"time": utc_now(), "node": SUPERVISOR, "level": level, "text": text})

@@ -12,10 +12,13 @@ from pathlib import Path
 from typing import Protocol
 
 import can
+import msgspec
 
 from models.vehicle.can_state import CanDecoder, StampMapper, StateReporter
+from msgs.arrays import require_finite
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
+from msgs.units import ns_from_s
 from msgs.vehicle import VehicleState
 from nodes.can_link import (
     BURST,
@@ -49,11 +52,14 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     rate: float = 1.0
     #: Stamp that the log's first frame is given; None: the time at which it starts to play.
     log_start_ns: int | None = None
+    #: Added to the states' stamps: what `mirrorwave calibrate clock` finds.
+    clock_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if not 0.0 < self.rate < float("inf"):
             raise ValueError(f"rate must be finite and positive, got {self.rate!r}")
+        require_finite("clock_offset_s", self.clock_offset_s)
 
 
 class FrameSource(Protocol):
@@ -184,9 +190,10 @@ class VehicleCanNode(Node):
 
     outputs = ("vehicle/state",)
 
-    def __init__(self, decoder: CanDecoder, source: FrameSource) -> None:
+    def __init__(self, decoder: CanDecoder, source: FrameSource, clock_offset_s: float = 0.0) -> None:
         super().__init__()
         self._decoder, self._source = decoder, source
+        self._clock_offset_ns = ns_from_s(clock_offset_s)
         self._reporter: StateReporter | None = None
         self._last: VehicleState | None = None
 
@@ -209,7 +216,7 @@ class VehicleCanNode(Node):
             for frame, stamp_ns in self._source.frames(now_ns):
                 states.append(self._reporter.frame(decode_frame(self._decoder, frame, stamp_ns), stamp_ns))
         states.append(self._reporter.tick(self._source.stamp_ns(now_ns), self._source.trouble))
-        return [Outgoing("vehicle/state", self._noted(state)) for state in states if state is not None]
+        return [Outgoing("vehicle/state", self._on_radar_clock(state)) for state in states if state is not None]
 
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED with the reason of the last state."""
@@ -221,22 +228,25 @@ class VehicleCanNode(Node):
         """Let go of the bus."""
         self._source.close()
 
-    def _noted(self, state: VehicleState) -> VehicleState:
+    def _on_radar_clock(self, state: VehicleState) -> VehicleState:
+        self._noted(state)
+        return msgspec.structs.replace(state, stamp_ns=state.stamp_ns + self._clock_offset_ns)
+
+    def _noted(self, state: VehicleState) -> None:
         was_valid = self._last is not None and self._last.valid
         if was_valid and not state.valid:
             _LOG.warning("vehicle state is not valid: %s", state.reason)
         elif state.valid and not was_valid:
             _LOG.info("vehicle state is valid")
         self._last = state
-        return state
 
 
 def create(params: Params) -> VehicleCanNode:
     """The node; `ValueError` for a DBC, mapping or log that cannot be read. A bus that is not there may come later."""
     decoder = load_decoder(checkout_path(params.dbc), checkout_path(params.mapping))
     if params.log is None:
-        return VehicleCanNode(decoder, LiveSource(CanLink(params)))
+        return VehicleCanNode(decoder, LiveSource(CanLink(params)), params.clock_offset_s)
     source = LogSource(read_log(Path(params.log), params.log_channel), params.rate, params.log_start_ns)
     if source.ended:
         raise ValueError(f"{params.log}: holds no frames" + (f" of {params.log_channel}" if params.log_channel else ""))
-    return VehicleCanNode(decoder, source)
+    return VehicleCanNode(decoder, source, params.clock_offset_s)

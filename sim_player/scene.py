@@ -83,6 +83,8 @@ class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     height_m: float = 1.0
     #: Distance between the transmitting and the receiving array, along y; the radar stands in the middle.
     separation_m: float = 0.0
+    #: The receiver's, over the preset's; None: the preset's.
+    noise_figure_db: float | None = None
     front_end: FrontEnd = FrontEnd()
 
 
@@ -214,7 +216,11 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     @property
     def setup(self) -> RadarSetup:
         """The preset's radar at the scene's mounting height."""
-        return msgspec.structs.replace(PRESETS[self.radar.preset], radar_height_m=self.radar.height_m)
+        setup = msgspec.structs.replace(PRESETS[self.radar.preset], radar_height_m=self.radar.height_m)
+        if self.radar.noise_figure_db is None:
+            return setup
+        radar = msgspec.structs.replace(setup.radar, noise_figure_db=self.radar.noise_figure_db)
+        return msgspec.structs.replace(setup, radar=radar)
 
 
 def load_scene(path: Path) -> Scene:
@@ -278,6 +284,8 @@ def _check_radar(radar: SceneRadar) -> None:
         raise ValueError(f"radar.height_m: must be positive, got {radar.height_m!r}")
     if not 0.0 <= radar.separation_m < 1.0:
         raise ValueError(f"radar.separation_m: must be at least 0 and below 1 m, got {radar.separation_m!r}")
+    if radar.noise_figure_db is not None and not -30.0 <= radar.noise_figure_db <= 100.0:
+        raise ValueError(f"radar.noise_figure_db: must be -30..100, got {radar.noise_figure_db!r}")
     if not 4 <= front_end.adc_bits <= 16:
         raise ValueError(f"radar.front_end.adc_bits: must be 4..16, got {front_end.adc_bits!r}")
     if front_end.coupling_db is not None and not front_end.coupling_db < 0.0:

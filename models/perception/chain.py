@@ -5,8 +5,9 @@ from __future__ import annotations
 from models.perception.confidence import PlaceConfidence
 from models.perception.detectors import Detector
 from models.perception.geometry import GeometryParams, recover_bev, warm
+from models.perception.memory import MemoryParams, ScanMemory
 from models.perception.ra_forming import FormingParams, RaFormer
-from msgs.perception import BevFrame
+from msgs.perception import BevFrame, Peaks
 from msgs.radar import RadarBeam, RadarSetup
 from msgs.vehicle import VehicleState
 
@@ -21,14 +22,23 @@ class Chain:
         forming: FormingParams | None = None,
         geometry: GeometryParams | None = None,
         confidence: PlaceConfidence | None = None,
+        memory: MemoryParams | None = None,
     ) -> None:
         self._former = RaFormer(setup, forming or FormingParams())
         self._detector = detector
         self._geometry, self._confidence = geometry or GeometryParams(), confidence
+        self._memory = ScanMemory(memory or MemoryParams())
         warm(self._geometry)
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[BevFrame]:
         """Fold a beam; the last one of a scan brings its view."""
-        # beams become a map, the map becomes peaks, peaks are folded back through the walls they themselves show
-        maps = self._former.add(beam, state)
-        return [recover_bev(self._detector.detect(one), self._geometry, confidence=self._confidence) for one in maps]
+        if state is not None:
+            self._memory.add(state)
+        # beams become a map, the map becomes peaks
+        return [self._view(self._detector.detect(one)) for one in self._former.add(beam, state)]
+
+    def _view(self, peaks: Peaks) -> BevFrame:
+        # peaks are folded back through the walls they and those before them show, objects followed over scans
+        remembered = self._memory.walls_at(peaks)
+        view = recover_bev(peaks, self._geometry, confidence=self._confidence, remembered=remembered)
+        return self._memory.tracked(view, peaks.vehicle_from_radar)

@@ -8,6 +8,10 @@ cell holds the amplitude an ideal beam steered at it would have measured.
 
 Where coherence fails (the beams lie 12 ms apart, a mover turns the phase), magnitudes take over: the two-way pattern
 of an ideal centred array is real, not negative, and spanned by the same coefficients over its steering sine.
+
+An array that steers receive alone (`steered_ways` 1) carries N coefficients, its columns themselves, and everything
+else holds with them. Its one-way pattern changes sign, but the square of it is the two-way pattern: where coherence
+fails, powers are interpolated instead of magnitudes.
 """
 
 from __future__ import annotations
@@ -70,13 +74,37 @@ class _Inverse:
     noise_gain: float
 
 
+def peak_field(setup: RadarSetup) -> float:
+    """What an ideal beam steered at a unit echo holds, power normalised: N, or sqrt(N) one way."""
+    return float(setup.array.columns) ** (0.5 * setup.array.steered_ways)
+
+
+def coefficient_phases(setup: RadarSetup) -> np.ndarray:
+    """Phase k d p of each co-array coefficient per unit of sin(azimuth), centred; float64 [2N-1], or [N] one way."""
+    columns, wavelength_m = setup.array.columns, setup.radar.wavelength_m
+    reach = 0.5 * setup.array.steered_ways * (columns - 1)
+    step_rad = 2.0 * np.pi / wavelength_m * setup.array.column_spacing(wavelength_m)
+    return step_rad * np.arange(-reach, reach + 0.5)
+
+
 def beam_matrix(setup: RadarSetup) -> np.ndarray:
-    """Co-array coefficients to beams, with the weights as set; complex128 [beams, 2N-1]."""
-    return coarray_weights(setup_weights(setup)).conj() / setup.array.columns
+    """Co-array coefficients to beams, with the weights as set; complex128 [beams, 2N-1], or [beams, N] one way."""
+    weights = setup_weights(setup)
+    if setup.array.steered_ways == 2:
+        weights = coarray_weights(weights)
+    return weights.conj() / peak_field(setup)
 
 
 def ideal_beams(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Co-array coefficients to ideal beams at any azimuths [...]; complex128 [..., 2N-1]."""
+    """Co-array coefficients to ideal beams at any azimuths [...]; complex128 [..., 2N-1], or [..., N] one way."""
+    if setup.array.steered_ways == 2:
+        return _ideal_two_way(setup, azimuth_rad)
+    steering = np.exp(1j * np.multiply.outer(np.sin(azimuth_rad), coefficient_phases(setup)))
+    return steering / peak_field(setup)
+
+
+def _ideal_two_way(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
+    """Ideal two-way beams, which are the squares of one-way ones as well; complex128 [..., 2N-1]."""
     columns = setup.array.columns
     wavelength_m = setup.radar.wavelength_m
     step_rad = 2.0 * np.pi / wavelength_m * setup.array.column_spacing(wavelength_m)
@@ -101,7 +129,8 @@ class AzimuthInterpolator:
         self.grid = grid or RangeAzimuthGrid(range_bin_m=setup.radar.range_bin_m)
         self.coherence = coherence or CoherenceTest()
         self._beam_matrix = beam_matrix(setup)
-        self._magnitude_matrix = ideal_beams(setup, setup.beams.azimuth_rad)
+        self._magnitude_matrix = _ideal_two_way(setup, setup.beams.azimuth_rad)
+        self._magnitude_steering = _ideal_two_way(setup, self.grid.azimuth_rad)
         self._steering = ideal_beams(setup, self.grid.azimuth_rad)
         self._inverses: dict[tuple[int, ...], _Inverse] = {}
 
@@ -170,7 +199,8 @@ class AzimuthInterpolator:
         if missing not in self._inverses:
             present = self._present(missing)
             self._inverses[missing] = _invert(
-                self._beam_matrix[present], self._magnitude_matrix[present], self._steering
+                (self._beam_matrix[present], self._steering),
+                (self._magnitude_matrix[present], self._magnitude_steering),
             )
         return self._inverses[missing]
 
@@ -183,18 +213,23 @@ class AzimuthInterpolator:
         return (left_over > noise_limit) & (left_over > self.coherence.model_error * _energy(beams))
 
     def _magnitudes(self, magnitudes: np.ndarray, inverse: _Inverse, looks: np.ndarray | None) -> np.ndarray:
-        """Least squares on magnitudes [range, beams], not below zero."""
+        """Least squares on magnitudes [range, beams], on their squares one way, not below zero."""
+        one_way = self.setup.array.steered_ways == 1
+        spanned = magnitudes**2 if one_way else magnitudes
         if looks is None:
-            values = magnitudes @ inverse.magnitude
+            values = spanned @ inverse.magnitude
         else:
-            values = _solve_each(ideal_beams(self.setup, looks.T), magnitudes) @ self._steering.T
-        return np.maximum(values.real, 0.0).astype(np.float32)
+            values = _solve_each(_ideal_two_way(self.setup, looks.T), spanned) @ self._magnitude_steering.T
+        values = np.maximum(values.real, 0.0)
+        return (np.sqrt(values) if one_way else values).astype(np.float32)
 
 
-def _invert(beams: np.ndarray, magnitude_beams: np.ndarray, steering: np.ndarray) -> _Inverse:
-    coherent, back = _ridge_inverse(beams, steering)
+def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray, np.ndarray]) -> _Inverse:
+    """Both inverses from the beams [beams, coefficients] and the steering [azimuth, coefficients] of each."""
+    beams, _ = fields
+    coherent, back = _ridge_inverse(*fields)
     residual = np.eye(len(beams)) - beams @ back
-    magnitude, _ = _ridge_inverse(magnitude_beams, steering)
+    magnitude, _ = _ridge_inverse(*magnitudes)
     return _Inverse(
         coherent=coherent.T.astype(np.complex64),
         residual=residual.T.astype(np.complex64),

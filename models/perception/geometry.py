@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import msgspec
@@ -26,6 +27,10 @@ from models.perception.walls import WallParams, find_walls
 from msgs.arrays import require_positive
 from msgs.frames import polar_from_xy, xy_from_polar
 from msgs.perception import BevFrame, BevGrid, PathClass, Peaks, Wall
+
+#: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
+#: -> the last two with the walls that earlier scans showed.
+Remembered = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
 
 
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -59,10 +64,14 @@ class FoldedScan:
 
 
 def fold_scan(
-    peaks: Peaks, params: GeometryParams, residual: Residual | None = None, confidence: PlaceConfidence | None = None
+    peaks: Peaks,
+    params: GeometryParams,
+    residual: Residual | None = None,
+    confidence: PlaceConfidence | None = None,
+    remembered: Remembered | None = None,
 ) -> FoldedScan:
     """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped."""
-    returns, walls = direct_structure(peaks, params)
+    returns, walls = direct_structure(peaks, params, remembered)
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
@@ -72,10 +81,14 @@ def fold_scan(
 
 
 def recover_bev(
-    peaks: Peaks, params: GeometryParams, residual: Residual | None = None, confidence: PlaceConfidence | None = None
+    peaks: Peaks,
+    params: GeometryParams,
+    residual: Residual | None = None,
+    confidence: PlaceConfidence | None = None,
+    remembered: Remembered | None = None,
 ) -> BevFrame:
-    """Peaks -> folded places -> hidden points and objects; tracks are added by the tracker."""
-    scan = fold_scan(peaks, params, residual, confidence)
+    """Peaks -> folded places -> hidden points and objects; tracks are added by `ScanMemory`."""
+    scan = fold_scan(peaks, params, residual, confidence, remembered)
     hidden = scan.recovered.select(scan.hidden)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
@@ -91,14 +104,18 @@ def recover_bev(
     )
 
 
-def direct_structure(peaks: Peaks, params: GeometryParams) -> tuple[DirectReturns, list[Wall]]:
-    """Direct returns in the plane with their clusters, and the walls among them."""
+def direct_structure(
+    peaks: Peaks, params: GeometryParams, remembered: Remembered | None = None
+) -> tuple[DirectReturns, list[Wall]]:
+    """Direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
     direct = peaks.path_class == PathClass.LOS
     range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
     points_m = xy_from_polar(range_m, azimuth_rad)
     covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
     labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
     walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
+    if remembered is not None:
+        walls, wall_of_point = remembered(points_m, covariance_m2, walls, wall_of_point)
     return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point), walls
 
 

@@ -5,7 +5,7 @@ A gyroscope at rest shows its bias: it is learnt while the vehicle stands and ta
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_right, insort
 from collections import deque
 from typing import NamedTuple
 
@@ -15,6 +15,9 @@ from msgs.arrays import require_positive
 from msgs.frames import Pose2
 from msgs.units import ns_from_s, s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
+
+#: States that may wait for a scan: 10 s of them at 100 a second.
+MOST_WAITING = 1000
 
 
 class OdometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -131,6 +134,55 @@ class Odometry:
         if self._stands(state) and abs(state.yaw_rate_rps) <= self._params.max_bias_rps:
             return 0.0
         return state.yaw_rate_rps - self.yaw_rate_bias_rps
+
+
+class ScanOdometry:
+    """The vehicle at each scan's stamp, from the states stamped at or before it, whatever order they arrive in.
+
+    States wait, sorted by their stamps, until a scan asks for a time; those of later stamps go on waiting and the
+    motion of the last one is held up to the scan's. A state has the whole scan and the time of its processing to
+    arrive; one that comes after the question, though older, is too late for that scan. The answer thus depends on the
+    states alone: a graph, a replay and a chain in one process agree.
+    """
+
+    def __init__(self, params: OdometryParams | None = None) -> None:
+        self._params = params or OdometryParams()
+        self._odometry = Odometry(self._params)
+        self._waiting: list[VehicleState] = []
+        self._asked_ns: int | None = None
+        self._told = False
+
+    def add(self, state: VehicleState) -> None:
+        """Take in a state."""
+        insort(self._waiting, state, key=_order)
+        # where no scans come the states must not pile up
+        if len(self._waiting) > MOST_WAITING:
+            self._take(1)
+
+    def at(self, stamp_ns: int) -> Placed | None:
+        """The vehicle at a scan's stamp; `standing` as long as no state has come, None where none is near enough."""
+        asked_ns, self._asked_ns = self._asked_ns, stamp_ns
+        if asked_ns is not None and asked_ns - stamp_ns > ns_from_s(self._params.max_gap_s):
+            # the clock was set back: what waits from before would come up once more when it gets there
+            self._waiting = [state for state in self._waiting if state.stamp_ns <= asked_ns]
+        self._take(bisect_right(self._waiting, stamp_ns, key=lambda state: state.stamp_ns))
+        return self._odometry.at(stamp_ns) if self._told else standing()
+
+    def _take(self, count: int) -> None:
+        for state in self._waiting[:count]:
+            self._odometry.add(state)
+        del self._waiting[:count]
+        self._told |= count > 0
+
+
+def _order(state: VehicleState) -> tuple[int, float, float, bool]:
+    """By stamp; among equal ones by what they say, so that their arrival does not decide."""
+    return state.stamp_ns, state.speed_mps, state.yaw_rate_rps, state.valid
+
+
+def standing() -> Placed:
+    """The place of a radar that never moves, in a frame of its own."""
+    return Placed(-1, Pose2(), 0.0, 0.0)
 
 
 def _moved(start: _Known, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:

@@ -122,6 +122,7 @@ def peaks_at(
         missing_beams=ra_map.missing_beams,
         saturated_share=ra_map.saturated_share,
         faults=ra_map.faults,
+        vehicle_from_radar=ra_map.vehicle_from_radar,
     )
 
 

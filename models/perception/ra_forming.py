@@ -186,8 +186,8 @@ class BeamFolder:
         edges = group_edges(self.chirps, self.groups)
         self._group_chirps = np.diff(edges).astype(np.float32)
         #: How long a beam is looked at, and the middle of each group relative to the middle of that.
-        self.duration_s = self.chirps * radar.chirp_period_s
-        self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.chirp_period_s - 0.5 * self.duration_s
+        self.duration_s = self.chirps * radar.repetition_interval_s
+        self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.repetition_interval_s - 0.5 * self.duration_s
 
     def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> tuple[np.ndarray, float, int]:
         """Range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated samples."""
@@ -390,7 +390,9 @@ class RaFormer:
         if self._scan is None:
             return []
         scan, self._scan = self._scan, None
-        return [form_map(scan.profiles(), self.interpolator, self.folder.params.mode)]
+        params = self.folder.params
+        formed = form_map(scan.profiles(), self.interpolator, params.mode)
+        return [msgspec.structs.replace(formed, vehicle_from_radar=params.vehicle_from_radar)]
 
     def _is_stale(self, beam: RadarBeam) -> bool:
         """Count and refuse beams of scans already closed."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from models.perception.coarray import AzimuthInterpolator, beam_matrix
+from models.perception.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases, peak_field
 from models.physics.cramer_rao import window_covariance
 from models.physics.waveform import WINDOW_TAPS
 from msgs.arrays import require_positive
@@ -170,7 +170,7 @@ class _Basis:
         self._setup = setup
         self._columns = columns[:, :rank].conj().astype(np.complex64)
         self._size = size[:rank]
-        self._from_coarray = beams[:rank] @ beam_matrix(setup) / setup.array.columns
+        self._from_coarray = beams[:rank] @ beam_matrix(setup) / peak_field(setup)
 
     def coefficients(self, values: np.ndarray, patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients [N, patch, rank] of the rows [N, patch], their noise a beam's; share of energy they hold [N]."""
@@ -182,9 +182,7 @@ class _Basis:
 
     def response(self, azimuth_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Coefficients [N, rank] of unit echoes at azimuths [N], and their derivatives."""
-        columns, wavelength_m = self._setup.array.columns, self._setup.radar.wavelength_m
-        step_rad = 2.0 * np.pi / wavelength_m * self._setup.array.column_spacing(wavelength_m)
-        position = step_rad * (np.arange(2 * columns - 1) - (columns - 1))
+        position = coefficient_phases(self._setup)
         echo = np.exp(-1j * np.multiply.outer(np.sin(azimuth_rad), position))
         change = -1j * np.multiply.outer(np.cos(azimuth_rad), position) * echo
         return echo @ self._from_coarray.T, change @ self._from_coarray.T

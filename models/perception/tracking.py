@@ -31,6 +31,8 @@ from msgs.vehicle import ego_motion
 FORBIDDEN = 1e9
 #: An object measured further from its scan's stamp is none of that scan.
 LONGEST_SCAN_NS = 2_000_000_000
+#: A radar that sits where the vehicle's motion is told of.
+FRONT = Pose2()
 #: What is measured of a state (x, y, vx, vy).
 MEASURED = np.eye(2, 4)
 
@@ -52,8 +54,6 @@ class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     max_misses: int = 5
     #: And all of them where no scan came for longer, or the clock went back by more.
     max_gap_s: float = 2.0
-    #: Where the radar sits on the vehicle.
-    vehicle_from_radar: Pose2 = Pose2()
     horizon_s: float = 6.0
     step_s: float = 0.1
     #: An object is in sight with its nose, so far ahead of the middle of what was seen.
@@ -65,8 +65,7 @@ class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
-            if name != "vehicle_from_radar":
-                require_positive(f"tracker.{name}", getattr(self, name))
+            require_positive(f"tracker.{name}", getattr(self, name))
         if self.confirm_hits > self.confirm_scans:
             raise ValueError(
                 f"tracker.confirm_hits must be at most confirm_scans ({self.confirm_scans}), got {self.confirm_hits!r}"
@@ -158,27 +157,30 @@ class Tracker:
     _next_id: int = field(default=1, init=False)
     _last_ns: int | None = field(default=None, init=False)
     _frame: int | None = field(default=None, init=False)
+    _said: tuple[Track, ...] = field(default=(), init=False)
 
-    def step(self, frame: BevFrame, place: Placed | None) -> tuple[Track, ...]:
+    def step(self, frame: BevFrame, place: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
         """Confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
-        `place`: the vehicle at the scan's stamp (`Odometry.at`); without it nothing can be followed and all tracks
+        `place`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it nothing can be followed and all tracks
         end, as they do when its frame changes. `standing` is the place of a radar that never moves. A scan that
-        comes twice or late changes nothing and brings no tracks.
+        comes twice or late changes nothing and brings the tracks of the one before it once more.
         """
         if place is None:
             self._forget(None)
             return ()
         if self._is_late(frame.stamp_ns):
-            return ()
+            return self._said
         if place.frame != self._frame or self._is_gap(frame.stamp_ns):
             self._forget(place.frame)
         self._last_ns = frame.stamp_ns
-        odom_from_radar = place.odom_from_vehicle @ self.params.vehicle_from_radar
+        odom_from_radar = place.odom_from_vehicle @ vehicle_from_radar
         self._follow(sightings(frame, odom_from_radar, self.params.place_std_m), frame.stamp_ns)
         a, b = self._standing_walls(frame, odom_from_radar)
         confirmed = [one for one in self._tracks if one.confirmed]
-        return tuple(self._told(one, frame.stamp_ns, place, a, b) for one in confirmed)
+        ahead_m = radar_ahead(place, vehicle_from_radar, self.params)
+        self._said = tuple(self._told(one, frame.stamp_ns, odom_from_radar, ahead_m, a, b) for one in confirmed)
+        return self._said
 
     def _is_late(self, stamp_ns: int) -> bool:
         if self._last_ns is None:
@@ -190,7 +192,7 @@ class Tracker:
 
     def _forget(self, frame: int | None) -> None:
         """End all tracks; the next id stays."""
-        self._tracks, self._walls, self._last_ns, self._frame = [], [], None, frame
+        self._tracks, self._walls, self._last_ns, self._frame, self._said = [], [], None, frame, ()
 
     def _follow(self, seen: Sequence[Sighting], stamp_ns: int) -> None:
         """Assign, update, begin and end tracks."""
@@ -237,12 +239,14 @@ class Tracker:
         self._walls.append(_WallsSeen(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
         return np.concatenate([one.a for one in self._walls]), np.concatenate([one.b for one in self._walls])
 
-    def _told(self, one: _Followed, stamp_ns: int, place: Placed, a: np.ndarray, b: np.ndarray) -> Track:
+    def _told(
+        self, one: _Followed, stamp_ns: int, odom_from_radar: Pose2, ahead_m: np.ndarray, a: np.ndarray, b: np.ndarray
+    ) -> Track:
         """A track as others are told of it."""
         now = one.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
-        hidden = hidden_ahead(now.mean, place, a, b, self.params)
+        hidden = hidden_ahead(now.mean, ahead_m, a, b, self.params)
         one.was_blocked |= bool(hidden[0])
-        radar_from_odom = (place.odom_from_vehicle @ self.params.vehicle_from_radar).inverse()
+        radar_from_odom = odom_from_radar.inverse()
         at_m, velocity = radar_from_odom.apply(now.mean[:2]), radar_from_odom.rotate(now.mean[2:])
         return Track(
             id=one.id,
@@ -260,11 +264,6 @@ class Tracker:
     def _time_to_appear_s(self, hidden: np.ndarray) -> float | None:
         """Time of the first step in sight, None where there is none within the horizon."""
         return None if hidden.all() else float(hidden.argmin()) * self.params.step_s
-
-
-def standing() -> Placed:
-    """The place of a radar that never moves."""
-    return Placed(0, Pose2(), 0.0, 0.0)
 
 
 def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
@@ -309,21 +308,29 @@ def _pair_cost(track: Estimate, there: Sighting, gate: float) -> float:
     return distance + float(np.linalg.slogdet(spread)[1]) if distance <= gate else FORBIDDEN
 
 
-def hidden_ahead(state: np.ndarray, place: Placed, a: np.ndarray, b: np.ndarray, params: TrackerParams) -> np.ndarray:
-    """Whether walls a -> b [W, 2] hide an object from the radar now and in each step of the horizon; bool [steps].
+def hidden_ahead(
+    state: np.ndarray, radar_m: np.ndarray, a: np.ndarray, b: np.ndarray, params: TrackerParams
+) -> np.ndarray:
+    """Whether walls a -> b [W, 2] hide an object from the radar [steps, 2] now and in each step ahead; bool [steps].
 
-    Object (x, y, vx, vy) and vehicle go on as they are; the object is in sight when its nose is. Odometry frame.
+    The object (x, y, vx, vy) goes on as it does and is in sight when its nose is. Odometry frame.
     """
-    times_s = params.step_s * np.arange(round(params.horizon_s / params.step_s) + 1)
+    times_s = _steps_s(params)
     speed_mps = math.hypot(state[2], state[3])
     velocity = state[2:] if speed_mps > params.slow_mps else np.zeros(2)
     nose_m = params.nose_m * velocity / max(speed_mps, params.slow_mps)
     targets = state[:2] + nose_m + times_s[:, None] * velocity
-    return blocked(_radar_ahead(place, params.vehicle_from_radar, times_s), targets, a, b)
+    return blocked(radar_m, targets, a, b)
 
 
-def _radar_ahead(place: Placed, vehicle_from_radar: Pose2, times_s: np.ndarray) -> np.ndarray:
-    """Places of the radar [N, 2] in the odometry frame if the vehicle goes on as it does."""
+def _steps_s(params: TrackerParams) -> np.ndarray:
+    """Times from now to the horizon [steps]."""
+    return params.step_s * np.arange(round(params.horizon_s / params.step_s) + 1)
+
+
+def radar_ahead(place: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
+    """Places of the radar [steps, 2] in the odometry frame from now on if the vehicle goes on as it does."""
+    times_s = _steps_s(params)
     motions = (ego_motion(place.speed_mps, place.yaw_rate_rps, float(time_s)) for time_s in times_s)
     poses = [place.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
     return np.array([[pose.x_m, pose.y_m] for pose in poses])
@@ -333,6 +340,11 @@ def _wall_ends(walls: Sequence[Wall], odom_from_radar: Pose2) -> tuple[np.ndarra
     """Ends of walls in the odometry frame, each [W, 2]."""
     ends = np.array([wall.ends_m for wall in walls], np.float64).reshape(-1, 2, 2)
     return odom_from_radar.apply(ends[:, 0]), odom_from_radar.apply(ends[:, 1])
+
+
+def track_to_json(track: Track) -> dict[str, object]:
+    """One track of a line of `tracks.jsonl`: plain numbers, exact, so that equal tracks give equal bytes."""
+    return {name: getattr(track, name) for name in track.__struct_fields__}
 
 
 def _rotation(pose: Pose2) -> np.ndarray:

@@ -108,15 +108,19 @@ def two_way_pattern(
 ) -> np.ndarray:
     """Physical B_t B_r of Eq. (1) with element gain, power normalised; complex128 [beams, directions].
 
-    `weights` [beams, columns] steer transmit and receive alike. Directions are those of arrival; those of departure
+    `weights` [beams, columns] steer transmit and receive alike, or receive alone where the array's `steered_ways` is 1:
+    one element that is not steered then transmits. Directions are those of arrival; those of departure
     are the same unless given. At boresight the power gain |B_t B_r|^2 of the default array is
     (32 elements x 4.1 dBi) squared.
     """
     receive = one_way_pattern(setup, weights, azimuth_rad, elevation_rad, frequency_ratio, coupling)
-    if departure_azimuth_rad is None and departure_elevation_rad is None:
+    unsteered = setup.array.steered_ways == 1
+    if not unsteered and departure_azimuth_rad is None and departure_elevation_rad is None:
         return receive**2
     azimuth_out = azimuth_rad if departure_azimuth_rad is None else departure_azimuth_rad
     elevation_out = elevation_rad if departure_elevation_rad is None else departure_elevation_rad
+    if unsteered:
+        return receive * element_field(setup.element, azimuth_out, elevation_out)
     return receive * one_way_pattern(setup, weights, azimuth_out, elevation_out, frequency_ratio, coupling)
 
 

@@ -89,13 +89,13 @@ def window_covariance(window: str, bins: int) -> np.ndarray:
 
 
 def azimuth_response(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Recorded two-way field of unit echoes in all beams, as set, without element gain; complex128 [echoes, beams].
+    """Recorded field of unit echoes in all beams, as set, without element gain; complex128 [echoes, beams].
 
     An ideal beam steered at the echo would hold 1.
     """
     azimuth_rad = np.asarray(azimuth_rad, np.float64)
     columns = column_response(setup.array, setup.radar.wavelength_m, azimuth_rad, np.zeros_like(azimuth_rad))
-    return ((columns @ setup_weights(setup).T / setup.array.columns) ** 2).conj()
+    return ((columns @ setup_weights(setup).T / setup.array.columns) ** setup.array.steered_ways).conj()
 
 
 def fisher_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:

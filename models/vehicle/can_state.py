@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from enum import StrEnum
-from typing import TYPE_CHECKING, NamedTuple, cast
+from typing import TYPE_CHECKING, NamedTuple
 
 import msgspec
-from cantools.database.errors import DecodeError
 
-from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus, counter_step, signal_of
+from models.vehicle.end_to_end import signal_of
+from models.vehicle.frame_check import FrameCheck, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
@@ -34,26 +33,6 @@ MAX_STAMP_NS = 1 << 62
 _REASON_LIMIT = 500
 #: So many frames without one that is looked for are no chance.
 _MANY_FRAMES = 100
-#: Payload lengths of CAN FD above those of classic CAN: shorter messages are padded up to one of them.
-_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
-
-
-class Verdict(StrEnum):
-    """What became of a frame."""
-
-    COUNTED = "counted"
-    #: Sets the counter that the next one is measured against.
-    FIRST = "first of its counter"
-    OUT_OF_RANGE = "out of range"
-    WRONG_CHECKSUM = "wrong checksum"
-    WRONG_COUNTER = "wrong counter"
-    WRONG_LENGTH = "wrong length"
-    UNDECODABLE = "undecodable"
-    LATE = "late"
-    BAD_STAMP = "bad stamp"
-    UNKNOWN_ID = "unknown id"
-    REMOTE_FRAME = "remote frame"
-    ERROR_FRAME = "error frame"
 
 
 #: Frames that are no fault of the car: every bus carries messages that no mapping asks for.
@@ -173,13 +152,11 @@ class _Watch:
     """One message: whether its frames count, and what the last one that counted said."""
 
     def __init__(self, message: Message, rule: MessageRule) -> None:
-        self._message, self._rule = message, rule
+        self._message = message
         self.name = message.name
         self.frame_id = (message.frame_id, message.is_extended_frame)
-        self._lengths = range(message.length, _padded_length(message.length) + 1)
         self._limit_ns = AGE_PERIODS * period_ns(message, rule)
-        self._checksum_byte = 0 if rule.checksum is None else checksum_byte(message, rule.checksum)
-        self._modulus = 0 if rule.counter is None else counter_modulus(message, rule.counter)
+        self._frames = FrameCheck(message, rule)
         self.forget()
 
     def forget(self) -> None:
@@ -188,7 +165,7 @@ class _Watch:
         self.stamp_ns: int | None = None
         self.seen = False
         self._last_ns: int | None = None
-        self._counter: int | None = None
+        self._frames.forget()
         self._refused = ""
 
     def signal(self, name: str, field: str) -> Signal:
@@ -217,45 +194,15 @@ class _Watch:
         return f"no {good}{self.name} {since}" + (f" ({self._refused})" if self._refused else "")
 
     def _check(self, data: bytes, stamp_ns: int) -> tuple[Verdict, str]:
-        if len(data) not in self._lengths:
-            return Verdict.WRONG_LENGTH, f"wrong length: {len(data)} bytes, expected {self._message.length}"
-        if self._last_ns is not None and stamp_ns < self._last_ns:
+        if self._last_ns is not None and stamp_ns < self._last_ns and not self._frames.length_fault(data):
             return Verdict.LATE, f"late: {s_from_ns(self._last_ns - stamp_ns):.3f} s older than the one before"
-        data = data[: self._message.length]
-        if why := self._checksum_fault(data):
-            return Verdict.WRONG_CHECKSUM, why
-        try:
-            values = _decoded(self._message, data)
-        except DecodeError as error:
-            return Verdict.UNDECODABLE, f"undecodable: {error}"
-        verdict, why = self._check_counter(values, stamp_ns)
-        self._last_ns = stamp_ns
-        if verdict is Verdict.COUNTED:
-            self.values = values
-        return verdict, why
-
-    def _checksum_fault(self, data: bytes) -> str:
-        rule = self._rule.checksum
-        if rule is None:
-            return ""
-        found, wanted = data[self._checksum_byte], checksum_of(rule, data, self._checksum_byte)
-        return "" if found == wanted else f"wrong checksum: {found:#04x}, expected {wanted:#04x}"
-
-    def _check_counter(self, values: dict[str, float], stamp_ns: int) -> tuple[Verdict, str]:
-        rule = self._rule.counter
-        if rule is None:
-            return Verdict.COUNTED, ""
-        last, self._counter = self._counter, int(values[rule.signal])
         silent = self._last_ns is None or stamp_ns - self._last_ns >= self._limit_ns
-        if last is None or silent:
-            # nothing to measure against: a sender that stands still must not count once for each silence
-            return Verdict.FIRST, "first of its counter"
-        step = counter_step(last, self._counter, self._modulus)
-        if step == 0:
-            return Verdict.WRONG_COUNTER, f"counter stands at {self._counter}"
-        if step > rule.max_step:
-            return Verdict.WRONG_COUNTER, f"counter jumped from {last} to {self._counter}"
-        return Verdict.COUNTED, ""
+        verdict, why, values = self._frames.check(data, silent)
+        if values is not None:
+            self._last_ns = stamp_ns
+            if verdict is Verdict.COUNTED:
+                self.values = values
+        return verdict, why
 
 
 class _Quantity:
@@ -376,15 +323,6 @@ class StampMapper:
             self._least_ns.append(difference_ns)
         self._least_ns[-1] = min(self._least_ns[-1], difference_ns)
         return stamp_ns + min(self._least_ns)
-
-
-def _padded_length(length: int) -> int:
-    return next((padded for padded in _FD_LENGTHS if padded >= length), length) if length > 8 else length
-
-
-def _decoded(message: Message, data: bytes) -> dict[str, float]:
-    # numbers only: named values are not asked for, and a message of a DBC is no container
-    return cast("dict[str, float]", message.decode(data, decode_choices=False))
 
 
 def _range_fault(signal: Signal, value: float) -> str:

@@ -1,4 +1,4 @@
-"""Puts what belongs to one scan together and posts it: view with truth and vehicle, map with its peaks, node table."""
+"""Puts together what a page shows and posts it: what belongs to one scan, and what follows from many."""
 
 from __future__ import annotations
 
@@ -7,15 +7,16 @@ from typing import Any
 
 import msgspec
 
-from msgs.diagnostics import NodeStatus
 from msgs.perception import BevFrame, Peaks, SceneTruth
-from msgs.radar import RadarSetup, RangeAzimuthMap
+from msgs.radar import RangeAzimuthMap
 from msgs.units import NANOSECONDS_PER_SECOND
 from msgs.vehicle import VehicleState
-from nodes.live_timing import ViewWatch, on_one_clock, views_text
+from nodes.live_timing import on_one_clock
 from nodes.viewer.board import Board, WireMessage, json_text
-from nodes.viewer.node_table import NodeTable
+from nodes.viewer.driver_warnings import DriverWarning, warnings_json
+from nodes.viewer.trails import Past
 from nodes.viewer.view_model import map_json, map_tile, mask_tile, view_json
+from nodes.viewer.watch import Watch
 
 #: What the assembly takes in.
 TOPICS_SHOWN = (
@@ -27,7 +28,7 @@ TOPICS_SHOWN = (
     "diagnostics/node",
     "radar/setup",
 )
-#: The node table is posted this often.
+#: The node table is posted this often, and the warnings at least.
 TABLE_PERIOD_NS = NANOSECONDS_PER_SECOND // 2
 #: Truth and view of a scan come within this many scans of each other.
 _KEPT_TRUTHS = 8
@@ -35,8 +36,8 @@ _KEPT_TRUTHS = 8
 LATE_MAP_PERIOD_NS = 2 * NANOSECONDS_PER_SECOND
 
 
-class Assembly:
-    """Takes messages in order of arrival and posts newest-only on a board. Belongs to one thread.
+class ScanAssembly:
+    """What belongs to one scan: view with truth and vehicle, map with peaks. Posts newest-only; belongs to one thread.
 
     With `gives_way` it leaves out most pictures of maps while views come late; `maps_shed` counts them.
     """
@@ -47,8 +48,8 @@ class Assembly:
         self.maps_shed = 0
         self._map_posted_ns: int | None = None
         self._is_late = False
-        self._watch: ViewWatch | None = None
         self._frame: BevFrame | None = None
+        self._past: tuple[Past, ...] = ()
         #: Views so far: a page that misses some can tell how many, however often each was posted.
         self._number = 0
         self._latency_ms: float | None = None
@@ -57,18 +58,14 @@ class Assembly:
         self._peaks: Peaks | None = None
         self._truths: dict[int, SceneTruth] = {}
         self._vehicle: VehicleState | None = None
-        self._nodes = NodeTable()
-        self._table_due_ns: int | None = None
 
-    def take(self, message: msgspec.Struct, now_ns: int) -> None:
-        """Take in one message of `TOPICS_SHOWN`; post what it completes."""
+    def take(self, message: msgspec.Struct, now_ns: int, past: tuple[Past, ...] = (), is_late: bool = False) -> None:
+        """Take in one message of `TOPICS_SHOWN`; post what it completes. `past` and `is_late` come with a view."""
         match message:
-            case RadarSetup():
-                self._views(now_ns).set_up(message)
             case BevFrame():
                 self._number += 1
-                self._frame, self._latency_ms = message, _age_ms(message.stamp_ns, now_ns)
-                self._is_late = self._views(now_ns).add(message.scan_id, message.stamp_ns, now_ns)
+                self._frame, self._past, self._is_late = message, past, is_late
+                self._latency_ms = _age_ms(message.stamp_ns, now_ns)
                 self._post_view()
                 self._post_map(now_ns)
             case RangeAzimuthMap():
@@ -81,32 +78,12 @@ class Assembly:
                 self._keep_truth(message)
             case VehicleState():
                 self._vehicle = message
-            case NodeStatus():
-                self._nodes.add(message, now_ns)
-
-    def table_due_ns(self, now_ns: int) -> int:
-        """When the node table is to be posted next."""
-        if self._table_due_ns is None:
-            self._table_due_ns = now_ns
-        return self._table_due_ns
-
-    def post_table(self, now_ns: int) -> None:
-        """Post the node table as it stands."""
-        self._table_due_ns = now_ns + TABLE_PERIOD_NS
-        views = self._views(now_ns).figures(now_ns)
-        graph = {"text": views_text(views), "well": views.misses == views.overdue == 0}
-        table = {"type": "nodes", "graph": graph, "nodes": self._nodes.rows(now_ns)}
-        self._board.post("nodes", lambda: (json_text(table),))
-
-    def _views(self, now_ns: int) -> ViewWatch:
-        self._watch = self._watch or ViewWatch(now_ns)
-        return self._watch
 
     def _post_view(self) -> None:
         assert self._frame is not None
         truth = self._truths.get(self._frame.scan_id)
         facts = {"number": self._number, "latency_ms": self._latency_ms}
-        self._board.post("view", partial(_view_messages, self._frame, truth, self._vehicle, facts))
+        self._board.post("view", partial(_view_messages, self._frame, truth, self._vehicle, self._past, facts))
 
     def _post_map(self, now_ns: int) -> None:
         if self._map is None:
@@ -132,10 +109,62 @@ class Assembly:
             self._post_view()
 
 
+class Assembly:
+    """Takes messages of a live graph in order of arrival and posts all a page shows. Belongs to one thread."""
+
+    def __init__(self, board: Board, gives_way: bool = False) -> None:
+        self._board = board
+        self._scans = ScanAssembly(board, gives_way)
+        self._watch: Watch | None = None
+        self._table_due_ns: int | None = None
+
+    @property
+    def maps_shed(self) -> int:
+        """Pictures of maps left out so far."""
+        return self._scans.maps_shed
+
+    def take(self, message: msgspec.Struct, now_ns: int) -> None:
+        """Take in one message of `TOPICS_SHOWN`; post what it completes."""
+        watch = self._watching(now_ns)
+        watch.take(message, now_ns)
+        self._scans.take(message, now_ns, watch.past, watch.is_late)
+        if isinstance(message, BevFrame):
+            self._post_warnings(now_ns)
+
+    def table_due_ns(self, now_ns: int) -> int:
+        """When the node table is to be posted next."""
+        if self._table_due_ns is None:
+            self._table_due_ns = now_ns
+        return self._table_due_ns
+
+    def post_table(self, now_ns: int) -> None:
+        """Post the node table and the warnings as they stand."""
+        self._table_due_ns = now_ns + TABLE_PERIOD_NS
+        table = self._watching(now_ns).table(now_ns)
+        self._board.post("nodes", lambda: (json_text(table),))
+        self._post_warnings(now_ns)
+
+    def _watching(self, now_ns: int) -> Watch:
+        self._watch = self._watch or Watch(now_ns)
+        return self._watch
+
+    def _post_warnings(self, now_ns: int) -> None:
+        post_warnings(self._board, self._watching(now_ns).warnings(now_ns), now_ns)
+
+
+def post_warnings(board: Board, warnings: tuple[DriverWarning, ...], now_ns: int) -> None:
+    """Hang up warnings as they stood at a time."""
+    board.post("warnings", lambda: (json_text({"type": "warnings", "warnings": warnings_json(warnings, now_ns)}),))
+
+
 def _view_messages(
-    frame: BevFrame, truth: SceneTruth | None, vehicle: VehicleState | None, facts: dict[str, Any]
+    frame: BevFrame,
+    truth: SceneTruth | None,
+    vehicle: VehicleState | None,
+    past: tuple[Past, ...],
+    facts: dict[str, Any],
 ) -> tuple[WireMessage, ...]:
-    return json_text({**view_json(frame, truth, vehicle), **facts}), mask_tile(frame)
+    return json_text({**view_json(frame, truth, vehicle, past), **facts}), mask_tile(frame)
 
 
 def _map_messages(ra_map: RangeAzimuthMap, latency_ms: float | None, peaks: Peaks | None) -> tuple[WireMessage, ...]:

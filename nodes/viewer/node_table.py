@@ -63,6 +63,7 @@ class NodeTable:
             "memory_mib": round(status.resident_bytes / (1 << 20)),
             "lost": sum(count.lost for count in status.received),
             "rejected": sum(count.rejected for count in status.received),
+            "lost_lately": _gone(status) - _gone(first.status),
             "shed": [f"{count.count} {count.what} {count.reason}" for count in status.shed],
             "stages": [
                 {"name": one.name, "mean_ms": round(one.mean_ms, 1), "max_ms": round(one.max_ms, 1)}
@@ -82,6 +83,11 @@ def _place_in_stream(status: NodeStatus) -> int:
     """Place of the first topic that a node publishes in the table of topics."""
     published = {count.topic for count in status.published}
     return next((place for place, topic in enumerate(TOPICS) if topic in published - set(_SELF_TALK)), len(TOPICS))
+
+
+def _gone(status: NodeStatus) -> int:
+    """Messages lost or unreadable since the node started."""
+    return sum(count.lost + count.rejected for count in status.received)
 
 
 def _rates(first: _Heard, last: _Heard) -> list[dict[str, Any]]:

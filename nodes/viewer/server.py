@@ -68,9 +68,10 @@ class Acknowledge(msgspec.Struct, frozen=True, tag="ack", tag_field="type", forb
 
 
 class Play(msgspec.Struct, frozen=True, tag="play", tag_field="type", forbid_unknown_fields=True):
-    """Play a recording from where it stands; speed 1 is real time, 0 holds it."""
+    """Play a recording from where it stands; speed 1 is real time, 0 holds it. `loop`: at its end, from the start."""
 
     speed: float
+    loop: bool = False
 
 
 class Seek(msgspec.Struct, frozen=True, tag="seek", tag_field="type", forbid_unknown_fields=True):

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from msgs.perception import BevFrame, HiddenObject, Peaks, SceneTruth, TruthObject, Visibility
+from msgs.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, TruthObject, Visibility
 from msgs.radar import RangeAzimuthMap
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
+from nodes.viewer.trails import Past, trail_m
 
 #: Magic, version, kind, scan id, rows, columns, level of code 0 [0.01 dB], step per code [0.001 dB]; little-endian.
 TILE_HEADER = struct.Struct("<2sBBIHHhH")
@@ -27,6 +28,8 @@ TILE_ROWS, TILE_COLUMNS = 512, 128
 #: Codes 0..255 span 102 dB: over the noise, or where no noise was measured, down from the map's peak.
 STEP_DB = 0.4
 SPAN_DB = 255 * STEP_DB
+#: Tracks told to a page at most: more than anybody can look at.
+MAX_TRACKS = 100
 #: An ellipse of two sigma holds 86 % of a plane's normal distribution.
 ELLIPSE_SIGMAS = 2.0
 #: The colour scale "cividis" at 33 even places: even in lightness, the same to colour-blind readers.
@@ -38,8 +41,10 @@ COLOURS = (
 )  # fmt: skip
 
 
-def view_json(frame: BevFrame, truth: SceneTruth | None, vehicle: VehicleState | None) -> dict[str, Any]:
-    """A bird's-eye view with the truth and the vehicle's motion that belong to it."""
+def view_json(
+    frame: BevFrame, truth: SceneTruth | None, vehicle: VehicleState | None, past: Sequence[Past] = ()
+) -> dict[str, Any]:
+    """A bird's-eye view with the truth and the vehicle's motion that belong to it; `past` holds its tracks' trails."""
     grid = frame.grid
     return {
         "type": "view",
@@ -61,16 +66,8 @@ def view_json(frame: BevFrame, truth: SceneTruth | None, vehicle: VehicleState |
             for one in frame.points
         ],
         "objects": [_object_json(one) for one in _placed(frame)],
-        "tracks": [
-            {
-                "id": one.id,
-                "at": _metres((one.x_m, one.y_m)),
-                "velocity": _metres((one.velocity_x_mps, one.velocity_y_mps)),
-                "age_s": round(one.age_s, 1),
-                "appears_s": None if one.time_to_appear_s is None else round(one.time_to_appear_s, 1),
-            }
-            for one in frame.tracks
-        ],
+        "tracks": [_track_json(one, past) for one in _pressing(frame.tracks)],
+        "tracks_total": len(frame.tracks),
         "mask": {
             "x_min": grid.x_min_m,
             "y_min": grid.y_min_m,
@@ -195,6 +192,41 @@ def _placed(frame: BevFrame) -> list[HiddenObject]:
         for one in frame.objects
         if all(map(math.isfinite, (one.x_m, one.y_m, one.length_m, one.width_m, one.yaw_rad, one.score)))
     ]
+
+
+def _pressing(tracks: Sequence[Track]) -> list[Track]:
+    """The tracks worth showing, in order of urgency: who comes into sight first, then the nearest."""
+    placed = [one for one in tracks if _has_place(one)]
+    return sorted(placed, key=_urgency)[:MAX_TRACKS]
+
+
+def _urgency(one: Track) -> tuple[float, float]:
+    appears_s = _appears_s(one)
+    return math.inf if appears_s is None else appears_s, math.hypot(one.x_m, one.y_m)
+
+
+def _has_place(one: Track) -> bool:
+    return all(map(math.isfinite, (one.x_m, one.y_m, one.velocity_x_mps, one.velocity_y_mps, one.age_s)))
+
+
+def _appears_s(one: Track) -> float | None:
+    appears_s = one.time_to_appear_s
+    return None if appears_s is None or not math.isfinite(appears_s) else appears_s
+
+
+def _track_json(one: Track, past: Sequence[Past]) -> dict[str, Any]:
+    appears_s, covariance = _appears_s(one), one.velocity_cov_m2ps2
+    return {
+        "id": one.id,
+        "at": _metres((one.x_m, one.y_m)),
+        "ellipse": [round(part, 4) for part in ellipse(one.cov_m2)],
+        "velocity": _metres((one.velocity_x_mps, one.velocity_y_mps)),
+        "velocity_ellipse": None if covariance is None else [round(part, 4) for part in ellipse(covariance)],
+        "age_s": round(one.age_s, 1),
+        "appears_s": None if appears_s is None else round(appears_s, 1),
+        "misses": one.misses,
+        "trail": _metres(trail_m(one.id, past).ravel()),
+    }
 
 
 def _object_json(one: HiddenObject) -> dict[str, Any]:

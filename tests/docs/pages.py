@@ -90,7 +90,7 @@ def blocks_of(page: Path) -> list[Block]:
 
 
 def _language(text: str) -> str:
-    if re.search(r"^(mirrorwave|python -m|make|alias|OPENBLAS\w+=) ?", text, re.MULTILINE):
+    if re.search(r"^([A-Z_]+=\S+ )?(mirrorwave|python|make|alias|ssh|scp|npm|mkdir|jupyter) \S", text, re.MULTILINE):
         return "sh"
     if re.search(r"^(import|from) \w", text, re.MULTILINE):
         return "python"
@@ -132,8 +132,10 @@ def shortened(command: str) -> str:
 class Runner:
     """Runs the blocks of one page in a folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, launched: set[str]) -> None:
         self._folder = folder
+        #: Graphs that leave nothing behind and ran to their end already, on this page or another.
+        self._launched = launched
         self._background: list[subprocess.Popen[str]] = []
         #: Programs of `OPTIONAL` that a command would have needed.
         self.missing: list[str] = []
@@ -187,11 +189,15 @@ class Runner:
         if words[1:2] == ["launch"]:
             # by then the graph before it has ended by itself
             self.close()
-        if background or words[:2] == ["mirrorwave", "view"]:
+        if background or (words[:2] == ["mirrorwave", "view"] and "--help" not in words):
             self._start(words, command)
+            return
+        if command in self._launched:
             return
         code, output = self._mirrorwave(words[1:]) if plain else self._process(command)
         assert code == 0, f"{where}: {command!r} ended with {code}: {output[-2000:]}"
+        if words[1:2] == ["launch"] and "--record" not in words:
+            self._launched.add(command)
 
     def _mirrorwave(self, arguments: list[str]) -> tuple[int, str]:
         """In this process, where packages are loaded already."""

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 
 from tests.docs.pages import ROOT, SHORTER, Runner, blocks_of, commands_of, shortened
 from tests.docs.prepared import Prepared, speaking_car
@@ -63,17 +65,25 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         yield tmp_path
 
 
-def pages_with_code() -> list[str]:
-    names = [str(page.relative_to(ROOT)) for page in PAGES if blocks_of(page)]
-    return [name for name in names if name != GENERATED]
+@pytest.fixture(scope="session")
+def launched() -> set[str]:
+    return set()
 
 
-@pytest.mark.graph
-@pytest.mark.parametrize("name", pages_with_code())
-def test_page(name: str, folder: Path, prepared: Prepared) -> None:
+def pages_with_code() -> Iterator[ParameterSet]:
+    for page in PAGES:
+        name = str(page.relative_to(ROOT))
+        blocks = blocks_of(page)
+        if blocks and name != GENERATED:
+            is_live = name in OF_A_GRAPH or any("mirrorwave launch" in block.text for block in blocks)
+            yield pytest.param(name, marks=[pytest.mark.graph] if is_live else [])
+
+
+@pytest.mark.parametrize("name", list(pages_with_code()))
+def test_page(name: str, folder: Path, prepared: Prepared, launched: set[str]) -> None:
     for given in GIVEN.get(name, ()):
         prepared.lend(given, folder)
-    runner = Runner(folder)
+    runner = Runner(folder, launched)
     graph = "mirrorwave launch launch/corner.yaml &" if name in OF_A_GRAPH else ""
     with speaking_car(), runner.beside(graph):
         for block in blocks_of(ROOT / name):
@@ -98,8 +108,6 @@ def test_every_shortening_is_used() -> None:
 
 
 def _used(command: str) -> Iterator[int]:
-    import re
-
     for number, (pattern, replacement) in enumerate(SHORTER):
         changed = re.sub(pattern, replacement, command.rstrip("& "))
         if changed != command.rstrip("& "):

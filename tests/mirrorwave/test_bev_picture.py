@@ -12,6 +12,7 @@ from msgs.perception import (
     HiddenObject,
     HiddenPoint,
     SceneTruth,
+    Track,
     TruthObject,
     TruthSurface,
     Wall,
@@ -26,11 +27,16 @@ def frame(filled: bool = True) -> BevFrame:
     one = HiddenObject(
         id=0, x_m=12.0, y_m=8.0, length_m=4.0, width_m=1.8, yaw_rad=0.5, score=0.9, cov_m2=((0.2, 0.05), (0.05, 0.1))
     )
+    moving = Track(
+        id=3, x_m=12.0, y_m=8.0, velocity_x_mps=0.5, velocity_y_mps=-3.0, age_s=1.2,
+        cov_m2=((0.1, 0.0), (0.0, 0.1)), time_to_appear_s=2.5,
+    )  # fmt: skip
     return BevFrame(
         stamp_ns=1_500_000_000, scan_id=5, grid=grid, visibility=np.full((40, 30), 1 if filled else 0, np.uint8),
         walls=(Wall(normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, -9.0), (20.0, 9.0)), inliers=9),) * filled,
         points=(HiddenPoint(x_m=12.0, y_m=8.0, score=0.9, image_x_m=28.0, image_y_m=8.0, wall=0),) * filled,
-        objects=(one,) * filled, los_points_m=np.ones((4 * filled, 2), np.float32), flags=("incoherent",) * filled,
+        objects=(one,) * filled, tracks=(moving,) * filled,
+        los_points_m=np.ones((4 * filled, 2), np.float32), flags=("incoherent",) * filled,
     )  # fmt: skip
 
 

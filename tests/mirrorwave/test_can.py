@@ -124,10 +124,46 @@ def test_monitor_shows_a_live_bus(capsys: pytest.CaptureFixture) -> None:
     assert {row["speed_mps"] for row in rows if row["valid"]} == {5.5}
 
 
+def test_monitor_shows_every_signal_of_any_dbc(capsys: pytest.CaptureFixture) -> None:
+    """Speed frames at 200 Hz, every tenth with a wrong checksum; needs no mapping."""
+    stop = threading.Event()
+
+    def speak() -> None:
+        car = SimulatedCar(load_dbc(DBC), load_mapping(MAPPING), time.monotonic_ns())
+        sent = 0
+        with can.Bus(interface="virtual", channel="signals", ignore_config=True) as bus:
+            while not stop.wait(0.005):
+                state = VehicleState(stamp_ns=time.monotonic_ns(), speed_mps=5.5)
+                for frame in car.frames(state):
+                    data = bytearray(frame.data)
+                    sent += frame.arbitration_id == 0x100
+                    if frame.arbitration_id == 0x100 and sent % 10 == 0:
+                        data[4] ^= 0xFF
+                    bus.send(can.Message(arbitration_id=frame.arbitration_id, data=data, is_extended_id=False))
+
+    thread = threading.Thread(target=speak)
+    thread.start()
+    words = ["can", "monitor", "-i", "virtual", "-c", "signals", "--signals", "--mapping", "nowhere.yaml"]
+    try:
+        assert main([*words, "--duration", "1.2", "--every", "0.3", "--json"]) == 0
+        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert main([*words, "--duration", "0.5", "--every", "0.2"]) == 0
+    finally:
+        stop.set()
+        thread.join()
+    speed = next(row for row in rows[-1]["messages"] if row["message"] == "MW_SPEED")
+    assert speed["signals"]["SPEED"] == 5.5
+    assert {"ok", "undecodable", "wrong checksum"} >= set(speed["frames_by_verdict"])
+    assert rows[-1]["known_frames"] == rows[-1]["frames"] > 0
+    assert "SPEED=5.5" in capsys.readouterr().out
+
+
 def test_monitor_of_a_silent_bus_fails(capsys: pytest.CaptureFixture) -> None:
     arguments = ["can", "monitor", "-i", "virtual", "-c", "silent", "-o", "rx_queue_size=10"]
     assert main([*arguments, "--duration", "0.4", "--every", "0.1"]) == 1
     assert "NOT VALID: speed: no MW_SPEED yet" in capsys.readouterr().out
+    assert main([*arguments, "--duration", "0.4", "--every", "0.1", "--signals"]) == 1
+    assert "0 of 0 frames are of this DBC" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(not REAL.is_dir(), reason="the recorded drive (can_motec_subaru) is not here")

@@ -7,10 +7,14 @@ import os
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
+from typer.main import get_command
 
-from mirrorwave.cli import main
+from mirrorwave.cli import app, main
+from mirrorwave.completion import complete_nodes
 from mirrorwave.console import error_line, exit_code_of
 from msgs.recording import RecordingWriter, info
 from msgs.vehicle import VehicleState
@@ -43,7 +47,6 @@ def recording(tmp_path: Path) -> Path:
         (["topic", "echo", "log", "--timeout", "0.1"], 1, "log: 0 messages in 0.1 s"),
         (["node", "list", "--window", "0.2"], 1, "no graph runs in domain"),
         (["bag", "info", "nope.mcap"], 2, "nope.mcap: no such file"),
-        (["bag", "play", "nope.mcap", "--rate", "0"], 2, "--rate must be above 0"),
         (["topic", "list", "--domain", "../x"], 2, "domain must be"),
     ],
 )
@@ -120,3 +123,85 @@ def test_errors_know_their_code() -> None:
     assert exit_code_of(ValueError("x")) == exit_code_of(FileNotFoundError(2, "no", "f")) == 2
     assert exit_code_of(OSError(28, "full", "f")) == 1
     assert error_line(OSError(28, os.strerror(28), "f")) == "f: No space left on device"
+
+
+#: Verbs without --json, and why: all others inspect.
+WITHOUT_JSON = {
+    "demo": "runs a graph; its log is the output",
+    "launch": "runs a graph; its log is the output",
+    "view": "serves a page until it is ended",
+    "sim run": "writes a capture, which is the output",
+    "sim lidar": "writes clouds, which are the output",
+    "train residual": "trains; the card of the network is the output",
+    "bag record": "records until it is ended",
+    "bag recover": "writes a recording, which `bag info --json` describes",
+    "bag trim": "writes a recording, which `bag info --json` describes",
+}
+#: Inspecting verbs that answer without long work or input, and how they are called here.
+QUICK = (
+    ["doctor"],
+    ["graph", "launch/corner.yaml"],
+    ["topic", "list"],
+    ["topic", "info", "vehicle/state", "--duration", "0.2"],
+    ["sim", "material", "concrete"],
+    ["sim", "paths", "launch/scenes/corner.yaml"],
+)
+
+
+def verbs() -> dict[str, Any]:
+    """Every verb by its words."""
+
+    def walk(command: Any, words: tuple[str, ...]) -> Iterator[tuple[str, Any]]:
+        for name, part in getattr(command, "commands", {}).items():
+            yield from walk(part, (*words, name))
+        if not hasattr(command, "commands"):
+            yield " ".join(words), command
+
+    return dict(walk(get_command(app), ()))
+
+
+def test_every_inspecting_verb_has_json() -> None:
+    without = {
+        words for words, verb in verbs().items() if not any("--json" in parameter.opts for parameter in verb.params)
+    }
+    assert without <= set(WITHOUT_JSON)
+
+
+@pytest.mark.parametrize("words", QUICK, ids=" ".join)
+def test_what_json_prints_is_json(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*words, "--json"]) == 0
+    json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    ("words", "offered"),
+    [
+        ("topic echo perc", ["perception/peaks", "perception/hidden_objects"]),
+        ("graph launch/corner.", ["launch/corner.yaml"]),
+        ("launch launch/corner.yaml --profile fas", ["fast"]),
+        ("sim run launch/scenes/two", ["launch/scenes/two_hidden_vehicles.yaml"]),
+        ("sim material concr", ["concrete"]),
+        ("node info no_such", []),
+        ("top", ["top", "topic"]),
+    ],
+)
+def test_the_shell_completes(
+    words: str, offered: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COMP_WORDS", f"mirrorwave {words}")
+    monkeypatch.setenv("COMP_CWORD", str(len(words.split())))
+    monkeypatch.setenv("_MIRRORWAVE_COMPLETE", "complete_bash")
+    with pytest.raises(SystemExit):
+        main([])
+    assert capsys.readouterr().out.split() == offered
+
+
+def test_nodes_are_completed_from_their_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = Path(os.environ["MIRRORWAVE_RUN_DIR"]) / "other"
+    folder.mkdir()
+    for name in ("radar.ra_map@ra_former", "log@ra_former", "log@player", "supervisor.lock"):
+        (folder / name).touch()
+    context = SimpleNamespace(params={"domain": "other"})
+    assert complete_nodes(context, "") == ["player", "ra_former"]  # type: ignore[arg-type]
+    assert complete_nodes(context, "ra") == ["ra_former"]  # type: ignore[arg-type]
+    assert complete_nodes(SimpleNamespace(params={}), "") == []  # type: ignore[arg-type]

@@ -12,6 +12,7 @@ from mirrorwave.cli import main
 from models.perception.chain import Chain
 from models.perception.detectors import CfarDetector
 from models.perception.objects import bev_to_json
+from models.perception.tracking import track_to_json
 from nodes.player import Params, scene_player
 
 SCENE = "launch/scenes/corner.yaml"
@@ -49,6 +50,29 @@ def test_process_is_the_chain_cut_at_the_topics(capture: Path, tmp_path: Path) -
     state = player.vehicle_state(0)
     frames = [frame for scan in (0, 1) for index in range(25) for frame in chain.add(player.beam(scan, index), state)]
     assert once.decode() == "".join(json.dumps(bev_to_json(frame)) + "\n" for frame in frames)
+
+
+def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
+    """A drive with vehicle states: a line a scan, by `process` and by `chain.py` the same."""
+    drive, chirps = "launch/drives/side_street.yaml", 4
+    recording = tmp_path / "drive.mcap"
+    command = ["sim", "run", drive, "--out", str(recording), "--scans", "5", "--chirps-per-beam", str(chirps)]
+    assert main([*command, "--effects", "basic"]) == 0
+    # in so short beams noise hides the empty ones: some count as silent
+    assert main(["process", str(recording), "--out", str(tmp_path), "--profile", "cfar"]) == 3
+    lines = [json.loads(line) for line in (tmp_path / "tracks.jsonl").read_text().splitlines()]
+    assert [line["scan_id"] for line in lines] == [0, 1, 2, 3, 4]
+    player = scene_player(Params(scene=drive, chirps_per_beam=chirps))
+    chain = Chain(player.setup, CfarDetector(player.setup))
+    views = [
+        view
+        for scan in range(5)
+        for index in range(25)
+        for view in chain.add(player.beam(scan, index), player.vehicle_state(player.stamp_ns(scan, index)))
+    ]
+    assert lines[-1]["tracks"]
+    expected = [json.dumps([track_to_json(one) for one in view.tracks]) for view in views]
+    assert [json.dumps(line["tracks"]) for line in lines] == expected
 
 
 def test_json_summary(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

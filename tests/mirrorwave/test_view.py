@@ -14,7 +14,7 @@ import pytest
 from mirrorwave.playback import MAX_SPEED, Playback
 from mirrorwave.view import view
 from msgs.diagnostics import NodeState, NodeStatus
-from msgs.perception import BevFrame, BevGrid, SceneTruth
+from msgs.perception import BevFrame, BevGrid, SceneTruth, Track
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.recording import RecordingReader, RecordingWriter
 from msgs.vehicle import VehicleState
@@ -83,7 +83,7 @@ def test_it_opens_at_the_first_scan(playback: Playback) -> None:
     assert (playback.count, playback.index) == (SCANS, 0)
     assert told["timeline"] == {
         "type": "timeline", "index": 0, "count": SCANS, "time_s": 0.0, "duration_s": 5.7, "playing": False,
-        "loss": None,
+        "speed": 0.0, "loop": False, "loss": None,
     }  # fmt: skip
     assert told["view"]["scan_id"] == told["map"]["scan_id"] == 100
 
@@ -165,6 +165,149 @@ def test_the_command_serves_until_interrupted(
     path = write_recording(tmp_path / "a.mcap")
     view(path, port=0, no_browser=True)
     assert f"{path}: {SCANS} scans; open http://127.0.0.1:" in capsys.readouterr().out
+
+
+# a drive: trails and warnings follow from all that came before
+
+
+#: The vehicle rests for 9 s, in which its gyroscope shows its bias, then drives; a car follows a straight line.
+REST_SCANS, DRIVE_SCANS, BIAS_RPS, SPEED_MPS = 30, 30, 0.02, 4.0
+CAR_AT, CAR_VELOCITY = np.array([40.0, 30.0]), np.array([0.0, -2.0])
+
+
+def small_map(scan: int, at_ns: int) -> RangeAzimuthMap:
+    grid = RangeAzimuthGrid(range_bins=8, azimuth_bins=4)
+    return RangeAzimuthMap(
+        stamp_ns=at_ns, scan_id=scan, grid=grid, values=np.full((8, 4), 1.0 + scan, np.complex64),
+        azimuth_stamp_ns=np.zeros(4, np.int64), noise_power_mw=1.0, incoherent=np.zeros(8, bool),
+    )  # fmt: skip
+
+
+def write_drive(path: Path, tracks: bool = True) -> Path:
+    """States at 20 Hz with a constant bias; views whose track is where the car is as seen from the radar."""
+    covariance = ((0.04, 0.0), (0.0, 0.04))
+    with RecordingWriter(path, {}) as writer:
+        for scan in range(REST_SCANS + DRIVE_SCANS):
+            at_ns, driven_s = START_NS + scan * PERIOD_NS, 0.3 * max(scan - REST_SCANS, 0)
+            for part in range(6):
+                stamp_ns = at_ns + part * PERIOD_NS // 6
+                # until the stamp of scan REST_SCANS it stands, and drives from there at once
+                speed_mps = SPEED_MPS if scan >= REST_SCANS else 0.0
+                state = VehicleState(stamp_ns=stamp_ns, speed_mps=speed_mps, yaw_rate_rps=BIAS_RPS)
+                writer.write("vehicle/state", state, publisher="car", sequence=6 * scan + part, sent_ns=stamp_ns)
+            x_m, y_m = CAR_AT + 0.3 * scan * CAR_VELOCITY - np.array([SPEED_MPS * driven_s, 0.0])
+            one = Track(
+                id=1, x_m=x_m, y_m=y_m, velocity_x_mps=CAR_VELOCITY[0], velocity_y_mps=CAR_VELOCITY[1],
+                age_s=0.3 * scan, cov_m2=covariance, velocity_cov_m2ps2=covariance,
+                time_to_appear_s=max(2.0 - 0.1 * (scan - 40), 0.0) if scan >= 40 else None,
+            )  # fmt: skip
+            view = BevFrame(
+                stamp_ns=at_ns, scan_id=scan, tracks=(one,) if tracks else (), grid=BevGrid(rows=2, columns=2),
+                visibility=np.zeros((2, 2), np.uint8), los_points_m=np.zeros((0, 2), np.float32),
+                flags=("saturated",) if 10 <= scan < 20 else (),
+            )  # fmt: skip
+            sent_ns = at_ns + PERIOD_NS + 50_000_000
+            writer.write("perception/hidden_objects", view, publisher="geometry", sequence=scan, sent_ns=sent_ns)
+            # a graph under load: the map of a scan comes before the view of the scan before
+            ra_map = small_map(scan, at_ns)
+            writer.write("radar/ra_map", ra_map, publisher="former", sequence=scan, sent_ns=sent_ns - 400_000_000)
+    return path
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Iterator[Playback]:
+    with RecordingReader(write_drive(tmp_path / "drive.mcap")) as reader:
+        yield Playback(reader, Board())
+
+
+def everything(playback: Playback) -> dict[str, list[Any]]:
+    """All messages that a page would get, as they are, but for where playing stands."""
+    board = playback._board
+    hung = board.newer({})
+    del hung["timeline"]
+    return {kind: list(board.messages(kind, posted)) for kind, posted in hung.items()}
+
+
+def test_a_seek_shows_the_same_as_playing_through(drive: Playback) -> None:
+    """Every scan, by playing from the start and by jumping to and fro: the same bytes, trails and warnings included."""
+    played = []
+    for index in range(drive.count):
+        drive.show(index)
+        played.append(everything(drive))
+    for index in np.random.default_rng(0).permutation(drive.count).tolist():
+        drive.show(index)
+        assert everything(drive) == played[index]
+    assert len({str(one["view"]) for one in played}) == len({str(one["map"]) for one in played}) == drive.count
+
+
+@pytest.mark.parametrize("index", [20, 35, 59])
+def test_trails_stay_where_they_were_over_ground(drive: Playback, index: int) -> None:
+    """At rest, as it sets off, under way: earlier places lie on the car's straight line, seen from where the radar is.
+
+    The bias of 0.02 rad/s, not taken off, would turn 5 s old places by 0.1 rad: 4 m at this distance. Bound 0.1 m:
+    speed between two states is taken as changing evenly, 50 ms at the start of the drive (0.1 m).
+    """
+    drive.show(index)
+    trail = np.array(shown(drive)["view"]["tracks"][0]["trail"]).reshape(-1, 2)
+    ages_s = 0.3 * np.arange(len(trail))[::-1]
+    driven_m = SPEED_MPS * 0.3 * max(index - REST_SCANS, 0)
+    expected = CAR_AT + (0.3 * index - ages_s)[:, None] * CAR_VELOCITY - np.array([driven_m, 0.0])
+    assert len(trail) == 17
+    assert np.abs(trail - expected).max() < 0.11
+
+
+def test_warnings_and_marks_say_when_it_was(drive: Playback) -> None:
+    told = shown(drive)
+    marks = {one["key"]: one for one in told["overview"]["marks"]}
+    assert len(told["overview"]["times_s"]) == len(told["overview"]["seen"]) == drive.count
+    # at last it has passed to the right
+    assert set(marks) == {"blind", "flag/saturated", "hidden/left", "hidden/right"}
+    saturated, hidden = marks["flag/saturated"], marks["hidden/left"]
+    # first seen in scan 10; the memory holds it a second beyond scan 19, which does not count
+    assert (saturated["from_s"], saturated["to_s"]) == (pytest.approx(3.0), pytest.approx(5.9, abs=0.31))
+    assert hidden["level"] == "urgent"
+    drive.show(45)
+    (first, *_) = shown(drive)["warnings"]["warnings"]
+    assert first["key"] == "hidden/left"
+    assert first["level"] == "urgent"
+
+
+def test_a_recording_without_tracks_is_shown_without(tmp_path: Path) -> None:
+    with RecordingReader(write_drive(tmp_path / "old.mcap", tracks=False)) as reader:
+        playback = Playback(reader, Board())
+        for index in (0, 40, 59):
+            playback.show(index)
+            told = shown(playback)
+            assert told["view"]["tracks"] == []
+            assert not [one for one in told["warnings"]["warnings"] if one["key"].startswith("hidden/")]
+
+
+def test_a_hole_of_years_in_the_stamps_is_passed(tmp_path: Path) -> None:
+    """A clock set anew in the middle of a recording: the silence is told, and not looked into for ever."""
+    path = tmp_path / "hole.mcap"
+    view = BevFrame(
+        stamp_ns=0, scan_id=0, grid=BevGrid(rows=2, columns=2), visibility=np.zeros((2, 2), np.uint8),
+        los_points_m=np.zeros((0, 2), np.float32),
+    )  # fmt: skip
+    with RecordingWriter(path, {}) as writer:
+        for sequence, sent_ns in enumerate([0, 10**17, 10**17 + PERIOD_NS]):
+            writer.write("perception/hidden_objects", view, publisher="g", sequence=sequence, sent_ns=sent_ns)
+    with RecordingReader(path) as reader:
+        playback = Playback(reader, Board())
+        assert playback.count == 3
+        assert "silent" in {one["key"] for one in shown(playback)["overview"]["marks"]}
+
+
+def test_a_loop_begins_anew_after_the_last_scan(playback: Playback) -> None:
+    playback.obey([Seek(SCANS - 1), Play(1.0, loop=True)], now_s=0.0)
+    assert playback.index == 0
+    playback.obey([Seek(SCANS - 1)], now_s=0.0)
+    # the last scan stays for a second
+    assert playback._due_s == 1.0
+    playback._advance(1.0)
+    assert (playback.index, playback.playing) == (0, True)
+    playback.obey([Play(1.0)], now_s=2.0)
+    assert shown(playback)["timeline"]["loop"] is False
 
 
 def test_a_recording_without_views_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Recordings: round trip, order, other readers, cuts at every byte, flipped bytes, foreign topics, refusals."""
+"""Recordings: round trip, order, other readers, damage, foreign topics, refusals, full disks."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from io import BytesIO
 from pathlib import Path
 
 import jsonschema
@@ -15,13 +16,25 @@ import msgpack
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import Message
+from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import CompressionType, Writer
 
 from msgs.diagnostics import LogRecord
 from msgs.radar import RadarBeam
-from msgs.recording import Recorded, RecordingReader, RecordingWriter, copy_recording, info
+from msgs.recording import (
+    RAW_TOPIC,
+    Losses,
+    Recorded,
+    RecordingReader,
+    RecordingWriter,
+    TopicLoss,
+    copy_recording,
+    info,
+)
 from msgs.topics import TOPICS
 from msgs.vehicle import VehicleState
+from tests.msgs.test_codec import CASES
 
 METADATA = {"scene": "corner", "config": "{}"}
 
@@ -89,17 +102,124 @@ def test_info(tmp_path: Path) -> None:
 
 
 def test_any_mcap_and_msgpack_library_reads_it(tmp_path: Path) -> None:
-    """Message encoding, JSON Schema and times as the reference reader shows them, with all checksums verified."""
-    with record(tmp_path / "a.mcap").open("rb") as file:
-        rows = list(make_reader(file, validate_crcs=True).iter_messages())
-    assert len(rows) == 12
+    """Every topic as the reference readers and plain msgpack show it: schema, times, both checksums, plain and zstd."""
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, METADATA) as writer:
+        for sent_ns, (topic, message) in enumerate(CASES):
+            writer.write(topic, message, publisher="x", sequence=sent_ns, sent_ns=sent_ns)
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        rows = list(reader.iter_messages())
+        summary = reader.get_summary()
+        by_record = list(StreamReader(BytesIO(path.read_bytes()), validate_crcs=True).records)
+    assert summary is not None
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == len(rows) == len(CASES)
+    assert sum(isinstance(record, Message) for record in by_record) == len(CASES)
+    assert {channel.topic for _, channel, _ in rows} == TOPICS.keys()
     for schema, channel, message in rows:
         assert schema is not None
         assert (channel.message_encoding, schema.encoding) == ("msgpack", "jsonschema")
         assert schema.name == TOPICS[channel.topic].type.__name__
         body = msgpack.unpackb(message.data)
         jsonschema.validate(json.loads(json.dumps(body, default=lambda data: data.hex())), json.loads(schema.data))
-        assert message.publish_time == body["stamp_ns"] == message.sequence
+        assert message.publish_time == max(0, body["stamp_ns"])
+    for index in summary.chunk_indexes:
+        topics = {summary.channels[number].topic for number in index.message_index_offsets}
+        assert index.compression == ("" if topics == {RAW_TOPIC} else "zstd")
+
+
+def test_a_changed_byte_of_data_or_index_fails_the_checksums_of_other_readers(tmp_path: Path) -> None:
+    raw = record(tmp_path / "a.mcap", count=2).read_bytes()
+    at = raw.index(beam(1).samples.tobytes())
+    damaged = raw[:at] + bytes([raw[at] ^ 1]) + raw[at + 1 :]
+    with pytest.raises(CRCValidationError):
+        list(make_reader(BytesIO(damaged), validate_crcs=True).iter_messages())
+    with pytest.raises(CRCValidationError):
+        list(StreamReader(BytesIO(damaged), emit_chunks=True, validate_crcs=True).records)
+
+
+def test_each_chunk_can_be_read_alone(tmp_path: Path) -> None:
+    """Whatever chunk is damaged, a file without its index loses that one only: each declares its own channels."""
+    path = record(tmp_path / "a.mcap", count=4, step_ns=2_000_000_000)
+    with RecordingReader(path) as reader:
+        chunks = reader._walk.chunks
+    raw = bytearray(path.read_bytes()[: chunks[-1].offset + 100])
+    raw[chunks[0].offset + 200] ^= 1
+    path.write_bytes(raw)
+    messages, loss = read(path)
+    assert loss is not None
+    assert {message.topic for message in messages} == {"radar/beam", "vehicle/state"}
+    assert len(messages) >= 8 - 2 * 2
+
+
+def test_a_chunk_behind_damage_is_found_by_the_index(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.mcap", count=4, step_ns=2_000_000_000)
+    with RecordingReader(path) as reader:
+        offset = reader._walk.chunks[1].offset
+    raw = bytearray(path.read_bytes())
+    # the length of a record: what follows cannot be walked to
+    raw[offset + 3] ^= 0xFF
+    path.write_bytes(raw)
+    messages, loss = read(path)
+    assert len(messages) >= 6
+    assert loss is not None
+    assert "all chunks found by the index" in loss
+
+
+def test_losses_are_told(tmp_path: Path) -> None:
+    losses = Losses(topics=(TopicLoss(topic="log", lost=2, rejected=1, missed=4),), ended="the disk is full")
+    with RecordingWriter(tmp_path / "a.mcap", METADATA) as writer:
+        writer.write(
+            "log", LogRecord(stamp_ns=1, node="a", level="info", text=""), publisher="a", sequence=0, sent_ns=0
+        )
+        writer.write_losses(losses)
+    found = info(tmp_path / "a.mcap")
+    assert (found.losses, found.metadata, found.loss) == (losses, METADATA, None)
+    assert losses.total == 6, "what is rejected leaves a gap, too"
+    copy_recording(tmp_path / "a.mcap", tmp_path / "b.mcap")
+    assert info(tmp_path / "b.mcap").losses == losses
+    assert info(record(tmp_path / "c.mcap")).losses is None
+
+
+def test_a_disk_without_room_leaves_a_file_up_to_its_last_whole_chunk(tmp_path: Path) -> None:
+    """A limit on the file's size stops the third chunk in its middle; the index still finds room."""
+    path = tmp_path / "a.mcap"
+    said = subprocess.run([sys.executable, "-c", FULL_CHILD, str(path)], capture_output=True, text=True, check=True)
+    assert said.stdout.split() == ["File", "too", "large", "2", "messages"]
+    assert path.stat().st_size <= 400_000
+    messages, loss = read(path)
+    assert loss is None
+    assert [message.sequence for message in messages] == [0, 1]
+    assert info(path).checksums_agree
+
+
+FULL_CHILD = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from msgs.radar import RadarBeam
+from msgs.recording import RecordingWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
+writer = RecordingWriter(Path(sys.argv[1]), {})
+try:
+    for n in range(4):
+        samples = np.zeros((1, 40_000, 2), np.int16)
+        beam = RadarBeam(stamp_ns=n, scan_id=0, beam_index=n, beam_count=9, azimuth_rad=0.0, samples=samples,
+                         full_scale_dbm=0.0)
+        writer.write("radar/beam", beam, publisher="a", sequence=n, sent_ns=0)
+        writer.flush()
+except OSError as error:
+    print(error.strerror)
+writer.close()
+print(writer.written()["radar/beam"], "messages")
+"""
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
+def test_a_full_disk_from_the_first_byte_is_an_error_that_says_so() -> None:
+    with pytest.raises(OSError, match="No space left on device"):
+        RecordingWriter(Path("/dev/full"), {}, overwrite=True)
 
 
 def test_topics_and_times_filter(tmp_path: Path) -> None:
@@ -121,27 +241,25 @@ def test_log_time_order_across_chunks(tmp_path: Path) -> None:
     assert [message.sequence for message in messages] == [1, 5, 3, 4, 0, 2], "equal times in order of writing"
 
 
+def test_equal_times_keep_the_order_of_writing(tmp_path: Path) -> None:
+    """Also between raw beams and all else, which stand in chunks of their own; other readers agree."""
+    path = tmp_path / "a.mcap"
+    order = []
+    with RecordingWriter(path, {}) as writer:
+        for number, topic in enumerate("cbbcbccbcb" * 3):
+            name, message = ("vehicle/state", state(0)) if topic == "c" else ("radar/beam", beam(number))
+            writer.write(name, message, publisher="x", sequence=number, sent_ns=7 * (number // 5))
+            order.append(number)
+    messages, _ = read(path)
+    assert [message.sequence for message in messages] == order
+    with path.open("rb") as file:
+        assert [message.sequence for _, _, message in make_reader(file).iter_messages()] == order
+    copy_recording(path, tmp_path / "b.mcap")
+    assert [message.sequence for message in read(tmp_path / "b.mcap")[0]] == order
+
+
 def test_same_messages_same_bytes(tmp_path: Path) -> None:
     assert record(tmp_path / "a.mcap").read_bytes() == record(tmp_path / "b.mcap").read_bytes()
-
-
-def test_cut_at_every_byte_yields_all_whole_chunks(tmp_path: Path) -> None:
-    """Chunks of one turn each; from the magic on, no cut raises and none costs more than the chunk it goes through."""
-    whole = record(tmp_path / "whole.mcap", count=4, step_ns=2_000_000_000)
-    raw = whole.read_bytes()
-    everything, _ = read(whole)
-    with RecordingReader(whole) as reader:
-        ends = [chunk.offset for chunk in reader._walk.chunks[1:]]
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(raw)
-    for size in reversed(range(8, len(raw))):
-        os.truncate(cut, size)
-        messages, loss = read(cut)
-        assert keys(messages) == keys(everything)[: len(messages)]
-        chunks_whole = sum(end <= size for end in ends)
-        assert len(messages) >= len(everything) - 2 * (len(ends) + 1 - chunks_whole) - 1
-        # the last 8 bytes only repeat the magic
-        assert (loss is None) == (size >= len(raw) - 8), f"{size} of {len(raw)} bytes: {loss}"
 
 
 def test_flipped_bytes_never_give_a_changed_message_silently(tmp_path: Path) -> None:

@@ -1,19 +1,31 @@
-"""The recorder writes what it hears, never over what exists, and outlives a disk that refuses."""
+"""The recorder: never over what exists, in parts, in snapshots, and what it does when the disk refuses."""
 
 from __future__ import annotations
 
+import json
+import math
+from datetime import datetime
 from pathlib import Path
+from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
-from msgs.diagnostics import NodeState
+from msgs import mcap_file
+from msgs.diagnostics import LogRecord, NodeState
 from msgs.local_bus import LocalNetwork
-from msgs.recording import RecordingReader
+from msgs.recording import RAW_TOPIC, Losses, RecordingReader, TopicLoss, info
 from msgs.topics import TOPICS
 from msgs.vehicle import VehicleState
 from nodes.node import InProcessGraph
-from nodes.recorder import RAW_TOPIC, Params, create
+from nodes.recorder import Params, Recorder, create
+from nodes.snapshot_recorder import SnapshotRecorder
+from nodes.snapshot_trigger import TriggerFile, find_recorders
 from tests.graph import toy_nodes
+from tests.msgs.test_codec import EXAMPLES
+
+TOPICS_HEARD = ("radar/setup", "vehicle/state")
 
 
 def _record(path: Path) -> None:
@@ -50,21 +62,229 @@ def test_raw_beams_only_when_asked_for() -> None:
         Params(path="x", topics=("nope",))
 
 
+@pytest.mark.parametrize(
+    ("params", "rule"),
+    [
+        ({"split_bytes": 0}, "split_bytes must be above zero and finite, got 0"),
+        ({"split_s": math.nan}, "split_s must be above zero and finite, got nan"),
+        ({"max_parts": 3}, "max_parts needs split_bytes or split_s"),
+        ({"snapshot_s": -1.0}, "snapshot_s must be above zero"),
+        ({"snapshot_s": 5.0, "split_s": 1.0}, "snapshot_s must not stand beside"),
+        ({"min_free_bytes": -1}, "min_free_bytes must not be negative"),
+    ],
+)
+def test_params_that_do_not_fit_are_refused(params: dict[str, Any], rule: str) -> None:
+    with pytest.raises(ValueError, match=rule):
+        Params(path="a.mcap", **params)
+
+
+class Bench:
+    """A recorder on an in-process network, and a car and a radar that send to it."""
+
+    def __init__(self, path: Path, *, topics: tuple[str, ...] = TOPICS_HEARD, **params: Any) -> None:
+        self.network = LocalNetwork()
+        self.recorder: Any = (SnapshotRecorder if "snapshot_s" in params else Recorder)(
+            Params(path=str(path), topics=topics, **params)
+        )
+        self.bus, self.sender = self.network.bus("recorder"), self.network.bus("car")
+        for topic in topics:
+            self.bus.subscribe(topic)
+        self.recorder.counts = lambda: self.bus.counts()[0]
+
+    def say(self, topic: str, message: Any) -> None:
+        """Send a message, 0.1 s after the one before, and let the recorder have it."""
+        self.network.advance(100_000_000)
+        self.sender.publish(topic, message)
+        self.step()
+
+    def step(self) -> None:
+        self.recorder.step(self.bus.receive(0.0), self.network.now_ns)
+
+    def states(self, count: int) -> None:
+        for number in range(count):
+            self.say("vehicle/state", VehicleState(stamp_ns=number))
+
+
+def _contents(path: Path) -> list[tuple[str, int]]:
+    with RecordingReader(path) as reader:
+        assert reader.complete
+        return [(message.topic, message.sequence) for message in reader.messages()]
+
+
+def test_split_by_time_each_part_opens_alone(tmp_path: Path) -> None:
+    """Radar set-up, said once, stands at the start of each part, as if sent then; no state is lost between parts."""
+    bench = Bench(tmp_path / "a.mcap", split_s=1.0)
+    bench.say("radar/setup", EXAMPLES["radar/setup"][0])
+    bench.states(25)
+    bench.recorder.close()
+    parts = sorted(tmp_path.iterdir())
+    assert [part.name for part in parts] == ["a-00001.mcap", "a-00002.mcap", "a-00003.mcap"]
+    sequences = []
+    for number, part in enumerate(parts):
+        found = info(part)
+        assert (found.checksums_agree, found.losses) == (True, Losses())
+        assert found.metadata["part"] == str(number + 1)
+        assert found.duration_s <= 1.0
+        (first, *others) = _contents(part)
+        assert first == ("radar/setup", 0)
+        sequences += [sequence for _, sequence in others]
+    assert sequences == list(range(25))
+    assert (bench.recorder.messages, bench.recorder.missed) == (28, 0)
+
+
+def test_split_by_size_keeps_the_newest_parts(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "a.mcap", topics=("log",), split_bytes=20_000, max_parts=3)
+    rng = np.random.default_rng(3)
+    for number in range(40):
+        bench.say("log", LogRecord(stamp_ns=number, node="a", level="info", text=rng.bytes(1500).hex()))
+    bench.recorder.close()
+    parts = sorted(tmp_path.iterdir())
+    assert len(parts) == 3
+    assert parts == bench.recorder.paths
+    assert parts[0].name > "a-00001.mcap"
+    assert [sequence for part in parts for _, sequence in _contents(part)][-1] == 39
+    # what is in progress counts before it is compressed, and the index comes on top
+    assert all(part.stat().st_size < 25_000 for part in parts)
+
+
+def test_parts_of_an_earlier_run_are_kept(tmp_path: Path) -> None:
+    for _ in range(2):
+        bench = Bench(tmp_path / "a.mcap", split_s=0.5, max_parts=1)
+        bench.states(8)
+        bench.recorder.close()
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["a-00002.mcap", "a-00004.mcap"]
+
+
+def test_a_snapshot_holds_the_last_seconds_and_what_was_said_before(tmp_path: Path) -> None:
+    """Three triggers, three files; set-up that fell out of the ring long ago is in each."""
+    bench = Bench(tmp_path / "s.mcap", snapshot_s=1.0, metadata={"launch": "x"})
+    bench.say("radar/setup", EXAMPLES["radar/setup"][0])
+    for _ in range(3):
+        bench.states(20)
+        bench.recorder.trigger()
+        assert bench.recorder.pending()
+        bench.step()
+        bench.recorder._writing.join()
+    bench.recorder.close()
+    for number in (1, 2, 3):
+        contents = _contents(tmp_path / f"s-0000{number}.mcap")
+        # a second of one message each 0.1 s, both ends included
+        assert contents == [("radar/setup", 0)] + [("vehicle/state", 20 * number - at) for at in range(11, 0, -1)]
+        found = info(tmp_path / f"s-0000{number}.mcap")
+        assert (found.duration_s, found.losses) == (pytest.approx(1.0), Losses())
+        assert found.metadata["launch"] == "x"
+    assert len(list(tmp_path.iterdir())) == 3
+
+
+def test_the_ring_is_bounded_in_bytes(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "s.mcap", topics=("log",), snapshot_s=1000.0, snapshot_bytes=10_000)
+    for number in range(50):
+        bench.say("log", LogRecord(stamp_ns=number, node="a", level="info", text="x" * 1000))
+        assert bench.recorder._ring.bytes <= 10_000
+    bench.recorder.trigger()
+    bench.step()
+    bench.recorder.close()
+    assert [sequence for _, sequence in _contents(tmp_path / "s-00001.mcap")] == list(range(43, 50))
+
+
+def test_a_snapshot_without_room_says_so_and_the_next_may_work(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "s.mcap", snapshot_s=1.0, min_free_bytes=1 << 60, run_dir=str(tmp_path / "run"))
+    bench.recorder._door = TriggerFile(tmp_path / "run")
+    bench.states(3)
+    bench.recorder.trigger()
+    bench.step()
+    bench.recorder._writing.join()
+    assert bench.recorder.health()[0] is NodeState.DEGRADED
+    (door,) = find_recorders(tmp_path / "run")
+    assert "are to stay free" in json.loads(door.read_text())["last"]["error"]
+    assert not list(tmp_path.glob("*.mcap"))
+    bench.recorder.close()
+    assert find_recorders(tmp_path / "run") == []
+
+
+def test_what_the_bus_lost_is_in_the_recording(tmp_path: Path) -> None:
+    bench = Bench(tmp_path / "a.mcap", split_s=1.0)
+    bench.states(3)
+    # numbers that never reach the recorder
+    bench.bus._tally._last["vehicle/state", "car"] = msgspec.structs.replace(
+        bench.bus._tally._last["vehicle/state", "car"], sequence=0
+    )
+    bench.states(20)
+    bench.recorder.close()
+    first, *others = sorted(tmp_path.iterdir())
+    losses = info(first).losses
+    assert losses is not None
+    assert losses.topics == (TopicLoss(topic="vehicle/state", lost=2),)
+    assert [info(part).losses for part in others] == [Losses()] * len(others)
+    assert bench.recorder.lost == 2
+
+
 def test_a_disk_that_refuses_degrades_the_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    network = LocalNetwork()
-    recorder = create(Params(path=str(tmp_path / "a.mcap"), topics=("vehicle/state",)))
-    bus, sender = network.bus("recorder"), network.bus("sender")
-    bus.subscribe("vehicle/state")
+    """What the disk did not take is counted, also what waited in the chunk; the file is whole up to there."""
+    bench = Bench(tmp_path / "a.mcap")
+    bench.states(15)
+
+    def refuse(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(mcap_file, "_write_all", refuse)
+        bench.states(12)
+    bench.states(3)
+    state, reason = bench.recorder.health()
+    assert state is NodeState.DEGRADED
+    assert f"No space left on device; {bench.recorder.missed} messages missed" in reason
+    bench.recorder.close()
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        kept = [message.sequence for message in reader.messages()]
+    assert kept == list(range(len(kept)))
+    assert len(kept) >= 10
+    assert bench.recorder.messages == len(kept)
+    assert bench.recorder.messages + bench.recorder.missed == 30
+
+
+def test_too_little_room_ends_the_recording_in_good_order(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Warned before, whole up to the last message, its end and what was missed said in the file and on the bus."""
+    free = 3_000_000
+    monkeypatch.setattr("nodes.recorder.free_bytes", lambda folder: free)
+    bench = Bench(tmp_path / "a.mcap", min_free_bytes=2_000_000)
+    bench.states(100)
+    free = 2_000_100
+    bench.states(1)
+    assert "room for less than 60 s" in caplog.text
+    free = 1_999_999
+    bench.states(5)
+    assert bench.recorder.health()[0] is NodeState.DEGRADED
+    assert bench.recorder.missed == 5
+    bench.recorder.close()
+    found = info(tmp_path / "a.mcap")
+    assert (found.complete, found.loss) == (True, None)
+    assert found.losses is not None
+    assert "are to stay free" in str(found.losses.ended)
+    assert found.topics[0].messages == 101
+
+
+def test_the_next_part_may_find_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = Bench(tmp_path / "a.mcap", split_s=1.0)
+    bench.states(5)
 
     def refuse(*arguments: object, **named: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(recorder._writer, "write", refuse)
-    for stamp_ns in range(3):
-        sender.publish("vehicle/state", VehicleState(stamp_ns=stamp_ns))
-        network.advance(1)
-    recorder.step(bus.receive(0.0), 0)
-    state, reason = recorder.health()
-    assert state is NodeState.DEGRADED
-    assert "No space left on device; 3 messages missed" in reason
-    recorder.close()
+    monkeypatch.setattr("nodes.recorder.RecordingWriter", refuse)
+    bench.states(10)
+    bench.recorder.close()
+    assert bench.recorder.refused
+    assert (bench.recorder.messages, bench.recorder.missed) == (10, 5)
+    assert len(_contents(tmp_path / "a-00001.mcap")) == 10
+
+
+def test_the_machine_and_the_time_are_in_the_metadata(tmp_path: Path) -> None:
+    _record(tmp_path / "a.mcap")
+    metadata = info(tmp_path / "a.mcap").metadata
+    machine = json.loads(metadata["machine"])
+    assert machine["cores"] >= 1
+    assert machine["packages"]["mcap"]
+    assert datetime.fromisoformat(metadata["started_utc"]).tzinfo is not None

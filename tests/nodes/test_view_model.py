@@ -30,7 +30,7 @@ from msgs.vehicle import VehicleState
 from nodes.viewer import view_model
 from nodes.viewer.board import json_text
 from nodes.viewer.node_table import MAX_NODES, SILENT_NS, NodeTable
-from nodes.viewer.view_model import STEP_DB, ellipse, map_json, map_tile, mask_tile, summary_text, view_json
+from nodes.viewer.view_model import MAX_TRACKS, STEP_DB, ellipse, map_json, map_tile, mask_tile, summary_text, view_json
 
 HEADER = struct.Struct("<2sBBIHHhH")
 S = 1_000_000_000
@@ -111,11 +111,48 @@ def test_a_view_is_told_exactly() -> None:
             "ellipse": [2.0, 1.0, 1.5708], "points": 3,
         }
     ]  # fmt: skip
-    assert told["tracks"] == [{"id": 4, "at": [1.0, 2.0], "velocity": [3.0, -1.0], "age_s": 1.2, "appears_s": 2.5}]
+    assert told["tracks"] == [
+        {
+            "id": 4, "at": [1.0, 2.0], "ellipse": [2.0, 2.0, 1.5708], "velocity": [3.0, -1.0],
+            "velocity_ellipse": None, "age_s": 1.2, "appears_s": 2.5, "misses": 0, "trail": [],
+        }
+    ]  # fmt: skip
+    assert told["tracks_total"] == 1
     assert told["truth"]["objects"][0]["at"] == [11.0, 9.3]
     assert told["truth"]["surfaces"][0]["line"] == [20.0, -9.0, 20.0, 9.0]
     assert told["vehicle"] == {"speed_mps": 3.46, "yaw_rate_rps": 0.01, "valid": True, "reason": ""}
     assert told["flags"] == ["incoherent"]
+
+
+def test_of_many_tracks_the_most_pressing_are_told() -> None:
+    """1000 of them, one in three without a time, one without a place, one of old: the rest is counted."""
+    one = frame().tracks[0]
+    replace = msgspec.structs.replace
+    crowd = [
+        replace(one, id=index, x_m=float(index), time_to_appear_s=None if index % 3 else 0.005 * (1000 - index))
+        for index in range(1000)
+    ]
+    crowd[999] = replace(crowd[999], x_m=math.nan)
+    crowd[996] = replace(crowd[996], id=2**62, age_s=1e7)
+    told = view_json(replace(frame(), tracks=tuple(crowd)), None, None)
+    assert told["tracks_total"] == 1000
+    assert len(told["tracks"]) == MAX_TRACKS
+    assert (told["tracks"][0]["id"], told["tracks"][0]["age_s"]) == (2**62, 1e7)
+    times = [one["appears_s"] for one in told["tracks"]]
+    assert times == sorted(times)
+    assert told["summary"] == "no hidden object"
+
+
+def test_a_track_without_sense_in_its_numbers_is_left_out_or_drawn_without() -> None:
+    one = frame().tracks[0]
+    replace = msgspec.structs.replace
+    tracks = (
+        replace(one, velocity_x_mps=math.inf),
+        replace(one, cov_m2=((math.nan, 0.0), (0.0, 1.0)), time_to_appear_s=math.nan),
+    )
+    (told,) = view_json(replace(frame(), tracks=tracks), None, None)["tracks"]
+    assert told["ellipse"] == [0.0, 0.0, 0.0]
+    assert told["appears_s"] is None
 
 
 def test_nothing_known_is_null_not_absent() -> None:

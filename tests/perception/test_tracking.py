@@ -7,8 +7,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.odometry import Odometry, OdometryParams, Placed
-from models.perception.tracking import Estimate, Tracker, TrackerParams, assign, sightings, standing
+from models.perception.odometry import Odometry, OdometryParams, Placed, standing
+from models.perception.tracking import Estimate, Tracker, TrackerParams, assign, sightings
 from msgs.frames import Pose2
 from msgs.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Wall
 from msgs.vehicle import VehicleState, ego_motion
@@ -81,7 +81,7 @@ def test_an_object_is_where_it_was_when_its_beams_were_measured():
 def test_a_parked_object_stands_while_the_radar_drives_a_bend():
     """Seen from a radar mounted ahead of the axle and turned, at 8 m/s and 0.3 rad/s."""
     mounted = Pose2(2.0, 0.5, 0.4)
-    tracker, odometry, parked = Tracker(TrackerParams(vehicle_from_radar=mounted)), Odometry(), np.array([25.0, 12.0])
+    tracker, odometry, parked = Tracker(), Odometry(), np.array([25.0, 12.0])
     told: tuple[Track, ...] = ()
     for scan in range(10):
         for step in range(15):
@@ -91,7 +91,7 @@ def test_a_parked_object_stands_while_the_radar_drives_a_bend():
         assert place is not None
         radar = ego_motion(8.0, 0.3, 0.3 * scan) @ mounted
         x_m, y_m = radar.inverse().apply(parked)
-        told = tracker.step(msgspec.structs.replace(one, objects=(seen(float(x_m), float(y_m)),)), place)
+        told = tracker.step(msgspec.structs.replace(one, objects=(seen(float(x_m), float(y_m)),)), place, mounted)
         if told:
             assert math.dist((told[0].x_m, told[0].y_m), (x_m, y_m)) < 1e-6
     assert math.hypot(told[0].velocity_x_mps, told[0].velocity_y_mps) < 1e-6

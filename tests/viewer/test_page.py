@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import shutil
 import threading
@@ -10,10 +11,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
-from msgs.perception import BevFrame, BevGrid, HiddenObject, Peaks
+from msgs.perception import BevFrame, BevGrid, HiddenObject, Peaks, Track
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.vehicle import VehicleState
 from nodes.live_timing import last_beam_ns
@@ -50,8 +52,9 @@ def open_page(browser: Any) -> Iterator[Open]:
     """Opens the page of a server; any error or refused request on it fails the test."""
     contexts, trouble = [], []
 
-    def open_it(server: ViewerServer, scheme: str = "light") -> Any:
-        context = browser.new_context(viewport={"width": 1440, "height": 900}, color_scheme=scheme)
+    def open_it(server: ViewerServer, scheme: str = "light", motion: str = "no-preference") -> Any:
+        size = {"width": 1440, "height": 900}
+        context = browser.new_context(viewport=size, color_scheme=scheme, reduced_motion=motion)
         contexts.append(context)
         page = context.new_page()
         page.on("console", lambda message: trouble.append(message.text) if message.type == "error" else None)
@@ -165,10 +168,8 @@ def test_the_hidden_car_stands_within_a_metre_of_the_truth(
         assembly.take(message, 0)
     page = open_page(server)
     until(page, "mirrorwave.state.view && mirrorwave.state.view.objects.length === 1 && mirrorwave.state.map")
-    for key in "123467":
-        page.evaluate(
-            f"mirrorwave.setLayer(['mask','walls','los','images','objects','truth','map','grid'][{key} - 1], false)"
-        )
+    for layer in ("mask", "walls", "los", "images", "truth", "map"):
+        page.evaluate(f"mirrorwave.setLayer('{layer}', false)")
     until(page, "true")
     drawn = page.evaluate(FILLED_CENTRE)
     (seen,), (car,) = corner[-1].objects, [one for one in corner[3].objects if one.hidden]
@@ -249,7 +250,8 @@ def test_keys_do_what_they_say(server: ViewerServer, board: Board, open_page: Op
     board_scan(board, 0)
     page = open_page(server)
     until(page, "mirrorwave.state.view")
-    for number, layer in enumerate(("mask", "walls", "los", "images", "objects", "truth", "map", "grid"), 1):
+    layers = ("mask", "walls", "los", "images", "objects", "truth", "map", "grid", "tracks")
+    for number, layer in enumerate(layers, 1):
         before = page.evaluate(f"mirrorwave.state.layers.{layer}")
         page.keyboard.press(str(number))
         assert page.evaluate(f"mirrorwave.state.layers.{layer}") is (not before)
@@ -355,13 +357,14 @@ def test_the_page_says_when_the_graph_has_gone(board: Board, open_page: Open) ->
     page.goto("about:blank")
 
 
-def test_a_recording_is_moved_by_keys_and_slider(tmp_path: Path, open_page: Open) -> None:
+@contextlib.contextmanager
+def played(path: Path) -> Iterator[ViewerServer]:
+    """A recording under the page, as `mirrorwave view` serves it."""
     from mirrorwave.playback import Playback
     from msgs.recording import RecordingReader
-    from tests.mirrorwave.test_view import SCANS, write_recording
 
     board = Board()
-    with RecordingReader(write_recording(tmp_path / "a.mcap")) as reader:
+    with RecordingReader(path) as reader:
         playback = Playback(reader, board)
         ended = threading.Event()
 
@@ -372,23 +375,181 @@ def test_a_recording_is_moved_by_keys_and_slider(tmp_path: Path, open_page: Open
         thread = threading.Thread(target=run)
         thread.start()
         try:
-            with ViewerServer(board, title="a.mcap", commands=playback.commands.put) as server:
-                page = open_page(server)
-                until(page, "mirrorwave.state.timeline")
-                assert page.locator("#timeline").is_visible()
-                for key, scan in ((".", 101), (".", 102), (",", 101)):
-                    page.keyboard.press(key)
-                    until(page, f"mirrorwave.state.view.scan_id === {scan}")
-                page.locator("#seek").fill("9")
-                until(page, "mirrorwave.state.view.scan_id === 109")
-                page.locator("#speed").select_option("4")
-                page.locator("#bev").focus()
-                page.keyboard.press("Space")
-                until(page, f"mirrorwave.state.view.scan_id === {99 + SCANS} && !mirrorwave.state.timeline.playing")
-                page.goto("about:blank")
+            with ViewerServer(board, title=path.name, commands=playback.commands.put) as server:
+                yield server
         finally:
             ended.set()
             thread.join()
+
+
+def test_a_recording_is_moved_by_keys_and_slider(tmp_path: Path, open_page: Open) -> None:
+    from tests.mirrorwave.test_view import SCANS, write_recording
+
+    with played(write_recording(tmp_path / "a.mcap")) as server:
+        page = open_page(server)
+        until(page, "mirrorwave.state.timeline")
+        assert page.locator("#timeline").is_visible()
+        keys = (".", 101), (".", 102), (",", 101), ("End", 99 + SCANS), ("ArrowLeft", 98 + SCANS)
+        for key, scan in (*keys, ("Shift+ArrowLeft", 88 + SCANS), ("Home", 100), ("ArrowRight", 101)):
+            page.keyboard.press(key)
+            until(page, f"mirrorwave.state.view.scan_id === {scan}")
+        page.locator("#seek").fill("9")
+        until(page, "mirrorwave.state.view.scan_id === 109")
+        # the slider that was moved last does not keep the space bar to itself
+        page.locator("#speed").select_option("4")
+        page.locator("#seek").focus()
+        page.keyboard.press("Space")
+        until(page, f"mirrorwave.state.view.scan_id === {99 + SCANS} && !mirrorwave.state.timeline.playing")
+        page.keyboard.press("l")
+        assert page.locator("#loop").get_attribute("aria-pressed") == "true"
+        page.keyboard.press("Space")
+        until(page, "mirrorwave.state.timeline.loop && mirrorwave.state.timeline.playing")
+        page.goto("about:blank")
+
+
+def test_a_recording_shows_where_its_warnings_are(tmp_path: Path, open_page: Open) -> None:
+    """Marks above the slider: seen, hovered, jumped to, dragged over; the slider stays within its limits."""
+    from tests.mirrorwave.test_view import DRIVE_SCANS, REST_SCANS, write_drive
+
+    with played(write_drive(tmp_path / "drive.mcap")) as server:
+        page = open_page(server)
+        until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
+        starts = page.evaluate(
+            "mirrorwave.state.overview.marks.filter((one) => one.level !== 'notice').map((one) => one.from_s)"
+        )
+        page.keyboard.press("n")
+        until(page, "mirrorwave.state.timeline.index > 0")
+        assert page.evaluate("mirrorwave.state.timeline.time_s") == pytest.approx(min(one for one in starts if one > 0))
+        first = page.evaluate("mirrorwave.state.timeline.index")
+        page.keyboard.press("n")
+        until(page, f"mirrorwave.state.timeline.index > {first}")
+        page.keyboard.press("p")
+        until(page, f"mirrorwave.state.timeline.index === {first}")
+        box = page.locator("#strip").bounding_box()
+        page.mouse.move(box["x"] + 0.8 * box["width"], box["y"] + 10)
+        assert "Hidden road user from the left: about to appear" in page.locator("#hover").inner_text()
+        page.mouse.down()
+        page.mouse.move(box["x"] + box["width"] + 50, box["y"] + 10, steps=4)
+        page.mouse.up()
+        until(page, f"mirrorwave.state.view.scan_id === {REST_SCANS + DRIVE_SCANS - 1}")
+        assert "first at" in page.locator("#warning-list").inner_text()
+        page.goto("about:blank")
+
+
+def road_user(identity: int, x_m: float, y_m: float, **changes: Any) -> Track:
+    facts: dict[str, Any] = {
+        "velocity_x_mps": 0.0, "velocity_y_mps": -4.0, "age_s": 3.0, "cov_m2": ((0.3, 0.0), (0.0, 0.2)),
+        "velocity_cov_m2ps2": ((0.5, 0.0), (0.0, 0.5)), "time_to_appear_s": 2.4,
+    }  # fmt: skip
+    return Track(id=identity, x_m=x_m, y_m=y_m, **{**facts, **changes})
+
+
+def board_tracks(board: Board, scan_id: int, *tracks: Track) -> None:
+    """A scan with tracks, of a vehicle at rest."""
+    assembly = board.__dict__.setdefault("assembly", Assembly(board))
+    now_ns = scan_id * 300_000_000
+    assembly.take(VehicleState(stamp_ns=now_ns), now_ns)
+    assembly.take(msgspec.structs.replace(frame(scan_id, visibility=2), tracks=tracks), now_ns)
+
+
+PIXEL = """([x, y]) => {
+  const canvas = document.getElementById('bev');
+  const ratio = canvas.width / canvas.clientWidth;
+  const [px, py] = mirrorwave.toCanvas(x, y);
+  const got = [...canvas.getContext('2d').getImageData(px * ratio, py * ratio, 1, 1).data].slice(0, 3);
+  const wanted = getComputedStyle(document.documentElement).getPropertyValue('--track').trim().slice(1);
+  return got.every((part, k) => Math.abs(part - parseInt(wanted.slice(2 * k, 2 * k + 2), 16)) < 12);
+}"""
+
+
+def test_a_track_stands_at_its_place_with_its_trail_and_its_way(
+    server: ViewerServer, board: Board, open_page: Open
+) -> None:
+    for scan in range(6):
+        one = road_user(3, 25.0, 16.0 - 1.2 * scan, time_to_appear_s=2.4 - 0.3 * scan)
+        # one is far outside the picture, and known for ever
+        board_tracks(board, scan, one, road_user(2**60, 3000.0, -8000.0, age_s=1e6, time_to_appear_s=None))
+    page = open_page(server)
+    until(page, "mirrorwave.state.view && mirrorwave.state.view.tracks.length === 2")
+    page.evaluate("mirrorwave.setLayer('mask', false)")
+    until(page, "true")
+    for place in ((25.0, 10.0), (25.0, 14.8), (25.0, 11.2)):
+        assert page.evaluate(PIXEL, list(place)), place
+    for place in ((25.0, 18.0), (25.0, -10.0), (20.0, 10.0)):
+        assert not page.evaluate(PIXEL, list(place)), place
+    rows = page.locator("#tracks tbody tr")
+    assert rows.count() == 2
+    text = rows.first.inner_text()
+    for part in ("T3", "25.0, 10.0 m", "4.0 ± 1.4 m/s, 14 km/h", "90° right", "in 0.9 s", "3.0 s"):
+        assert part in text
+    assert "16667 min" in rows.nth(1).inner_text()
+
+
+def test_no_track_one_and_a_thousand(server: ViewerServer, board: Board, open_page: Open) -> None:
+    page = open_page(server)
+    board_tracks(board, 0)
+    until(page, "mirrorwave.state.view")
+    assert page.locator("#tracks").inner_text().endswith("none followed")
+    rng = np.random.default_rng(0)
+    places = rng.uniform(-80.0, 80.0, (1000, 2)).tolist()
+    board_tracks(board, 1, *(road_user(index, x, y) for index, (x, y) in enumerate(places)))
+    until(page, "mirrorwave.state.view.tracks_total === 1000")
+    assert page.locator("#tracks tbody tr").last.inner_text().startswith("and 988 more")
+    assert page.locator("#warning-list li").count() <= 12
+
+
+CONTRAST = """() => [...document.querySelectorAll('.warnings li:not(.ended) .title')].map((one) => {
+  const light = (text) => text.match(/[0-9.]+/g).slice(0, 3).map((part) => part / 255)
+    .map((part) => (part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4))
+    .reduce((sum, part, k) => sum + part * [0.2126, 0.7152, 0.0722][k], 0);
+  const style = getComputedStyle(one.closest('li'));
+  const [a, b] = [light(style.color), light(style.backgroundColor)];
+  return (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+})"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_warnings_are_told_by_shape_word_and_place_not_by_colour_alone(
+    server: ViewerServer, board: Board, open_page: Open, scheme: str
+) -> None:
+    page = open_page(server, scheme, motion="reduce")
+    until(page, "document.querySelector('#warning-list .calm')")
+    for scan in range(4):
+        board_tracks(board, scan, road_user(3, 25.0, 16.0, time_to_appear_s=2.4 - 0.3 * scan))
+    state = VehicleState(stamp_ns=0, valid=False, reason="<b>counter</b>")
+    board.__dict__["assembly"].take(state, 900_000_000)
+    board.__dict__["assembly"].post_table(900_000_000)
+    until(page, "mirrorwave.state.warnings.length === 2")
+    items = page.locator("#warning-list li")
+    assert [item.get_attribute("data-level") for item in items.all()] == ["urgent", "caution"]
+    assert [sign.get_attribute("aria-label") for sign in page.locator(".warnings .sign").all()] == ["Urgent", "Caution"]
+    assert len({sign.inner_text() for sign in page.locator(".warnings .sign").all()}) == 2
+    first = items.first.inner_text()
+    assert "Hidden road user from the left: about to appear" in first
+    assert "1.5 s" in first
+    # what a vehicle says is text, never markup
+    assert "<b>counter</b>" in items.nth(1).inner_text()
+    assert min(page.evaluate(CONTRAST)) >= 4.5
+    # from a distance: the title of an urgent warning is more than half as large again as the page's text
+    size = "parseFloat(getComputedStyle(document.querySelector('[data-level=urgent] .title')).fontSize)"
+    assert page.evaluate(size) >= 22
+    # what moves for attention does not where that is not wanted, and nothing sounds unasked
+    assert page.evaluate("getComputedStyle(document.querySelector('#warning-list li')).animationName") == "none"
+    assert page.locator("#sound").get_attribute("aria-pressed") == "false"
+    assert page.locator("#alarm").inner_text().startswith("Hidden road user from the left: about to appear in")
+    page.keyboard.press("s")
+    assert page.locator("#sound").inner_text().endswith("on")
+
+
+def test_warnings_that_nobody_renews_are_called_out_of_date(board: Board, open_page: Open) -> None:
+    server = ViewerServer(board, title="short")
+    board_tracks(board, 0, road_user(3, 25.0, 16.0))
+    page = open_page(server)
+    until(page, "document.querySelector('[data-level=urgent]')")
+    server.close()
+    until(page, "document.getElementById('warning-list').textContent.includes('Warnings are out of date')")
+    assert page.locator("#warning-list li").count() == 1
+    page.goto("about:blank")
 
 
 def test_peaks_are_drawn_only_with_their_scan() -> None:

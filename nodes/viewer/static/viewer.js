@@ -9,6 +9,10 @@ const DYNAMIC_RANGE_DB = 55;
 const LEAST_TOP_DB = 40;
 const STALE_MS = 2000;
 const ANNOUNCE_MS = 4000;
+const WARNINGS_STALE_MS = 3000;
+const LABELLED_TRACKS = 20;
+const LISTED_TRACKS = 12;
+const SLOW_MPS = 0.5;
 const RECONNECT_MS = [500, 1000, 2000, 4000, 8000];
 
 const LAYERS = [
@@ -20,11 +24,12 @@ const LAYERS = [
   { key: "truth", name: "truth", on: true, swatch: drawTruthSwatch },
   { key: "map", name: "radar map beneath", on: false, swatch: drawMapSwatch },
   { key: "grid", name: "grid", on: true, swatch: drawGridSwatch },
+  { key: "tracks", name: "followed", on: true, swatch: drawTrackSwatch, hint: "followed over scans: where it was, where it goes, where it comes into sight" },
 ];
 
 const COLOUR_NAMES = [
   "text", "unknown", "direct", "mirrored", "grid", "axis", "wall", "los", "los-edge", "image", "place", "object", "object-fill",
-  "sigma", "truth", "truth-seen", "surface", "ego", "label", "track",
+  "sigma", "truth", "truth-seen", "surface", "ego", "label", "track", "urgent", "caution", "notice",
 ];
 
 const state = {
@@ -33,6 +38,7 @@ const state = {
   // what is shown, and what came while paused
   view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
   held: { view: null, map: null },
+  warnings: [], warningsAt: null, overview: null, sound: false, loop: false,
   layers: Object.fromEntries(LAYERS.map((layer) => [layer.key, layer.on])),
   form: "cartesian", reach: 50, theme: null,
 };
@@ -92,6 +98,7 @@ function greet(message) {
   ramp = colourRamp(message.colours);
   byId("title").textContent = message.title;
   document.title = `mirrorwave ${message.title}`;
+  Object.assign(state, { overview: null, warnings: [], warningsAt: performance.now() });
   byId("timeline").hidden = !message.recording;
   document.body.toggleAttribute("data-recording", message.recording);
   byId("pause").hidden = message.recording;
@@ -109,6 +116,8 @@ function take({ kinds, got }) {
     else if (message.type === "map") takeMap({ message, tile });
     else if (message.type === "nodes") { state.nodes = message.nodes; state.graph = message.graph; showNodes(); }
     else if (message.type === "timeline") { state.timeline = message; showTimeline(); }
+    else if (message.type === "overview") { state.overview = message; drawStrip(); }
+    else if (message.type === "warnings") { state.warnings = message.warnings; state.warningsAt = performance.now(); showWarnings(); }
   }
 }
 
@@ -151,6 +160,7 @@ function setConnection(connection) {
   state.connection = connection;
   if (connection !== "live") update = null;
   showFigures();
+  showWarnings();
 }
 
 function showView({ message, mask, at }) {
@@ -159,6 +169,7 @@ function showView({ message, mask, at }) {
   byId("flags").textContent = message.flags.map((flag) => flag.replace("_", " ")).join(", ");
   byId("bev").setAttribute("aria-label", `Bird’s-eye view, scan ${message.scan_id}: ${message.summary}`);
   showObjects();
+  showTracks();
   announce(message);
   if (!camera.free) fit(false);
   dirty.bev = true;
@@ -269,6 +280,137 @@ function distanceToTruth([x, y], { at, size, yaw }) {
   return Math.min(outline, Math.hypot(dx, dy));
 }
 
+// --- warnings --------------------------------------------------------------------------------------------------------
+// What is warned of, in which order and since when is the viewer's business (driver_warnings.py); here it is only shown.
+
+const SIGNS = { urgent: "\u25B2", caution: "\u25C6", notice: "\u25CF" };
+const LEVEL_WORDS = { urgent: "Urgent", caution: "Caution", notice: "Notice" };
+const warningItems = new Map();
+let alarmed = new Set();
+
+// Warnings that nobody renews are worth nothing, and neither is their absence.
+function currentWarnings() {
+  const stale = !state.recording && state.warningsAt !== null && performance.now() - state.warningsAt > WARNINGS_STALE_MS;
+  if (state.connection === "live" && !stale) return state.warnings;
+  if (state.warningsAt === null) return [];
+  return [{ key: "page", level: "caution", title: "Warnings are out of date", detail: "the page hears nothing from the graph", left_s: null, age_s: null, tracks: [], ended: false }];
+}
+
+function showWarnings() {
+  const warnings = currentWarnings();
+  const keys = new Set(warnings.map((one) => one.key));
+  for (const key of warningItems.keys()) if (!keys.has(key)) warningItems.delete(key);
+  const items = warnings.map(showWarning);
+  const list = byId("warning-list");
+  if (!items.length) {
+    items.push(Object.assign(document.createElement("li"), { className: "calm", textContent: "No warning" }));
+  }
+  // what stands in its place is left alone, so that it neither flickers nor moves
+  const same = list.children.length === items.length && items.every((item, i) => item === list.children[i]);
+  if (!same) list.replaceChildren(...items);
+  byId("warnings").dataset.level = warnings.length ? warnings[0].level : "none";
+  sayAlarm(warnings);
+  dirty.bev = true;
+}
+
+function showWarning(one) {
+  let item = warningItems.get(one.key);
+  if (!item) {
+    item = document.createElement("li");
+    for (const name of ["sign", "words", "left"]) item.append(Object.assign(document.createElement("span"), { className: name }));
+    item.children[0].setAttribute("role", "img");
+    for (const name of ["title", "detail"]) item.children[1].append(Object.assign(document.createElement("span"), { className: name }));
+    item.classList.add("new");
+    warningItems.set(one.key, item);
+  }
+  item.dataset.level = one.level;
+  item.dataset.key = one.key;
+  item.classList.toggle("ended", one.ended);
+  const [sign, words, left] = item.children;
+  sign.textContent = SIGNS[one.level];
+  sign.setAttribute("aria-label", LEVEL_WORDS[one.level]);
+  words.children[0].textContent = one.title;
+  words.children[1].textContent = `${one.detail}${sinceText(one)}`;
+  item.title = `${one.title}: ${words.children[1].textContent}`;
+  left.textContent = one.left_s === null ? "" : one.left_s > 0 ? `${one.left_s.toFixed(1)} s` : "now";
+  return item;
+}
+
+function sinceText({ age_s: age, ended }) {
+  if (ended) return " · over";
+  if (age === null || age < 0.5) return "";
+  return state.recording && state.timeline ? ` · first at ${Math.max(state.timeline.time_s - age, 0).toFixed(1)} s` : ` · for ${age.toFixed(0)} s`;
+}
+
+// Screen readers hear of each urgent warning once, when it begins; so does whoever wants a tone.
+function sayAlarm(warnings) {
+  const urgent = warnings.filter((one) => one.level === "urgent" && !one.ended);
+  const fresh = urgent.filter((one) => !alarmed.has(one.key));
+  alarmed = new Set(warnings.filter((one) => one.level === "urgent").map((one) => one.key));
+  if (!fresh.length) return;
+  byId("alarm").textContent = `${fresh[0].title}${alarmTime(fresh[0].left_s)}`;
+  if (state.sound) tone();
+}
+
+function alarmTime(left) {
+  if (left === null) return "";
+  return left < 0.5 ? " now" : ` in ${left.toFixed(0)} seconds`;
+}
+
+let audio = null;
+function tone() {
+  audio = audio || new AudioContext();
+  for (const at of [0, 0.18]) {
+    const oscillator = new OscillatorNode(audio, { frequency: 880 });
+    const gain = new GainNode(audio, { gain: 0.15 });
+    oscillator.connect(gain).connect(audio.destination);
+    oscillator.start(audio.currentTime + at);
+    oscillator.stop(audio.currentTime + at + 0.12);
+  }
+}
+
+function toggleSound() {
+  state.sound = !state.sound;
+  byId("sound").setAttribute("aria-pressed", state.sound);
+  byId("sound-state").textContent = state.sound ? "on" : "off";
+  // heard at once: the wish itself lets the browser speak
+  if (state.sound) tone();
+}
+
+// --- tracks ----------------------------------------------------------------------------------------------------------
+
+const speedOf = (track) => Math.hypot(...track.velocity);
+
+function showTracks() {
+  const { tracks, tracks_total: total } = state.view;
+  const rows = tracks.slice(0, LISTED_TRACKS).map((one) => {
+    const soon = one.appears_s !== null;
+    const item = row(
+      cell(`T${one.id}${one.misses ? ` (unseen ${one.misses}x)` : ""}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`),
+      cell(speedText(one)), cell(headingText(one)), cell(soon ? sightText(one) : "–", soon ? "soon" : ""), cell(ageText(one.age_s)),
+    );
+    item.classList.toggle("missed", one.misses > 0);
+    return item;
+  });
+  if (total > rows.length) rows.push(noRow(6, `and ${total - rows.length} more, less pressing`));
+  byId("tracks").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(6, "none followed")]));
+}
+
+const sightText = ({ appears_s: appears }) => (appears > 0 ? `in ${appears.toFixed(1)} s` : "now");
+const ageText = (age) => (age < 120 ? `${age.toFixed(1)} s` : `${Math.round(age / 60)} min`);
+
+function speedText(one) {
+  const speed = speedOf(one);
+  const spread = one.velocity_ellipse ? ` ± ${one.velocity_ellipse[0].toFixed(1)}` : "";
+  return `${speed.toFixed(1)}${spread} m/s, ${(3.6 * speed).toFixed(0)} km/h`;
+}
+
+function headingText(one) {
+  if (speedOf(one) < SLOW_MPS) return "–";
+  const heading = Math.round((Math.atan2(one.velocity[1], one.velocity[0]) * 180) / Math.PI);
+  return heading === 0 ? "0°" : `${Math.abs(heading)}° ${heading > 0 ? "left" : "right"}`;
+}
+
 function showNodes() {
   const rows = [];
   for (const node of state.nodes) {
@@ -306,14 +448,128 @@ function lines(texts) {
 }
 
 function showTimeline() {
-  const { index, count, time_s: time, duration_s: duration, playing, loss } = state.timeline;
+  const { index, count, time_s: time, duration_s: duration, playing, loop, loss } = state.timeline;
   const seek = byId("seek");
   seek.max = count - 1;
-  if (document.activeElement !== seek || playing) seek.value = index;
-  seek.setAttribute("aria-valuetext", `scan ${index + 1} of ${count}`);
+  if (performance.now() - soughtAt > 400) seek.value = index;
+  seek.setAttribute("aria-valuetext", `${time.toFixed(1)} s, scan ${index + 1} of ${count}`);
   byId("clock").textContent = `${time.toFixed(1)} / ${duration.toFixed(1)} s · ${index + 1} of ${count}${loss ? " · incomplete" : ""}`;
   byId("clock").title = loss || "";
+  byId("loop").setAttribute("aria-pressed", playing ? loop : state.loop);
   setLabel("play", "space", playing ? "Pause" : "Play");
+  drawStrip();
+}
+
+// The strip above the slider: three lanes, each scan above its place on the slider.
+const LANES = [["objects", 2, 9], ["road users", 14, 12], ["sight", 29, 11]];
+const STRIP_LEFT = 66;
+const STRIP_RIGHT = 8;
+const MARK_HEIGHT = { urgent: 1, caution: 0.6, notice: 0.25 };
+let soughtAt = -Infinity;
+
+function stripX(index) {
+  const width = byId("strip").clientWidth - STRIP_LEFT - STRIP_RIGHT;
+  return STRIP_LEFT + (width * index) / Math.max(state.overview.times_s.length - 1, 1);
+}
+
+function indexAt(x) {
+  const count = state.overview.times_s.length;
+  const width = byId("strip").clientWidth - STRIP_LEFT - STRIP_RIGHT;
+  return Math.min(Math.max(Math.round(((x - STRIP_LEFT) / Math.max(width, 1)) * (count - 1)), 0), count - 1);
+}
+
+// The first scan at or after a time; the last one where there is none.
+function scanAfter(time) {
+  const at = state.overview.times_s.findIndex((one) => one >= time - 0.005);
+  return at < 0 ? state.overview.times_s.length - 1 : at;
+}
+
+const laneOf = (mark) => (mark.key.startsWith("hidden/") ? 1 : 2);
+
+function drawStrip() {
+  if (!state.overview) return;
+  const c = prepare(byId("strip"));
+  const { seen, marks } = state.overview;
+  const step = Math.max(stripX(1) - stripX(0), 1);
+  c.font = "11px system-ui, sans-serif";
+  c.fillStyle = colours.axis;
+  for (const [name, y, height] of LANES) {
+    c.fillText(name, 0, y + height - 1);
+    c.globalAlpha = 0.25;
+    c.fillRect(STRIP_LEFT, y + height, byId("strip").clientWidth - STRIP_LEFT - STRIP_RIGHT, 1);
+    c.globalAlpha = 1;
+  }
+  c.fillStyle = colours.object;
+  seen.forEach((count, i) => {
+    const height = Math.min(count, 3) * 3;
+    c.fillRect(stripX(i) - step / 2, LANES[0][1] + LANES[0][2] - height, step + 0.5, height);
+  });
+  for (const mark of [...marks].reverse()) {
+    const [, y, full] = LANES[laneOf(mark)];
+    const [from, to] = [stripX(scanAfter(mark.from_s)), stripX(scanAfter(mark.to_s))];
+    const height = full * MARK_HEIGHT[mark.level];
+    c.fillStyle = mark.level === "notice" ? colours.axis : colours[mark.level];
+    c.fillRect(from - 1, y + full - height, Math.max(to - from, 3), height);
+  }
+  if (!state.timeline) return;
+  c.fillStyle = colours.text;
+  c.fillRect(stripX(state.timeline.index) - 1, 0, 2, 40);
+}
+
+function showHover(x) {
+  const index = indexAt(x);
+  const time = state.overview.times_s[index];
+  const here = state.overview.marks.filter((one) => scanAfter(one.from_s) <= index && index <= scanAfter(one.to_s) && one.level !== "notice");
+  byId("hover").textContent = [`${time.toFixed(1)} s`, ...here.slice(0, 2).map((one) => one.title), here.length > 2 ? `${here.length - 2} more` : ""].filter(Boolean).join(" · ");
+  byId("hover").style.left = `${stripX(index)}px`;
+  byId("hover").hidden = false;
+  return index;
+}
+
+function listenToStrip() {
+  const strip = byId("strip");
+  let dragged = null;
+  const seekTo = (x) => {
+    const index = showHover(x);
+    if (index !== dragged) send({ type: "seek", index });
+    dragged = index;
+  };
+  strip.addEventListener("pointerdown", (event) => {
+    if (!state.overview) return;
+    strip.setPointerCapture(event.pointerId);
+    dragged = -1;
+    seekTo(event.offsetX);
+  });
+  for (const part of [strip, byId("seek")]) {
+    part.addEventListener("pointermove", (event) => {
+      if (!state.overview) return;
+      const x = event.clientX - strip.getBoundingClientRect().left;
+      if (part === strip && dragged !== null) seekTo(x);
+      else showHover(x);
+    });
+    part.addEventListener("pointerleave", () => { byId("hover").hidden = true; });
+  }
+  for (const end of ["pointerup", "pointercancel"]) strip.addEventListener(end, () => { dragged = null; });
+}
+
+// To where a warning begins, after or before the shown scan.
+function jump(direction) {
+  if (!state.overview || !state.timeline) return;
+  const starts = state.overview.marks.filter((one) => one.level !== "notice").map((one) => scanAfter(one.from_s));
+  const { index } = state.timeline;
+  const there = direction > 0 ? starts.filter((at) => at > index) : starts.filter((at) => at < index);
+  if (there.length) send({ type: "seek", index: direction > 0 ? Math.min(...there) : Math.max(...there) });
+}
+
+function toggleLoop() {
+  if (!state.timeline) return;
+  state.loop = state.timeline.playing ? !state.timeline.loop : !state.loop;
+  byId("loop").setAttribute("aria-pressed", state.loop);
+  if (state.timeline.playing) play();
+}
+
+function play() {
+  send({ type: "play", speed: Number(byId("speed").value), loop: state.loop });
 }
 
 function setLabel(id, key, text) {
@@ -358,6 +614,7 @@ function limitsOf(view) {
     for (let i = 0; i < view.los.length; i += 2) add(view.los[i], view.los[i + 1]);
     for (const [x, y, ix, iy] of view.points) { add(x, y); add(ix, iy); }
     for (const { ends } of view.walls) { add(ends[0], ends[1]); add(ends[2], ends[3]); }
+    for (const { at } of view.tracks.slice(0, LABELLED_TRACKS)) if (Math.hypot(...at) < 110) add(...at);
     for (const { line } of (view.truth || { surfaces: [] }).surfaces) for (let i = 0; i < line.length; i += 2) add(line[i], line[i + 1]);
   }
   return [Math.min(quantile(xs, 0.98) + 4, 115), quantile(ys, 0.98) + 4, quantile(ys, 0.02) - 4, -4];
@@ -403,7 +660,9 @@ function paintBev(c) {
     if (layers.walls) view.walls.forEach(({ ends }) => stroke(c, ends, colours.wall, 4));
     if (layers.images) drawImages(c, view.points);
     if (layers.los) for (let i = 0; i < view.los.length; i += 2) drawDot(c, ...toCanvas(view.los[i], view.los[i + 1]), 3);
-    if (layers.objects) drawObjects(c, view);
+    const placed = [];
+    if (layers.tracks) drawTracks(c, view, placed);
+    if (layers.objects) drawObjects(c, view, placed);
   }
   drawEgo(c, view && view.vehicle);
   drawScaleBar(c);
@@ -529,37 +788,116 @@ function drawImages(c, points) {
   }
 }
 
-function drawObjects(c, view) {
-  for (const track of view.tracks) {
-    const [x, y] = track.at;
-    stroke(c, [x, y, x + 2 * track.velocity[0], y + 2 * track.velocity[1]], colours.track, 2);
-  }
+function drawObjects(c, view, placed) {
   for (const one of view.objects) {
     box(c, one);
     Object.assign(c, { fillStyle: colours["object-fill"], strokeStyle: colours.object, lineWidth: 2.4 });
     c.fill();
     c.stroke();
-    drawEllipse(c, one);
+    drawEllipse(c, one.at, one.ellipse, colours.sigma);
   }
-  const placed = [];
-  for (const one of view.objects) drawLabel(c, one, placed);
+  for (const one of view.objects) drawLabel(c, one.at, 0.5 * Math.hypot(...one.size), `#${one.id}  ${one.score.toFixed(2)}`, colours.object, placed);
 }
 
-function drawEllipse(c, { at, ellipse: [major, minor, angle] }) {
+function drawTracks(c, view, placed) {
+  const warned = new Set(currentWarnings().filter((one) => one.level === "urgent").flatMap((one) => one.tracks));
+  for (const one of view.tracks) {
+    // what is not seen any more fades
+    c.globalAlpha = Math.max(1 - one.misses / 6, 0.25);
+    drawTrail(c, one);
+    drawWay(c, one);
+    drawEllipse(c, one.at, one.ellipse, colours.track);
+    drawTrackDot(c, one, warned.has(one.id));
+    c.globalAlpha = 1;
+  }
+  for (const one of view.tracks.slice(0, LABELLED_TRACKS)) {
+    const [end, text] = [wayEnd(one), `T${one.id}  ${(3.6 * speedOf(one)).toFixed(0)} km/h`];
+    if (end) drawLabel(c, end, 0.6, sightText(one), colours.track, placed);
+    drawLabel(c, one.at, 1, end || one.appears_s === null ? text : `${text}, in sight ${sightText(one)}`, colours.track, placed);
+  }
+}
+
+// Where it was, over ground: the older the smaller.
+function drawTrail(c, { trail }) {
+  if (trail.length < 4) return;
+  const alpha = c.globalAlpha;
+  c.globalAlpha = 0.5 * alpha;
+  stroke(c, trail, colours.track, 1.5);
+  c.globalAlpha = alpha;
+  c.fillStyle = colours.track;
+  for (let i = 0; i < trail.length - 2; i += 2) {
+    c.beginPath();
+    c.arc(...toCanvas(trail[i], trail[i + 1]), 1 + (2 * i) / trail.length, 0, 2 * Math.PI);
+    c.fill();
+  }
+}
+
+// Where it comes into direct sight if it goes on so; null where it does not, or hardly moves.
+function wayEnd({ at, velocity, appears_s: appears }) {
+  if (appears === null || appears <= 0 || Math.hypot(...velocity) < SLOW_MPS) return null;
+  return [at[0] + appears * velocity[0], at[1] + appears * velocity[1]];
+}
+
+function drawWay(c, one) {
+  const end = wayEnd(one);
+  if (end) {
+    stroke(c, [...one.at, ...end], colours.track, 2, [7, 5]);
+    c.beginPath();
+    c.arc(...toCanvas(...end), 6, 0, 2 * Math.PI);
+    Object.assign(c, { strokeStyle: colours.track, lineWidth: 2.5 });
+    c.stroke();
+  }
+  if (speedOf(one) < SLOW_MPS) return;
+  const tip = [one.at[0] + one.velocity[0], one.at[1] + one.velocity[1]];
+  stroke(c, [...one.at, ...tip], colours.track, 3);
+  const [px, py] = toCanvas(...tip);
+  const [qx, qy] = toCanvas(...one.at);
+  const angle = Math.atan2(py - qy, px - qx);
+  c.beginPath();
+  for (const turn of [0, 2.6, -2.6]) c.lineTo(px + 9 * Math.cos(angle + turn), py + 9 * Math.sin(angle + turn));
+  c.closePath();
+  c.fillStyle = colours.track;
+  c.fill();
+  if (one.velocity_ellipse) drawEllipse(c, tip, one.velocity_ellipse, colours.track, 1, [1, 4]);
+}
+
+// A dot, or at the edge of the picture an arrowhead towards where it would be.
+function drawTrackDot(c, one, warned) {
+  const [x, y] = toCanvas(...one.at);
+  const [px, py] = [Math.min(Math.max(x, 10), bev.clientWidth - 10), Math.min(Math.max(y, 10), bev.clientHeight - 10)];
+  c.fillStyle = colours.track;
+  c.beginPath();
+  if (px === x && py === y) {
+    c.arc(x, y, 5, 0, 2 * Math.PI);
+  } else {
+    const angle = Math.atan2(y - py, x - px);
+    for (const turn of [0, 2.4, -2.4]) c.lineTo(px + 9 * Math.cos(angle + turn), py + 9 * Math.sin(angle + turn));
+  }
+  c.fill();
+  if (!warned) return;
+  for (const [colour, width] of [[colours.label, 6], [colours.urgent, 3]]) {
+    c.beginPath();
+    c.arc(px, py, 13, 0, 2 * Math.PI);
+    Object.assign(c, { strokeStyle: colour, lineWidth: width });
+    c.stroke();
+  }
+}
+
+function drawEllipse(c, at, [major, minor, angle], colour, width = 1.2, dash = [4, 3]) {
   const points = [];
   for (let i = 0; i <= 48; i += 1) {
     const t = (2 * Math.PI * i) / 48;
     const [u, v] = [major * Math.cos(t), minor * Math.sin(t)];
     points.push(at[0] + u * Math.cos(angle) - v * Math.sin(angle), at[1] + u * Math.sin(angle) + v * Math.cos(angle));
   }
-  stroke(c, points, colours.sigma, 1.2, [4, 3]);
+  stroke(c, points, colour, width, dash);
 }
 
-function drawLabel(c, one, placed) {
-  const text = `#${one.id}  ${one.score.toFixed(2)}`;
+function drawLabel(c, at, reach_m, text, colour, placed) {
   const width = c.measureText(text).width + 12;
-  const [px, py] = toCanvas(...one.at);
-  const reach = camera.scale * Math.hypot(...one.size) * 0.5;
+  const [px, py] = toCanvas(...at);
+  if (px < 0 || py < 0 || px > bev.clientWidth || py > bev.clientHeight) return;
+  const reach = camera.scale * reach_m;
   const spots = [[0.7, -0.7], [0.7, 0.7], [-0.7, -0.7], [-0.7, 0.7], [1.6, -1.2]].map(([u, v]) => ({
     x: px + u * reach + (u > 0 ? 8 : -8 - width), y: py + v * reach + (v > 0 ? 4 : -24), width, height: 20,
   }));
@@ -567,7 +905,7 @@ function drawLabel(c, one, placed) {
   placed.push(spot);
   c.beginPath();
   c.roundRect(spot.x, spot.y, spot.width, spot.height, 4);
-  Object.assign(c, { fillStyle: colours.label, strokeStyle: colours.object, lineWidth: 1, textAlign: "left" });
+  Object.assign(c, { fillStyle: colours.label, strokeStyle: colour, lineWidth: 1, textAlign: "left" });
   c.fill();
   c.stroke();
   c.fillStyle = colours.text;
@@ -870,6 +1208,14 @@ function drawMapSwatch(c) {
   c.fillRect(1, 2, 20, 12);
 }
 
+function drawTrackSwatch(c) {
+  plain(c, colours.track, 2, [2, 8, 14, 8]);
+  c.fillStyle = colours.track;
+  c.beginPath();
+  c.arc(15, 8, 4, 0, 2 * Math.PI);
+  c.fill();
+}
+
 function drawGridSwatch(c) {
   for (const at of [4, 9, 14, 19]) plain(c, colours.axis, 0.75, [at, 1, at, 15]);
   for (const at of [3, 8, 13]) plain(c, colours.axis, 0.75, [1, at, 21, at]);
@@ -893,8 +1239,8 @@ function setPaused(paused) {
 
 function togglePlay() {
   if (!state.recording) return setPaused(!state.paused);
-  const playing = state.timeline && state.timeline.playing;
-  send({ type: "play", speed: playing ? 0 : Number(byId("speed").value) });
+  if (state.timeline && state.timeline.playing) return send({ type: "play", speed: 0 });
+  return play();
 }
 
 function stepBy(by) {
@@ -924,6 +1270,7 @@ function setTheme(theme) {
   colours = coloursOf(document.documentElement);
   state.maskImage = null;
   for (const layer of LAYERS) drawSwatch(layer);
+  drawStrip();
   dirty = { bev: true, map: true };
 }
 
@@ -959,6 +1306,7 @@ const ARROWS = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, 1], ArrowRi
 const KEYS = {
   " ": togglePlay, f: () => fit(true), t: toggleTheme, "?": () => byId("help").showModal(),
   r: () => setForm(state.form === "polar" ? "cartesian" : "polar"),
+  n: () => jump(1), p: () => jump(-1), l: toggleLoop, s: toggleSound,
   ",": () => stepBy(-1), ".": () => stepBy(1), "+": () => zoom(1.25), "=": () => zoom(1.25), "-": () => zoom(0.8),
 };
 
@@ -972,12 +1320,16 @@ function onKey(event) {
   if (event.ctrlKey || event.altKey || event.metaKey || byId("help").open) return;
   // space and arrows belong to the control that has the focus
   const control = target instanceof Element && target.closest("button, input, select, a");
-  if (control && (key === " " || key in ARROWS || key === "Enter")) return;
+  if (control && control.id === "seek") {
+    if (key in ARROWS || key === "Home" || key === "End") return;
+  } else if (control && (key === " " || key in ARROWS || key === "Enter")) return;
   if (control && control.tagName === "SELECT") return;
   const layer = LAYERS[Number(key) - 1];
   if (/^[1-9]$/.test(key) && layer) setLayer(layer.key, !state.layers[layer.key]);
   else if (key in KEYS) KEYS[key]();
   else if (key in ARROWS && target === bev) move(...ARROWS[key].map((part) => (part * 60) / camera.scale));
+  else if (key === "ArrowLeft" || key === "ArrowRight") stepBy((key === "ArrowLeft" ? -1 : 1) * (event.shiftKey ? 10 : 1));
+  else if (state.recording && state.timeline && (key === "Home" || key === "End")) send({ type: "seek", index: key === "Home" ? 0 : state.timeline.count - 1 });
   else return;
   event.preventDefault();
 }
@@ -1047,9 +1399,17 @@ function start() {
   byId("play").addEventListener("click", togglePlay);
   byId("back").addEventListener("click", () => stepBy(-1));
   byId("forward").addEventListener("click", () => stepBy(1));
-  byId("seek").addEventListener("input", (event) => send({ type: "seek", index: Number(event.target.value) }));
+  byId("seek").addEventListener("input", (event) => {
+    soughtAt = performance.now();
+    send({ type: "seek", index: Number(event.target.value) });
+  });
+  byId("event-back").addEventListener("click", () => jump(-1));
+  byId("event-forward").addEventListener("click", () => jump(1));
+  byId("loop").addEventListener("click", toggleLoop);
+  byId("sound").addEventListener("click", toggleSound);
+  listenToStrip();
   byId("speed").addEventListener("change", () => {
-    if (state.timeline && state.timeline.playing) send({ type: "play", speed: Number(byId("speed").value) });
+    if (state.timeline && state.timeline.playing) play();
   });
   const sized = new ResizeObserver(() => {
     if (!camera.free && state.view) fit(true);
@@ -1058,7 +1418,9 @@ function start() {
   });
   sized.observe(bev);
   sized.observe(byId("map"));
+  new ResizeObserver(drawStrip).observe(byId("strip"));
   setInterval(showFigures, 200);
+  setInterval(showWarnings, 1000);
   requestAnimationFrame(turn);
   connect();
 }

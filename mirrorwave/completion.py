@@ -1,0 +1,79 @@
+"""What the shell offers on Tab: topics, nodes of a running graph, profiles, launch files, scenes, materials.
+
+Each function gets the word so far and gives what begins with it, from file names and tables alone: no bus is opened.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+import typer
+
+_ROOT = Path(__file__).resolve().parents[1]
+
+
+def complete_topics(incomplete: str) -> list[str]:
+    """Names of topics."""
+    from msgs.topics import TOPICS
+
+    return _beginning(TOPICS, incomplete)
+
+
+def complete_nodes(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Nodes whose sockets stand in the run directory of the domain that was named so far."""
+    from mirrorwave.console import DEFAULT_DOMAIN
+    from msgs.zmq_bus import run_dir
+
+    named = ctx.params.get("domain") or os.environ.get("MIRRORWAVE_DOMAIN", DEFAULT_DOMAIN)
+    try:
+        entries = sorted(run_dir(named).iterdir())
+    except (OSError, ValueError):
+        return []
+    return _beginning((entry.name.partition("@")[2] for entry in entries if "@" in entry.name), incomplete)
+
+
+def complete_profiles(incomplete: str) -> list[str]:
+    """Names of profiles."""
+    from mirrorwave.profiles import profile_names
+
+    return _beginning(profile_names(), incomplete)
+
+
+def complete_launch_files(incomplete: str) -> list[str]:
+    """Launch files of the checkout, as named from here, and YAML files and folders where the word leads."""
+    return _files(incomplete, "launch")
+
+
+def complete_scenes(incomplete: str) -> list[str]:
+    """The same for scenes."""
+    return _files(incomplete, "launch/scenes")
+
+
+def complete_materials(incomplete: str) -> list[str]:
+    """Materials of the table."""
+    from models.physics.materials import wall_names
+
+    return _beginning(wall_names(), incomplete)
+
+
+def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
+    return [name for name in dict.fromkeys(names) if name.startswith(incomplete)]
+
+
+def _files(incomplete: str, folder: str) -> list[str]:
+    here = Path(incomplete or ".")
+    parent = here if incomplete.endswith("/") or not incomplete else here.parent
+    named = (
+        [f"{folder}/{path.name}" for path in sorted((_ROOT / folder).glob("*.yaml"))] if Path(folder).is_dir() else []
+    )
+    try:
+        near = [
+            f"{path}/" if path.is_dir() else str(path)
+            for path in sorted(parent.iterdir())
+            if not path.name.startswith(".") and (path.is_dir() or path.suffix in (".yaml", ".yml"))
+        ]
+    except OSError:
+        near = []
+    return _beginning([*named, *near], incomplete)

@@ -1,0 +1,110 @@
+"""Whether a frame of a message counts: its length, checksum and rolling counter, and what it says.
+
+The one account of it, for the vehicle state (`can_state`) and for the signals of any DBC (`mirrorwave can --signals`).
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import TYPE_CHECKING, NamedTuple, cast
+
+from cantools.database.errors import DecodeError
+
+from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus, counter_step
+from models.vehicle.mapping import MessageRule
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message
+
+#: Payload lengths of CAN FD above those of classic CAN: shorter messages are padded up to one of them.
+_FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
+
+
+class Verdict(StrEnum):
+    """What became of a frame."""
+
+    COUNTED = "counted"
+    #: Sets the counter that the next one is measured against.
+    FIRST = "first of its counter"
+    OUT_OF_RANGE = "out of range"
+    WRONG_CHECKSUM = "wrong checksum"
+    WRONG_COUNTER = "wrong counter"
+    WRONG_LENGTH = "wrong length"
+    UNDECODABLE = "undecodable"
+    LATE = "late"
+    BAD_STAMP = "bad stamp"
+    UNKNOWN_ID = "unknown id"
+    REMOTE_FRAME = "remote frame"
+    ERROR_FRAME = "error frame"
+
+
+class Checked(NamedTuple):
+    """The verdict on a frame, why it does not count, and its signals where they could be decoded."""
+
+    verdict: Verdict
+    why: str = ""
+    values: dict[str, float] | None = None
+
+
+class FrameCheck:
+    """Judges the frames of one message, one after the other.
+
+    Raises `ValueError` naming the field where the rule's signals are not the message's.
+    """
+
+    def __init__(self, message: Message, rule: MessageRule) -> None:
+        self._message, self._rule = message, rule
+        self._lengths = range(message.length, _padded_length(message.length) + 1)
+        self._checksum_byte = 0 if rule.checksum is None else checksum_byte(message, rule.checksum)
+        self._modulus = 0 if rule.counter is None else counter_modulus(message, rule.counter)
+        self._counter: int | None = None
+
+    def forget(self) -> None:
+        """As if no frame had come."""
+        self._counter = None
+
+    def length_fault(self, data: bytes) -> str:
+        """What is wrong with a frame's length; padding up to the next length of CAN FD is not."""
+        if len(data) in self._lengths:
+            return ""
+        return f"wrong length: {len(data)} bytes, expected {self._message.length}"
+
+    def check(self, data: bytes, silent: bool = False) -> Checked:
+        """Judge a frame; after a silence its counter is measured against nothing."""
+        if why := self.length_fault(data):
+            return Checked(Verdict.WRONG_LENGTH, why)
+        data = data[: self._message.length]
+        if why := self._checksum_fault(data):
+            return Checked(Verdict.WRONG_CHECKSUM, why)
+        try:
+            # numbers only: named values are not asked for, and a message of a DBC is no container
+            values = cast("dict[str, float]", self._message.decode(data, decode_choices=False))
+        except DecodeError as error:
+            return Checked(Verdict.UNDECODABLE, f"undecodable: {error}")
+        return Checked(*self._check_counter(values, silent), values)
+
+    def _checksum_fault(self, data: bytes) -> str:
+        rule = self._rule.checksum
+        if rule is None:
+            return ""
+        found, wanted = data[self._checksum_byte], checksum_of(rule, data, self._checksum_byte)
+        return "" if found == wanted else f"wrong checksum: {found:#04x}, expected {wanted:#04x}"
+
+    def _check_counter(self, values: dict[str, float], silent: bool) -> tuple[Verdict, str]:
+        rule = self._rule.counter
+        if rule is None:
+            return Verdict.COUNTED, ""
+        last, self._counter = self._counter, int(values[rule.signal])
+        if last is None or silent:
+            # nothing to measure against: a sender that stands still must not count once for each silence
+            return Verdict.FIRST, "first of its counter"
+        step = counter_step(last, self._counter, self._modulus)
+        if step == 0:
+            return Verdict.WRONG_COUNTER, f"counter stands at {self._counter}"
+        if step > rule.max_step:
+            return Verdict.WRONG_COUNTER, f"counter jumped from {last} to {self._counter}"
+        return Verdict.COUNTED, ""
+
+
+def _padded_length(length: int) -> int:
+    return next((padded for padded in _FD_LENGTHS if padded >= length), length) if length > 8 else length

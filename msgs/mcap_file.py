@@ -1,0 +1,303 @@
+"""Writes MCAP files at the speed of raw beams: each chunk compressed or not, no message copied on its way to the disk.
+
+The `mcap` library's writer has one compression for a whole file and copies each message several times; its records are
+used here, its writer is not. Channels and their schemas are declared in every chunk that holds their messages, so that
+each chunk can be read alone.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import struct
+import zlib
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from io import FileIO
+
+import zstandard
+from mcap.data_stream import RecordBuilder
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    ChunkIndex,
+    DataEnd,
+    Footer,
+    Header,
+    McapRecord,
+    MessageIndex,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+from mcap.writer import MCAP0_MAGIC
+
+CHUNK_BYTES = 1 << 20
+#: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/recording.md).
+RESERVE_BYTES = 16 << 20
+#: What was written is sent to the disk, and its memory given back, while so much more is written.
+CACHED_BYTES = 64 << 20
+_FALLOC_KEEP_SIZE = 1
+#: Most pieces that one system call may write.
+_IOV_MAX = 1024
+_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+#: Fields of a message record behind opcode and length.
+_MESSAGE_FIELDS_BYTES = _MESSAGE_HEAD.size - 9
+_CHUNK_HEAD = struct.Struct("<BQQQQI")
+_FOOTER_HEAD = struct.Struct("<BQQQ")
+
+
+class _Batch:
+    """A chunk in progress."""
+
+    def __init__(self) -> None:
+        self.pieces: list[bytes] = []
+        self.size = 0
+        self.start_ns, self.end_ns = (1 << 64) - 1, 0
+        self.indexes: dict[int, MessageIndex] = {}
+        self.times: set[int] = set()
+
+    def append(self, piece: bytes) -> None:
+        self.pieces.append(piece)
+        self.size += len(piece)
+
+    def note(self, channel_id: int, log_time_ns: int) -> None:
+        """Index the message that is appended next."""
+        self.indexes[channel_id].records.append((log_time_ns, self.size))
+        self.times.add(log_time_ns)
+        self.start_ns, self.end_ns = min(self.start_ns, log_time_ns), max(self.end_ns, log_time_ns)
+
+
+class McapFile:
+    """Appends to a new MCAP file with both checksums and a full index; `file` is unbuffered and stays the caller's.
+
+    A write that the disk refuses raises `OSError` and leaves the file as it was after its last whole chunk; what that
+    chunk in progress held is lost, and the file may still be finished.
+    """
+
+    def __init__(self, file: FileIO, profile: str) -> None:
+        self._file = file
+        self._size = self._data_crc = 0
+        # a small file is not worth the trouble
+        self._reserved = RESERVE_BYTES
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._compressed: dict[int, bool] = {}
+        #: Per channel: its own record and its schema's, as each chunk repeats them.
+        self._declarations: dict[int, bytes] = {}
+        self._batches = {False: _Batch(), True: _Batch()}
+        self._chunks: list[ChunkIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        #: Messages per channel in whole chunks, which the file system has.
+        self.counts: dict[int, int] = defaultdict(int)
+        self._append([MCAP0_MAGIC, _record(Header(profile, profile))])
+
+    @property
+    def size(self) -> int:
+        """Bytes so far, chunks in progress included."""
+        return self._size + sum(batch.size for batch in self._batches.values())
+
+    @property
+    def messages(self) -> int:
+        """Messages in whole chunks."""
+        return sum(self.counts.values())
+
+    def add_metadata(self, name: str, values: dict[str, str]) -> None:
+        """Write a metadata record at once."""
+        record, offset = _record(Metadata(name, values)), self._size
+        self._append([record])
+        self._metadata.append(MetadataIndex(offset=offset, length=len(record), name=name))
+
+    def add_schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Number of a schema, the same for equal ones."""
+        for known in self._schemas.values():
+            if (known.name, known.encoding, known.data) == (name, encoding, data):
+                return known.id
+        number = len(self._schemas) + 1
+        self._schemas[number] = Schema(id=number, name=name, encoding=encoding, data=data)
+        return number
+
+    def add_channel(
+        self, topic: str, encoding: str, schema_id: int, metadata: dict[str, str], *, compressed: bool
+    ) -> int:
+        """Number of a new channel; schema 0 means none. Its messages go into compressed chunks or into plain ones."""
+        number = len(self._channels) + 1
+        channel = Channel(
+            id=number, topic=topic, message_encoding=encoding, schema_id=schema_id, metadata=dict(metadata)
+        )
+        schema = self._schemas.get(schema_id)
+        self._channels[number], self._compressed[number] = channel, compressed
+        self._declarations[number] = (_record(schema) if schema else b"") + _record(channel)
+        return number
+
+    def add_message(self, channel_id: int, sequence: int, log_time_ns: int, publish_time_ns: int, data: bytes) -> None:
+        """Append a message; `data` must not change until its chunk is written."""
+        compressed = self._compressed[channel_id]
+        if log_time_ns in self._batches[not compressed].times:
+            # of equal times, what was written first stands first in the file
+            self._write_batch(not compressed)
+        batch = self._batches[compressed]
+        if channel_id not in batch.indexes:
+            batch.append(self._declarations[channel_id])
+            batch.indexes[channel_id] = MessageIndex(channel_id=channel_id, records=[])
+        batch.note(channel_id, log_time_ns)
+        length = _MESSAGE_FIELDS_BYTES + len(data)
+        batch.append(_MESSAGE_HEAD.pack(Opcode.MESSAGE, length, channel_id, sequence, log_time_ns, publish_time_ns))
+        batch.append(data)
+        if batch.size > CHUNK_BYTES:
+            self._write_batch(compressed)
+
+    def flush(self) -> None:
+        """Write the chunks in progress, one also where the other is refused."""
+        try:
+            self._write_batch(False)
+        finally:
+            self._write_batch(True)
+
+    def finish(self) -> None:
+        """Write the chunks in progress, then the index, which is tried also where a chunk was refused."""
+        try:
+            self.flush()
+        finally:
+            data_end = _record(DataEnd(self._data_crc))
+            self._append([data_end, *self._summary(self._size + len(data_end))])
+            if self._reserved > RESERVE_BYTES:
+                # gives back what was taken ahead
+                os.ftruncate(self._file.fileno(), self._size)
+
+    def _write_batch(self, compressed: bool) -> None:
+        batch, self._batches[compressed] = self._batches[compressed], _Batch()
+        if not batch.indexes:
+            return
+        crc = _crc32(batch.pieces)
+        pieces: Sequence[bytes] = batch.pieces
+        if compressed:
+            pieces = [zstandard.compress(b"".join(batch.pieces))]
+        name = b"zstd" if compressed else b""
+        stored = sum(len(piece) for piece in pieces)
+        tail = struct.pack(f"<I{len(name)}sQ", len(name), name, stored)
+        length = _CHUNK_HEAD.size - 9 + len(tail) + stored
+        head = _CHUNK_HEAD.pack(Opcode.CHUNK, length, batch.start_ns, batch.end_ns, batch.size, crc) + tail
+        indexes = {number: _record(index) for number, index in batch.indexes.items()}
+        offset = self._size
+        self._append([head, *pieces, *indexes.values()])
+        self._note_chunk(batch, name.decode(), stored, offset, 9 + length, indexes)
+
+    def _note_chunk(
+        self, batch: _Batch, compression: str, stored: int, offset: int, length: int, indexes: dict[int, bytes]
+    ) -> None:
+        """Index a chunk of `length` bytes that stands at `offset`, its message indexes behind it."""
+        offsets, at = {}, offset + length
+        for number, record in indexes.items():
+            offsets[number] = at
+            at += len(record)
+            self.counts[number] += len(batch.indexes[number].records)
+        self._chunks.append(
+            ChunkIndex(
+                chunk_start_offset=offset,
+                chunk_length=length,
+                compression=compression,
+                compressed_size=stored,
+                uncompressed_size=batch.size,
+                message_start_time=batch.start_ns,
+                message_end_time=batch.end_ns,
+                message_index_offsets=offsets,
+                message_index_length=at - offset - length,
+            )
+        )
+
+    def _summary(self, start: int) -> list[bytes]:
+        """Summary section that begins at `start`, offsets of its groups, footer and magic."""
+        groups = [
+            (Opcode.SCHEMA, self._schemas.values()),
+            (Opcode.CHANNEL, self._channels.values()),
+            (Opcode.STATISTICS, [self._statistics()]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.METADATA_INDEX, self._metadata),
+        ]
+        summary, offsets = b"", b""
+        for opcode, records in groups:
+            group = b"".join(_record(record) for record in records)
+            if group:
+                offsets += _record(SummaryOffset(opcode, start + len(summary), len(group)))
+            summary += group
+        offset_start = start + len(summary)
+        # the checksum spans the footer's fields before it
+        head = _FOOTER_HEAD.pack(Opcode.FOOTER, 20, start, offset_start)
+        crc = _crc32([summary, offsets, head])
+        return [summary, offsets, _record(Footer(start, offset_start, crc)), MCAP0_MAGIC]
+
+    def _statistics(self) -> Statistics:
+        return Statistics(
+            message_count=self.messages,
+            schema_count=len(self._schemas),
+            channel_count=len(self._channels),
+            attachment_count=0,
+            metadata_count=len(self._metadata),
+            chunk_count=len(self._chunks),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            channel_message_counts=dict(self.counts),
+        )
+
+    def _append(self, pieces: Sequence[bytes]) -> None:
+        """Write all of `pieces` or, where the disk refuses, nothing."""
+        size = sum(len(piece) for piece in pieces)
+        self._reserve(self._size + size)
+        try:
+            _write_all(self._file.fileno(), pieces, self._size)
+        except OSError:
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._file.fileno(), self._size)
+            raise
+        self._data_crc = _crc32(pieces, self._data_crc)
+        self._size += size
+
+    def _reserve(self, end: int) -> None:
+        """Take disk space ahead; where that is refused the write itself says why."""
+        if end > self._reserved:
+            self._reserved = end + RESERVE_BYTES
+            reserve(self._file.fileno(), self._size, self._reserved - self._size)
+
+
+def _record(record: McapRecord) -> bytes:
+    builder = RecordBuilder()
+    record.write(builder)
+    return builder.end()
+
+
+def _crc32(pieces: Iterable[bytes], crc: int = 0) -> int:
+    for piece in pieces:
+        crc = zlib.crc32(piece, crc)
+    return crc
+
+
+def _write_all(descriptor: int, pieces: Iterable[bytes], offset: int) -> None:
+    """Write `pieces` one behind the other from `offset` on, however few bytes each call takes."""
+    views = [memoryview(piece) for piece in pieces if piece]
+    at = 0
+    while at < len(views):
+        written = os.pwritev(descriptor, views[at : at + _IOV_MAX], offset)
+        offset += written
+        while at < len(views) and written >= len(views[at]):
+            written -= len(views[at])
+            at += 1
+        if written:
+            views[at] = views[at][written:]
+
+
+def reserve(descriptor: int, size: int, length: int) -> None:
+    """Have the system make ready for `length` bytes behind the `size` that a file has; never fails.
+
+    The file's size stays, so that a killed recorder leaves no zeros behind. What was written last starts its way to
+    the disk and what has got there leaves memory: the disk works steadily, and a long recording crowds nobody out.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if hasattr(libc, "fallocate"):
+        libc.fallocate(descriptor, _FALLOC_KEEP_SIZE, ctypes.c_int64(size), ctypes.c_int64(length))
+    with contextlib.suppress(OSError):
+        start = max(0, size - CACHED_BYTES)
+        os.posix_fadvise(descriptor, start, size - start, os.POSIX_FADV_DONTNEED)

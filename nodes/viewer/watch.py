@@ -1,0 +1,81 @@
+"""What follows from many messages rather than one: trails, warnings, node table, how late views come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from msgs.diagnostics import NodeStatus
+from msgs.perception import BevFrame, Peaks
+from msgs.radar import RadarSetup, RangeAzimuthMap
+from msgs.vehicle import VehicleState
+from nodes.live_timing import ViewWatch, views_text
+from nodes.viewer.driver_warnings import DriverWarning, Facts, NodeFact, Warner, WarningParams
+from nodes.viewer.node_table import NodeTable
+from nodes.viewer.trails import Past, Trails
+
+#: What it takes in; of maps only the time counts.
+TOPICS_WATCHED = (
+    "perception/hidden_objects",
+    "perception/peaks",
+    "radar/ra_map",
+    "vehicle/state",
+    "diagnostics/node",
+    "radar/setup",
+)
+
+
+class Watch:
+    """Takes messages in order of arrival; belongs to one thread. `start_ns`: when it began to listen."""
+
+    def __init__(self, start_ns: int, params: WarningParams | None = None) -> None:
+        self._trails = Trails()
+        self._views = ViewWatch(start_ns)
+        self._nodes = NodeTable()
+        self._warner = Warner(params)
+        self._facts = Facts(start_ns, start_ns)
+        #: Whether the newest view came after its deadline.
+        self.is_late = False
+
+    def take(self, message: msgspec.Struct, now_ns: int) -> None:
+        """Take in one message; of topics that say nothing here, nothing."""
+        match message:
+            case BevFrame():
+                self._trails.add_view(message, self._facts.vehicle_from_radar)
+                self.is_late = self._views.add(message.scan_id, message.stamp_ns, now_ns)
+                self._facts = self._facts._replace(frame=message, frame_at_ns=now_ns)
+            case Peaks():
+                # how the radar is mounted is told with the peaks of each scan
+                self._facts = self._facts._replace(vehicle_from_radar=message.vehicle_from_radar)
+            case RangeAzimuthMap():
+                self._facts = self._facts._replace(map_at_ns=now_ns)
+            case VehicleState():
+                self._trails.add_state(message)
+                self._facts = self._facts._replace(vehicle=message, vehicle_at_ns=now_ns)
+            case NodeStatus():
+                self._nodes.add(message, now_ns)
+            case RadarSetup():
+                self._views.set_up(message)
+
+    @property
+    def past(self) -> tuple[Past, ...]:
+        """The scans that trails are drawn from, the newest last."""
+        return self._trails.past
+
+    def warnings(self, now_ns: int) -> tuple[DriverWarning, ...]:
+        """The warnings at a time, the most urgent first; to be asked often enough for times to be true."""
+        views = self._views.figures(now_ns)
+        nodes = _node_facts(self._nodes.rows(now_ns))
+        return self._warner.step(self._facts._replace(now_ns=now_ns, views=views, nodes=nodes))
+
+    def table(self, now_ns: int) -> dict[str, Any]:
+        """The node table as the page is told it."""
+        views = self._views.figures(now_ns)
+        graph = {"text": views_text(views), "well": views.misses == views.overdue == 0}
+        return {"type": "nodes", "graph": graph, "nodes": self._nodes.rows(now_ns)}
+
+
+def _node_facts(rows: Sequence[dict[str, Any]]) -> tuple[NodeFact, ...]:
+    return tuple(NodeFact(row["node"], row["state"], row["reason"], row["lost_lately"]) for row in rows)

@@ -1,0 +1,143 @@
+"""A radar on a vehicle that drives as told: beams of still scenes from any path and mounting, and what its bus says.
+
+Unlike `sim_player.player`, whose radar moves at constant speed and yaw rate along its own x axis, the vehicle's speed
+and yaw rate change over time and the radar sits somewhere on it, turned. Each beam is traced from its own place.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import msgspec
+import numpy as np
+
+from msgs.frames import Pose2, wrap_angle
+from msgs.radar import RadarBeam, RadarSetup
+from msgs.units import ns_from_s, s_from_ns
+from msgs.vehicle import VehicleState
+from sim_player.as_paths import as_paths
+from sim_player.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
+from sim_player.paths import Paths
+from sim_player.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
+from sim_player.scene import Scene
+from sim_player.signal_levels import record_beam
+from sim_player.world import snapshot, wall_lines
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Speed and yaw rate of the vehicle at times from 0 on, each [N]; straight lines between them."""
+
+    time_s: np.ndarray
+    speed_mps: np.ndarray
+    yaw_rate_rps: np.ndarray
+
+    def pose(self, time_s: float) -> Pose2:
+        """`start_from_vehicle` at a time: integrated in steps of a millisecond at most."""
+        steps = max(int(abs(time_s) / 1e-3), 1)
+        at_s = (np.arange(steps) + 0.5) * time_s / steps
+        step_s = time_s / steps
+        turned_rad = self.yaw_rate_at(at_s) * step_s
+        heading_rad = np.cumsum(turned_rad) - 0.5 * turned_rad
+        way_m = self.speed_at(at_s) * step_s
+        x_m, y_m = float(way_m @ np.cos(heading_rad)), float(way_m @ np.sin(heading_rad))
+        return Pose2(x_m, y_m, wrap_angle(float(turned_rad.sum())))
+
+    def speed_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Speed at times; held before the first and after the last."""
+        return np.interp(time_s, self.time_s, self.speed_mps)
+
+    def yaw_rate_at(self, time_s: np.ndarray) -> np.ndarray:
+        """The same of the yaw rate."""
+        return np.interp(time_s, self.time_s, self.yaw_rate_rps)
+
+
+class DrivePlayer:
+    """Beams of a scene, given in the vehicle's frame at the start, along a drive; same seed, same bytes.
+
+    Stamps count from `start_ns`. Raises ValueError for a scene in which anything but the vehicle moves.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        drive: Drive,
+        vehicle_from_radar: Pose2,
+        seed: int = 0,
+        start_ns: int = 0,
+        chirps_per_beam: int | None = None,
+    ) -> None:
+        if scene.moves:
+            raise ValueError(f"scene {scene.name!r} must stand still: the drive says how the vehicle moves")
+        setup = scene.setup
+        if chirps_per_beam is not None:
+            radar = msgspec.structs.replace(setup.radar, chirps_per_beam=chirps_per_beam)
+            setup = msgspec.structs.replace(setup, radar=radar)
+        self.setup: RadarSetup = msgspec.structs.replace(setup, stamp_ns=start_ns)
+        self.drive, self.vehicle_from_radar = drive, vehicle_from_radar
+        self._seed, self._start_ns = seed, start_ns
+        self._world = prepare(scene, seed, setup)
+        self._bank = noise_bank(setup.radar, seed)
+
+    def stamp_ns(self, scan: int, beam: int = 0) -> int:
+        """When a beam starts."""
+        period_ns = ns_from_s(self.setup.radar.scan_period_s)
+        return self._start_ns + scan * period_ns + beam * self.setup.beam_interval_ns
+
+    def beam(self, scan: int, index: int) -> RadarBeam:
+        """One steering angle's raw samples from the place and at the speed the radar has there."""
+        stamp_ns, setup = self.stamp_ns(scan, index), self.setup
+        # slow time counts from the middle of the beam
+        middle_s = 0.5 * (setup.radar.beam_duration_s - setup.radar.chirp_period_s)
+        paths = self._paths(s_from_ns(stamp_ns - self._start_ns) + middle_s)
+        carrier, basis, share = slow_time_terms(setup.radar, paths.radial_speed_mps)
+        beats = chirp_beats(setup.radar, paths.length_m, share * beam_weights(setup, paths, slice(index, index + 1)))
+        return RadarBeam(
+            stamp_ns=stamp_ns,
+            scan_id=scan,
+            beam_index=index,
+            beam_count=len(setup.beams),
+            azimuth_rad=float(setup.beams.azimuth_rad[index]),
+            samples=record_beam(setup, (beats, carrier, basis), self._bank, [self._seed, 5, scan, index]),
+            full_scale_dbm=setup.full_scale_dbm,
+        )
+
+    def states(
+        self, duration_s: float, period_s: float = 0.02, noise: tuple[float, float] = (0.0, 0.0), late_s: float = 0.0
+    ) -> list[VehicleState]:
+        """What the bus says of `duration_s`, stamped `late_s` after it was so; noise of speed [m/s], yaw rate [rad/s].
+
+        It begins and ends two seconds outside, so that shifted stamps still cover the scans.
+        """
+        rng = np.random.default_rng([self._seed, 21])
+        time_s = np.arange(-2.0, duration_s + 2.0, period_s)
+        speed_mps = self.drive.speed_at(time_s) + noise[0] * rng.standard_normal(len(time_s))
+        yaw_rate_rps = self.drive.yaw_rate_at(time_s) + noise[1] * rng.standard_normal(len(time_s))
+        stamps_ns = [self._start_ns + ns_from_s(float(at_s) + late_s) for at_s in time_s]
+        return [
+            VehicleState(stamp_ns=stamp_ns, speed_mps=float(speed), yaw_rate_rps=float(yaw_rate))
+            for stamp_ns, speed, yaw_rate in zip(stamps_ns, speed_mps, yaw_rate_rps, strict=True)
+        ]
+
+    def _paths(self, time_s: float) -> Paths:
+        """Direct echoes and single mirrors from where the radar is at a time."""
+        start_from_radar = self.drive.pose(time_s) @ self.vehicle_from_radar
+        view = snapshot(self._world)
+        origin = np.array([start_from_radar.x_m, start_from_radar.y_m])
+        normal, offset = wall_lines(self._world, origin)
+        view = replace(
+            view,
+            pose=start_from_radar,
+            antenna=np.append(origin, view.antenna[2]),
+            radar_velocity=self._velocity(time_s),
+            normal=normal,
+            offset=offset,
+        )
+        return as_paths(view, trace_echoes(view, BASIC_EFFECTS), BASIC_EFFECTS)
+
+    def _velocity(self, time_s: float) -> np.ndarray:
+        """The radar's velocity in the scene's frame, [2]: that of the vehicle and the turn about it."""
+        lever, at = self.vehicle_from_radar, np.array(time_s)
+        speed, yaw_rate = float(self.drive.speed_at(at)), float(self.drive.yaw_rate_at(at))
+        in_vehicle = np.array([speed - yaw_rate * lever.y_m, yaw_rate * lever.x_m])
+        return self.drive.pose(time_s).rotate(in_vehicle)

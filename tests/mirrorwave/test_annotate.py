@@ -1,0 +1,216 @@
+"""`mirrorwave annotate` and `sim lidar` from end to end, and what they refuse."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import yaml
+
+from mirrorwave.annotate_clouds import read_cloud
+from mirrorwave.annotate_manifest import Pose, load_manifest
+from mirrorwave.cli import main
+from models.perception.registration import pose_error
+from models.training.frames import DataSet
+
+SCENE = "launch/scenes/facade_across_lane.yaml"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Clouds and a capture of one scene."""
+    folder = tmp_path_factory.mktemp("annotate")
+    lidar = ["sim", "lidar", SCENE, "--out", str(folder / "lidar"), "--channels", "48", "--azimuths", "480"]
+    assert main(lidar) == 0
+    assert main(["sim", "run", SCENE, "--out", str(folder / "scan.mcap"), "--chirps-per-beam", "2"]) == 0
+    return folder
+
+
+def run(made: Path, out: Path, *more: str) -> int:
+    return main(
+        ["annotate", str(made / "lidar/scene.yaml"), "--radar", str(made / "scan.mcap"), "--out", str(out), *more]
+    )
+
+
+def changed(made: Path, file: str, fields: dict[str, object]) -> Path:
+    """The manifest with other fields, beside the first."""
+    content = yaml.safe_load((made / "lidar/scene.yaml").read_text()) | fields
+    path = made / "lidar" / file
+    path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def test_annotation_returns_the_truth_it_was_made_from(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Poses to 3 cm and 0.2 deg; images (of sides of a car at x 10.1..11.9 in the facade x = 22) to 5 cm; the import
+    takes the frame; the picture is there; equal input gives equal bytes; an existing frame is left alone."""
+    capsys.readouterr()
+    assert run(made, tmp_path / "truth", "--json", "--plot", str(tmp_path / "a.png")) == 0
+    report = json.loads(capsys.readouterr().out)
+    truth = json.loads((made / "lidar/truth.json").read_text())
+    for cloud, true in zip(report["clouds"], truth, strict=True):
+        poses = [msgspec.convert(one["radar_from_lidar"], Pose).transform() for one in (true, cloud)]
+        away_m, turned_rad = pose_error(*poses)
+        assert away_m < 0.03
+        assert np.degrees(turned_rad) < 0.2
+    labelled = tmp_path / "truth/facade_across_lane/frame_000/labeled_points"
+    image, place, wall = (np.load(labelled / f"{name}.npy") for name in ("mirrored_nlos", "nlos", "wall"))
+    assert len(image) == len(place) == report["points"]["mirrored"] > 10
+    assert image[:, 1] == pytest.approx(44.0 - place[:, 1], abs=0.05)
+    assert image[:, 0] == pytest.approx(place[:, 0], abs=0.05)
+    off_m = np.min(np.abs(wall[:, 1:] - 22.0), axis=1)
+    assert np.count_nonzero(off_m < 0.1) > 40
+    assert (tmp_path / "a.png").stat().st_size > 10_000
+    assert (
+        main(["import", "xradarnlos", str(tmp_path / "truth"), "--kind", "real", "--out", str(tmp_path / "data")]) == 0
+    )
+    assert len(DataSet(tmp_path / "data").frame(0).labels.range_m) == report["points"]["los"] + len(image)
+    capsys.readouterr()
+    assert run(made, tmp_path / "truth") == 2
+    assert "exists already" in capsys.readouterr().err
+    assert run(made, tmp_path / "again") == 0
+    files = sorted(path.relative_to(tmp_path / "again") for path in (tmp_path / "again").rglob("*") if path.is_file())
+    assert len(files) == 7
+    assert all((tmp_path / "again" / one).read_bytes() == (tmp_path / "truth" / one).read_bytes() for one in files)
+
+
+def test_a_cloud_that_cannot_be_registered_is_refused_or_left_out(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A first pose 90 m away: no overlap. Refused with one line, and nothing is written; or left out, exit code 3."""
+    content = yaml.safe_load((made / "lidar/scene.yaml").read_text())
+    content["clouds"][2]["radar_from_lidar"]["x_m"] = 90.0
+    scene = changed(made, "far.yaml", content)
+    more = ["--radar", str(made / "scan.mcap"), "--out", str(tmp_path / "truth")]
+    assert main(["annotate", str(scene), *more]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "clouds[2].file view_2.ply: overlap must be at least 0.3" in error
+    assert not list(tmp_path.rglob("*.npy"))
+    assert main(["annotate", str(scene), *more, "--skip-refused", "--json"]) == 3
+    assert list(json.loads(capsys.readouterr().out)["refused"]) == ["clouds[2]"]
+
+
+@pytest.mark.parametrize(
+    ("fields", "said"),
+    [
+        ({"radar_height_m": -1.0}, "radar_height_m must be in 0..100, got -1.0"),
+        ({"clouds": []}, "clouds must hold at least one cloud"),
+        ({"clouds": [{"file": "view_0.ply"}]}, "clouds: one must have calibrated: true"),
+        ({"slice": {"thickness_m": 0.0}}, "slice.thickness_m"),
+        ({"walls": {"min_lenght_m": 1.0}}, "min_lenght_m"),
+        ({"name": "../up"}, "name must be usable as a folder's name"),
+        ({"walls": {"given_m": [[[0.0, float("nan")], [1.0, 1.0]]]}}, "given_m"),
+        ({"seed": "many"}, "seed"),
+    ],
+)
+def test_a_manifest_that_does_not_fit_is_refused(
+    made: Path, fields: dict[str, object], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = changed(made, "wrong.yaml", fields)
+    assert main(["annotate", str(path), "--radar", str(made / "scan.mcap"), "--out", str(made / "none")]) == 2
+    error = capsys.readouterr().err
+    assert "wrong.yaml" in error
+    assert said in error
+    assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("text", ["", "[1, 2]", "name: [", "\x00"])
+def test_what_is_no_manifest_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "scene.yaml").write_text(text)
+    with pytest.raises(ValueError, match=r"scene\.yaml"):
+        load_manifest(tmp_path / "scene.yaml")
+
+
+def test_a_capture_that_is_missing_or_empty_is_refused(
+    made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out = str(made / "lidar/scene.yaml"), str(tmp_path / "out")
+    (tmp_path / "empty.mcap").write_bytes(b"")
+    for more, said in (
+        ([], "radar: must name a capture"),
+        (["--radar", str(tmp_path / "no.mcap")], "no.mcap: no such capture"),
+        (["--radar", str(tmp_path / "empty.mcap")], "empty.mcap"),
+        (["--radar", str(made / "scan.mcap"), "--frame", "../x"], "--frame"),
+    ):
+        assert main(["annotate", scene, "--out", out, *more]) == 2
+        assert said in capsys.readouterr().err
+
+
+def street() -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return rng.uniform([-20.0, -20.0, 0.0], [20.0, 20.0, 3.0], (2000, 3))
+
+
+def test_clouds_of_all_formats_are_read(tmp_path: Path) -> None:
+    """PLY, PCD and XYZ through the library, NPY as it is, millimetres as metres; what is not finite is left out."""
+    from models.perception.registration import import_open3d
+
+    o3d = import_open3d()
+    points = street()
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
+    for suffix in ("ply", "pcd", "xyz"):
+        o3d.io.write_point_cloud(str(tmp_path / f"a.{suffix}"), cloud)
+        assert read_cloud(tmp_path / f"a.{suffix}")[0] == pytest.approx(points, abs=1e-5)
+    np.save(tmp_path / "a.npy", np.concatenate([1e3 * points, [[np.nan, 0.0, 0.0], [0.0, np.inf, 0.0]]]))
+    read, dropped = read_cloud(tmp_path / "a.npy", "mm")
+    assert dropped == 2
+    assert read == pytest.approx(points)
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd"])
+@pytest.mark.parametrize("as_text", [False, True])
+def test_a_cloud_that_is_cut_off_is_refused(tmp_path: Path, suffix: str, as_text: bool) -> None:
+    """open3d fills what is missing with chance numbers: no cut in the points or the header may come through."""
+    from models.perception.registration import import_open3d
+
+    o3d = import_open3d()
+    path = tmp_path / f"a.{suffix}"
+    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(street()))
+    o3d.io.write_point_cloud(str(path), cloud, write_ascii=as_text)
+    whole = path.read_bytes()
+    assert len(read_cloud(path)[0]) == 2000
+    for share in (0.0, 0.001, 0.3, 0.9, 0.995):
+        path.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(ValueError, match=f"a.{suffix}"):
+            read_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.npy", 1e3 * street(), "extent must be 2..1000 m, got .* with unit m: is it mm"),
+        ("a.npy", 1e-3 * street(), "is it mm"),
+        ("a.npy", np.full((9, 3), np.nan), "must be finite, none of 9 is"),
+        ("a.npy", np.zeros((0, 3)), "shape"),
+        ("a.npy", np.zeros((4, 2)), "shape"),
+        ("a.npy", np.array([["a", "b", "c"]]), "numbers of shape"),
+        ("a.npy", b"\x93NUMPY\x01", "readable numpy array"),
+        ("a.ply", b"", "shape"),
+        (
+            "a.ply",
+            b"ply\nformat binary_little_endian 1.0\nelement vertex 99\nproperty float x\nend_header\n",
+            "99 points.*cut off",
+        ),
+        ("a.pcd", b"not a cloud", "shape"),
+        ("a.las", b"LASF", "format must be one of"),
+    ],
+)
+def test_a_cloud_that_does_not_fit_is_refused(tmp_path: Path, name: str, content: object, said: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(content) if isinstance(content, bytes) else np.save(path, content)
+    with pytest.raises(ValueError, match=f"{name}.*{said}"):
+        read_cloud(path)
+
+
+def test_sim_lidar_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "a").write_text("")
+    assert main(["sim", "lidar", SCENE, "--out", str(tmp_path / "full")]) == 2
+    assert "must be empty or new" in capsys.readouterr().err
+    assert main(["sim", "lidar", SCENE, "--out", str(tmp_path / "new"), "--viewpoint", "1;2"]) == 2
+    assert "--viewpoint must be X,Y" in capsys.readouterr().err

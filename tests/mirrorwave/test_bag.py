@@ -1,0 +1,196 @@
+"""`bag record|info|snapshot|recover` and `launch --record`: on a live graph, with processes of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from mirrorwave.cli import main
+from msgs.recording import Losses, RecordingReader, RecordingWriter, TopicLoss, info
+from msgs.vehicle import VehicleState
+from msgs.zmq_bus import ZmqBus
+from nodes.launch_file import launch_from_mapping, parse_yaml
+
+TICKING = """
+name: ticking
+nodes:
+  tick:
+    module: tests.graph.toy_nodes
+    params: {kind: tick, period_s: 0.01}
+"""
+
+
+@pytest.fixture
+def meeting_place(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A directory of its own for a graph's sockets, its name short enough for them."""
+    with tempfile.TemporaryDirectory(prefix="mw-") as name:
+        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", name)
+        monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
+        yield Path(name) / "t"
+
+
+@contextmanager
+def running(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    """A verb in a process of its own, asked to end afterwards."""
+    command = [sys.executable, "-m", "mirrorwave", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(30.0)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+def wait_for(what: object, limit_s: float = 40.0) -> None:
+    """Until `what()` is true."""
+    deadline_s = time.monotonic() + limit_s
+    while not what():  # type: ignore[operator]
+        assert time.monotonic() < deadline_s, "waited in vain"
+        time.sleep(0.05)
+
+
+def state(path: Path, losses: Losses) -> Path:
+    with RecordingWriter(path, {"command": "mirrorwave launch x.yaml", "machine": "nonsense"}) as writer:
+        writer.write("vehicle/state", VehicleState(stamp_ns=0), publisher="car", sequence=0, sent_ns=0)
+        writer.write_losses(losses)
+    return path
+
+
+def test_a_running_graph_is_recorded_in_parts_with_its_launch_file(
+    meeting_place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What the supervisor runs, overrides included, is in the metadata, without what it is recorded with."""
+    launch = tmp_path / "ticking.yaml"
+    launch.write_text(TICKING)
+    out = tmp_path / "out.mcap"
+    with running("launch", str(launch), "-p", "tick.period_s=0.02", "--runs-dir", str(tmp_path / "runs")):
+        wait_for(lambda: list(meeting_place.glob("vehicle.state@tick")))
+        options = ["--topics", "vehicle/state", "--duration", "1.5", "--split-duration", "0.5", "--max-parts", "2"]
+        assert main(["bag", "record", str(out), *options]) in (0, 3)
+    parts = sorted(tmp_path.glob("out*.mcap"))
+    assert [part.name for part in parts] == ["out-00002.mcap", "out-00003.mcap"]
+    for part in parts:
+        found = info(part)
+        assert (found.complete, found.checksums_agree) == (True, True)
+        assert found.duration_s <= 0.5
+        assert found.metadata["part"] == part.stem[-1]
+    capsys.readouterr()
+    assert main(["bag", "info", str(parts[0]), "--config"]) in (0, 3)
+    config = launch_from_mapping(parse_yaml(capsys.readouterr().out, "config"), "config")
+    assert config.nodes["tick"].params == {"kind": "tick", "period_s": 0.02}
+    assert main(["bag", "record", str(out), "--split-size", "1"]) == 2
+    assert "out-00002.mcap: exists already" in capsys.readouterr().err
+
+
+def test_a_snapshot_of_a_launched_recorder(
+    meeting_place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The command and the bare signal each write the last seconds, a file a trigger, while the graph runs on."""
+    launch = tmp_path / "ticking.yaml"
+    launch.write_text(TICKING)
+    arguments = ["--record", str(tmp_path / "s.mcap"), "--snapshot", "0.5", "--runs-dir", str(tmp_path / "runs")]
+    with running("launch", str(launch), *arguments) as graph:
+        wait_for(lambda: list(meeting_place.glob("vehicle.state@tick")) and list(meeting_place.glob("snapshot-*.json")))
+        time.sleep(1.0)
+        assert main(["bag", "snapshot", "--json", "--timeout", "30"]) in (0, 3)
+        (answer,) = json.loads(capsys.readouterr().out)
+        assert (Path(answer["path"]).name, answer["error"]) == ("s-00001.mcap", "")
+        (door,) = meeting_place.glob("snapshot-*.json")
+        os.kill(json.loads(door.read_bytes())["pid"], signal.SIGUSR1)
+        wait_for(lambda: json.loads(door.read_bytes() or b"{}").get("answers") == 2)
+        assert graph.poll() is None
+    assert main(["bag", "snapshot"]) == 2
+    assert "no recorder with --snapshot runs here" in capsys.readouterr().err
+    for name in ("s-00001.mcap", "s-00002.mcap"):
+        found = info(tmp_path / name)
+        assert (found.complete, found.checksums_agree) == (True, True)
+        assert 0.0 < found.duration_s <= 0.6
+        assert "tests.graph.toy_nodes" in found.metadata["launch"]
+        assert "vehicle/state" in {topic.topic for topic in found.topics}
+
+
+def test_a_recording_without_room_ends_with_3(
+    meeting_place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--min-free` above what any disk has: an empty and complete file, one line that says why."""
+    bus = ZmqBus("car", meeting_place)
+    bus.advertise("vehicle/state")
+    with running("bag", "record", str(tmp_path / "a.mcap"), "--min-free", "1e10") as recorder:
+        while recorder.poll() is None:
+            bus.publish("vehicle/state", VehicleState(stamp_ns=0))
+            time.sleep(0.02)
+        assert recorder.stdout is not None
+        said = recorder.stdout.read()
+    bus.close()
+    assert recorder.returncode == 3
+    assert "10000000000 MB are to stay free" in said
+    with RecordingReader(tmp_path / "a.mcap") as reader:
+        assert reader.complete
+        assert reader.losses is not None
+        assert reader.losses.ended is not None
+    assert main(["bag", "info", str(tmp_path / "a.mcap")]) == 3
+    assert "ended early: " in capsys.readouterr().out
+
+
+def test_info_tells_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    whole = state(tmp_path / "whole.mcap", Losses())
+    assert main(["bag", "info", str(whole)]) == 0
+    assert "missing messages: none" in capsys.readouterr().out
+    lossy = state(tmp_path / "lossy.mcap", Losses(topics=(TopicLoss(topic="radar/beam", lost=7),)))
+    assert main(["bag", "info", str(lossy)]) == 3
+    said = capsys.readouterr().out
+    assert "missing messages: 7" in said
+    assert "command: mirrorwave launch x.yaml" in said
+    assert main(["bag", "info", str(lossy), "--json"]) == 3
+    assert json.loads(capsys.readouterr().out)["losses"]["topics"][0]["lost"] == 7
+    assert main(["bag", "info", str(whole), "--config"]) == 2
+    assert "holds no launch file" in capsys.readouterr().err
+
+
+def test_recover_has_the_exit_codes_of_mcap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """0 all, 3 some, 1 nothing; a file that is no recording is bad input, 2."""
+    whole = state(tmp_path / "whole.mcap", Losses())
+    assert main(["bag", "recover", str(whole), str(tmp_path / "a.mcap")]) == 0
+    raw = whole.read_bytes()
+    for name, content, code in (("some", raw[:-30], 3), ("nothing", raw[:400], 1), ("none", raw[1:], 2)):
+        (tmp_path / f"{name}.mcap").write_bytes(content)
+        assert main(["bag", "recover", str(tmp_path / f"{name}.mcap"), str(tmp_path / f"{name}-out.mcap")]) == code
+    assert info(tmp_path / "some-out.mcap").loss is None
+    assert not (tmp_path / "none-out.mcap").exists()
+
+
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        (["--split-size", "-1"], "--split-size must be a number of MB from 0"),
+        (["--split-size", "nan"], "--split-size must be a number of MB from 0"),
+        (["--split-duration", "0"], "split_s must be above zero"),
+        (["--max-parts", "2"], "max_parts needs split_bytes or split_s"),
+        (["--snapshot", "5", "--split-duration", "1"], "snapshot_s must not stand beside"),
+        (["--snapshot", "inf"], "snapshot_s must be above zero and finite"),
+    ],
+)
+def test_options_that_do_not_fit_are_one_line(
+    meeting_place: Path, tmp_path: Path, options: list[str], rule: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["bag", "record", str(tmp_path / "a.mcap"), *options]) == 2
+    said = capsys.readouterr().err
+    assert rule in said
+    assert said.count("\n") == 1
+    assert not list(tmp_path.glob("*.mcap"))

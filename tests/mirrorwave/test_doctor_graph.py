@@ -1,0 +1,156 @@
+"""The doctor on living graphs: a node that is stopped, killed, fed with garbage, or was given no model."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+import zmq
+
+from mirrorwave import doctor_graph
+from mirrorwave.cli import main
+from mirrorwave.doctor import Finding, Status, check_graph, check_weights
+from mirrorwave.doctor_graph import check_can_interface, check_room, graph_findings
+from mirrorwave.node import collect_heartbeats
+from msgs.zmq_bus import socket_path
+
+PATIENCE_S = 60.0
+LAUNCH = """
+name: toys
+nodes:
+  head: {module: tests.mirrorwave.toy_chain, hang_timeout_s: 600}
+  tail: {module: tests.mirrorwave.toy_chain, params: {head: false}, hang_timeout_s: 600}
+"""
+
+
+def found(run_dir: Path) -> dict[str, Finding]:
+    return {finding.check: finding for finding in graph_findings(run_dir, 1.2)}
+
+
+def until(run_dir: Path, wanted: Callable[[dict[str, Finding]], bool]) -> dict[str, Finding]:
+    """Findings once they are as wanted."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not wanted(findings := found(run_dir)):
+        assert time.monotonic() < end_s, findings
+    return findings
+
+
+@pytest.fixture
+def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    with tempfile.TemporaryDirectory(prefix="mw") as root:
+        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", root)
+        launch = Path(root) / "corner.yaml"
+        launch.write_text(LAUNCH)
+        command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--runs-dir", f"{root}/runs"]
+        process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        try:
+            yield Path(root) / "default"
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(PATIENCE_S)
+
+
+def pid_of(run_dir: Path, name: str) -> int:
+    return collect_heartbeats(run_dir)[name][-1].pid
+
+
+@pytest.mark.graph
+def test_the_node_that_fails_is_named_and_why(graph: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """One trouble after the other: none, garbage, a stopped node, a killed one."""
+    view = "topic perception/hidden_objects"
+    well = until(graph, lambda findings: view in findings and findings[view].status is Status.OK)
+    assert well["node head"].status is Status.OK
+    assert not any(finding.status is Status.FAILED for finding in well.values())
+
+    assert main(["node", "info", "tail", "--window", "1.2", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["params"] == {"head": False}
+    assert "nodes.node tests.mirrorwave.toy_chain" in told["command"]
+    assert [row["topic"] for row in told["received"]] == ["perception/peaks"]
+    assert main(["graph", "--window", "1.2", "--json"]) == 0
+    drawn = {row["node"]: row for row in json.loads(capsys.readouterr().out)["nodes"]}
+    assert [link["topic"] for link in drawn["head"]["outputs"]] == ["perception/peaks"]
+    assert drawn["tail"]["inputs"][0]["hz"] > 0.0
+
+    with zmq.Context() as context, context.socket(zmq.PUB) as mallory:
+        mallory.linger = 0
+        mallory.bind(f"ipc://{socket_path(graph, 'perception/peaks', 'mallory')}")
+
+        def heard(findings: dict[str, Finding]) -> bool:
+            for _ in range(20):
+                mallory.send_multipart([b"perception/peaks\0", b"\xc1garbage"])
+            return "rejected" in findings["node tail"].detail
+
+        garbage = until(graph, heard)
+    assert garbage["node tail"].status is Status.WARNING
+    assert "perception/peaks from head, mallory" in garbage["node tail"].detail
+    assert garbage[view].status is Status.OK
+    socket_path(graph, "perception/peaks", "mallory").unlink(missing_ok=True)
+
+    pid = pid_of(graph, "head")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        stopped = until(graph, lambda findings: "waits for" in findings[view].detail)
+        assert main(["doctor", "--json"]) == 1
+        checks = {row["check"]: row for row in json.loads(capsys.readouterr().out)}
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    assert f"pid {pid} is stopped" in stopped["node head"].detail
+    assert stopped["node head"].status is Status.FAILED
+    assert stopped["node tail"].status is not Status.FAILED
+    assert stopped["topic perception/peaks"].detail == "silent: head gives no heartbeat"
+    assert stopped[view].detail == "silent: tail waits for perception/peaks: head gives no heartbeat"
+    assert checks["topic perception/peaks"]["status"] == "failed"
+
+    os.kill(pid_of(graph, "head"), signal.SIGKILL)
+    killed = until(graph, lambda findings: "restarted" in findings["node head"].detail)
+    assert "restarted 1x, last: head was ended by SIGKILL" in killed["node head"].detail
+
+
+@pytest.mark.graph
+def test_a_graph_that_ended_for_want_of_a_model(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with tempfile.TemporaryDirectory(prefix="mw") as root:
+        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", root)
+        launch = tmp_path / "l.yaml"
+        launch.write_text(
+            f"name: x\nnodes: {{a: {{module: nodes.dense_predictor, params: {{model: {root}/gone.onnx}}}}}}"
+        )
+        command = [sys.executable, "-m", "mirrorwave", "launch", str(launch), "--runs-dir", str(tmp_path / "runs")]
+        done = subprocess.run(command, capture_output=True, timeout=PATIENCE_S, check=False)
+        assert done.returncode == 2
+        monkeypatch.chdir(tmp_path)
+        findings = {finding.check: finding for finding in check_graph(Path(root) / "default")}
+    assert findings["graph"].detail == "none runs in this domain"
+    assert findings["last run"].status is Status.WARNING
+    assert "runs/x-1: a FAILED" in findings["last run"].detail
+    assert f"{root}/gone" in findings["last run"].detail
+
+
+def test_weights_that_cannot_be_read_are_named(tmp_path: Path) -> None:
+    (tmp_path / "a.onnx").write_bytes(b"n")
+    (tmp_path / "a.json").write_text("{")
+    (tmp_path / "b.onnx").mkdir()
+    (tmp_path / "b.json").write_text("{}")
+    findings = list(check_weights(tmp_path))
+    assert [finding.status for finding in findings] == [Status.FAILED] * 2
+    assert [finding.check for finding in findings] == ["weights a", "weights b"]
+    assert "cannot be read" in findings[0].detail
+
+
+@pytest.mark.parametrize(("free", "status"), [(1 << 40, "ok"), (1 << 30, "warning"), (1 << 20, "failed")])
+def test_room_for_recordings(free: int, status: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor_graph.shutil, "disk_usage", lambda path: type("Usage", (), {"free": free}))
+    assert check_room("disk", tmp_path).status == status
+
+
+def test_a_can_interface_that_is_absent_is_named() -> None:
+    finding = check_can_interface("bus of vehicle_can", "can77")
+    assert (finding.status, finding.detail) == (Status.FAILED, "can77 is absent: no such interface of the kernel")

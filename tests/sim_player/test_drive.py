@@ -1,0 +1,57 @@
+"""A driven radar against the scene player's constant motion, and its poses against arcs."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from msgs.frames import Pose2
+from msgs.vehicle import ego_motion
+from sim_player.drive import Drive, DrivePlayer
+from sim_player.player import ScenePlayer
+from sim_player.scene import Ego, Scene, Surface
+
+SPEED_MPS, YAW_RATE_DPS = 5.0, 12.0
+WALL = Surface(role="relay", material="concrete", polyline_m=((20.0, -12.0), (20.0, 14.0)), height_m=5.0)
+SCENE = Scene(name="wall", surfaces=(WALL,))
+STEADY = Drive(np.array([0.0, 9.0]), np.full(2, SPEED_MPS), np.full(2, math.radians(YAW_RATE_DPS)))
+
+
+def test_a_steady_drive_is_the_scene_players() -> None:
+    """Same echoes, same noise draws: codes differ by rounding alone, one step at most."""
+    moving = msgspec.structs.replace(SCENE, ego=Ego(speed_mps=SPEED_MPS, yaw_rate_dps=YAW_RATE_DPS))
+    reference = ScenePlayer(moving, seed=3, chirps_per_beam=2)
+    driven = DrivePlayer(SCENE, STEADY, Pose2(), seed=3, chirps_per_beam=2)
+    for scan, index in ((0, 3), (1, 12), (2, 24)):
+        ours, theirs = driven.beam(scan, index), reference.beam(scan, index)
+        assert ours.stamp_ns == theirs.stamp_ns
+        assert np.abs(ours.samples.astype(int) - theirs.samples.astype(int)).max() <= 1
+
+
+def test_poses_lie_on_the_arc() -> None:
+    pose, arc = STEADY.pose(3.0), ego_motion(SPEED_MPS, math.radians(YAW_RATE_DPS), 3.0)
+    assert (pose.x_m, pose.y_m, pose.yaw_rad) == pytest.approx((arc.x_m, arc.y_m, arc.yaw_rad), abs=1e-6)
+
+
+def test_lever_arm_moves_with_the_turn() -> None:
+    """2 m ahead of the turning point the radar moves sideways at 2 m times the yaw rate."""
+    spinning = Drive(np.array([0.0, 9.0]), np.zeros(2), np.full(2, 0.5))
+    player = DrivePlayer(SCENE, spinning, Pose2(2.0, 0.0, 0.0), chirps_per_beam=1)
+    before, after = ((player.drive.pose(t) @ player.vehicle_from_radar) for t in (1.0, 1.001))
+    moved = np.array([after.x_m - before.x_m, after.y_m - before.y_m]) / 1e-3
+    np.testing.assert_allclose(player._velocity(1.0005), moved, atol=1e-4)
+
+
+def test_states_are_late_as_told() -> None:
+    player = DrivePlayer(SCENE, STEADY, Pose2(), start_ns=10**10, chirps_per_beam=1)
+    said = player.states(1.0, late_s=0.08)
+    assert said[0].stamp_ns == 10**10 - 2_000_000_000 + 80_000_000
+    assert {state.speed_mps for state in said} == {SPEED_MPS}
+
+
+def test_a_scene_that_moves_is_refused() -> None:
+    with pytest.raises(ValueError, match="must stand still"):
+        DrivePlayer(msgspec.structs.replace(SCENE, ego=Ego(speed_mps=1.0)), STEADY, Pose2())

@@ -1,0 +1,75 @@
+"""Hard cases of annotation: registrations that look good and are not, grazing sight, half a turn."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from models.perception.registration import import_open3d, planar_cloud, plane_hold, pose_error
+from models.perception.slice_labels import in_sight
+from sim_player.lidar_cloud import LidarParams, Viewpoint, lidar_cloud, rigid
+from sim_player.scene import scene_from_yaml
+from tests.stability.catalogue import Errors
+
+CORRIDOR = """
+name: corridor
+surfaces:
+  - {role: relay, material: concrete, polyline_m: [[-300, 5], [300, 5]], height_m: 6}
+  - {role: relay, material: concrete, polyline_m: [[-300, -5], [300, -5]], height_m: 6}
+"""
+
+
+@pytest.mark.hard(
+    where="models.perception.registration.plane_hold",
+    naive="open3d's information matrix, which knows no normals",
+    bound=0.01,
+    unit="of a unit slide resisted",
+    source="registration.min_hold; the truth is 0",
+)
+def test_a_corridor_holds_nothing_along_itself(errors: Errors) -> None:
+    """Two endless walls and a road: a cloud fits anywhere along them, with full overlap and no residual but noise."""
+    cloud = lidar_cloud(
+        scene_from_yaml(CORRIDOR), Viewpoint(x_m=0.0, y_m=0.0), LidarParams(channels=48, azimuths=600), 0
+    )
+    planes = planar_cloud(cloud.points_m, 0.2)
+    information = import_open3d().pipelines.registration.get_information_matrix_from_point_clouds(
+        planes, planes, 0.4, np.eye(4)
+    )
+    # of points: a slide along x is resisted by all of them alike
+    naive = float(information[3, 3]) / len(planes.points)
+    errors(naive=naive, ours=plane_hold(np.asarray(planes.points), np.asarray(planes.normals)).least)
+
+
+@pytest.mark.hard(
+    where="models.perception.registration.pose_error",
+    naive="arc cosine of the trace",
+    bound=1e-12,
+    unit="rad",
+    source="rounding of a rotation's entries",
+)
+def test_two_poses_that_are_nearly_one(errors: Errors) -> None:
+    """A turn of 1e-9 rad: its cosine is 1 in float64."""
+    turned = rigid((0.0, 0.0, 0.0), 0.0, 0.0, 1e-9)
+    naive = math.acos(min(max(0.5 * (float(np.trace(turned[:3, :3])) - 1.0), -1.0), 1.0))
+    errors(naive=abs(naive - 1e-9), ours=abs(pose_error(np.eye(4), turned)[1] - 1e-9))
+
+
+@pytest.mark.hard(
+    where="models.perception.slice_labels.in_sight",
+    naive="own wall in the way like any other",
+    bound=0.0,
+    unit="of 400 points",
+    source="a straight wall hides nothing of itself",
+)
+def test_a_wall_seen_edge_on(errors: Errors) -> None:
+    """A wall along the line of sight, 0.3 m off it, 60 m long, 2 cm of noise: every other point lies behind its fit."""
+    rng = np.random.default_rng(0)
+    points_m = np.column_stack([np.linspace(5.0, 60.0, 400), 0.3 + rng.normal(0.0, 0.02, 400)])
+    walls_m, edges_m = np.array([[[4.0, 0.3], [61.0, 0.3]]]), np.zeros((0, 2, 2))
+    origin_m = np.zeros_like(points_m)
+    lost = [
+        int(np.count_nonzero(~in_sight(origin_m, points_m, np.full(400, own), walls_m, edges_m))) for own in (-1, 0)
+    ]
+    errors(naive=lost[0], ours=lost[1])

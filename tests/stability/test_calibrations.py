@@ -1,0 +1,79 @@
+"""Hard cases of calibration: what moves through an open field, tones in the noise, headings beyond half a turn."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from models.perception.background import background_of
+from models.perception.noise_floor import _median_mean
+from models.vehicle.mounting import Motion
+from msgs.units import ns_from_s
+from msgs.vehicle import VehicleState
+from tests.stability.catalogue import Errors
+
+EPOCH_NS = 1_763_750_000_123_456_789
+
+
+@pytest.mark.hard(
+    where="models.perception.background.background_of",
+    naive="plain mean over scans",
+    bound=3.0,
+    unit="rms of the background's noise",
+    source="noise of a mean of 32 scans, one bin",
+)
+def test_lorry_in_the_open_field(errors: Errors) -> None:
+    """A lorry crosses the field 60 dB over a scan's noise, in one cell in three of 32 scans."""
+    rng = np.random.default_rng(5)
+    noise = rng.standard_normal((2, 32, 1, 128)) / math.sqrt(2.0)
+    chirps = noise[0] + 1j * noise[1]
+    tone = np.exp(2j * np.pi * 20 * np.arange(128) / 128)
+    chirps[[4, 5, 6]] += 1000.0 / math.sqrt(128.0) * np.exp(1j * np.array([0.1, 0.4, 0.9]))[:, None, None] * tone
+    background, _ = background_of(chirps.astype(np.complex64))
+
+    def left(values: np.ndarray) -> float:
+        return float(abs(np.fft.fft(values[0])[20]) / math.sqrt(128.0 / 32.0))
+
+    errors(naive=left(chirps.mean(axis=0)), ours=left(background))
+
+
+@pytest.mark.hard(
+    where="models.perception.noise_floor._median_mean",
+    naive="mean power of the bins",
+    bound=0.1,
+    unit="dB",
+    source="median of 4,096 exponential powers",
+)
+def test_tone_in_the_noise(errors: Errors) -> None:
+    """Eight of 4,096 bins hold tones of 50 dB over the noise whose level is asked for."""
+    power = np.random.default_rng(6).exponential(size=4096)
+    power[::512] += 1e5
+    errors(
+        naive=abs(10.0 * math.log10(float(power.mean()))),
+        ours=abs(10.0 * math.log10(_median_mean(power))),
+    )
+
+
+@pytest.mark.hard(
+    where="models.vehicle.mounting.Motion.poses",
+    naive="headings wrapped to half a turn, then interpolated",
+    bound=1e-3,
+    unit="rad",
+    source="a state every 20 ms at 0.5 rad/s; straight lines between headings are exact",
+)
+def test_roundabout(errors: Errors) -> None:
+    """Three turns of a roundabout at stamps of this century: between two states the heading passes half a turn."""
+    states = [
+        VehicleState(stamp_ns=EPOCH_NS + ns_from_s(0.02 * k), speed_mps=5.0, yaw_rate_rps=0.5) for k in range(2000)
+    ]
+    motion = Motion(states)
+    asked_s = np.linspace(0.0, 39.0, 5001)
+    true_rad = 0.5 * asked_s
+    wrapped = np.interp(asked_s, motion.time_s, (0.5 * motion.time_s + np.pi) % (2.0 * np.pi) - np.pi)
+
+    def off(heading_rad: np.ndarray) -> float:
+        return float(np.abs((heading_rad - true_rad + np.pi) % (2.0 * np.pi) - np.pi).max())
+
+    errors(naive=off(wrapped), ours=off(motion.poses(asked_s)[:, 2]))

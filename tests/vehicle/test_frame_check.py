@@ -1,0 +1,61 @@
+"""Whether frames count: length, checksum, counter; the same account for the vehicle state and for any DBC."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from models.vehicle.end_to_end import ChecksumRule, CounterRule, checksum_byte, checksum_of
+from models.vehicle.frame_check import FrameCheck, Verdict
+from models.vehicle.mapping import MessageRule
+from nodes.can_link import load_dbc, load_mapping
+
+DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
+
+
+@pytest.fixture
+def check() -> FrameCheck:
+    return FrameCheck(load_dbc(DBC).get_message_by_name("MW_SPEED"), load_mapping(MAPPING).messages["MW_SPEED"])
+
+
+def frame(counter: int, speed_mps: float = 5.0) -> bytes:
+    message = load_dbc(DBC).get_message_by_name("MW_SPEED")
+    rule = load_mapping(MAPPING).messages["MW_SPEED"]
+    assert isinstance(rule.checksum, ChecksumRule)
+    assert isinstance(rule.counter, CounterRule)
+    values = {signal.name: 0 for signal in message.signals} | {"SPEED": speed_mps, rule.counter.signal: counter}
+    data = bytearray(message.encode(values))
+    position = checksum_byte(message, rule.checksum)
+    data[position] = checksum_of(rule.checksum, bytes(data), position)
+    return bytes(data)
+
+
+def test_frames_in_order_count(check: FrameCheck) -> None:
+    verdicts = [check.check(frame(counter)).verdict for counter in (3, 4, 6)]
+    assert verdicts == [Verdict.FIRST, Verdict.COUNTED, Verdict.COUNTED]
+
+
+def test_what_does_not_count_says_why(check: FrameCheck) -> None:
+    check.check(frame(1))
+    assert check.check(frame(1)) == (Verdict.WRONG_COUNTER, "counter stands at 1", check.check(frame(1)).values)
+    assert check.check(frame(7)).why == "counter jumped from 1 to 7"
+    assert check.check(frame(8)[:5])[:2] == (Verdict.WRONG_LENGTH, "wrong length: 5 bytes, expected 8")
+    damaged = bytearray(frame(8))
+    damaged[0] ^= 1
+    verdict, why, values = check.check(bytes(damaged))
+    assert (verdict, values) == (Verdict.WRONG_CHECKSUM, None)
+    assert why.startswith("wrong checksum: 0x")
+
+
+def test_after_a_silence_the_counter_starts_anew(check: FrameCheck) -> None:
+    check.check(frame(1))
+    assert check.check(frame(9), silent=True).verdict is Verdict.FIRST
+    assert check.check(frame(10)).verdict is Verdict.COUNTED
+    check.forget()
+    assert check.check(frame(3)).verdict is Verdict.FIRST
+
+
+def test_without_rules_every_frame_of_the_right_length_counts() -> None:
+    check = FrameCheck(load_dbc(DBC).get_message_by_name("MW_SPEED"), MessageRule())
+    assert [check.check(bytes(8)).verdict for _ in range(3)] == [Verdict.COUNTED] * 3
