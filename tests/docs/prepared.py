@@ -28,6 +28,17 @@ def _corner(folder: Path) -> None:
     assert main(["sim", "run", *scene, "--out", str(folder / "corner.mcap")]) == 0
 
 
+def _truth(folder: Path) -> None:
+    """Two places, each with simulated LiDAR clouds and a scan, labelled."""
+    for place in ("two_hidden_vehicles", "facade_across_lane"):
+        scene, scan = f"launch/scenes/{place}.yaml", folder / f"{place}.mcap"
+        clouds = folder / "clouds" / place
+        assert main(["sim", "lidar", scene, "--out", str(clouds)]) == 0
+        assert main(["sim", "run", scene, "--out", str(scan), "--scans", "1", "--chirps-per-beam", "8"]) == 0
+        labels = ["--out", str(folder / "truth"), "--kind", "sim"]
+        assert main(["annotate", str(clouds / "scene.yaml"), "--radar", str(scan), *labels]) == 0
+
+
 def _seen(folder: Path) -> None:
     """Everything that a graph says, raw beams included."""
     recorded = ["--record", str(folder / "seen.mcap"), "--raw", "--runs-dir", str(folder / "seen_run")]
@@ -54,6 +65,7 @@ def _dca1000(folder: Path) -> None:
 MAKERS: dict[str, Callable[[Path], None]] = {
     "corner.mcap": _corner,
     "seen.mcap": _seen,
+    "truth": _truth,
     "drive.log": _drive,
     "car.dbc": _drive,
     "car.yaml": _drive,
@@ -75,7 +87,8 @@ class Prepared:
         if MAKERS[name] not in self._made:
             MAKERS[name](self._folder)
             self._made.add(MAKERS[name])
-        shutil.copy(self._folder / name, folder / name)
+        source = self._folder / name
+        (shutil.copytree if source.is_dir() else shutil.copy)(source, folder / name)
 
 
 @contextmanager

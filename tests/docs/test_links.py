@@ -1,0 +1,84 @@
+"""Every relative link of the documentation leads to a file of the checkout, every anchor to a heading or an id."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from functools import cache
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+from markdown_it import MarkdownIt
+
+from tests.docs.pages import ROOT
+
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}"))]
+)
+#: Pages of the checkout's own files; what the web has is not asked for.
+_HTML_LINK = re.compile(r"""(?:href|src)\s*=\s*["']([^"']+)["']""")
+_HTML_ID = re.compile(r"""(?:id|name)\s*=\s*["']([^"']+)["']""")
+
+
+def markdown_of(path: Path) -> str:
+    """The text of a page; of a notebook that of its Markdown cells."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix != ".ipynb":
+        return text
+    cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "markdown"]
+    return "\n\n".join("".join(cell["source"]) for cell in cells)
+
+
+def links_of(text: str) -> list[str]:
+    """Targets of links and images, in Markdown and in HTML."""
+    found = []
+    for token in MarkdownIt("commonmark").enable("table").parse(text):
+        for each in (token, *(token.children or ())):
+            found += [str(each.attrs[name]) for name in ("href", "src") if name in each.attrs]
+            if each.type in ("html_inline", "html_block"):
+                found += _HTML_LINK.findall(each.content)
+    return found
+
+
+@cache
+def anchors_of(path: Path) -> frozenset[str]:
+    """Anchors of a page as GitHub makes them of headings, and ids that stand in it."""
+    text = markdown_of(path)
+    seen: Counter[str] = Counter()
+    anchors = set(_HTML_ID.findall(text))
+    tokens = MarkdownIt("commonmark").enable("table").parse(text)
+    for opening, inline in zip(tokens, tokens[1:], strict=False):
+        if opening.type == "heading_open":
+            parts = (each.content for each in inline.children or () if each.type in ("text", "code_inline"))
+            slug = re.sub(r"[^\w\- ]", "", "".join(parts).lower()).replace(" ", "-")
+            anchors.add(f"{slug}-{seen[slug]}" if seen[slug] else slug)
+            seen[slug] += 1
+    return frozenset(anchors)
+
+
+def dead_links(path: Path) -> list[str]:
+    """Relative links of a page that lead nowhere, with the reason."""
+    dead = []
+    for link in links_of(markdown_of(path)):
+        parts = urlsplit(link)
+        if parts.scheme or parts.netloc:
+            continue
+        target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+        if not target.is_relative_to(ROOT) or not target.exists():
+            dead.append(f"{link}: no such file")
+        elif parts.fragment and target.suffix in (".md", ".ipynb") and unquote(parts.fragment) not in anchors_of(target):
+            dead.append(f"{link}: no such heading")
+    return dead
+
+
+@pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_links_lead_somewhere(path: Path) -> None:
+    assert dead_links(path) == []
+
+
+def test_a_dead_link_is_found(tmp_path: Path) -> None:
+    page = ROOT / "docs" / "tools.md"
+    assert {"the-graph-drawn", "echo", "which-tool-answers-which-question"} <= anchors_of(page)
+    assert links_of('[a](b.md#c) ![d](e.png) <img src="f.png">') == ["b.md#c", "e.png", "f.png"]
