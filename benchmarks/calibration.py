@@ -56,17 +56,21 @@ def yard() -> Scene:
     return Scene(name="yard", surfaces=surfaces)
 
 
-def winding(duration_s: float) -> Drive:
-    """2 to 6 m/s, up to 14 deg/s to either side."""
+def winding(duration_s: float, seed: int) -> Drive:
+    """2 to 6 m/s, up to 14 deg/s to either side; each seed begins elsewhere in both swings.
+
+    One drive errs alike under any noise: only several tell a bias from chance.
+    """
     time_s = np.arange(-3.0, duration_s + 3.0, 0.05)
-    speed_mps = 4.0 + 2.0 * np.sin(2.0 * np.pi * time_s / 7.0)
-    return Drive(time_s, speed_mps, 0.25 * np.sin(2.0 * np.pi * time_s / 9.0))
+    speed_rad, turn_rad = np.random.default_rng([seed, 22]).uniform(0.0, 2.0 * np.pi, 2)
+    speed_mps = 4.0 + 2.0 * np.sin(2.0 * np.pi * time_s / 7.0 + speed_rad)
+    return Drive(time_s, speed_mps, 0.25 * np.sin(2.0 * np.pi * time_s / 9.0 + turn_rad))
 
 
 def record(path: Path, seed: int, scans: int, chirps: int) -> None:
     """The drive as a recording: set-up, states, beams."""
     duration_s = scans * 0.3
-    player = DrivePlayer(yard(), winding(duration_s), TRUE, seed, START_NS, chirps)
+    player = DrivePlayer(yard(), winding(duration_s, seed), TRUE, seed, START_NS, chirps)
     with RecordingWriter(path, {"scene": "yard", "seed": str(seed)}) as writer:
         writer.write("radar/setup", player.setup, publisher="player", sequence=0, sent_ns=0)
         for number, state in enumerate(player.states(duration_s, noise=NOISE, late_s=LATE_S)):

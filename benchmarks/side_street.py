@@ -9,7 +9,10 @@ measurement, the track at the scan's stamp). Velocity is that over ground, again
 alone: lead, from the scan that first says it and keeps its id while the car is hidden to the scan in which it first is
 in direct sight; and foretold, the tracks' time to appear against what it was. The last line is what tracking costs a
 scan: taking in its vehicle states, and odometry and tracker.
+With --log a recorded CAN log moves the vehicle instead, and its decoded states, with the bias added, are what odometry
+gets: the first stretch of it that suits the street, or the one --from so many seconds.
 Usage: python -m benchmarks.side_street [--seeds 5] [--method network|cfar] [--chirps 128] [--figure FILE] [--json]
+       [--log FILE --dbc FILE --mapping FILE [--from S]]
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.geometry_switches import machine
+from benchmarks.side_street_drives import CAR, PARKED, SCANS, Course, Stretch, in_sight, logged, read_states, scripted
 from models.perception.chain import Chain
 from models.perception.detectors import CfarDetector, Detector, NetworkDetector
 from models.perception.memory import MemoryParams, ScanMemory
@@ -38,20 +42,15 @@ from models.perception.tracking import Tracker
 from msgs.frames import Pose2
 from msgs.perception import BevFrame, HiddenObject, SceneTruth, Track
 from msgs.radar import RadarSetup
-from msgs.units import ns_from_s, s_from_ns
+from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
+from sim_player.drive import DrivePlayer
 from sim_player.player import ScenePlayer
-from sim_player.scene import Scene, load_scene
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-#: Index of the moving car in the scene.
-CAR, PARKED = 0, 1
-SCANS, GATE_M = 20, 2.0
-SCENE = Path(__file__).resolve().parents[1] / "launch" / "drives" / "side_street.yaml"
-REST_S, STATE_PERIOD_S, START_NS = 3.0, 0.02, 10_000_000_000
-BIAS_RPS, SPEED_STD_MPS, YAW_RATE_STD_RPS = math.radians(1.0), 0.03, math.radians(0.2)
+GATE_M = 2.0
 SCAN_BY_SCAN, STANDING, TRACKED = "scan by scan", "tracked, ego taken as standing", "tracked with odometry"
 
 
@@ -70,8 +69,9 @@ class Said(msgspec.Struct, kw_only=True):
 
 
 class Scan(msgspec.Struct, kw_only=True):
-    """A scan of the drive: the view, the truth, the place that odometry gives."""
+    """A scan of the drive: its start, the view, the truth, the place that odometry gives."""
 
+    time_s: float
     frame: BevFrame
     truth: SceneTruth
     place: Placed
@@ -95,48 +95,35 @@ class Row(msgspec.Struct, kw_only=True):
     foretold: int
 
 
-def street() -> Scene:
-    """The junction, as `mirrorwave launch launch/side_street.yaml` shows it live."""
-    return load_scene(SCENE)
-
-
-def states(duration_s: float, seed: int) -> list[VehicleState]:
-    """What the bus says: at rest for a while before the first scan, then driving; a constant bias and white noise."""
-    rng, ego = np.random.default_rng([seed, 21]), street().ego
-    found = []
-    for time_s in np.arange(-REST_S, duration_s, STATE_PERIOD_S):
-        drives = time_s >= -1e-9
-        speed_mps = ego.speed_mps + SPEED_STD_MPS * rng.standard_normal() if drives else 0.0
-        turning_rps = math.radians(ego.yaw_rate_dps) if drives else 0.0
-        yaw_rate_rps = turning_rps + BIAS_RPS + YAW_RATE_STD_RPS * rng.standard_normal()
-        stamp_ns = START_NS + ns_from_s(float(time_s))
-        found.append(VehicleState(stamp_ns=stamp_ns, speed_mps=float(speed_mps), yaw_rate_rps=float(yaw_rate_rps)))
-    return found
-
-
 def detector_of(method: str, setup: RadarSetup) -> Detector:
     return CfarDetector(setup) if method == "cfar" else NetworkDetector(setup, DEFAULT_MODEL)
 
 
-def drive(seed: int, method: str, chirps: int) -> list[Scan]:
+def drive(course: Course, seed: int, method: str, chirps: int, most: int = SCANS) -> list[Scan]:
     """Every scan until the car is in direct sight, and that one."""
-    player = ScenePlayer(street(), seed, start_ns=START_NS, chirps_per_beam=chirps)
+    player = course.player(seed, chirps)
     gathering = MemoryParams(tracking=False, wall_map=True)
     chain, odometry = Chain(player.setup, detector_of(method, player.setup), memory=gathering), ScanOdometry()
-    for state in states(SCANS * player.setup.radar.scan_period_s, seed):
+    for state in course.states(seed):
         odometry.add(state)
-    scans = []
-    for number in range(SCANS):
-        stamp_ns = player.stamp_ns(number)
-        place = odometry.at(stamp_ns)
+    scans: list[Scan] = []
+    while len(scans) < most and (not scans or scans[-1].truth.objects[CAR].hidden):
+        number = len(scans)
+        place = odometry.at(player.stamp_ns(number))
         assert place is not None
-        scans.append(Scan(frame=view(chain, player, number, place), truth=player.truth(number), place=place))
-        if not scans[-1].truth.objects[CAR].hidden:
-            break
+        time_s = s_from_ns(player.stamp_ns(number) - player.stamp_ns(0))
+        frame = view(chain, player, number, place)
+        scans.append(Scan(time_s=time_s, frame=frame, truth=player.truth(number), place=place))
     return scans
 
 
-def view(chain: Chain, player: ScenePlayer, number: int, place: Placed) -> BevFrame:
+def sight_s(scans: Sequence[Scan]) -> float:
+    """When the car comes into direct sight."""
+    assert in_sight(scans[-1].truth)
+    return scans[-1].time_s
+
+
+def view(chain: Chain, player: ScenePlayer | DrivePlayer, number: int, place: Placed) -> BevFrame:
     """One scan through the chain, its beams freed from the motion that odometry gives."""
     stamp_ns = player.stamp_ns(number)
     state = VehicleState(stamp_ns=stamp_ns, speed_mps=place.speed_mps, yaw_rate_rps=place.yaw_rate_rps)
@@ -162,7 +149,7 @@ def said(scan: Scan, objects: Sequence[HiddenObject], car: int, tracks: Sequence
     """Which of the objects is a car, and how far off."""
     match = match_objects(objects, scan.truth, GATE_M)
     mine = next((pair for pair in match.matched if pair[1] == car), None)
-    now = Said(time_s=s_from_ns(scan.frame.stamp_ns - START_NS), others=len(match.unmatched_objects))
+    now = Said(time_s=scan.time_s, others=len(match.unmatched_objects))
     if mine is None:
         return now
     one = next(one for one in objects if one.id == mine[0])
@@ -196,10 +183,10 @@ def ways(scans: Sequence[Scan]) -> Told:
     return found
 
 
-def costs_ms(scans: Sequence[Scan], seed: int) -> list[float]:
+def costs_ms(course: Course, scans: Sequence[Scan], seed: int) -> list[float]:
     """What states and tracking of each scan take."""
     memory, found = ScanMemory(MemoryParams(wall_map=False)), []
-    waiting = states(SCANS * 0.3, seed)
+    waiting = course.states(seed)
     for scan in scans:
         start_s = time.perf_counter()
         while waiting and waiting[0].stamp_ns <= scan.frame.stamp_ns:
@@ -257,30 +244,55 @@ def _rms(values: Sequence[float]) -> float | None:
     return float(np.sqrt(np.mean(np.square(values)))) if values else None
 
 
-def draw_figure(scans: Sequence[Scan], told: Told, sight_s: float, path: Path) -> None:
-    """One drive: the plan in the odometry frame, the moving car's error and its time to appear over time."""
+class Drift(msgspec.Struct, kw_only=True):
+    """How far odometry is off after a drive."""
+
+    time_s: float
+    away_m: float
+    turned_deg: float
+
+
+def drift(course: Course, scans: Sequence[Scan]) -> Drift:
+    """Odometry against the true motion, from the first scan to the last."""
+    time_s = scans[-1].time_s
+    off = course.motion.pose(time_s).inverse() @ _start_from_radar(scans, scans[-1])
+    return Drift(time_s=time_s, away_m=math.hypot(off.x_m, off.y_m), turned_deg=abs(math.degrees(off.yaw_rad)))
+
+
+def _start_from_radar(scans: Sequence[Scan], scan: Scan) -> Pose2:
+    """Where odometry has the radar, in the frame of the first scan."""
+    return scans[0].place.odom_from_vehicle.inverse() @ scan.place.odom_from_vehicle
+
+
+def draw_figure(course: Course, scans: Sequence[Scan], told: Told, path: Path) -> None:
+    """One drive: the plan, the moving car's error and its time to appear over time; of a log, what its bus says."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    figure, (plan, error, appear) = pyplot.subplots(1, 3, figsize=(15.0, 5.2), layout="constrained")
+    rows, columns = (2, 2) if course.stretch else (1, 3)
+    size = (6.0 * columns, 4.3 * rows) if course.stretch else (15.0, 5.2)
+    figure, grid = pyplot.subplots(rows, columns, figsize=size, layout="constrained")
+    plan, error, appear, *more = panels = grid.ravel()
     colours = dict(zip(told, ("0.55", "tab:orange", "tab:blue"), strict=True))
-    _draw_world(plan, scans)
+    _draw_world(plan, course, scans)
     for way, (moving, parked) in told.items():
         style = {"color": colours[way], "label": way}
         times = [one.time_s for one in moving]
-        plan.plot(*_in_odometry(scans, moving).T, "o" if way == SCAN_BY_SCAN else ".-", markersize=5, **style)
-        plan.plot(*_in_odometry(scans, parked).T, "o" if way == SCAN_BY_SCAN else ".", markersize=4, color=colours[way])
+        plan.plot(*_in_start(scans, moving).T, "o" if way == SCAN_BY_SCAN else ".-", markersize=5, **style)
+        plan.plot(*_in_start(scans, parked).T, "o" if way == SCAN_BY_SCAN else ".", markersize=4, color=colours[way])
         error.plot(times, [one.error_m for one in moving], "o-", markersize=4, **style)
         if way != SCAN_BY_SCAN:
             foretold = [math.nan if one.time_to_appear_s is None else one.time_to_appear_s for one in moving]
             appear.plot(times, foretold, "o-", markersize=4, **style)
-    appear.plot([0.0, sight_s], [sight_s, 0.0], "k--", label="as it was")
-    plan.set(xlabel="x, m", ylabel="y, m", title="Odometry frame", aspect="equal", xlim=(-2.0, 68.0))
+    appear.plot([0.0, sight_s(scans)], [sight_s(scans), 0.0], "k--", label="as it was")
+    plan.set(xlabel="x, m", ylabel="y, m", title="By odometry, from the first scan", aspect="equal", xlim=(-2.0, 68.0))
     error.set(xlabel="time, s", ylabel="distance, m", title="Moving car: error of the place", ylim=(0.0, 2.0))
     appear.set(xlabel="time, s", ylabel="time, s", title="Moving car: time to direct sight", ylim=(0.0, None))
-    for axes in (plan, error, appear):
+    for axes in more:
+        _draw_motion(axes, course, scans)
+    for axes in panels:
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -288,22 +300,38 @@ def draw_figure(scans: Sequence[Scan], told: Told, sight_s: float, path: Path) -
     pyplot.close(figure)
 
 
-def _draw_world(plan: Axes, scans: Sequence[Scan]) -> None:
+def _draw_world(plan: Axes, course: Course, scans: Sequence[Scan]) -> None:
     """Walls, the radar's way and the cars' true ways."""
-    for surface in street().surfaces:
+    for surface in course.scene.surfaces:
         plan.plot(*np.array(surface.polyline_m).T, "k-", linewidth=2.5 if surface.role == "occluder" else 1.2)
-    poses = [scan.place.odom_from_vehicle for scan in scans]
+    poses = [_start_from_radar(scans, scan) for scan in scans]
     plan.plot([pose.x_m for pose in poses], [pose.y_m for pose in poses], "g.-", label="radar, by odometry")
-    elapsed_s = np.array([s_from_ns(scan.frame.stamp_ns - START_NS) for scan in scans])
-    car, parked = street().objects
-    plan.plot(np.full(len(scans), car.x_m), car.y_m - car.speed_mps * elapsed_s, "k:", label="car, true centre")
+    car, parked = course.scene.objects
+    way_m = car.speed_mps * np.array([scan.time_s for scan in scans])
+    yaw_rad = math.radians(car.yaw_deg)
+    plan.plot(car.x_m + way_m * math.cos(yaw_rad), car.y_m + way_m * math.sin(yaw_rad), "k:", label="car, true centre")
     plan.plot(parked.x_m, parked.y_m, "k+", label="parked car, true centre")
 
 
-def _in_odometry(scans: Sequence[Scan], values: Sequence[Said]) -> np.ndarray:
-    """Places [N, 2] in the odometry frame; NaN where nothing is said."""
+def _draw_motion(axes: Axes, course: Course, scans: Sequence[Scan]) -> None:
+    """Speed and yaw rate: what the bus says, the true ones, and what odometry makes of them."""
+    start_ns, end_ns = scans[0].frame.stamp_ns, scans[-1].frame.stamp_ns
+    states = [state for state in course.states(0) if start_ns <= state.stamp_ns <= end_ns]
+    told_s = [s_from_ns(state.stamp_ns - start_ns) for state in states]
+    scans_s = np.array([scan.time_s for scan in scans])
+    axes.plot(told_s, [state.speed_mps for state in states], color="tab:red", label="speed as told, m/s")
+    axes.plot(scans_s, course.motion.speed_at(scans_s), "k:", label="true speed")
+    told_deg = np.degrees([state.yaw_rate_rps for state in states])
+    axes.plot(told_s, told_deg, color="tab:purple", label="yaw rate as told, with bias, deg/s")
+    axes.plot(told_s, np.degrees(course.motion.yaw_rate_at(np.array(told_s))), "k--", label="true yaw rate")
+    axes.plot(scans_s, np.degrees([scan.place.yaw_rate_rps for scan in scans]), "g.", label="yaw rate by odometry")
+    axes.set(xlabel="time, s", ylabel="m/s, deg/s", title="The log: speed and yaw rate", ylim=(-1.0, 10.0))
+
+
+def _in_start(scans: Sequence[Scan], values: Sequence[Said]) -> np.ndarray:
+    """Places [N, 2] in the frame of the first scan, by odometry; NaN where nothing is said."""
     pairs = zip(scans, values, strict=False)
-    return np.array([scan.place.odom_from_vehicle.apply(np.array([one.x_m, one.y_m])) for scan, one in pairs])
+    return np.array([_start_from_radar(scans, scan).apply(np.array([one.x_m, one.y_m])) for scan, one in pairs])
 
 
 def line(one: Row) -> str:
@@ -317,29 +345,73 @@ def line(one: Row) -> str:
     )
 
 
-def main() -> None:
+def about(stretch: Stretch) -> str:
+    """One line on the stretch of a log."""
+    rest = (
+        f"{stretch.rest_s:.1f} s of rest before it" if stretch.rest_s else "no rest before it: the bias is not learnt"
+    )
+    return (
+        f"{stretch.log}, {stretch.from_s:.1f}..{stretch.to_s:.1f} s: {stretch.slowest_mps:.1f}.."
+        f"{stretch.fastest_mps:.1f} m/s, turns by {stretch.turn_deg:.1f} deg, stamps jitter by "
+        f"{stretch.jitter_ms:.2f} ms; {rest}"
+    )
+
+
+def read_arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--method", choices=("network", "cfar"), default="network")
     parser.add_argument("--chirps", type=int, default=128)
     parser.add_argument("--figure", type=Path, help="draws the first seed")
     parser.add_argument("--json", action="store_true")
+    parser.add_argument("--log", type=Path, help="a CAN log that moves the vehicle")
+    parser.add_argument("--dbc", type=Path)
+    parser.add_argument("--mapping", type=Path)
+    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="seconds from the log's first state")
     arguments = parser.parse_args()
-    drives = [drive(seed, arguments.method, arguments.chirps) for seed in range(arguments.seeds)]
+    if min(arguments.seeds, arguments.chirps) < 1:
+        parser.error("--seeds and --chirps must be 1 at least")
+    if len({value is None for value in (arguments.log, arguments.dbc, arguments.mapping)}) > 1:
+        parser.error("--log, --dbc and --mapping go together")
+    if arguments.from_s is not None and arguments.log is None:
+        parser.error("--from needs --log")
+    return arguments
+
+
+def course_of(arguments: argparse.Namespace) -> Course:
+    """The drive that was asked for; ValueError or OSError where its files do not give one."""
+    if arguments.log is None:
+        return scripted()
+    states = read_states(arguments.log, arguments.dbc, arguments.mapping)
+    return logged(states, arguments.log.name, arguments.from_s, arguments.seeds)
+
+
+def main() -> int:
+    arguments = read_arguments()
+    try:
+        course = course_of(arguments)
+    except (OSError, ValueError) as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    drives = [drive(course, seed, arguments.method, arguments.chirps) for seed in range(arguments.seeds)]
     told = [ways(scans) for scans in drives]
-    sight_s = [s_from_ns(scans[-1].frame.stamp_ns - START_NS) for scans in drives]
-    rows = [row(way, told, sight_s) for way in told[0]]
+    rows = [row(way, told, [sight_s(scans) for scans in drives]) for way in told[0]]
     if arguments.figure:
-        draw_figure(drives[0], told[0], sight_s[0], arguments.figure)
+        draw_figure(course, drives[0], told[0], arguments.figure)
     command = "python -m benchmarks.side_street " + " ".join(sys.argv[1:])
-    costs = [cost for seed, scans in enumerate(drives) for cost in costs_ms(scans, seed)]
+    costs = [cost for seed, scans in enumerate(drives) for cost in costs_ms(course, scans, seed)]
+    drifts = [drift(course, scans) for scans in drives]
     if arguments.json:
-        rows_json = msgspec.to_builtins(rows)
-        print(json.dumps({"machine": machine(), "command": command, "rows": rows_json, "tracking_ms": costs}))
-        return
+        found = {"rows": rows, "tracking_ms": costs, "stretch": course.stretch, "drift": drifts}
+        print(json.dumps({"machine": machine(), "command": command, **msgspec.to_builtins(found)}))
+        return 0
     cost = f"tracking a scan: median {np.median(costs):.1f} ms, largest {max(costs):.1f} ms"
-    print("\n".join([*map(line, rows), cost, command, machine()]))
+    worst = max(drifts, key=lambda one: one.away_m)
+    off = f"odometry: off by {worst.away_m:.2f} m and {worst.turned_deg:.2f} deg after {worst.time_s:.1f} s, at worst"
+    text = [about(course.stretch)] if course.stretch else []
+    print("\n".join([*text, *map(line, rows), off, cost, command, machine()]))
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

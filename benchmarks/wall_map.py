@@ -24,7 +24,8 @@ import msgspec
 import numpy as np
 
 from benchmarks.geometry_switches import machine
-from benchmarks.side_street import detector_of, street
+from benchmarks.side_street import detector_of
+from benchmarks.side_street_drives import street
 from benchmarks.six_scenes import SCENES
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.memory import MemoryParams, ScanMemory

@@ -8,7 +8,15 @@ from typing import Annotated
 
 import typer
 
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar
+from mirrorwave.console import (
+    AsJson,
+    ExitCode,
+    print_json,
+    print_line,
+    print_table,
+    progress_bar,
+    require_picture,
+)
 
 
 class KindOption(StrEnum):
@@ -46,6 +54,8 @@ def annotate(
         raise FileNotFoundError(2, "no such capture", str(capture))
     if not frame or "/" in frame or frame.startswith("."):
         raise ValueError(f"--frame must be usable as a file's name, got {frame!r}")
+    if plot is not None:
+        require_picture(plot)
     with progress_bar("annotate", stages(manifest)) as advance:
         done = annotate_scene(manifest, scene.parent, capture, out, frame, kind.value, skip_refused, advance)
     if plot is not None:

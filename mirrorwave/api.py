@@ -27,7 +27,7 @@ from msgs.units import ns_from_s
 from msgs.vehicle import VehicleState
 from nodes.launch_file import read_launch_file, with_overrides
 from nodes.node import InProcessGraph, Node, load_node
-from nodes.player import capture_events
+from nodes.player import Event, capture_events
 
 
 class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -116,7 +116,7 @@ def views(capture: str | PathLike[str], profile: str = "default", overrides: Seq
     truth: dict[int, SceneTruth] = {}
     waiting: list[View] = []
     # truth stands behind the beams it belongs to: a view goes out when the next one comes
-    for event in capture_events(Path(capture)):
+    for event in _events_of(Path(capture)):
         message = event.outgoing.message
         if isinstance(message, SceneTruth):
             truth[message.scan_id] = message
@@ -150,6 +150,18 @@ def scan_beams(
         )
         for index, (azimuth_rad, codes) in enumerate(zip(setup.beams.azimuth_rad, samples, strict=True))
     ]
+
+
+def _events_of(capture: Path) -> Iterator[Event]:
+    """Events of a capture; a set-up, if there is one, stands before all beams."""
+    seen: set[str] = set()
+    for event in capture_events(capture):
+        seen.add(event.outgoing.topic)
+        if "radar/beam" in seen and "radar/setup" not in seen:
+            raise ValueError(f"{capture}: holds no radar/setup")
+        yield event
+    if "radar/beam" not in seen:
+        raise ValueError(f"{capture}: holds no radar/beam")
 
 
 class _Outlet(Node):

@@ -27,6 +27,7 @@ from mirrorwave.bag_options import (
     command_line,
     recorder_params,
     require_new_recording,
+    require_seconds,
     span_ns,
     split_topics,
     stop_by_signal,
@@ -78,6 +79,7 @@ def record(
         **options,
     )
     require_new_recording(out, options)
+    require_seconds("--duration", duration)
     name = f"bag_record-{os.getpid()}"
     bus = ZmqBus(name, meeting_place)
     try:
@@ -190,9 +192,13 @@ def trim(
 
     require_new_file(out)
     with recording.RecordingReader(file) as reader:
-        start_ns, end_ns = span_ns(reader, start, end)
+        start_ns, end_ns = span_ns(reader.start_ns, start, end)
+        wanted = split_topics(topics)
+        for topic in wanted or ():
+            if topic not in reader.types:
+                raise ValueError(f"{file}: holds no topic {topic!r}; it holds {', '.join(reader.types) or 'none'}")
     count, loss = recording.copy_recording(
-        file, out, topics=split_topics(topics), start_ns=start_ns, end_ns=end_ns, compress=compress
+        file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, compress=compress
     )
     _report_copy(out, count, loss)
 

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from mirrorwave.console import require_new_file
+from msgs.units import ns_from_s
 
 File = Annotated[Path, typer.Argument(metavar="FILE", help="Recording.")]
 Out = Annotated[Path, typer.Argument(metavar="OUT", help="New recording.")]
@@ -40,6 +41,8 @@ MinFree = Annotated[
     float | None, typer.Option("--min-free", metavar="MB", help="End before the disk has less room (100 MB).")
 ]
 _BYTES_PER_MB = 1_000_000
+#: 30 years: longer times are a slip of the keys, and alarm clock and file take no much longer ones.
+_LONGEST_S = 1e9
 
 
 def recorder_params(
@@ -84,16 +87,33 @@ def _bytes(option: str, megabytes: float | None) -> int | None:
 
 
 def split_topics(topics: str | None) -> tuple[str, ...] | None:
-    """Topics of a comma list, None where none was given."""
-    return None if topics is None else tuple(name.strip() for name in topics.split(",") if name.strip())
+    """Topics of a comma list, None where none was given; raises `ValueError` for an empty one."""
+    if topics is None:
+        return None
+    names = tuple(name.strip() for name in topics.split(",") if name.strip())
+    if not names:
+        raise ValueError(f"--topics must name a topic, got {topics!r}")
+    return names
 
 
-def span_ns(summary: Any, start_s: float, end_s: float | None) -> tuple[int | None, int | None]:
-    """Seconds from the start of a recording as its own times."""
+def span_ns(
+    first_ns: int, start_s: float, end_s: float | None, duration_s: float | None = None
+) -> tuple[int, int | None]:
+    """Times of the span that `--start`, `--end` and `--duration` name, in seconds from `first_ns`."""
+    for option, value_s in (("--start", start_s), ("--end", end_s), ("--duration", duration_s)):
+        require_seconds(option, value_s)
+    if end_s is not None and duration_s is not None:
+        raise ValueError(f"--end and --duration must not be given together, got {end_s:g} and {duration_s:g}")
+    end_s = start_s + duration_s if duration_s is not None else end_s
     if end_s is not None and end_s <= start_s:
         raise ValueError(f"--end must be after --start {start_s:g}, got {end_s:g}")
-    start_ns = summary.start_ns + int(1e9 * start_s)
-    return start_ns, None if end_s is None else summary.start_ns + int(1e9 * end_s)
+    return first_ns + ns_from_s(start_s), None if end_s is None else first_ns + ns_from_s(end_s)
+
+
+def require_seconds(option: str, value_s: float | None) -> None:
+    """Raise `ValueError` for a time that is no number, negative or endless."""
+    if value_s is not None and not 0.0 <= value_s <= _LONGEST_S:
+        raise ValueError(f"{option} must be 0..{_LONGEST_S:g} s, got {value_s:g}")
 
 
 def stop_by_signal(stop: Any, duration_s: float | None) -> Any:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from mirrorwave.bag_options import EndS, File, StartS, Topics, split_topics, stop_by_signal
+from mirrorwave.bag_options import EndS, File, StartS, Topics, span_ns, split_topics, stop_by_signal
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line
 from msgs.topics import TOPICS
 
@@ -48,7 +48,7 @@ def play(
     living node makes itself. In a terminal: space pauses, s steps one scan, left and right seek, up and down change the
     rate, q ends.
     """
-    from mirrorwave.replay import ReplayParams, first_sensed_ns, require_pace, span_of
+    from mirrorwave.replay import ReplayParams, first_sensed_ns, require_pace
     from mirrorwave.replay_graph import await_nodes
     from mirrorwave.replay_keys import Keyboard
     from msgs.recording import RecordingReader
@@ -67,7 +67,7 @@ def play(
         await_nodes(bus, meeting, lambda: stop.requested)
         chosen = _playable(reader, renamed, split_topics(topics), list_publishers(meeting), domain, clock)
         first_ns = first_sensed_ns(reader, chosen, renamed)
-        start_ns, end_ns = span_of(first_ns, start, end, duration)
+        start_ns, end_ns = span_ns(first_ns, start, end, duration)
         params = ReplayParams(
             topics=chosen, renamed=renamed, rate=rate, keeps_time=realtime, loop=loop, first_ns=first_ns,
             start_ns=start_ns, end_ns=end_ns, on_clock=clock, paused=start_paused,

@@ -16,6 +16,7 @@ from mirrorwave.console import (
     print_table,
     progress_bar,
     require_new_file,
+    require_picture,
 )
 
 if TYPE_CHECKING:
@@ -256,10 +257,11 @@ def _require_suffix(out: Path, suffix: str) -> None:
         raise ValueError(f"{out}: the name must end in {suffix}")
 
 
-def _require_new(*paths: Path | None) -> None:
-    for path in paths:
-        if path is not None:
-            require_new_file(path)
+def _require_new(out: Path, plot: Path | None) -> None:
+    require_new_file(out)
+    if plot is not None:
+        require_picture(plot)
+        require_new_file(plot)
 
 
 def _end(loss: str | None, as_json: bool) -> None:

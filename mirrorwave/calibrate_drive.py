@@ -125,7 +125,9 @@ def _formed(capture: Capture, motion: Motion, guess: Guess, on_scan: Callable[[]
 
     def take(maps: list[RangeAzimuthMap]) -> None:
         for ra_map in maps:
-            found.extend(sightings_of(detector.detect(ra_map), limit_rad))
+            # at the ends of the drive no state says how the scan went on: its walls would be smeared
+            if ra_map.ego_compensated:
+                found.extend(sightings_of(detector.detect(ra_map), limit_rad))
             on_scan()
 
     for beam in capture.beams():

@@ -43,7 +43,10 @@ def measure_background(
         raise ValueError(f"{capture.path}: a background needs at least {MIN_SCANS} complete scans, got {len(found)}")
     chirps = np.stack(found)
     background, outlier_share = background_of(chirps)
-    return background, background_quality(chirps, setup, outlier_share)
+    try:
+        return background, background_quality(chirps, setup, outlier_share)
+    except ValueError as error:
+        raise ValueError(f"{capture.path}: {error}") from None
 
 
 def measure_noise(capture: Capture, scans: int, on_scan: Callable[[], None] = lambda: None) -> NoiseFloor:

@@ -95,7 +95,8 @@ class _Watch:
     def take(self, data: bytes, time_s: float) -> str:
         """Take in a frame; what is wrong with it, or "ok"."""
         self.frames += 1
-        if self._last_s is not None:
+        # a log whose time goes back says nothing of the period there
+        if self._last_s is not None and time_s >= self._last_s:
             self._gaps_s.append(time_s - self._last_s)
             self._longest_gap_s = max(self._longest_gap_s, time_s - self._last_s)
         self._last_s = time_s

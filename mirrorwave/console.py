@@ -31,6 +31,8 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a ta
 Domain = Annotated[str, typer.Option("--domain", envvar="MIRRORWAVE_DOMAIN", help="Graph to talk to.")]
 DEFAULT_DOMAIN = "default"
 
+#: What pictures may be written as.
+PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 #: File errors that mean a wrong argument, not a failing machine.
 _WRONG_PATH = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError, PermissionError)
 
@@ -100,6 +102,14 @@ def require_new_file(path: Path) -> None:
     """Raise `FileExistsError` rather than write over what somebody recorded."""
     if path.exists():
         raise FileExistsError(17, "exists already; choose another name", str(path))
+    if not path.absolute().parent.is_dir():
+        raise NotADirectoryError(20, "its directory does not exist", str(path))
+
+
+def require_picture(path: Path) -> None:
+    """Raise `ValueError` before the work rather than after it, where no picture can be written to `path`."""
+    if path.suffix.lower() not in PICTURE_SUFFIXES:
+        raise ValueError(f"{path}: a picture's name must end in {', '.join(PICTURE_SUFFIXES)}, got {path.suffix!r}")
     if not path.absolute().parent.is_dir():
         raise NotADirectoryError(20, "its directory does not exist", str(path))
 

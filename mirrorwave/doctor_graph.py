@@ -114,6 +114,8 @@ def _look(run_dir: Path, window_s: float) -> _Graph:
 def _check_node(graph: _Graph, name: str, window_s: float) -> Finding:
     check = f"node {name}"
     beats = graph.heard.get(name, [])
+    if not beats and _has_ended(graph, name):
+        return Finding(check, Status.WARNING, "has come to its end (exit code 0) and is not started again")
     if not beats:
         return Finding(check, Status.FAILED, _why_silent(graph, name, window_s))
     row = node_row(beats)
@@ -141,6 +143,12 @@ def _why_silent(graph: _Graph, name: str, window_s: float) -> str:
         f"no heartbeat in {window_s:g} s: pid {process['pid']} is there ({process['status']}), "
         f"it starts still or hangs in a step{word}"
     )
+
+
+def _has_ended(graph: _Graph, name: str) -> bool:
+    """Whether the last that the supervisor said of a node is that it has done its work: that is no failure."""
+    said = (entry["text"] for entry in reversed(graph.log) if entry["node"] == "supervisor")
+    return next((text for text in said if text.startswith(f"{name} ")), "") == f"{name} has ended"
 
 
 def _process_of(graph: _Graph, name: str) -> dict[str, Any] | None:
@@ -217,7 +225,7 @@ def _why_no_message(graph: _Graph, topic: str, seen: tuple[str, ...]) -> str:
     reasons = []
     for name in graph.publishers.get(topic, []):
         if name not in graph.heard:
-            reasons.append(f"{name} gives no heartbeat")
+            reasons.append(f"{name} {'has come to its end' if _has_ended(graph, name) else 'gives no heartbeat'}")
         elif name not in seen:
             waits = [one for one in _inputs_of(graph, name) if _is_silent(graph, one)]
             reasons += [f"{name} waits for {one}: {_why_no_message(graph, one, (*seen, name))}" for one in waits[:1]]

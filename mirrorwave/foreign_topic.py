@@ -79,7 +79,7 @@ class ForeignBus:
         raise TypeError(f"{topic}: a foreign topic is listened to, never published")
 
     def subscribe(self, topic: str) -> None:
-        """Receive a topic, named as `foreign_publishers` does, from all its publishers."""
+        """Receive a topic from all its publishers, under the name given: `lidar/cloud` and `lidar.cloud` are one."""
         subscriber = self._context.socket(zmq.SUB)
         subscriber.set(zmq.RCVHWM, _HISTORY_MESSAGES)
         subscriber.set(zmq.MAXMSGSIZE, _MAX_BYTES)
@@ -114,10 +114,12 @@ class ForeignBus:
         if time.monotonic() - self._searched_s < _SEARCH_S:
             return
         self._searched_s = time.monotonic()
-        for topic, nodes in foreign_publishers(self._dir).items():
-            for path in (self._dir / f"{topic}@{node}" for node in nodes):
-                if topic in self._sockets and path not in self._connected:
-                    self._sockets[topic].connect(f"ipc://{path}")
+        found = foreign_publishers(self._dir)
+        for topic, subscriber in self._sockets.items():
+            stem = topic.replace("/", ".")
+            for path in (self._dir / f"{stem}@{node}" for node in found.get(stem, ())):
+                if path not in self._connected:
+                    subscriber.connect(f"ipc://{path}")
                     self._connected.add(path)
 
     def _drain(self, topic: str, subscriber: zmq.Socket[bytes]) -> list[Received]:

@@ -7,8 +7,9 @@ neighbours, until crossings settle. It needs nothing installed and answers in a 
 from __future__ import annotations
 
 import itertools
+import re
 from typing import NamedTuple
-from xml.sax.saxutils import escape
+from xml.sax import saxutils
 
 from mirrorwave.graph import GraphPicture, Link, layers
 
@@ -16,6 +17,8 @@ _COLUMN_GAP, _ROW_GAP, _MARGIN = 56, 20, 28
 _HEIGHT = 46
 _CHARACTER = 8.0
 _SWEEPS = 8
+#: What XML does not allow in any form: a node's reason may hold anything, and one such character spoils the drawing.
+_NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 _STYLE = """
   svg { font-family: system-ui, sans-serif; font-size: 13px; background: var(--page); }
@@ -33,6 +36,11 @@ _STYLE = """
   .name { font-weight: 600; }
   .small { fill: var(--faint); font-size: 11px; }
 """
+
+
+def escape(text: str) -> str:
+    """Any text as text of an XML document."""
+    return saxutils.escape(_NO_XML.sub("\ufffd", text))
 
 
 class _Box(NamedTuple):

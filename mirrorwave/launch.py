@@ -121,20 +121,20 @@ def run_graph(
     printer = log_printer(list(graph.nodes))
     code = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer).run()
     if record is not None and code == ExitCode.DONE:
-        code = _code_of_recording([record] if record.exists() else list(numbered_files(record).values()))
+        code = code_of_recordings([record] if record.exists() else list(numbered_files(record).values()))
     return code
 
 
-def _code_of_recording(files: list[Path]) -> int:
-    """3 where one of the recordings lacks messages, each said in a line, else 0."""
-    from msgs.recording import RecordingReader
+def code_of_recordings(files: list[Path]) -> int:
+    """3 where one of the recordings lacks messages or ended too early, each said in a line, else 0."""
+    from msgs.recording import Losses, RecordingReader
 
     code = ExitCode.DONE
     for path in files:
         with RecordingReader(path) as reader:
-            lost = reader.losses.total if reader.losses else 0
-            if lost or reader.loss:
-                print_line(f"{path}: {reader.loss or f'{lost} messages are missing'}")
+            losses = reader.losses or Losses()
+            if reader.loss or losses.ended or losses.total:
+                print_line(f"{path}: {reader.loss or losses.ended or f'{losses.total} messages are missing'}")
                 code = ExitCode.DONE_WITH_LOSS
     return code
 

@@ -23,8 +23,9 @@ from mirrorwave.replay_keys import Key, Keyboard
 from msgs.radar import RadarBeam
 from msgs.recording import Recorded, RecordingReader
 from msgs.topics import TOPICS
-from msgs.units import NANOSECONDS_PER_SECOND, ns_from_s, s_from_ns
+from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.node import SETTLE_S, Stop
+from nodes.player import setup_first
 
 if TYPE_CHECKING:
     from msgs.zmq_bus import ZmqBus
@@ -198,9 +199,11 @@ class Replay:
             if self._stop.requested:
                 return None
             self._send(recorded, due_ns)
+            self._note_played(recorded)
         self._finish_scans()
         self._passes += 1
-        return self._params.start_ns if self._params.loop and self._sent else None
+        # a span that holds nothing but what is said once would be begun again and again without a pause
+        return self._params.start_ns if self._params.loop and self._at_ns is not None else None
 
     def _open(self, start_ns: int) -> None:
         """Whoever begins in the middle still needs what was said before."""
@@ -213,11 +216,13 @@ class Replay:
         states = [topic for topic in self._params.topics if self._params.renamed.get(topic, topic) == _STATE]
         for recorded in self._read(states, max(0, start_ns - _STATES_NS), start_ns):
             self._send(recorded, self._bus.now_ns() + recorded.log_time_ns - start_ns)
-        self._at_ns = None
 
     def _messages(self, start_ns: int) -> Iterator[Recorded]:
         is_cut = start_ns > self._params.first_ns
-        return whole_scans(self._read(self._params.topics, start_ns, None), is_cut, self._params.end_ns)
+        messages = self._read(self._params.topics, start_ns, None)
+        if self._latched.topics and not self._latched.until(start_ns):
+            messages = setup_first(next(self._read(self._latched.topics, start_ns, None), None), messages)
+        return whole_scans(messages, is_cut, self._params.end_ns)
 
     def _read(self, topics: Collection[str], start_ns: int, end_ns: int | None) -> Iterator[Recorded]:
         return self._reader.messages(topics, start_ns, end_ns, self._params.renamed)
@@ -282,8 +287,12 @@ class Replay:
             self._graph.serve(0.0)
         self._sent[recorded.topic] += 1
         self._unconfirmed |= is_latched
-        if not is_latched and due_ns is not None:
-            self._played_ns += max(0, recorded.log_time_ns - (self._at_ns or recorded.log_time_ns))
+
+    def _note_played(self, recorded: Recorded) -> None:
+        """Add the time since the message before."""
+        if not TOPICS[recorded.topic].latched:
+            before_ns = recorded.log_time_ns if self._at_ns is None else self._at_ns
+            self._played_ns += max(0, recorded.log_time_ns - before_ns)
             self._at_ns = recorded.log_time_ns
 
     def _finish_scans(self) -> None:
@@ -356,14 +365,14 @@ class LatchedMessages:
     def __init__(self, reader: RecordingReader, params: ReplayParams) -> None:
         self._reader, self._params = reader, params
         renamed = params.renamed
-        self._topics = [topic for topic in params.topics if TOPICS[renamed.get(topic, topic)].latched]
+        self.topics = [topic for topic in params.topics if TOPICS[renamed.get(topic, topic)].latched]
         self._found: list[Recorded] = []
         self._searched_ns = 0
 
     def until(self, end_ns: int) -> list[Recorded]:
         """The last message of each latched topic before `end_ns`."""
-        if self._topics and end_ns > self._searched_ns:
-            self._found += self._reader.messages(self._topics, self._searched_ns, end_ns, self._params.renamed)
+        if self.topics and end_ns > self._searched_ns:
+            self._found += self._reader.messages(self.topics, self._searched_ns, end_ns, self._params.renamed)
             self._searched_ns = end_ns
         return list({one.topic: one for one in self._found if one.log_time_ns < end_ns}.values())
 
@@ -394,13 +403,3 @@ def first_sensed_ns(reader: RecordingReader, topics: tuple[str, ...], renamed: M
     """Log time of the first message that is not latched: what is said once may have been said long before."""
     timely = [topic for topic in topics if not TOPICS[renamed.get(topic, topic)].latched]
     return next((one.log_time_ns for one in reader.messages(timely, renamed=renamed)), reader.span_ns[0])
-
-
-def span_of(first_ns: int, start_s: float, end_s: float | None, duration_s: float | None) -> tuple[int, int | None]:
-    """Log times of the span that `--start`, `--end` and `--duration` name."""
-    if end_s is not None and duration_s is not None:
-        raise ValueError(f"--end and --duration must not be given together, got {end_s:g} and {duration_s:g}")
-    end_s = start_s + duration_s if duration_s is not None else end_s
-    if end_s is not None and end_s <= start_s:
-        raise ValueError(f"--end must be after --start {start_s:g}, got {end_s:g}")
-    return first_ns + ns_from_s(start_s), None if end_s is None else first_ns + ns_from_s(end_s)

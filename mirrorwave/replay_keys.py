@@ -45,8 +45,10 @@ class Keyboard:
     """Keys without Enter from stdin where it is a terminal, none elsewhere; a context manager that restores it."""
 
     def __init__(self, descriptor: int | None = None) -> None:
-        found = sys.stdin.fileno() if descriptor is None and sys.stdin.isatty() else descriptor
-        self._descriptor = found if found is not None and os.isatty(found) else None
+        # a daemon may have no stdin at all
+        has_terminal = descriptor is None and sys.stdin is not None and sys.stdin.isatty()
+        found = sys.stdin.fileno() if has_terminal else descriptor
+        self._descriptor = found if found is not None and os.isatty(found) and not _in_background(found) else None
         self._before: list[Any] = []
         self._typed = b""
 
@@ -80,6 +82,15 @@ class Keyboard:
             self._typed += typed
         keys, self._typed = keys_of(self._typed)
         return keys
+
+
+def _in_background(descriptor: int) -> bool:
+    """Whether a shell has put this process behind another: it would be stopped as soon as it touched the terminal."""
+    try:
+        return os.tcgetpgrp(descriptor) != os.getpgrp()
+    except OSError:
+        # not the terminal that controls this process
+        return False
 
 
 def keys_of(typed: bytes) -> tuple[list[Key], bytes]:

@@ -27,10 +27,12 @@ def lidar(
     channels: Annotated[int, typer.Option(min=2, max=1024)] = 128,
     azimuths: Annotated[int, typer.Option(min=16, max=8192, help="Rays a turn.")] = 1024,
     range_noise_m: Annotated[float, typer.Option(min=0.0, max=1.0, help="Standard deviation along the ray.")] = 0.02,
-    guess_m: Annotated[float, typer.Option(min=0.0, help="Standard deviation of first poses in the manifest.")] = 0.3,
-    guess_deg: Annotated[float, typer.Option(min=0.0, help="The same of their headings.")] = 3.0,
+    guess_m: Annotated[
+        float, typer.Option(min=0.0, max=100.0, help="Standard deviation of first poses in the manifest.")
+    ] = 0.3,
+    guess_deg: Annotated[float, typer.Option(min=0.0, max=180.0, help="The same of their headings.")] = 3.0,
     no_guess: Annotated[bool, typer.Option(help="Give no first poses: they are to be searched for.")] = False,
-    seed: int = 0,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
 ) -> None:
     """LiDAR clouds of a scene (PLY), `scene.yaml` for `mirrorwave annotate`, and the true poses in `truth.json`.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import time
 from collections.abc import Iterator
@@ -247,7 +248,7 @@ def _listen(domain: str, topics: list[str]) -> Bus:
 
         foreign = ForeignBus(run_dir(domain))
         for topic in topics:
-            foreign.subscribe(topic.replace("/", "."))
+            foreign.subscribe(topic)
         return foreign
     for topic in topics:
         topic_facts(topic)
@@ -296,21 +297,20 @@ def _measure(topics: list[str], duration_s: float, domain: str) -> tuple[list[di
     bus = _listen(domain, topics)
     marks: dict[tuple[str, str], list[tuple[int, int]]] = {}
     try:
-        start_s = time.monotonic()
-        deadline_s = start_s + _FIND_S + duration_s
-        for received in _messages(bus, deadline_s):
+        # a publisher that is slower than it takes to find it is measured from when it must have been found
+        start_s = time.monotonic() + _FIND_S
+        for received in _messages(bus, start_s + duration_s):
+            if not marks:
+                start_s = min(start_s, time.monotonic())
             key = (received.topic, received.envelope.publisher)
             marks.setdefault(key, []).append((received.envelope.sequence, received.envelope.sent_ns))
-            if len(marks) == 1 and len(marks[key]) == 1:
-                start_s = time.monotonic()
-            if time.monotonic() - start_s > duration_s and start_s < deadline_s - duration_s:
+            if time.monotonic() - start_s > duration_s:
                 break
-        elapsed_s = min(time.monotonic() - start_s, duration_s)
+        elapsed_s = min(max(time.monotonic() - start_s, 0.0), duration_s)
         counts = {count.topic: count for count in bus.counts()[0]}
     finally:
         bus.close()
-    lost = {name: count.lost for name, count in counts.items()}
-    rates = [_rate_row(topic, node, seen, lost[topic]) for (topic, node), seen in sorted(marks.items())]
+    rates = [_rate_row(topic, node, seen) for (topic, node), seen in sorted(marks.items())]
     volumes = [
         {
             "topic": name,
@@ -325,7 +325,9 @@ def _measure(topics: list[str], duration_s: float, domain: str) -> tuple[list[di
     return rates, volumes
 
 
-def _rate_row(topic: str, publisher: str, seen: list[tuple[int, int]], lost: int) -> dict[str, Any]:
+def _rate_row(topic: str, publisher: str, seen: list[tuple[int, int]]) -> dict[str, Any]:
+    # of this publisher: the bus counts what a topic lost, whoever sent it
+    lost = sum(max(after - before - 1, 0) for (before, _), (after, _) in itertools.pairwise(seen))
     row: dict[str, Any] = {"topic": topic, "publisher": publisher, "messages": len(seen), "lost": lost}
     intervals_ms = 1e-6 * np.diff([sent_ns for _, sent_ns in seen])
     elapsed_s = 1e-9 * (seen[-1][1] - seen[0][1])

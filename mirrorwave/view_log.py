@@ -39,7 +39,7 @@ class Moment(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """A warning on the timeline, from its first occurrence to its end; title at its most urgent."""
+    """A warning on the timeline, as long as it is of one level; one that rises or falls goes on as another mark."""
 
     key: str
     start_ns: int
@@ -103,8 +103,9 @@ class _Marks:
             known = self._open.get(one.key)
             if known is None:
                 known = Mark(one.key, one.since_ns, now_ns, one.level, one.title)
-            elif one.level > known.level:
-                known = known._replace(level=one.level, title=one.title)
+            elif one.level != known.level:
+                self._closed.append(known)
+                known = Mark(one.key, now_ns, now_ns, one.level, one.title)
             self._open[one.key] = known if one.ended else known._replace(end_ns=now_ns)
 
     def closed(self) -> list[Mark]:
@@ -129,5 +130,7 @@ def overview_json(log: ViewLog) -> dict[str, Any]:
                 "title": one.title,
             }
             for one in log.marks
+            # what was over before the first scan is not seen at any
+            if one.end_ns >= start_ns
         ],
     }

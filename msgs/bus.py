@@ -9,7 +9,7 @@ import msgspec
 from msgs.diagnostics import TopicCount
 
 
-class Envelope(msgspec.Struct, frozen=True, kw_only=True):
+class Envelope(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Head of every message on the wire, beside the body of its topic's type."""
 
     protocol: int = 1

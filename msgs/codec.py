@@ -28,6 +28,8 @@ MAX_HEADER_BYTES = 1 << 20
 #: An inline message has all its arrays inside; none of ours comes near.
 MAX_INLINE_BYTES = 1 << 28
 _MAX_REASON = 300
+#: A hundred thousand years of beams.
+_MAX_SEQUENCE = 1 << 48
 #: What building a value from hostile input may raise; all of it becomes a `CodecError`. Nesting deeper than the
 #: interpreter allows ends in RecursionError.
 _TROUBLE = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
@@ -205,6 +207,11 @@ def _check_envelope(envelope: Envelope, topic: Topic) -> None:
     for name in ("sequence", "sent_ns"):
         if getattr(envelope, name) < 0:
             raise ValueError(f"{name} must not be negative, got {getattr(envelope, name)} - at `$.envelope.{name}`")
+    if envelope.sequence > _MAX_SEQUENCE:
+        # gaps are added up, and their sum has to fit a heartbeat
+        raise ValueError(
+            f"sequence must be at most {_MAX_SEQUENCE}, got {envelope.sequence} - at `$.envelope.sequence`"
+        )
 
 
 def _topic_of(envelope: Envelope) -> Topic:

@@ -40,6 +40,7 @@ CHUNK_BYTES = 1 << 20
 RESERVE_BYTES = 16 << 20
 #: What was written is sent to the disk, and its memory given back, while so much more is written.
 CACHED_BYTES = 64 << 20
+MAX_U64 = (1 << 64) - 1
 _FALLOC_KEEP_SIZE = 1
 #: Most pieces that one system call may write.
 _IOV_MAX = 1024
@@ -56,7 +57,7 @@ class _Batch:
     def __init__(self) -> None:
         self.pieces: list[bytes] = []
         self.size = 0
-        self.start_ns, self.end_ns = (1 << 64) - 1, 0
+        self.start_ns, self.end_ns = MAX_U64, 0
         self.indexes: dict[int, MessageIndex] = {}
         self.times: set[int] = set()
 
@@ -89,7 +90,10 @@ class McapFile:
         #: Per channel: its own record and its schema's, as each chunk repeats them.
         self._declarations: dict[int, bytes] = {}
         self._batches = {False: _Batch(), True: _Batch()}
-        self._chunks: list[ChunkIndex] = []
+        #: As bytes: objects would take a kilobyte a beam, and a recording may last for hours.
+        self._chunk_indexes = bytearray()
+        self._chunk_count = 0
+        self._first_ns, self._last_ns = MAX_U64, 0
         self._metadata: list[MetadataIndex] = []
         #: Messages per channel in whole chunks, which the file system has.
         self.counts: dict[int, int] = defaultdict(int)
@@ -195,7 +199,7 @@ class McapFile:
             offsets[number] = at
             at += len(record)
             self.counts[number] += len(batch.indexes[number].records)
-        self._chunks.append(
+        self._chunk_indexes += _record(
             ChunkIndex(
                 chunk_start_offset=offset,
                 chunk_length=length,
@@ -208,19 +212,20 @@ class McapFile:
                 message_index_length=at - offset - length,
             )
         )
+        self._chunk_count += 1
+        self._first_ns, self._last_ns = min(self._first_ns, batch.start_ns), max(self._last_ns, batch.end_ns)
 
     def _summary(self, start: int) -> list[bytes]:
         """Summary section that begins at `start`, offsets of its groups, footer and magic."""
         groups = [
-            (Opcode.SCHEMA, self._schemas.values()),
-            (Opcode.CHANNEL, self._channels.values()),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.METADATA_INDEX, self._metadata),
+            (Opcode.SCHEMA, _records(self._schemas.values())),
+            (Opcode.CHANNEL, _records(self._channels.values())),
+            (Opcode.STATISTICS, _record(self._statistics())),
+            (Opcode.CHUNK_INDEX, bytes(self._chunk_indexes)),
+            (Opcode.METADATA_INDEX, _records(self._metadata)),
         ]
         summary, offsets = b"", b""
-        for opcode, records in groups:
-            group = b"".join(_record(record) for record in records)
+        for opcode, group in groups:
             if group:
                 offsets += _record(SummaryOffset(opcode, start + len(summary), len(group)))
             summary += group
@@ -237,9 +242,9 @@ class McapFile:
             channel_count=len(self._channels),
             attachment_count=0,
             metadata_count=len(self._metadata),
-            chunk_count=len(self._chunks),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            chunk_count=self._chunk_count,
+            message_start_time=self._first_ns if self._chunk_count else 0,
+            message_end_time=self._last_ns,
             channel_message_counts=dict(self.counts),
         )
 
@@ -267,6 +272,10 @@ def _record(record: McapRecord) -> bytes:
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()
+
+
+def _records(records: Iterable[McapRecord]) -> bytes:
+    return b"".join(_record(record) for record in records)
 
 
 def _crc32(pieces: Iterable[bytes], crc: int = 0) -> int:

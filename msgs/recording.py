@@ -12,7 +12,9 @@ the file's records by their lengths, and turn to the index only where damage bar
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import heapq
+import itertools
 import os
 import struct
 import zlib
@@ -33,7 +35,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from mcap.writer import MCAP0_MAGIC
 
 from msgs.codec import CodecError, decode_inline, encode_inline, json_schema
-from msgs.mcap_file import CHUNK_BYTES, McapFile
+from msgs.mcap_file import CHUNK_BYTES, MAX_U64, McapFile
 from msgs.topics import TOPICS, topic_facts
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
 
@@ -50,7 +52,6 @@ _PUBLISHER_KEY = "publisher"
 #: Larger records are damage: no chunk of ours comes near.
 _MAX_RECORD_BYTES = 1 << 30
 _MAX_U32 = (1 << 32) - 1
-_MAX_U64 = (1 << 64) - 1
 #: Opcode and length before each record.
 _RECORD_HEAD = struct.Struct("<BQ")
 #: First fields of a chunk: start, end, uncompressed size.
@@ -189,7 +190,7 @@ class RecordingWriter:
             message.sequence & _MAX_U32,
             message.sent_ns,
             # unsigned in the file; the message itself keeps its exact stamp
-            min(max(message.stamp_ns, 0), _MAX_U64),
+            min(max(message.stamp_ns, 0), MAX_U64),
             message.data,
         )
         self._flush_when_due(message.sent_ns)
@@ -246,7 +247,7 @@ def encoded(topic: str, message: msgspec.Struct, *, publisher: str, sequence: in
     facts = topic_facts(topic)
     if type(message) is not facts.type:
         raise ValueError(f"{topic} carries {facts.type.__name__}, got {type(message).__name__}")
-    if not 0 <= sent_ns <= _MAX_U64:
+    if not 0 <= sent_ns <= MAX_U64:
         raise ValueError(f"sent_ns must be 0..2^64-1, got {sent_ns!r}")
     stamp_ns: int = getattr(message, "stamp_ns", sent_ns)
     return Encoded(topic, publisher, sequence, sent_ns, stamp_ns, encode_inline(message))
@@ -332,9 +333,7 @@ class RecordingReader:
         `topics` as the recording has them; those `renamed` come, and are read, as the topics of their new names.
         """
         self.skipped = {}
-        for channel, raw in self._in_order(start_ns, end_ns):
-            if topics is not None and channel.topic not in topics:
-                continue
+        for channel, raw in self._in_order(start_ns, end_ns, topics):
             topic = (renamed or {}).get(channel.topic, channel.topic)
             message = _decode(topic, channel, raw)
             if message is None:
@@ -373,19 +372,28 @@ class RecordingReader:
     ) -> None:
         self.close()
 
-    def _in_order(self, start_ns: int | None, end_ns: int | None) -> Iterator[tuple[Channel, Message]]:
+    def _in_order(
+        self, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[Channel, Message]]:
         """Merge chunks by log time: a message may go once no later chunk can hold an earlier one."""
-        start, end = start_ns or 0, _MAX_U64 + 1 if end_ns is None else end_ns
+        start, end = start_ns or 0, MAX_U64 + 1 if end_ns is None else end_ns
         chunks = [chunk for chunk in self._walk.chunks if chunk.end_ns >= start and chunk.start_ns < end]
+        if topics is not None:
+            chunks = [chunk for chunk in chunks if self._may_hold(chunk, topics)]
         waiting: list[tuple[int, int, int, Channel, Message]] = []
         for chunk in sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):
             while waiting and waiting[0][0] < chunk.start_ns:
                 yield heapq.heappop(waiting)[3:]
             for at, (channel, raw) in enumerate(self._chunk_messages([chunk])):
-                if start <= raw.log_time < end:
+                if start <= raw.log_time < end and (topics is None or channel.topic in topics):
                     heapq.heappush(waiting, (raw.log_time, chunk.offset, at, channel, raw))
         while waiting:
             yield heapq.heappop(waiting)[3:]
+
+    def _may_hold(self, chunk: _Chunk, topics: Collection[str]) -> bool:
+        """Whether a chunk has to be read for these topics: raw beams are a thousand times all else."""
+        declared = [self._channels.get(number) for number in chunk.channel_ids]
+        return not declared or any(channel is None or channel.topic in topics for channel in declared)
 
     def _chunk_messages(self, chunks: list[_Chunk]) -> Iterator[tuple[Channel, Message]]:
         """Messages of intact chunks in the order given; damaged ones are noted and left out."""
@@ -426,6 +434,8 @@ class _Chunk(NamedTuple):
     offset: int
     start_ns: int
     end_ns: int
+    #: Channels that it holds as the index says; empty where that does not.
+    channel_ids: tuple[int, ...] = ()
 
 
 class _Walk:
@@ -465,6 +475,7 @@ def copy_recording(
 ) -> tuple[int, str | None]:
     """Copy messages byte for byte, unknown topics included, into a new and complete file: recover, trim, compress.
 
+    The last message of each latched topic from before `start_ns` stands at the start, as if it were sent again then.
     Returns the number of messages and what the source had lost.
     """
     with RecordingReader(source) as reader, _create(Path(target), overwrite) as file:
@@ -472,14 +483,21 @@ def copy_recording(
         for name, values in reader._walk.metadata.items():
             writer.add_metadata(name, values)
         channels: dict[int, int] = {}
-        for channel, raw in reader._in_order(start_ns, end_ns):
-            if topics is not None and channel.topic not in topics:
-                continue
+        said_before = [] if start_ns is None else _latched_before(reader, start_ns, topics)
+        for channel, raw in itertools.chain(said_before, reader._in_order(start_ns, end_ns, topics)):
             if channel.id not in channels:
                 channels[channel.id] = _copy_channel(writer, channel, reader._schemas, compress)
             writer.add_message(channels[channel.id], raw.sequence, raw.log_time, raw.publish_time, raw.data)
         writer.finish()
         return writer.messages, reader.loss
+
+
+def _latched_before(
+    reader: RecordingReader, start_ns: int, topics: Collection[str] | None
+) -> list[tuple[Channel, Message]]:
+    latched = [one.name for one in TOPICS.values() if one.latched and (topics is None or one.name in topics)]
+    found = {channel.id: (channel, raw) for channel, raw in reader._in_order(None, start_ns, latched)}
+    return [(channel, dataclasses.replace(raw, log_time=start_ns)) for channel, raw in found.values()]
 
 
 class _Counts:
@@ -640,7 +658,8 @@ def _note_record(walk: _Walk, file: BinaryIO, opcode: int, offset: int, length: 
         walk.metadata[metadata.name] = metadata.metadata
     elif opcode == Opcode.CHUNK_INDEX:
         index = ChunkIndex.read(_body(file, length))
-        walk.indexed.append(_Chunk(index.chunk_start_offset, index.message_start_time, index.message_end_time))
+        span_ns = index.message_start_time, index.message_end_time
+        walk.indexed.append(_Chunk(index.chunk_start_offset, *span_ns, tuple(index.message_index_offsets)))
     elif opcode == Opcode.DATA_END:
         walk.data_end = offset
         walk.data_crc = DataEnd.read(_body(file, length)).data_section_crc or None

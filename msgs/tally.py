@@ -20,6 +20,8 @@ from msgs.units import NANOSECONDS_PER_SECOND
 logger = logging.getLogger(__name__)
 
 _WARNING_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
+#: A player gives up a scan that is not answered for this long (`mirrorwave.replay_graph`).
+_PACED_NS = 10 * NANOSECONDS_PER_SECOND
 
 
 class _Count:
@@ -51,8 +53,8 @@ class Tally:
         self._paced, self._keeps_all = paced, keeps_all
         #: What is outdated is handed out too.
         self.wants_all = False
-        #: Topics whose last message was paced: what is made of them is paced too.
-        self._paced_topics: set[str] = set()
+        #: Topics whose last message was paced, and when it came: what is made of them is paced too.
+        self._paced_ns: dict[str, int] = {}
         self._published: dict[str, _Count] = {}
         self._received: dict[str, _Count] = {}
         self._last: dict[tuple[str, str], Envelope] = {}
@@ -61,7 +63,8 @@ class Tally:
     def pack(self, topic: str, message: msgspec.Struct, now_ns: int) -> tuple[Envelope, list[Buffer]]:
         """Envelope and frames of the next message; raises `CodecError`, and spends no number, if it cannot travel."""
         sequence = self._published[topic].messages if topic in self._published else 0
-        paced = self._paced or bool(self._paced_topics)
+        # not for ever: its player has ended without a word, and a radar that waits for nobody may follow
+        paced = self._paced or any(now_ns - came_ns <= _PACED_NS for came_ns in self._paced_ns.values())
         envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns, paced=paced)
         frames = encode(envelope, message)
         self._published.setdefault(topic, _Count()).add(frames)
@@ -89,7 +92,10 @@ class Tally:
             count.lost += max(0, received.envelope.sequence - last.sequence - 1)
         self._last[topic, received.envelope.publisher] = received.envelope
         count.add(frames)
-        (self._paced_topics.add if received.envelope.paced else self._paced_topics.discard)(topic)
+        if received.envelope.paced:
+            self._paced_ns[topic] = now_ns
+        else:
+            self._paced_ns.pop(topic, None)
         return received
 
     def forget(self, topic: str, publisher: str) -> None:

@@ -214,7 +214,9 @@ def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
     nodes = dict(launch.nodes)
     for name, entry in recorders(launch).items():
         own = entry.params.get("metadata") or {}
-        told = {"run_dir": str(run_dir), **entry.params, "metadata": {**metadata, **own}}
+        # what is no mapping goes as it is to the recorder, which says what is wrong with it
+        told = {"run_dir": str(run_dir), **entry.params}
+        told["metadata"] = {**metadata, **own} if isinstance(own, Mapping) else own
         nodes[name] = msgspec.structs.replace(entry, params=told)
     return msgspec.structs.replace(launch, nodes=nodes)
 

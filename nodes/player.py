@@ -14,8 +14,11 @@ from msgs.bus import Outgoing, Received
 from msgs.units import ns_from_s
 from msgs.vehicle import VehicleState
 from nodes.node import Node
+from nodes.state_history import MAX_AGE_NS
+from nodes.validation import require_rest
 
 if TYPE_CHECKING:
+    from msgs.recording import Recorded
     from sim_player.player import ScenePlayer
     from sim_player.scene import Scene
 
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
 SENSED_TOPICS = ("radar/setup", "radar/beam", "vehicle/state", "sim/truth")
 #: Scenes named in launch files are looked for here when they are not in the working directory.
 CHECKOUT = Path(__file__).resolve().parents[1]
+#: What must be known before a beam.
+_KNOWN = ("radar/setup", "vehicle/state")
 #: Most messages that one step may send: heartbeats and a stop come between steps.
 BURST = 8
 
@@ -60,6 +65,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"player.rate must be positive, got {self.rate!r}")
         if self.scans is not None and self.scans < 0:
             raise ValueError(f"player.scans must not be negative, got {self.scans!r}")
+        require_rest("player.settle_s", self.settle_s)
         require_finite("player.vehicle_clock_offset_s", self.vehicle_clock_offset_s)
 
 
@@ -112,10 +118,13 @@ class Player(Node):
         return out
 
     def _open(self, now_ns: int) -> list[Outgoing]:
-        """What must be known before the first beam goes out at once, the rest after settling."""
+        """What must be known before the first beam goes out at once, the rest after settling.
+
+        A car may have been heard long before its radar: what queues would not hold goes at its time.
+        """
         self._start_ns = now_ns + self._settle_ns
         out: list[Outgoing] = []
-        while self._next is not None and self._next.outgoing.topic in ("radar/setup", "vehicle/state"):
+        while self._next is not None and self._next.offset_ns <= MAX_AGE_NS and self._next.outgoing.topic in _KNOWN:
             out.append(self._take())
         return out
 
@@ -181,11 +190,30 @@ def _recording_events(path: Path) -> Iterator[Event]:
 
     with RecordingReader(path) as reader:
         start_ns: int | None = None
-        for recorded in reader.messages(topics=SENSED_TOPICS):
+        setup = next(reader.messages(["radar/setup"]), None)
+        for recorded in setup_first(setup, reader.messages(topics=SENSED_TOPICS)):
             if recorded.topic != "radar/setup" and start_ns is None:
                 start_ns = recorded.log_time_ns
             offset_ns = 0 if start_ns is None else recorded.log_time_ns - start_ns
             yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
+
+
+def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterator[Recorded]:
+    """`messages` of a recording with `setup`, the first set-up among them, before all others.
+
+    A part of a recording begins with the set-up, sent again with the part's first message; a beam that was sent a
+    moment before and took longer on its way stands before both.
+    """
+    if setup is None:
+        yield from messages
+        return
+    yield setup
+    is_first = True
+    for recorded in messages:
+        if is_first and recorded.topic == setup.topic:
+            is_first = False
+        else:
+            yield recorded
 
 
 def _with_offset(event: Event, offset_ns: int) -> Event:

@@ -21,6 +21,7 @@ from msgs.radar import BeamGrid, RadarBeam, RadarSetup
 from msgs.units import ns_from_s
 from nodes.drivers import cn0566
 from nodes.node import Node
+from nodes.validation import require_rest
 
 _LOG = logging.getLogger(__name__)
 
@@ -61,8 +62,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     def __post_init__(self) -> None:
         if self.scans is not None:
             require_positive("radar_driver.scans", self.scans)
-        if not self.settle_s >= 0.0:
-            raise ValueError(f"radar_driver.settle_s must not be negative, got {self.settle_s!r}")
+        require_rest("radar_driver.settle_s", self.settle_s)
 
     @property
     def beams(self) -> BeamGrid:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections import Counter
 from pathlib import Path
 
@@ -30,6 +29,8 @@ _LOG = logging.getLogger(__name__)
 
 #: The disk is called short when it is full in less than this at the rate so far.
 _SHORT_S = 60.0
+#: Seconds and bytes are fewer: what is larger would be no time and no size any more.
+_MOST = 1e18
 #: The rate is known after this.
 _RATE_KNOWN_S = 5.0
 
@@ -64,8 +65,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             topic_facts(topic)
         for name in ("split_bytes", "split_s", "max_parts", "snapshot_s", "snapshot_bytes"):
             value = getattr(self, name)
-            if value is not None and not (math.isfinite(value) and value > 0):
-                raise ValueError(f"{name} must be above zero and finite, got {value!r}")
+            if value is not None and not 0 < value < _MOST:
+                raise ValueError(f"{name} must be above zero and below {_MOST:g}, got {value!r}")
         if self.min_free_bytes < 0:
             raise ValueError(f"min_free_bytes must not be negative, got {self.min_free_bytes!r}")
         if self.max_parts is not None and not self.splits:

@@ -94,7 +94,8 @@ def _wait(path: Path, deadline_s: float, until: Callable[[State], bool]) -> Stat
             raise ChildProcessError(f"{path}: its recorder has ended")
         try:
             state = msgspec.json.decode(path.read_bytes(), type=State)
-        except msgspec.MsgspecError:
+        except (msgspec.MsgspecError, FileNotFoundError):
+            # half written, or just taken away: the next look tells
             state = None
         if state is not None and until(state):
             return state

@@ -9,6 +9,8 @@ import msgspec
 
 T = TypeVar("T")
 
+LONGEST_REST_S = 3600.0
+
 _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
 
@@ -29,3 +31,9 @@ def explain(text: str, where: str) -> str:
     path = found["path"] if found else ""
     rule = _PATH.sub("", text).replace("`", "")
     return f"{where}{path}: {rule}"
+
+
+def require_rest(name: str, value_s: float) -> None:
+    """Raise `ValueError` unless a rest is 0 s to an hour: what has no end fails only once the node runs."""
+    if not 0.0 <= value_s <= LONGEST_REST_S:
+        raise ValueError(f"{name} must be 0..{LONGEST_REST_S:g} s, got {value_s!r}")

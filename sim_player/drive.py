@@ -1,4 +1,4 @@
-"""A radar on a vehicle that drives as told: beams of still scenes from any path and mounting, and what its bus says.
+"""A radar on a vehicle that drives as told: beams and truth from any path and mounting, and what its bus says.
 
 Unlike `sim_player.player`, whose radar moves at constant speed and yaw rate along its own x axis, the vehicle's speed
 and yaw rate change over time and the radar sits somewhere on it, turned. Each beam is traced from its own place.
@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from msgs.frames import Pose2, wrap_angle
+from msgs.perception import SceneTruth
 from msgs.radar import RadarBeam, RadarSetup
 from msgs.units import ns_from_s, s_from_ns
 from msgs.vehicle import VehicleState
@@ -19,8 +20,9 @@ from sim_player.as_paths import as_paths
 from sim_player.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.paths import Paths
 from sim_player.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
-from sim_player.scene import Scene
+from sim_player.scene import Ego, Scene
 from sim_player.signal_levels import record_beam
+from sim_player.truth import scene_truth
 from sim_player.world import snapshot, wall_lines
 
 
@@ -55,7 +57,7 @@ class Drive:
 class DrivePlayer:
     """Beams of a scene, given in the vehicle's frame at the start, along a drive; same seed, same bytes.
 
-    Stamps count from `start_ns`. Raises ValueError for a scene in which anything but the vehicle moves.
+    Stamps count from `start_ns`. Raises ValueError for a scene that moves its radar itself (`ego`).
     """
 
     def __init__(
@@ -67,8 +69,8 @@ class DrivePlayer:
         start_ns: int = 0,
         chirps_per_beam: int | None = None,
     ) -> None:
-        if scene.moves:
-            raise ValueError(f"scene {scene.name!r} must stand still: the drive says how the vehicle moves")
+        if scene.ego != Ego():
+            raise ValueError(f"scene {scene.name!r}: ego must stand still: the drive says how the vehicle moves")
         setup = scene.setup
         if chirps_per_beam is not None:
             radar = msgspec.structs.replace(setup.radar, chirps_per_beam=chirps_per_beam)
@@ -102,6 +104,13 @@ class DrivePlayer:
             full_scale_dbm=setup.full_scale_dbm,
         )
 
+    def truth(self, scan: int) -> SceneTruth:
+        """What is there when a scan starts, in the radar's frame."""
+        stamp_ns = self.stamp_ns(scan)
+        time_s = s_from_ns(stamp_ns - self._start_ns)
+        paths, pose = self._paths(time_s), self._pose(time_s)
+        return scene_truth(self._world, self.setup, paths, time_s, stamp_ns, scan, pose)
+
     def states(
         self, duration_s: float, period_s: float = 0.02, noise: tuple[float, float] = (0.0, 0.0), late_s: float = 0.0
     ) -> list[VehicleState]:
@@ -121,8 +130,8 @@ class DrivePlayer:
 
     def _paths(self, time_s: float) -> Paths:
         """Direct echoes and single mirrors from where the radar is at a time."""
-        start_from_radar = self.drive.pose(time_s) @ self.vehicle_from_radar
-        view = snapshot(self._world)
+        start_from_radar = self._pose(time_s)
+        view = snapshot(self._world, time_s)
         origin = np.array([start_from_radar.x_m, start_from_radar.y_m])
         normal, offset = wall_lines(self._world, origin)
         view = replace(
@@ -134,6 +143,10 @@ class DrivePlayer:
             offset=offset,
         )
         return as_paths(view, trace_echoes(view, BASIC_EFFECTS), BASIC_EFFECTS)
+
+    def _pose(self, time_s: float) -> Pose2:
+        """`start_from_radar` at a time."""
+        return self.drive.pose(time_s) @ self.vehicle_from_radar
 
     def _velocity(self, time_s: float) -> np.ndarray:
         """The radar's velocity in the scene's frame, [2]: that of the vehicle and the turn about it."""

@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from models.physics.antenna import setup_weights, two_way_pattern
+from msgs.frames import Pose2
 from msgs.perception import PathClass, SceneTruth, TruthObject, TruthSurface
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 from sim_player.effect_names import bits
@@ -66,9 +67,20 @@ def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
 
 
 def scene_truth(
-    world: World, setup: RadarSetup, paths: Paths, time_s: float, stamp_ns: int, scan_id: int
+    world: World,
+    setup: RadarSetup,
+    paths: Paths,
+    time_s: float,
+    stamp_ns: int,
+    scan_id: int,
+    start_from_radar: Pose2 | None = None,
 ) -> SceneTruth:
-    """Truth of one instant in the radar's frame (heights above the antenna); velocities are over ground."""
+    """Truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
+
+    `start_from_radar`: where the radar is then; None: where the scene's `ego` takes it.
+    """
+    pose = radar_pose(world.scene, time_s) if start_from_radar is None else start_from_radar
+    radar_from_start = pose.inverse()
     chosen = paths.take(visible_paths(setup, paths))
     mirrored = chosen.take(chosen.kind == PathClass.MIRRORED)
     return SceneTruth(
@@ -78,8 +90,8 @@ def scene_truth(
         mirrored_points_m=mirrored.virtual_m.astype(np.float32),
         hidden_points_m=mirrored.point_m.astype(np.float32),
         hidden_object=mirrored.thing.astype(np.int32),
-        objects=_objects(world, paths, time_s),
-        surfaces=_surfaces(world, time_s),
+        objects=_objects(world, paths, time_s, radar_from_start),
+        surfaces=_surfaces(world, radar_from_start),
     )
 
 
@@ -91,9 +103,8 @@ def hidden_objects(paths: Paths) -> frozenset[int]:
     return frozenset(mirrored.tolist()) - frozenset(direct.tolist()) - {-1}
 
 
-def _objects(world: World, paths: Paths, time_s: float) -> tuple[TruthObject, ...]:
+def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
     """All objects of the scene where the radar has them at a time."""
-    radar_from_start = radar_pose(world.scene, time_s).inverse()
     hidden = hidden_objects(paths)
     found = []
     for index, thing in enumerate(world.scene.objects):
@@ -117,9 +128,8 @@ def _objects(world: World, paths: Paths, time_s: float) -> tuple[TruthObject, ..
     return tuple(found)
 
 
-def _surfaces(world: World, time_s: float) -> tuple[TruthSurface, ...]:
-    """All walls as the radar has them at a time."""
-    radar_from_start = radar_pose(world.scene, time_s).inverse()
+def _surfaces(world: World, radar_from_start: Pose2) -> tuple[TruthSurface, ...]:
+    """All walls as the radar has them."""
     walls = [surface for surface in world.scene.surfaces if surface.role != "ground"]
     return tuple(
         TruthSurface(

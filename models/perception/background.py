@@ -84,7 +84,10 @@ def _robust_mean(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: float) -> BackgroundQuality:
-    """What the background of mean chirps [scans, beams, samples] is worth, judged on scans it was not made of."""
+    """What the background of mean chirps [scans, beams, samples] is worth, judged on scans it was not made of.
+
+    Raises ValueError where the scans are all the same: nothing then tells what is static from noise.
+    """
     scans, beams, samples = chirps.shape
     half, other = _power_scale(setup, chirps[0::2]), _power_scale(setup, chirps[1::2])
     first, second = (_robust_halves(one) for one in (half, other))
@@ -94,6 +97,8 @@ def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: flo
     leakage = float(static[beam, bin_])
     left = float(np.mean(np.abs(first - second)[:, bin_] ** 2))
     by_scans = noise_by_scans(_power_scale(setup, chirps))
+    if not min(left, *(power for _, power in by_scans)) > 0.0:
+        raise ValueError("a background needs scans that differ by noise: these repeat one another code by code")
     noise_dbm = db_from_ratio(by_scans[0][1])
     return BackgroundQuality(
         scans=scans,

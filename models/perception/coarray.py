@@ -33,6 +33,8 @@ _RIDGES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 _NOISE_GAIN_LIMIT = 2.5
 #: Ridge where every range bin has its own beam azimuths and none can be tuned for itself.
 _MOVING_RIDGE = 1e-3
+#: Beams that looked no further from their steering angle than this looked there: an eighth of a cell.
+_STILL_RAD = 1e-3
 
 
 class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -62,8 +64,9 @@ SEEN_SPACINGS = 1.5
 class _Inverse:
     """Precomputed products for one set of beams; `beams` rows each."""
 
-    #: Beams to azimuths, complex64 [beams, azimuth].
+    #: Beams to azimuths, complex64 [beams, azimuth], and to the coefficients between, complex64 [beams, 2N-1].
     coherent: np.ndarray
+    coefficients: np.ndarray
     #: Beams to what the fit leaves over, complex64 [beams, beams].
     residual: np.ndarray
     #: Complex degrees of freedom of the residual.
@@ -155,18 +158,22 @@ class AzimuthInterpolator:
         """Complex64 [range, azimuth] of beam profiles complex64 [beams, range], and bool [range]: magnitudes only.
 
         `noise_power_mw` is a beam's noise per bin. Rows of `missing` beams are not looked at. `look_azimuth_rad`
-        [beams, range] says where each beam looked as seen from the map's pose, where that is not its steering angle;
-        it bears on magnitudes alone.
+        [beams, range] says where each beam looked as seen from the map's pose, where that is not its steering angle.
         """
         require_array("profiles", profiles, "<c8", (len(self.setup.beams), None))
         inverse = self._inverse(missing)
         present = self._present(missing)
         # [range, beams]
         beams = np.ascontiguousarray(profiles[present].T)
-        values = beams @ inverse.coherent
         incoherent = self._incoherent(beams, inverse, noise_power_mw)
+        looks = None if look_azimuth_rad is None else look_azimuth_rad[present]
+        steered_rad = None if looks is None else self._steered_at(looks, present)
+        if steered_rad is None:
+            values = beams @ inverse.coherent
+        else:
+            values = self._steered(beams @ inverse.coefficients, steered_rad)
         if incoherent.any():
-            looks = None if look_azimuth_rad is None else look_azimuth_rad[present][:, incoherent]
+            looks = None if looks is None else looks[:, incoherent]
             values[incoherent] = self._magnitudes(np.abs(beams[incoherent]), inverse, looks)
         values[:, self._unseen(missing)] = 0.0
         return values, incoherent
@@ -212,6 +219,32 @@ class AzimuthInterpolator:
         noise_limit = noise_power_mw * gammainccinv(inverse.freedom, self.coherence.noise_false_alarm)
         return (left_over > noise_limit) & (left_over > self.coherence.model_error * _energy(beams))
 
+    def _steered_at(self, looks: np.ndarray, present: list[int]) -> np.ndarray | None:
+        """Where a beam that looked at each azimuth of the map was steered, [range, azimuth], from the looks of the
+        present beams [beams, range]; None where they looked where they were steered."""
+        beam_rad, grid_rad = self.setup.beams.azimuth_rad[present], self.grid.azimuth_rad
+        off_rad = (looks - beam_rad[:, None]).T
+        if np.abs(off_rad).max(initial=0.0) <= _STILL_RAD:
+            return None
+        order = np.argsort(beam_rad, kind="stable")
+        between = np.stack([np.interp(grid_rad, beam_rad[order], one) for one in np.eye(len(order))])
+        off_rad = off_rad[:, order] @ between
+        # one Newton step of steered + off(steered) = azimuth: exact while off is linear, as under a steady turn
+        slope = np.gradient(off_rad, grid_rad, axis=1)
+        return np.asarray(grid_rad - off_rad / np.clip(1.0 + slope, 0.5, 2.0))
+
+    def _steered(self, coefficients: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
+        """Ideal beams of coefficients [range, 2N-1], each range at azimuths of its own [range, azimuth]; complex64."""
+        first, second = coefficient_phases(self.setup)[:2].tolist()
+        sine = np.sin(azimuth_rad.astype(np.float32))
+        turn = np.exp(1j * (second - first) * sine)
+        values = np.zeros(sine.shape, np.complex64)
+        # a polynomial in the turn, by Horner: exponentials of all coefficients would cost several times as much
+        for term in (coefficients * ideal_beams(self.setup, np.zeros(()))).T[::-1].astype(np.complex64):
+            values *= turn
+            values += term[:, None]
+        return np.asarray(values * np.exp(1j * first * sine))
+
     def _magnitudes(self, magnitudes: np.ndarray, inverse: _Inverse, looks: np.ndarray | None) -> np.ndarray:
         """Least squares on magnitudes [range, beams], on their squares one way, not below zero."""
         one_way = self.setup.array.steered_ways == 1
@@ -232,6 +265,7 @@ def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray,
     magnitude, _ = _ridge_inverse(*magnitudes)
     return _Inverse(
         coherent=coherent.T.astype(np.complex64),
+        coefficients=back.T.astype(np.complex64),
         residual=residual.T.astype(np.complex64),
         freedom=float(np.sum(np.abs(residual) ** 2)),
         magnitude=magnitude.T.real.astype(np.float32),

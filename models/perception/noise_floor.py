@@ -161,7 +161,10 @@ def _median_mean(power: np.ndarray, averages: int = 1) -> float:
 
 
 def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs; [bands]."""
+    """Frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs; [bands].
+
+    Raises ValueError where the beams are too short to fill a band.
+    """
     frequency_hz = np.abs(np.fft.fftfreq(len(power), 1.0 / radar.sample_rate_hz))
     lowest = 3.0 / radar.beam_duration_s
     edges = np.geomspace(lowest, 0.5 * radar.sample_rate_hz, _BANDS + 1)
@@ -172,6 +175,11 @@ def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages:
         if mine.sum() >= 8:
             # tones and movers are few: the median does not see them
             found.append((float(np.exp(np.log(frequency_hz[mine]).mean())), _median_mean(power[mine], averages)))
+    if not found:
+        raise ValueError(
+            f"noise is read in bands of at least 8 bins: beams of {radar.chirps_per_beam} chirps of "
+            f"{radar.samples_per_chirp} samples are too short"
+        )
     band_hz, power_mw = np.array(found).T
     return band_hz, power_mw
 

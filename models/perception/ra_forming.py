@@ -156,11 +156,18 @@ def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: n
 
 
 def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np.ndarray:
-    """Acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth]."""
+    """Acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth].
+
+    Beams of a radar that turns lie where they looked, taken afar.
+    """
     azimuth_rad = interpolator.setup.beams.azimuth_rad
-    order = np.argsort(azimuth_rad, kind="stable")
     # relative to the scan: nanoseconds since 1970 would not fit a float
-    elapsed_ns = (scan.beam_stamp_ns - scan.stamp_ns)[order].astype(np.float64)
+    elapsed_ns = (scan.beam_stamp_ns - scan.stamp_ns).astype(np.float64)
+    looked = np.setdiff1d(np.arange(len(azimuth_rad)), scan.missing_beams + scan.unused_beams)
+    if scan.look_azimuth_rad is not None and len(looked):
+        azimuth_rad, elapsed_ns = scan.look_azimuth_rad[looked, -1], elapsed_ns[looked]
+    order = np.argsort(azimuth_rad, kind="stable")
+    elapsed_ns = elapsed_ns[order]
     elapsed_ns = np.interp(interpolator.grid.azimuth_rad, azimuth_rad[order], elapsed_ns)
     return scan.stamp_ns + np.rint(elapsed_ns).astype(np.int64)
 

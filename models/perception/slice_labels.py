@@ -59,6 +59,9 @@ class Disc(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     y_m: float
     radius_m: float
 
+    def __post_init__(self) -> None:
+        require_positive("radius_m", self.radius_m)
+
 
 class WallRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What of a slice is a wall: straight, long and tall. `given_m` adds walls by hand; what stands in `objects` is an
@@ -77,6 +80,9 @@ class WallRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
             require_positive(f"walls.{name}", getattr(self, name))
         if not 0.0 <= self.min_height_m < math.inf:
             raise ValueError(f"walls.min_height_m must not be negative, got {self.min_height_m!r}")
+        for index, (a, b) in enumerate(self.given_m):
+            if not math.dist(a, b) > self.inlier_m:
+                raise ValueError(f"walls.given_m[{index}] must be longer than inlier_m, got {a} to {b}")
 
 
 class PointLabel(IntEnum):

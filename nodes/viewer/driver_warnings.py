@@ -137,7 +137,7 @@ class Finding(NamedTuple):
 class DriverWarning(NamedTuple):
     """A warning as it stands: its key stays while it lasts, title, level and detail follow what is known.
 
-    `ended`: the condition has just gone. `left_s`: time to the event. `since_ns`: first occurrence.
+    `ended`: the condition has just gone. `left_s`: time to the event. `since_ns`: when it became as urgent as now.
     """
 
     key: str
@@ -153,7 +153,8 @@ class DriverWarning(NamedTuple):
 class _Known(NamedTuple):
     """What is remembered of a key."""
 
-    first_ns: int
+    #: Since when it has been of that level at least, for each level up to its own.
+    since_ns: dict[Level, int]
     last_ns: int
     said: bool
     finding: Finding
@@ -189,9 +190,10 @@ class Warner:
             return False
         if known is not None and finding.level < known.finding.level and self._stays(known, now_ns):
             return False
-        first_ns = now_ns if known is None else known.first_ns
-        said = (known is not None and known.said) or s_from_ns(now_ns - first_ns) >= finding.after_s
-        self._known[finding.key] = _Known(first_ns, now_ns, said, finding)
+        before = {} if known is None else known.since_ns
+        since_ns = {level: before.get(level, now_ns) for level in Level if level <= finding.level}
+        said = (known is not None and known.said) or s_from_ns(now_ns - min(since_ns.values())) >= finding.after_s
+        self._known[finding.key] = _Known(since_ns, now_ns, said, finding)
         return True
 
     def _stays(self, one: _Known, now_ns: int) -> bool:
@@ -204,9 +206,9 @@ class Warner:
 def _warning(one: _Known, now_ns: int) -> DriverWarning:
     finding = one.finding
     left_s = None if finding.left_s is None else max(finding.left_s - s_from_ns(now_ns - one.last_ns), 0.0)
-    ended = one.last_ns < now_ns
+    since_ns, ended = one.since_ns[finding.level], one.last_ns < now_ns
     return DriverWarning(
-        finding.key, finding.level, finding.title, finding.detail, one.first_ns, left_s, finding.tracks, ended
+        finding.key, finding.level, finding.title, finding.detail, since_ns, left_s, finding.tracks, ended
     )
 
 
@@ -343,8 +345,14 @@ def is_moving(one: Track, params: WarningParams) -> bool:
     covariance = one.velocity_cov_m2ps2
     if covariance is None:
         return True
-    along = velocity / speed_mps
-    return speed_mps > params.moving_sigmas * math.sqrt(max(float(along @ np.array(covariance) @ along), 0.0))
+    return speed_mps > params.moving_sigmas * _std_along(velocity / speed_mps, np.array(covariance))
+
+
+def _std_along(direction: np.ndarray, covariance: np.ndarray) -> float:
+    """Standard deviation in a direction [2]; infinite where the covariance [2, 2] is not finite."""
+    if not np.isfinite(covariance).all():
+        return math.inf
+    return math.sqrt(max(float(direction @ covariance @ direction), 0.0))
 
 
 def _crossings(facts: Facts, tracks: Sequence[Track], params: WarningParams) -> list[Crossing | None]:
@@ -369,10 +377,10 @@ def radar_ahead_m(state: VehicleState, vehicle_from_radar: Pose2, times_s: np.nd
 def crossing_of(one: Track, radar_m: np.ndarray, times_s: np.ndarray, near_m: float) -> Crossing | None:
     """The nearest approach of a track to the radar's way [N, 2] at `times_s` [N], and when `near_m` is first reached.
 
-    None where it never is, where they move apart from the start, or where the velocity's covariance is not known or
-    leaves the distance less certain than `near_m`.
+    None where it never is, where they move apart from the start, or where the velocity's covariance is not known, a
+    covariance is not finite, or they leave the distance less certain than `near_m`.
     """
-    if one.velocity_cov_m2ps2 is None:
+    if one.velocity_cov_m2ps2 is None or not np.isfinite((one.cov_m2, one.velocity_cov_m2ps2)).all():
         return None
     start = np.array([one.x_m, one.y_m])
     offsets = start + times_s[:, None] * np.array([one.velocity_x_mps, one.velocity_y_mps]) - radar_m
@@ -382,9 +390,9 @@ def crossing_of(one: Track, radar_m: np.ndarray, times_s: np.ndarray, near_m: fl
         return None
     spread = np.array(one.cov_m2) + times_s[first] ** 2 * np.array(one.velocity_cov_m2ps2)
     along = offsets[first] / max(distances_m[first], 1e-9)
-    std_m = math.sqrt(max(float(along @ spread @ along), 0.0))
-    # not finite, or too vague: nobody can tell
-    if not std_m <= near_m:
+    std_m = _std_along(along, spread)
+    # too vague: nobody can tell
+    if std_m > near_m:
         return None
     return Crossing(float(times_s[first]), float(distances_m[nearest]), std_m)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections import Counter
@@ -17,7 +18,6 @@ from tests.docs.pages import ROOT
 PAGES = sorted(
     [*ROOT.glob("*.md"), *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}"))]
 )
-#: Pages of the checkout's own files; what the web has is not asked for.
 _HTML_LINK = re.compile(r"""(?:href|src)\s*=\s*["']([^"']+)["']""")
 _HTML_ID = re.compile(r"""(?:id|name)\s*=\s*["']([^"']+)["']""")
 
@@ -49,7 +49,7 @@ def anchors_of(path: Path) -> frozenset[str]:
     seen: Counter[str] = Counter()
     anchors = set(_HTML_ID.findall(text))
     tokens = MarkdownIt("commonmark").enable("table").parse(text)
-    for opening, inline in zip(tokens, tokens[1:], strict=False):
+    for opening, inline in itertools.pairwise(tokens):
         if opening.type == "heading_open":
             parts = (each.content for each in inline.children or () if each.type in ("text", "code_inline"))
             slug = re.sub(r"[^\w\- ]", "", "".join(parts).lower()).replace(" ", "-")
@@ -58,17 +58,17 @@ def anchors_of(path: Path) -> frozenset[str]:
     return frozenset(anchors)
 
 
-def dead_links(path: Path) -> list[str]:
-    """Relative links of a page that lead nowhere, with the reason."""
+def dead_links(path: Path, root: Path = ROOT) -> list[str]:
+    """Relative links of a page that lead nowhere within `root`, with the reason; what the web has is not asked for."""
     dead = []
     for link in links_of(markdown_of(path)):
         parts = urlsplit(link)
         if parts.scheme or parts.netloc:
             continue
         target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
-        if not target.is_relative_to(ROOT) or not target.exists():
+        if not target.is_relative_to(root) or not target.exists():
             dead.append(f"{link}: no such file")
-        elif parts.fragment and target.suffix in (".md", ".ipynb") and unquote(parts.fragment) not in anchors_of(target):
+        elif parts.fragment and target.suffix in (".md", ".ipynb") and parts.fragment not in anchors_of(target):
             dead.append(f"{link}: no such heading")
     return dead
 
@@ -79,6 +79,11 @@ def test_links_lead_somewhere(path: Path) -> None:
 
 
 def test_a_dead_link_is_found(tmp_path: Path) -> None:
-    page = ROOT / "docs" / "tools.md"
-    assert {"the-graph-drawn", "echo", "which-tool-answers-which-question"} <= anchors_of(page)
-    assert links_of('[a](b.md#c) ![d](e.png) <img src="f.png">') == ["b.md#c", "e.png", "f.png"]
+    (tmp_path / "there.md").write_text('# A `code` heading, twice\n\n# A code heading, twice\n\n<a id="own"></a>\n')
+    page = tmp_path / "page.md"
+    good = ["there.md", "there.md#a-code-heading-twice", "there.md#a-code-heading-twice-1", "there.md#own", "#page"]
+    bad = ["gone.md", "there.md#gone", "#gone", "../outside.md"]
+    links = " ".join(f"[x]({link})" for link in [*good, *bad, "https://example.org/x"])
+    page.write_text(f'# Page\n\n{links} ![x](gone.png)\n\n<img src="gone.svg">\n\n    [x](code.md)\n')
+    dead = [line.partition(":")[0] for line in dead_links(page, tmp_path)]
+    assert dead == [*bad, "gone.png", "gone.svg"]

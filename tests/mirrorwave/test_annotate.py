@@ -105,6 +105,8 @@ def test_a_cloud_that_cannot_be_registered_is_refused_or_left_out(
         ({"walls": {"min_lenght_m": 1.0}}, "min_lenght_m"),
         ({"name": "../up"}, "name must be usable as a folder's name"),
         ({"walls": {"given_m": [[[0.0, float("nan")], [1.0, 1.0]]]}}, "given_m"),
+        ({"walls": {"given_m": [[[3.0, 1.0], [3.0, 1.0]]]}}, "walls.given_m[0] must be longer than inlier_m"),
+        ({"walls": {"objects": [{"x_m": 1.0, "y_m": 1.0, "radius_m": -1.0}]}}, "radius_m must be"),
         ({"seed": "many"}, "seed"),
     ],
 )
@@ -136,6 +138,8 @@ def test_a_capture_that_is_missing_or_empty_is_refused(
         (["--radar", str(tmp_path / "no.mcap")], "no.mcap: no such capture"),
         (["--radar", str(tmp_path / "empty.mcap")], "empty.mcap"),
         (["--radar", str(made / "scan.mcap"), "--frame", "../x"], "--frame"),
+        (["--radar", str(made / "scan.mcap"), "--plot", str(tmp_path / "a.txt")], "a.txt: a picture's name must end"),
+        (["--radar", str(made / "scan.mcap"), "--plot", str(tmp_path / "no/a.png")], "its directory does not exist"),
     ):
         assert main(["annotate", scene, "--out", out, *more]) == 2
         assert said in capsys.readouterr().err
@@ -214,3 +218,7 @@ def test_sim_lidar_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
     assert "must be empty or new" in capsys.readouterr().err
     assert main(["sim", "lidar", SCENE, "--out", str(tmp_path / "new"), "--viewpoint", "1;2"]) == 2
     assert "--viewpoint must be X,Y" in capsys.readouterr().err
+    for option in ("--guess-m", "--guess-deg"):
+        assert main(["sim", "lidar", SCENE, "--out", str(tmp_path / "new"), option, "inf"]) == 2
+        assert option in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()

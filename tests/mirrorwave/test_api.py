@@ -13,6 +13,7 @@ from mirrorwave.api import Perception, View, scan_beams, views
 from mirrorwave.cli import main
 from models.perception.objects import bev_to_json
 from msgs.radar import RadarBeam, RadarSetup
+from msgs.recording import RecordingWriter
 from nodes.player import Params, scene_player
 
 SCENE = "launch/scenes/corner.yaml"
@@ -93,6 +94,13 @@ def test_what_does_not_fit_is_refused_in_one_line(beams: tuple[RadarSetup, list[
         Perception(setup, "best")
     with pytest.raises(ValueError, match=r"nothing\.mcap: no such file"):
         next(views(tmp_path / "nothing.mcap"))
+    for topic, held in (("radar/setup", "radar/beam"), ("radar/beam", "radar/setup")):
+        path = tmp_path / f"no_{topic.replace('/', '_')}.mcap"
+        with RecordingWriter(path, {}) as writer:
+            message = setup if held == "radar/setup" else one_scan[0]
+            writer.write(held, message, publisher="radar", sequence=0, sent_ns=0)
+        with pytest.raises(ValueError, match=rf"{path.name}: holds no {topic}"):
+            list(views(path, "cfar"))
     (tmp_path / "empty.mcap").touch()
     with pytest.raises(ValueError, match="is empty"):
         next(views(tmp_path / "empty.mcap"))

@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 
 from mirrorwave.cli import main
+from mirrorwave.launch import code_of_recordings
 from msgs.recording import Losses, RecordingReader, RecordingWriter, TopicLoss, info
 from msgs.vehicle import VehicleState
 from msgs.zmq_bus import ZmqBus
@@ -176,6 +177,42 @@ def test_recover_has_the_exit_codes_of_mcap(tmp_path: Path, capsys: pytest.Captu
 
 
 @pytest.mark.parametrize(
+    ("losses", "code", "said"),
+    [
+        (Losses(), 0, ""),
+        (Losses(topics=(TopicLoss(topic="radar/beam", lost=7),)), 3, "a.mcap: 7 messages are missing\n"),
+        # closed in good order, so that nothing is missing in what there is
+        (Losses(ended="no room"), 3, "a.mcap: no room\n"),
+    ],
+)
+def test_a_launch_tells_what_its_recording_lacks(
+    tmp_path: Path, losses: Losses, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert code_of_recordings([state(tmp_path / "a.mcap", losses)]) == code
+    assert capsys.readouterr().out.endswith(said)
+
+
+@pytest.mark.parametrize(
+    ("options", "rule"),
+    [
+        (["--start", "inf"], "--start must be 0..1e+09 s, got inf"),
+        (["--end", "1e300"], "--end must be 0..1e+09 s, got 1e+300"),
+        (["--topics", "vehicle/stat"], "a.mcap: holds no topic 'vehicle/stat'; it holds vehicle/state"),
+        (["--topics", ""], "--topics must name a topic, got ''"),
+    ],
+)
+def test_a_cut_that_does_not_fit_is_one_line(
+    tmp_path: Path, options: list[str], rule: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = state(tmp_path / "a.mcap", Losses())
+    assert main(["bag", "trim", str(path), str(tmp_path / "b.mcap"), *options]) == 2
+    said = capsys.readouterr().err
+    assert rule in said
+    assert said.count("\n") == 1
+    assert not (tmp_path / "b.mcap").exists()
+
+
+@pytest.mark.parametrize(
     ("options", "rule"),
     [
         (["--split-size", "-1"], "--split-size must be a number of MB from 0"),
@@ -183,7 +220,9 @@ def test_recover_has_the_exit_codes_of_mcap(tmp_path: Path, capsys: pytest.Captu
         (["--split-duration", "0"], "split_s must be above zero"),
         (["--max-parts", "2"], "max_parts needs split_bytes or split_s"),
         (["--snapshot", "5", "--split-duration", "1"], "snapshot_s must not stand beside"),
-        (["--snapshot", "inf"], "snapshot_s must be above zero and finite"),
+        (["--duration", "1e12"], "--duration must be 0..1e+09 s, got 1e+12"),
+        (["--topics", " ,"], "--topics must name a topic, got ' ,'"),
+        (["--snapshot", "inf"], "snapshot_s must be above zero and below"),
     ],
 )
 def test_options_that_do_not_fit_are_one_line(

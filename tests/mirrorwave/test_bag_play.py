@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pty
+import sys
 import tempfile
 import termios
 from collections.abc import Iterator
@@ -18,8 +19,9 @@ import pytest
 from mcap.writer import Writer
 
 from mirrorwave import replay_graph
+from mirrorwave.bag_options import span_ns
 from mirrorwave.cli import main
-from mirrorwave.replay import Position, Replay, ReplayParams, Schedule, Summary, span_of, whole_scans
+from mirrorwave.replay import Position, Replay, ReplayParams, Schedule, Summary, whole_scans
 from mirrorwave.replay_graph import NodeLoss, ReplayedGraph
 from mirrorwave.replay_keys import Key, Keyboard, keys_of
 from msgs import zmq_bus
@@ -165,7 +167,7 @@ def play(
         monkeypatch.setattr(replay_graph, "list_publishers", lambda _: [(ANSWER, "geometry")])
     stop = stop or Stop()
     graph = ReplayedGraph(bus, tmp_path, topics, lambda: stop.requested)  # type: ignore[arg-type]
-    start_ns, end_ns = span_of(FIRST_MS * MS - MS, start_s, end_s, None)
+    start_ns, end_ns = span_ns(FIRST_MS * MS - MS, start_s, end_s)
     params = ReplayParams(topics=topics, first_ns=FIRST_MS * MS - MS, start_ns=start_ns, end_ns=end_ns, **options)
     shown: list[Position] = []
     with RecordingReader(path) as reader:
@@ -241,6 +243,33 @@ def test_loops_play_the_set_up_again(drive: Path, tmp_path: Path) -> None:
     assert found.messages["radar/setup"] == found.passes + 1
 
 
+def test_a_span_that_holds_nothing_is_not_begun_again_and_again(drive: Path, tmp_path: Path) -> None:
+    """The set-up from before it is no reason to: without a pause it would be sent without end."""
+    bus = FakeBus()
+    found = play(drive, bus, tmp_path, start_s=5.0, loop=True)
+    assert found.passes == 1
+    assert [topic for topic, _, _ in bus.sent] == ["radar/setup"]
+
+
+def test_a_set_up_that_stands_behind_the_first_beam_comes_before_it(tmp_path: Path) -> None:
+    path = tmp_path / "part.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for number in range(BEAMS):
+            message = beam(0, number)
+            sent_ns = message.stamp_ns + 12 * MS
+            writer.write("radar/beam", message, publisher="radar", sequence=number, sent_ns=sent_ns)
+        writer.write("radar/setup", RadarSetup(), publisher="radar", sequence=0, sent_ns=FIRST_MS * MS + 1)
+    bus = FakeBus()
+    play(path, bus, tmp_path)
+    assert [topic for topic, _, _ in bus.sent] == ["radar/setup"] + BEAMS * ["radar/beam"]
+
+
+def test_states_from_before_the_start_are_no_time_played(drive: Path, tmp_path: Path) -> None:
+    found = play(drive, FakeBus(), tmp_path, start_s=0.3)
+    # 0.299 s: a state, then the last scan, whose last beam comes 75 ms after its first
+    assert found.played_s == pytest.approx(0.075, abs=0.002)
+
+
 def test_stamps_on_the_clock_of_now_keep_their_age(drive: Path, tmp_path: Path) -> None:
     bus = FakeBus()
     play(drive, bus, tmp_path, on_clock=True)
@@ -289,6 +318,17 @@ def test_a_terminal_is_left_as_it_was() -> None:
         os.write(leader, b" \x1b[D")
         assert keyboard.pressed() == [Key.PAUSE, Key.BACK]
     assert termios.tcgetattr(follower) == before
+    os.close(leader)
+    os.close(follower)
+
+
+def test_a_terminal_that_belongs_to_another_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A player in the background of a shell would be stopped as soon as it changed the terminal."""
+    leader, follower = pty.openpty()
+    monkeypatch.setattr(os, "tcgetpgrp", lambda _: os.getpgrp() + 1)
+    assert not Keyboard(follower).is_there
+    monkeypatch.setattr(sys, "stdin", None)
+    assert not Keyboard().is_there
     os.close(leader)
     os.close(follower)
 
@@ -383,6 +423,9 @@ def test_what_is_made_of_paced_messages_is_paced_and_kept() -> None:
     taken = [reader.accept(ANSWER, frames, 9) for _, frames in packed]
     assert len(reader.without_outdated([one for one in taken if one is not None])) == 3
     assert len(Tally("player", keeps_all=True).without_outdated([received(ANSWER, view(0))] * 2)) == 2
+    assert node.pack(ANSWER, view(4), 10**10)[0].paced
+    # its player has ended long ago
+    assert not node.pack(ANSWER, view(4), 2 * 10**10)[0].paced
     _, frames = Tally("radar").pack("vehicle/state", VehicleState(stamp_ns=0), 3)
     node.accept("vehicle/state", frames, 4)
     assert not node.pack(ANSWER, view(5), 9)[0].paced
@@ -461,6 +504,9 @@ def test_a_foreign_topic_is_played_under_a_known_name(
         (["--rate", "0", "--realtime"], "--realtime keeps time and needs a --rate above 0"),
         (["--clock", "--rate", "2"], "--clock needs --rate 1"),
         (["--end", "2", "--duration", "1"], "--end and --duration must not be given together"),
+        (["--start", "inf"], "--start must be 0..1e+09 s, got inf"),
+        (["--duration", "nan"], "--duration must be 0..1e+09 s, got nan"),
+        (["--topics", ""], "--topics must name a topic, got ''"),
         (["--duration", "0"], "--end must be after --start 0, got 0"),
         (["--topics", "log"], "holds no topic 'log' to play"),
         (["--remap", "radar/beam"], "--remap must be OLD:=NEW"),

@@ -12,9 +12,11 @@ import pytest
 import yaml
 
 from mirrorwave.calibrate_capture import Capture
+from mirrorwave.calibrate_drive import Guess, _formed
 from mirrorwave.calibrate_radar import measure_noise
 from mirrorwave.cli import main
 from mirrorwave.sim import write_recording
+from models.vehicle.mounting import Motion
 from msgs.bus import Envelope, Outgoing, Received
 from msgs.frames import Pose2, polar_from_xy
 from msgs.perception import PathClass, Peaks
@@ -230,6 +232,7 @@ def test_what_does_not_serve_is_refused_in_one_line(tmp_path: Path, capsys: pyte
         (("noise", still), "still.mcap: noise is read between the echoes"),
         (("noise", tmp_path / "none.sigmf-meta"), "none.sigmf"),
         (("background", still), "the name must end in .npy"),
+        (("extrinsic", still, "--plot", tmp_path / "a.txt"), "a.txt: a picture's name must end in .png, .svg, .pdf"),
     ):
         assert main(["calibrate", *map(str, argv), "--out", str(out)]) == 2
         line = capsys.readouterr().err
@@ -238,6 +241,18 @@ def test_what_does_not_serve_is_refused_in_one_line(tmp_path: Path, capsys: pyte
         assert not out.exists()
     assert main(["calibrate", "background", str(stateless), "--out", str(tmp_path / "b.npy")]) == 2
     assert "at least 4 complete scans, got 1" in capsys.readouterr().err
+
+
+def test_scans_without_states_to_their_end_are_left_out(tmp_path: Path) -> None:
+    """States that end in the middle of the third scan: its beams cannot be freed from the motion, nor the fourth's."""
+    recording = raw_recording(tmp_path / "short.mcap", 4, steady(5.0))
+    source = Capture(recording)
+    said = [one for one in source.messages(("vehicle/state",)) if one.stamp_ns <= 10**10 + 700_000_000]
+    guess = Guess(vehicle_from_radar=Pose2(), clock_offset_s=0.0, yaw_rate_bias_rps=0.0, speed_scale=1.0)
+    scans: list[None] = []
+    found = _formed(source, Motion(said), guess, lambda: scans.append(None))
+    assert len(scans) == 4
+    assert {one.stamp_ns for one in found} == {10**10, 10**10 + 300_000_000}
 
 
 def test_a_cut_recording_is_read_and_said_to_be_cut(tmp_path: Path) -> None:

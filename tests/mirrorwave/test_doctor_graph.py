@@ -12,17 +12,28 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import psutil
 import pytest
 import zmq
 
 from mirrorwave import doctor_graph
 from mirrorwave.cli import main
 from mirrorwave.doctor import Finding, Status, check_graph, check_weights
-from mirrorwave.doctor_graph import check_can_interface, check_room, graph_findings
-from mirrorwave.node import collect_heartbeats
+from mirrorwave.doctor_graph import (
+    _check_node,
+    _Graph,
+    _why_no_message,
+    check_can_interface,
+    check_room,
+    graph_findings,
+)
 from msgs.zmq_bus import socket_path
+from nodes.live_timing import ViewWatch
+from nodes.supervisor import read_lock
 
 PATIENCE_S = 60.0
+#: Holds two heartbeats, and so a rate.
+SHORT_S = 1.2
 LAUNCH = """
 name: toys
 nodes:
@@ -32,7 +43,7 @@ nodes:
 
 
 def found(run_dir: Path) -> dict[str, Finding]:
-    return {finding.check: finding for finding in graph_findings(run_dir, 1.2)}
+    return {finding.check: finding for finding in graph_findings(run_dir, SHORT_S)}
 
 
 def until(run_dir: Path, wanted: Callable[[dict[str, Finding]], bool]) -> dict[str, Finding]:
@@ -59,11 +70,16 @@ def graph(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def pid_of(run_dir: Path, name: str) -> int:
-    return collect_heartbeats(run_dir)[name][-1].pid
+    """A node's process, from the process table: no heartbeat has to be waited for."""
+    children = psutil.Process(read_lock(run_dir)["pid"]).children()
+    (pid,) = [child.pid for child in children if name in child.cmdline()]
+    return pid
 
 
 @pytest.mark.graph
-def test_the_node_that_fails_is_named_and_why(graph: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_node_that_fails_is_named_and_why(
+    graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """One trouble after the other: none, garbage, a stopped node, a killed one."""
     view = "topic perception/hidden_objects"
     well = until(graph, lambda findings: view in findings and findings[view].status is Status.OK)
@@ -99,6 +115,8 @@ def test_the_node_that_fails_is_named_and_why(graph: Path, capsys: pytest.Captur
     os.kill(pid, signal.SIGSTOP)
     try:
         stopped = until(graph, lambda findings: "waits for" in findings[view].detail)
+        # two heartbeats are enough here
+        monkeypatch.setattr(doctor_graph.graph_findings, "__defaults__", (SHORT_S,))
         assert main(["doctor", "--json"]) == 1
         checks = {row["check"]: row for row in json.loads(capsys.readouterr().out)}
     finally:
@@ -132,6 +150,21 @@ def test_a_graph_that_ended_for_want_of_a_model(tmp_path: Path, monkeypatch: pyt
     assert findings["last run"].status is Status.WARNING
     assert "runs/x-1: a FAILED" in findings["last run"].detail
     assert f"{root}/gone" in findings["last run"].detail
+
+
+def test_a_node_that_has_done_its_work_has_not_failed() -> None:
+    """A source that ended with exit code 0 while the graph goes on; one that was then started again and is gone has."""
+    said = [
+        {"node": "supervisor", "level": "info", "text": text}
+        for text in ("player ready after 1 s, pid 7", "player has ended", "player_2 ready after 1 s, pid 8")
+    ]
+    views = ViewWatch(0, 3.0).figures(0)
+    graph = _Graph({"nodes": ["player"]}, {"radar/beam": ["player"]}, {}, views, said, {})
+    assert _check_node(graph, "player", 3.0).status is Status.WARNING
+    assert _why_no_message(graph, "radar/beam", ()) == "player has come to its end"
+    again = graph._replace(log=[*said, said[0]])
+    assert _check_node(again, "player", 3.0).status is Status.FAILED
+    assert _why_no_message(again, "radar/beam", ()) == "player gives no heartbeat"
 
 
 def test_weights_that_cannot_be_read_are_named(tmp_path: Path) -> None:

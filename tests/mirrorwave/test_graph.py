@@ -119,6 +119,13 @@ def test_the_drawing_is_xml_and_its_boxes_lie_apart() -> None:
             assert apart_x or apart_y
 
 
+def test_a_reason_with_any_character_does_not_spoil_the_drawing() -> None:
+    reason = "\x1b[31m\x00\ud800 </text><script>"
+    node = GraphNode(node="a]]>", state="degraded", reason=reason, outputs=(Link(topic="t"),))
+    root = ElementTree.fromstring(svg_text(GraphPicture(title="\x07", nodes=(node,))))
+    assert "degraded: \ufffd[31m\ufffd\ufffd </text><script>" in [one.text for one in root.iter(f"{SVG}text")]
+
+
 def test_edges_pass_boxes_at_a_distance() -> None:
     """An edge over several columns has a place of its own in each, half a box away from its neighbours."""
     boxes = _boxes(CHAIN)

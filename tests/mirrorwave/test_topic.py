@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import zmq
 
+from mirrorwave import topic as topic_verbs
 from mirrorwave.cli import main
 from mirrorwave.foreign_topic import decode_foreign
 from mirrorwave.topic_delay import DelayWatch
@@ -252,6 +253,55 @@ def test_arrays_whole_as_json_and_as_files(
     assert (summary["min"], summary["max"], summary["shape"]) == (0, 31, [2, 8, 2])
 
 
+class Arrivals:
+    """A bus on which messages arrive at given times, on a clock that only moves while somebody waits."""
+
+    def __init__(self, arrivals: list[tuple[float, Received]]) -> None:
+        self.waiting, self.now_s = arrivals, 0.0
+        self.total = 0
+
+    def receive(self, timeout_s: float) -> list[Received]:
+        self.now_s += timeout_s
+        come = [message for time_s, message in self.waiting if time_s <= self.now_s]
+        self.waiting = [each for each in self.waiting if each[0] > self.now_s]
+        self.total += len(come)
+        return come
+
+    def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
+        return (TopicCount(topic="vehicle/state", messages=self.total, bytes=100 * self.total, lost=7),), ()
+
+    def close(self) -> None:
+        pass
+
+
+def measured(
+    monkeypatch: pytest.MonkeyPatch, arrivals: list[tuple[float, str, int]], duration_s: float
+) -> tuple[list[dict], list[dict]]:
+    """Rates and volumes of arrivals (time, publisher, sequence)."""
+    state = VehicleState(stamp_ns=0)
+    bus = Arrivals(
+        [
+            (at_s, Received("vehicle/state", state, Envelope(publisher=by, topic="t", sequence=count, sent_ns=count)))
+            for at_s, by, count in arrivals
+        ]
+    )
+    monkeypatch.setattr(topic_verbs, "_listen", lambda domain, topics: bus)
+    monkeypatch.setattr(topic_verbs.time, "monotonic", lambda: bus.now_s)
+    return topic_verbs._measure(["vehicle/state"], duration_s, "default")
+
+
+def test_a_message_that_comes_late_is_not_a_flood(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One message of 100 bytes, just before the end of 2 s: 50 bytes a second, and not what came in the last 0.1 s."""
+    _, (volume,) = measured(monkeypatch, [(2.85, "a", 0)], 2.0)
+    assert volume["bytes_per_s"] == pytest.approx(50.0, rel=0.1)
+
+
+def test_losses_are_those_of_the_publisher_that_lost_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    come = [(0.5, "a", 0), (0.6, "a", 1), (0.7, "b", 0), (0.8, "b", 8), (0.9, "a", 2)]
+    rates, _ = measured(monkeypatch, come, 1.0)
+    assert {row["publisher"]: row["lost"] for row in rates} == {"a": 0, "b": 7}
+
+
 @pytest.mark.graph
 def test_delay_info_and_rates_of_a_living_topic(speaker: Callable, capsys: pytest.CaptureFixture[str]) -> None:
     def messages(count: int, now_ns: int) -> dict[str, msgspec.Struct]:
@@ -274,7 +324,8 @@ def test_delay_info_and_rates_of_a_living_topic(speaker: Callable, capsys: pytes
     assert [row["node"] for row in found["publishers"]] == ["speaker"]
     assert [(row["node"], row["lost"]) for row in found["readers"]] == [("speaker", 1)]
     for verb in ("hz", "bw"):
-        assert main(["topic", verb, "vehicle/state", "--duration", "0.5", "--json"]) == 0
+        # from the first message on, for which they wait a second more
+        assert main(["topic", verb, "vehicle/state", "--duration", "0.2", "--json"]) == 0
         assert json.loads(capsys.readouterr().out)[0]["messages"] > 0
 
 
@@ -317,6 +368,10 @@ def test_a_foreign_topic_is_shown_too(tmp_path: Path, capsys: pytest.CaptureFixt
         (volume,) = json.loads(capsys.readouterr().out)
         assert volume["messages"] > 0
         assert volume["rejected"] > 0
+        assert main(["topic", "hz", "lidar/cloud", "--duration", "0.2", "--json"]) == 0
+        (rate,) = json.loads(capsys.readouterr().out)
+        assert (rate["topic"], rate["publisher"], rate["lost"]) == ("lidar/cloud", "lidar", 0)
+        assert rate["rate_hz"] == pytest.approx(50.0)
     finally:
         ended.set()
         thread.join()

@@ -13,12 +13,14 @@ import pytest
 
 from mirrorwave.playback import MAX_SPEED, Playback
 from mirrorwave.view import view
+from mirrorwave.view_log import _Marks, overview_json, read_log
 from msgs.diagnostics import NodeState, NodeStatus
 from msgs.perception import BevFrame, BevGrid, SceneTruth, Track
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.recording import RecordingReader, RecordingWriter
 from msgs.vehicle import VehicleState
 from nodes.viewer.board import Board
+from nodes.viewer.driver_warnings import DriverWarning, Level
 from nodes.viewer.server import Play, Seek, Step
 
 SCANS = 20
@@ -270,6 +272,43 @@ def test_warnings_and_marks_say_when_it_was(drive: Playback) -> None:
     (first, *_) = shown(drive)["warnings"]["warnings"]
     assert first["key"] == "hidden/left"
     assert first["level"] == "urgent"
+
+
+def mark_rows(told: list[tuple[float, Level | None]]) -> list[tuple[str, float, float]]:
+    """Level, start and end of the marks of one warning that is told so, time by time."""
+    marks = _Marks()
+    began_s = {}
+    for time_s, level in told:
+        if level is None:
+            marks.add((), round(1e9 * time_s))
+            continue
+        began_s.setdefault(level, time_s)
+        one = DriverWarning("hidden/left", level, level.name, "", round(1e9 * began_s[level]), None, (), False)
+        marks.add((one,), round(1e9 * time_s))
+    return [(one.title, one.start_ns / 1e9, one.end_ns / 1e9) for one in marks.closed()]
+
+
+def test_a_warning_that_becomes_urgent_is_marked_urgent_from_then_only() -> None:
+    told = [(0.0, Level.NOTICE), (0.3, Level.NOTICE), (0.6, Level.URGENT), (0.9, Level.URGENT), (1.2, Level.NOTICE)]
+    assert mark_rows([*told, (1.5, None)]) == [("NOTICE", 0.0, 0.3), ("URGENT", 0.6, 0.9), ("NOTICE", 1.2, 1.2)]
+
+
+def test_what_was_over_before_the_first_scan_is_not_marked(tmp_path: Path) -> None:
+    """Five seconds without a view, then scans: "No view yet" is no mark on the first scan."""
+    path = tmp_path / "late.mcap"
+    view = BevFrame(
+        stamp_ns=0, scan_id=0, grid=BevGrid(rows=2, columns=2), visibility=np.zeros((2, 2), np.uint8),
+        los_points_m=np.zeros((0, 2), np.float32),
+    )  # fmt: skip
+    with RecordingWriter(path, {}) as writer:
+        state = VehicleState(stamp_ns=0)
+        writer.write("vehicle/state", state, publisher="c", sequence=0, sent_ns=0)
+        for sequence, sent_ns in enumerate([5 * 10**9, 5 * 10**9 + PERIOD_NS]):
+            writer.write("perception/hidden_objects", view, publisher="g", sequence=sequence, sent_ns=sent_ns)
+    with RecordingReader(path) as reader:
+        log = read_log(reader)
+    assert "silent" in {one.key for one in log.marks}
+    assert "silent" not in {one["key"] for one in overview_json(log)["marks"]}
 
 
 def test_a_recording_without_tracks_is_shown_without(tmp_path: Path) -> None:

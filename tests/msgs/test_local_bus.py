@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import msgspec
 import numpy as np
 import pytest
 
@@ -11,6 +14,7 @@ from msgs.diagnostics import LogRecord, TopicCount
 from msgs.local_bus import Faults, LocalNetwork
 from msgs.perception import Peaks
 from msgs.radar import RadarBeam, RadarSetup
+from msgs.tally import Tally
 from msgs.topics import TOPICS
 from msgs.vehicle import VehicleState
 
@@ -159,6 +163,33 @@ def test_corrupt_messages_are_rejected_and_later_ones_come(caplog: pytest.LogCap
     assert stamps(receiver.receive(0.0)) == [5]
     assert received_counts(receiver).rejected == 5
     assert len(caplog.records) == 1, "one warning line, not five"
+
+
+@pytest.mark.parametrize(
+    ("change", "rule"),
+    [
+        ({"sent_ns": -1}, "sent_ns must not be negative, got -1"),
+        ({"sent_ns": 10**18}, "sent_ns must not lie in the future"),
+        ({"sequence": -1}, "sequence must not be negative, got -1"),
+        ({"sequence": (1 << 64) - 1}, "sequence must be at most 281474976710656"),
+        ({"paced": "yes"}, "Expected `bool`, got `str`"),
+        ({"paced": 1}, "Expected `bool`, got `int`"),
+        ({"pace": True}, "pace"),
+    ],
+)
+def test_an_envelope_that_nobody_wrote_so_is_rejected(
+    change: dict[str, Any], rule: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The sum of all gaps has to fit a heartbeat: two of the largest numbers brought a node down."""
+    tally = Tally("reader")
+    tally.expect("vehicle/state")
+    _, frames = Tally("car").pack("vehicle/state", state(0), 5)
+    header = msgspec.msgpack.decode(frames[1])
+    header["envelope"].update(change)
+    assert tally.accept("vehicle/state", [frames[0], msgspec.msgpack.encode(header)], 9) is None
+    assert rule in caplog.text
+    assert tally.counts()[0][0].rejected == 1
+    assert tally.accept("vehicle/state", frames, 9) is not None
 
 
 def test_duplicates_are_delivered_once() -> None:

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+import tracemalloc
 from io import BytesIO
 from pathlib import Path
 
@@ -20,10 +21,12 @@ from mcap.records import Message
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import CompressionType, Writer
 
+from msgs import mcap_file, recording
 from msgs.diagnostics import LogRecord
-from msgs.radar import RadarBeam
+from msgs.radar import RadarBeam, RadarSetup
 from msgs.recording import (
     RAW_TOPIC,
+    Encoded,
     Losses,
     Recorded,
     RecordingReader,
@@ -424,3 +427,61 @@ def test_log_text_of_any_kind(tmp_path: Path) -> None:
     ((message,), _) = read(tmp_path / "a.mcap")
     assert message.message == record_in
     assert message.sequence == 3, "the file keeps 32 bits"
+
+
+def test_a_long_recording_takes_little_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each beam is a chunk, 300 000 of them an hour: what is kept of one is its record of about 100 bytes."""
+    monkeypatch.setattr(mcap_file, "CHUNK_BYTES", 0)
+    with RecordingWriter(tmp_path / "a.mcap", METADATA) as writer:
+
+        def write(first: int, count: int) -> None:
+            for index in range(first, first + count):
+                writer.write_encoded(Encoded("radar/beam", "radar", index, index, index, b"x"))
+
+        write(0, 100)
+        tracemalloc.start()
+        write(100, 2000)
+        grown_bytes, _ = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+    # a growing array holds up to an eighth more than it needs, and the counts themselves take a little
+    assert grown_bytes < 2000 * 200
+    with (tmp_path / "a.mcap").open("rb") as file:
+        found = make_reader(file).get_summary()
+    assert found is not None
+    assert found.statistics is not None
+    assert (found.statistics.chunk_count, len(found.chunk_indexes)) == (2100, 2100)
+    assert (found.statistics.message_start_time, found.statistics.message_end_time) == (0, 2099)
+
+
+def test_beams_are_not_read_for_other_topics(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With an index; without one every chunk has to be looked into."""
+    path = record(tmp_path / "a.mcap", count=100, step_ns=10**8)
+    read_bytes: list[int] = []
+    read_chunk = recording._read_chunk
+    monkeypatch.setattr(
+        recording, "_read_chunk", lambda file, chunk: read_bytes.append(chunk.offset) or read_chunk(file, chunk)
+    )
+    counts = []
+    for content in (path.read_bytes(), path.read_bytes()[:-10]):
+        path.write_bytes(content)
+        read_bytes.clear()
+        with RecordingReader(path) as reader:
+            assert len(list(reader.messages(["vehicle/state"]))) == 100
+        counts.append(len(read_bytes))
+    assert 2 * counts[0] == counts[1]
+
+
+def test_a_trimmed_recording_keeps_what_was_said_once(tmp_path: Path) -> None:
+    """The set-up from before the cut, as if sent again at its start; not where its topic is left out."""
+    path, cut = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    with RecordingWriter(path, METADATA) as writer:
+        for index in range(2):
+            setup = RadarSetup(stamp_ns=index)
+            writer.write("radar/setup", setup, publisher="radar", sequence=index, sent_ns=index)
+        for index in range(10):
+            writer.write("vehicle/state", state(index), publisher="car", sequence=index, sent_ns=1000 + index)
+    assert copy_recording(path, cut, start_ns=1005) == (6, None)
+    messages, _ = read(cut)
+    assert keys(messages)[:2] == [("radar/setup", 1, 1005), ("vehicle/state", 5, 1005)]
+    assert copy_recording(path, cut, start_ns=1005, topics=["vehicle/state"], overwrite=True) == (5, None)
+    assert copy_recording(path, cut, start_ns=0, overwrite=True) == (12, None)

@@ -118,6 +118,18 @@ def test_only_what_surely_moves_is_called_moving(speed_mps: float, std_mps: floa
     assert is_moving(one, PARAMS) is moves
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("field", ["cov_m2", "velocity_cov_m2ps2"])
+@pytest.mark.parametrize("x_m", [8.0, 3.0])
+def test_a_covariance_that_is_not_finite_says_nothing_of_motion(x_m: float, field: str, value: float) -> None:
+    """Neither that ways meet nor, of its velocity, that it moves; what else is known is said all the same."""
+    one = track(x_m, x_m - 2.0, velocity_y_mps=-2.0, time_to_appear_s=2.0, **{field: ((value, 0.0), (0.0, value))})
+    (told,) = at_last([facts(0.0, frame(one), vehicle=VehicleState(stamp_ns=0, speed_mps=2.0))])
+    moves = field == "cov_m2"
+    assert told.level is (Level.URGENT if moves else Level.CAUTION)
+    assert told.title.endswith("about to appear")
+
+
 def test_one_car_followed_twice_is_one_warning() -> None:
     twins = track(time_to_appear_s=2.4), track(35.5, 15.2, id=7, time_to_appear_s=2.0)
     (one,) = at_last(steady(frame(*twins), 1))
@@ -167,6 +179,19 @@ def test_urgency_does_not_drop_and_rise_from_scan_to_scan() -> None:
     told = run([facts(0.3 * index, view) for index, view in enumerate([soon, known, soon, *[known] * 5])])
     assert [one[0].level for one in told][:4] == [Level.URGENT] * 4
     assert told[-1][0].level is Level.NOTICE
+
+
+def test_since_counts_from_when_it_became_as_urgent() -> None:
+    """Seen at 0 s without a track, a notice from then; moving soon into sight from 0.9 s on; at last a notice again."""
+    one = HiddenObject(
+        id=0, x_m=35.0, y_m=15.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, score=0.9, cov_m2=PLACE_COV
+    )  # fmt: skip
+    views = [frame(objects=(one,))] * 3 + [frame(track(time_to_appear_s=2.0))] * 3 + [frame(track())] * 5
+    told = run([facts(0.3 * index, view) for index, view in enumerate(views)])
+    since = [(step[0].level, step[0].since_ns / S) for step in told if step]
+    assert since[0] == (Level.NOTICE, 0.0)
+    assert {level_since for level_since in since if level_since[0] is Level.URGENT} == {(Level.URGENT, 0.9)}
+    assert since[-1] == (Level.NOTICE, 0.0)
 
 
 def test_a_track_not_seen_for_long_begins_no_warning_but_keeps_one() -> None:

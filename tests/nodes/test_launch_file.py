@@ -17,6 +17,7 @@ from nodes.launch_file import (
     read_yaml_mapping,
     start_order,
     stop_order,
+    with_origin,
     with_overrides,
     with_params,
     with_recorder,
@@ -122,6 +123,15 @@ def test_headless_leaves_viewers_out() -> None:
     launch = without_viewers(_launch(viewer={"viewer": True}, a={"after": ["viewer"]}))
     assert list(launch.nodes) == ["a"]
     assert launch.nodes["a"].after == ()
+
+
+def test_recorders_are_told_their_origin_and_wrong_metadata_is_left_to_them() -> None:
+    params: dict = {"path": "a.mcap", "metadata": {"driver": "x"}}
+    launch = _launch(a={"module": "nodes.recorder", "params": params})
+    told = with_origin(launch, "mirrorwave launch", Path("/run")).nodes["a"].params
+    assert told["metadata"] == {"launch": told["metadata"]["launch"], "command": "mirrorwave launch", "driver": "x"}
+    wrong = _launch(a={"module": "nodes.recorder", "params": {**params, "metadata": [1]}})
+    assert with_origin(wrong, "mirrorwave launch", Path("/run")).nodes["a"].params["metadata"] == [1]
 
 
 def test_a_dumped_launch_file_reads_back_equal(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from mirrorwave.sim import write_recording, write_sigmf
 from msgs.local_bus import LocalNetwork
 from msgs.perception import SceneTruth
 from msgs.radar import RadarBeam, RadarSetup
+from msgs.recording import RecordingWriter
 from msgs.vehicle import VehicleState
 from nodes.node import InProcessGraph
 from nodes.player import SENSED_TOPICS, Params, capture_events, create, scene_events, scene_of, scene_player
@@ -81,6 +82,38 @@ def test_the_graphs_own_work_in_a_recording_is_left_out(tmp_path: Path) -> None:
     assert {event.outgoing.topic for event in capture_events(path)} <= set(SENSED_TOPICS)
 
 
+def test_a_set_up_that_stands_behind_the_first_beams_comes_before_them(tmp_path: Path) -> None:
+    """As at the start of a part of a recording; once, since the former begins anew with each."""
+    source = scene_player(params())
+    path = tmp_path / "part.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for index in range(3):
+            sent_ns = 1000 * index
+            writer.write("radar/beam", source.beam(0, index), publisher="radar", sequence=index, sent_ns=sent_ns)
+        for number, sent_ns in enumerate((500, 1500)):
+            writer.write("radar/setup", source.setup, publisher="radar", sequence=number, sent_ns=sent_ns)
+    topics = [event.outgoing.topic for event in capture_events(path)]
+    assert topics == ["radar/setup", "radar/beam", "radar/beam", "radar/setup", "radar/beam"]
+    assert [event.offset_ns for event in capture_events(path)] == [0, 0, 1000, 1500, 2000]
+
+
+def test_a_car_that_was_heard_long_before_the_radar_is_played_in_time(tmp_path: Path) -> None:
+    """Only what still counts for the first beam goes at once: queues would not hold 20 s of states."""
+    source = scene_player(params())
+    path = tmp_path / "late_radar.mcap"
+    with RecordingWriter(path, {}) as writer:
+        writer.write("radar/setup", source.setup, publisher="radar", sequence=0, sent_ns=0)
+        for index in range(2000):
+            state = VehicleState(stamp_ns=10_000_000 * index)
+            writer.write("vehicle/state", state, publisher="car", sequence=index, sent_ns=10_000_000 * index)
+        writer.write("radar/beam", source.beam(0, 0), publisher="radar", sequence=0, sent_ns=20_000_000_000)
+    player, now_ns = create(Params(capture=str(path))), 0
+    at_once = player.step([], now_ns)
+    assert [outgoing.topic for outgoing in at_once] == ["radar/setup"] + 51 * ["vehicle/state"]
+    due_ns = player.due_ns(now_ns)
+    assert due_ns == 300_000_000 + 510_000_000
+
+
 def test_speeds_override_the_scene() -> None:
     scene = scene_of(params(object_speed_mps=5.0, ego_speed_mps=8.0))
     assert {thing.speed_mps for thing in scene.objects} == {5.0}
@@ -95,6 +128,8 @@ def test_speeds_override_the_scene() -> None:
         ({"scene": None}, "exactly one of scene and capture"),
         ({"rate": 0.0}, r"player\.rate must be positive, got 0\.0"),
         ({"rate": float("nan")}, r"player\.rate must be positive"),
+        ({"settle_s": float("inf")}, r"player\.settle_s must be 0\.\.3600 s, got inf"),
+        ({"settle_s": float("nan")}, r"player\.settle_s must be 0\.\.3600 s, got nan"),
         ({"scans": -1}, r"player\.scans must not be negative"),
     ],
 )

@@ -300,7 +300,8 @@ def test_the_stand_in_refuses_what_the_library_does_not_have(library: Any) -> No
     [
         ({"kind": "other"}, r"radar_driver\.params\.kind: Invalid enum value 'other'"),
         ({"scans": 0}, r"radar_driver\.scans must be finite and positive, got 0"),
-        ({"settle_s": -1.0}, r"radar_driver\.settle_s must not be negative"),
+        ({"settle_s": -1.0}, r"radar_driver\.settle_s must be 0\.\.3600 s, got -1"),
+        ({"settle_s": float("inf")}, r"radar_driver\.settle_s must be 0\.\.3600 s, got inf"),
         ({"azimuth_deg": []}, r"beams\.azimuth_deg must name at least one beam"),
         ({"cn0566": {"ramp_time_s": 1.5e-6}}, r"params\.cn0566: ramp_time_s must be a whole number of microseconds"),
         ({"cn0566": {"uri": "ip:x"}}, r"params\.cn0566: Object contains unknown field uri"),

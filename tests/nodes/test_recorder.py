@@ -65,8 +65,10 @@ def test_raw_beams_only_when_asked_for() -> None:
 @pytest.mark.parametrize(
     ("params", "rule"),
     [
-        ({"split_bytes": 0}, "split_bytes must be above zero and finite, got 0"),
-        ({"split_s": math.nan}, "split_s must be above zero and finite, got nan"),
+        ({"split_bytes": 0}, "split_bytes must be above zero and below 1e.18, got 0"),
+        ({"split_s": math.nan}, "split_s must be above zero and below 1e.18, got nan"),
+        ({"snapshot_s": 1e300}, "snapshot_s must be above zero and below"),
+        ({"split_bytes": 10**400}, "split_bytes must be above zero and below"),
         ({"max_parts": 3}, "max_parts needs split_bytes or split_s"),
         ({"snapshot_s": -1.0}, "snapshot_s must be above zero"),
         ({"snapshot_s": 5.0, "split_s": 1.0}, "snapshot_s must not stand beside"),

@@ -69,6 +69,14 @@ def test_too_few_scans_are_refused() -> None:
         background_of(chirps(scans=3))
 
 
+@pytest.mark.parametrize("level", [0.0, 3.0])
+def test_scans_that_repeat_one_another_are_refused(level: float) -> None:
+    """A receiver that is off, or one scan copied: no noise to tell what is static from."""
+    values = np.full((6, 3, SAMPLES), level, np.complex64)
+    with pytest.raises(ValueError, match="scans that differ by noise"):
+        background_quality(values, SETUP, 0.0)
+
+
 def test_mean_chirp_is_the_mean() -> None:
     codes = np.random.default_rng(1).integers(-999, 999, (5, 16, 2), dtype=np.int16)
     beam = RadarBeam(

@@ -69,6 +69,16 @@ def test_two_points_at_one_range_add_up_exactly() -> None:
     assert np.abs(values[0] - expected).max() < 1e-5 * np.sqrt(8.0)
 
 
+def test_beams_that_looked_elsewhere_are_steered_back() -> None:
+    """All beams looked 2 deg to the left of their steering: the map is that of steering 2 deg to the right."""
+    beams, turned_rad = recorded_beams(SETUP, AZIMUTH_RAD), np.radians(2.0)
+    looks = np.repeat(SETUP.beams.azimuth_rad[:, None] + turned_rad, beams.shape[1], axis=1)
+    values, incoherent = AzimuthInterpolator(SETUP, GRID).interpolate(beams, 0.0, (), looks)
+    assert not incoherent.any()
+    expected = columns_of(AZIMUTH_RAD).T @ columns_of(GRID.azimuth_rad - turned_rad).conj() / np.sqrt(8.0)
+    assert np.abs(values - expected).max() < 1e-5 * np.sqrt(8.0)
+
+
 def test_fewer_coefficients_leave_less_noise() -> None:
     """8 unknowns in 25 beams keep about 8/25 of a beam's noise in a cell; taken for a two-way array, twice that."""
     taken_for_two_way = msgspec.structs.replace(SETUP, array=msgspec.structs.replace(SETUP.array, steered_ways=2))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -83,4 +84,12 @@ def test_captures_that_tell_nothing_are_refused() -> None:
         RadarBeam(**{name: getattr(one, name) for name in one.__struct_fields__ if name != "samples"}, samples=silent)
     )
     with pytest.raises(ValueError, match="without any noise"):
+        meter.result()
+
+
+def test_beams_too_short_for_a_band_are_refused() -> None:
+    meter = NoiseMeter(RadarSetup(radar=RadarParams(chirps_per_beam=8, samples_per_chirp=16)))
+    one, codes = beam(0), np.random.default_rng(0).integers(-50, 50, (8, 16, 2), dtype=np.int16)
+    meter.add(msgspec.structs.replace(one, samples=codes))
+    with pytest.raises(ValueError, match="beams of 8 chirps of 16 samples are too short"):
         meter.result()

@@ -12,7 +12,7 @@ from msgs.frames import Pose2
 from msgs.vehicle import ego_motion
 from sim_player.drive import Drive, DrivePlayer
 from sim_player.player import ScenePlayer
-from sim_player.scene import Ego, Scene, Surface
+from sim_player.scene import Ego, Scene, SceneObject, Surface
 
 SPEED_MPS, YAW_RATE_DPS = 5.0, 12.0
 WALL = Surface(role="relay", material="concrete", polyline_m=((20.0, -12.0), (20.0, 14.0)), height_m=5.0)
@@ -29,6 +29,22 @@ def test_a_steady_drive_is_the_scene_players() -> None:
         ours, theirs = driven.beam(scan, index), reference.beam(scan, index)
         assert ours.stamp_ns == theirs.stamp_ns
         assert np.abs(ours.samples.astype(int) - theirs.samples.astype(int)).max() <= 1
+
+
+def test_things_move_and_truth_is_told_as_by_the_scene_player() -> None:
+    """A car that crosses: same echoes, and the same truth to the rounding of the pose's integral."""
+    car = SceneObject(class_="car", x_m=14.0, y_m=-6.0, yaw_deg=90.0, speed_mps=6.0)
+    crossing = msgspec.structs.replace(SCENE, objects=(car,))
+    moving = msgspec.structs.replace(crossing, ego=Ego(speed_mps=SPEED_MPS, yaw_rate_dps=YAW_RATE_DPS))
+    reference = ScenePlayer(moving, seed=3, chirps_per_beam=2)
+    driven = DrivePlayer(crossing, STEADY, Pose2(), seed=3, chirps_per_beam=2)
+    ours, theirs = driven.beam(3, 12), reference.beam(3, 12)
+    assert np.abs(ours.samples.astype(int) - theirs.samples.astype(int)).max() <= 1
+    ours, theirs = driven.truth(3), reference.truth(3)
+    assert (ours.stamp_ns, ours.scan_id) == (theirs.stamp_ns, theirs.scan_id)
+    np.testing.assert_allclose(ours.los_points_m, theirs.los_points_m, atol=1e-4)
+    for name in ("x_m", "y_m", "yaw_rad", "velocity_x_mps", "velocity_y_mps"):
+        assert getattr(ours.objects[0], name) == pytest.approx(getattr(theirs.objects[0], name), abs=1e-5)
 
 
 def test_poses_lie_on_the_arc() -> None:

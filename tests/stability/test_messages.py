@@ -79,7 +79,7 @@ def test_every_bit_of_extreme_floats_survives() -> None:
 @pytest.mark.parametrize("stamp_ns", [-(2**63), -1, 2**53 + 1, 2**63 - 1, 2**64 - 1])
 def test_integers_stay_exact_beyond_the_floats(tmp_path: Path, stamp_ns: int) -> None:
     message = VehicleState(stamp_ns=stamp_ns)
-    envelope = Envelope(publisher="a", topic="vehicle/state", sequence=2**63, sent_ns=2**63)
+    envelope = Envelope(publisher="a", topic="vehicle/state", sequence=2**48, sent_ns=2**63)
     assert decode(encode(envelope, message)) == ("vehicle/state", message, envelope)
     assert json.loads(json.dumps(to_builtins(message)))["stamp_ns"] == stamp_ns
     with RecordingWriter(tmp_path / "a.mcap", {}) as writer:

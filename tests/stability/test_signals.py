@@ -461,6 +461,24 @@ def test_nothing_seen_of_a_vehicle_past_its_own_targets() -> None:
     assert formed.ego_compensated
 
 
+@pytest.mark.parametrize("heard", [0, 1])
+def test_hardly_a_beam_of_a_turning_vehicle(heard: int) -> None:
+    """None but `heard` of the beams holds a signal: the map is empty or nearly so, and finite."""
+    setup = _setup()
+    former = RaFormer(setup)
+    rng = np.random.default_rng(17)
+    for index in range(25):
+        samples = rng.integers(-50, 50, (4, 2048, 2)).astype(np.int16) * np.int16(index < heard)
+        beam = RadarBeam(
+            stamp_ns=index * setup.beam_interval_ns, scan_id=0, beam_index=index, beam_count=25,
+            azimuth_rad=float(setup.beams.azimuth_rad[index]), samples=samples, full_scale_dbm=-20.0,
+        )  # fmt: skip
+        maps = former.add(beam, VehicleState(stamp_ns=0, speed_mps=5.0, yaw_rate_rps=0.5))
+    assert len(maps) == 1
+    assert np.isfinite(maps[0].values).all()
+    assert maps[0].azimuth_stamp_ns.min() >= 0
+
+
 def test_float32_fft_of_a_hundred_decibel_scene() -> None:
     """A tone at full scale and one 100 dB below, 60 bins apart: float32 and coding leave the weak one whole.
 

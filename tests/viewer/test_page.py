@@ -496,6 +496,18 @@ def test_no_track_one_and_a_thousand(server: ViewerServer, board: Board, open_pa
     until(page, "mirrorwave.state.view.tracks_total === 1000")
     assert page.locator("#tracks tbody tr").last.inner_text().startswith("and 988 more")
     assert page.locator("#warning-list li").count() <= 12
+    # several urgent ones at once: no word of what they are and no time left lies out of sight
+    until(page, "document.querySelectorAll('#warning-list [data-level=urgent]').length >= 3")
+    banner = page.locator("#warning-list").bounding_box()
+    for part in page.locator("#warning-list [data-level=urgent] :is(.sign, .title, .left)").all():
+        box = part.bounding_box()
+        assert box["x"] >= banner["x"]
+        assert box["x"] + box["width"] <= banner["x"] + banner["width"]
+        assert box["y"] >= banner["y"]
+        assert box["y"] + box["height"] <= banner["y"] + banner["height"]
+    said = page.locator("#alarm").inner_text()
+    for words in ("behind: about to appear", "from the right: about to appear", "from the left: ways meet"):
+        assert words in said
 
 
 CONTRAST = """() => [...document.querySelectorAll('.warnings li:not(.ended) .title')].map((one) => {

@@ -166,7 +166,7 @@ function setConnection(connection) {
 function showView({ message, mask, at }) {
   Object.assign(state, { view: message, mask, viewAt: at, maskImage: null });
   byId("summary").textContent = message.summary;
-  byId("flags").textContent = message.flags.map((flag) => flag.replace("_", " ")).join(", ");
+  byId("flags").textContent = message.flags.map((flag) => flag.replaceAll("_", " ")).join(", ");
   byId("bev").setAttribute("aria-label", `Bird’s-eye view, scan ${message.scan_id}: ${message.summary}`);
   showObjects();
   showTracks();
@@ -348,7 +348,7 @@ function sayAlarm(warnings) {
   const fresh = urgent.filter((one) => !alarmed.has(one.key));
   alarmed = new Set(warnings.filter((one) => one.level === "urgent").map((one) => one.key));
   if (!fresh.length) return;
-  byId("alarm").textContent = `${fresh[0].title}${alarmTime(fresh[0].left_s)}`;
+  byId("alarm").textContent = fresh.map((one) => `${one.title}${alarmTime(one.left_s)}`).join("; ");
   if (state.sound) tone();
 }
 
@@ -480,8 +480,14 @@ function indexAt(x) {
 
 // The first scan at or after a time; the last one where there is none.
 function scanAfter(time) {
-  const at = state.overview.times_s.findIndex((one) => one >= time - 0.005);
-  return at < 0 ? state.overview.times_s.length - 1 : at;
+  const times = state.overview.times_s;
+  let [low, high] = [0, times.length - 1];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (times[middle] >= time - 0.005) high = middle;
+    else low = middle + 1;
+  }
+  return low;
 }
 
 const laneOf = (mark) => (mark.key.startsWith("hidden/") ? 1 : 2);
