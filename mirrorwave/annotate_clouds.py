@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 from typing import Literal
 
@@ -112,9 +111,3 @@ def _pcd_promise(rows: list[list[str]]) -> tuple[int, int]:
     if kind == "binary_compressed":
         return 0, 0
     return count, sum(size * one for size, one in zip(sizes, counts, strict=False)) if kind == "binary" else 0
-
-
-def sha256_of(path: Path) -> str:
-    """Hash of a file, read in pieces."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -12,13 +12,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mirrorwave.annotate_clouds import read_cloud, sha256_of
+from mirrorwave.annotate_clouds import read_cloud
 from mirrorwave.annotate_manifest import Cloud, Manifest, Pose
 from models.perception.ra_forming import FormingParams, RaFormer
 from models.perception.registration import PlacedCloud, Registration, register
 from models.perception.slice_labels import PointLabel, SliceLabels, label_slice
 from models.training.annotation import frame_points, mean_map, write_frame
-from models.training.files import json_lines, write_whole
+from models.training.files import file_sha256, json_lines, write_whole
 from models.training.xradarnlos import Kind
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
@@ -95,7 +95,7 @@ def _results(labels: SliceLabels, kind: Kind, clouds: Clouds) -> dict[str, Any]:
 
 def _provenance(manifest: Manifest, folder: Path, radar: Path) -> dict[str, Any]:
     """What it was made from: hashes of all files, the manifest with all defaults, versions."""
-    files = {radar.name: sha256_of(radar)} | {one.file: sha256_of(folder / one.file) for one in manifest.clouds}
+    files = {radar.name: file_sha256(radar)} | {one.file: file_sha256(folder / one.file) for one in manifest.clouds}
     told = {"radar": radar.name, "sha256": files, "manifest": msgspec.to_builtins(manifest), "versions": _versions()}
     return {"provenance": told}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -24,7 +23,7 @@ from models.perception.dca1000 import (
 )
 from models.perception.digital_array import DigitalArrayMap, form_digital_map
 from models.perception.peaks import keep_apart, local_maxima
-from models.training.files import json_lines, whole, write_whole
+from models.training.files import file_sha256, json_lines, whole, write_whole
 from msgs.units import db_from_ratio, ns_from_s, ratio_from_db
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.
@@ -116,13 +115,11 @@ def import_capture(
 
 
 def _provenance(capture: Path, config_path: Path, config: Dca1000Config) -> dict[str, Any]:
-    with capture.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return {
-        "capture": {"name": capture.name, "bytes": capture.stat().st_size, "sha256": digest},
+        "capture": {"name": capture.name, "bytes": capture.stat().st_size, "sha256": file_sha256(capture)},
         "configuration": {
             "name": config_path.name,
-            "sha256": hashlib.sha256(config_path.read_bytes()).hexdigest(),
+            "sha256": file_sha256(config_path),
             "fields": msgspec.to_builtins(config),
         },
     }

@@ -7,7 +7,6 @@ the recording's times mean. A recording that could not be finished is removed.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 
 import msgspec
 
+from models.training.files import file_sha256
 from msgs.recording import RecordingReader, RecordingWriter
 from msgs.units import ns_from_s
 
@@ -156,9 +156,3 @@ def _sigmf_provenance(meta: Path, data: Path) -> dict[str, str]:
         "sigmf_global": json.dumps(json.loads(meta.read_text(encoding="utf-8"))["global"]),
         "time_base": "stamps of the capture",
     }
-
-
-def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal digits."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -15,7 +15,7 @@ from cantools.database import Database
 
 from models.vehicle.can_state import CanDecoder, Judged, Verdict
 from models.vehicle.mapping import CanMapping
-from msgs.units import ns_from_s
+from msgs.units import NANOSECONDS_PER_SECOND, ns_from_s
 from nodes.launch_file import read_yaml_mapping
 from nodes.validation import convert_at
 
@@ -187,6 +187,13 @@ def decode_frame(decoder: CanDecoder, frame: can.Message, stamp_ns: int) -> Judg
     if frame.is_remote_frame:
         return decoder.skip(Verdict.REMOTE_FRAME)
     return decoder.add(frame.arbitration_id, bytes(frame.data), stamp_ns, frame.is_extended_id)
+
+
+def bus_frame(arbitration_id: int, data: bytes, extended: bool, now_ns: int) -> can.Message:
+    """A frame to send; most interfaces stamp it themselves, on those that keep this stamp it is the bus clock's."""
+    return can.Message(
+        timestamp=now_ns / NANOSECONDS_PER_SECOND, arbitration_id=arbitration_id, data=data, is_extended_id=extended
+    )
 
 
 def frame_stamp_ns(frame: can.Message) -> int:

@@ -9,15 +9,13 @@ from __future__ import annotations
 import logging
 from typing import Literal
 
-import can
-
 from models.vehicle.hidden_object_list import HiddenObjectList, ListFrame
 from msgs.arrays import require_positive
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.perception import BevFrame
-from msgs.units import NANOSECONDS_PER_SECOND, ns_from_s
-from nodes.can_link import MAX_RETRY_S, RETRY_S, BusParams, CanLink, checkout_path, load_dbc
+from msgs.units import ns_from_s
+from nodes.can_link import MAX_RETRY_S, RETRY_S, BusParams, CanLink, bus_frame, checkout_path, load_dbc
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
@@ -60,7 +58,7 @@ class Outlet:
             self.refused += len(frames)
             return
         for frame in frames:
-            if self._link.send(_message(frame, now_ns), now_ns):
+            if self._link.send(bus_frame(frame.arbitration_id, frame.data, frame.extended, now_ns), now_ns):
                 self.sent += 1
             else:
                 self.refused += 1
@@ -160,16 +158,6 @@ class CanOut(Node):
         self._waiting = self._encoder.frames(self._view, age_ns, self._max_age_ns, self._counter)
         self._counter += 1
         self._refused_before = self.outlet.refused
-
-
-def _message(frame: ListFrame, now_ns: int) -> can.Message:
-    # most interfaces stamp what they send themselves; those that keep this one stay on the bus clock
-    return can.Message(
-        timestamp=now_ns / NANOSECONDS_PER_SECOND,
-        arbitration_id=frame.arbitration_id,
-        data=frame.data,
-        is_extended_id=frame.extended,
-    )
 
 
 def create(params: Params) -> CanOut:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 
-import can
 import msgspec
 
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
-from msgs.units import NANOSECONDS_PER_SECOND
 from msgs.vehicle import VehicleState
-from nodes.can_link import BusParams, CanLink, checkout_path, load_dbc, load_mapping
+from nodes.can_link import BusParams, CanLink, bus_frame, checkout_path, load_dbc, load_mapping
 from nodes.node import Node
-from sim_player.car import CarFrame, CarShape, SimulatedCar
+from sim_player.car import CarShape, SimulatedCar
 from sim_player.scene import load_scene
 
 
@@ -45,7 +43,7 @@ class CarSim(Node):
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Send the frames whose time has come."""
         for frame in self._car.frames(msgspec.structs.replace(self._motion, stamp_ns=now_ns)):
-            if self._link.send(_message(frame, now_ns), now_ns):
+            if self._link.send(bus_frame(frame.arbitration_id, frame.data, frame.extended, now_ns), now_ns):
                 self.sent += 1
             else:
                 self.refused += 1
@@ -60,16 +58,6 @@ class CarSim(Node):
     def close(self) -> None:
         """Let go of the bus."""
         self._link.close()
-
-
-def _message(frame: CarFrame, now_ns: int) -> can.Message:
-    # most interfaces stamp what they send themselves; those that keep this one stay on the bus clock
-    return can.Message(
-        timestamp=now_ns / NANOSECONDS_PER_SECOND,
-        arbitration_id=frame.arbitration_id,
-        data=frame.data,
-        is_extended_id=frame.extended,
-    )
 
 
 def motion_of(params: Params) -> VehicleState:

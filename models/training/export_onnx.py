@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import hashlib
 import shutil
 import tempfile
 import warnings
@@ -29,7 +28,7 @@ from models.perception.residual_model import ResidualCard
 from models.training.calibration import fit_table, peak_outcomes
 from models.training.datasets import point_labels
 from models.training.families import FAMILIES, INPUTS
-from models.training.files import json_lines
+from models.training.files import file_sha256, json_lines
 from models.training.frames import DataSet, Frame, fixed_splits
 from models.training.quantize import quantize_int8
 from models.training.schedules import SCHEDULES
@@ -103,7 +102,7 @@ def export_onnx(model: Exported, path: Path, maps: Iterable[np.ndarray] = ()) ->
     write_onnx(model, (example,), path, **names)
     if not model.half_precision and not (difference := parity(model, path, maps)) <= PARITY:
         raise ValueError(f"{path}: probabilities must agree with torch within {PARITY}, differ by {difference}")
-    return sha256_of(path)
+    return file_sha256(path)
 
 
 def write_onnx(network: nn.Module, example: tuple[Tensor, ...], path: Path, **names: Any) -> None:
@@ -190,7 +189,7 @@ def export_run(
         _convert(model, reference, file, config.precision, maps)
         draft = _draft(model, run, encoding, epoch, run_dir, config)
         for path in (reference, file):
-            write_card(msgspec.structs.replace(draft, sha256=sha256_of(path)), path)
+            write_card(msgspec.structs.replace(draft, sha256=file_sha256(path)), path)
         report(f"scoring on {len(scenes.tested)} scenes")
         paths = (file,) if config.precision == "fp32" else (reference, file)
         tallies = score_files(paths, scenes.test.frames(scenes.tested))
@@ -198,11 +197,11 @@ def export_run(
         report("reading scores as probabilities on the validation scenes")
         if draft.head == "heatmap":
             draft = msgspec.structs.replace(draft, pursuit_threshold=best_pursuit_threshold(file, scenes.validation))
-            write_card(msgspec.structs.replace(draft, sha256=sha256_of(file)), file)
+            write_card(msgspec.structs.replace(draft, sha256=file_sha256(file)), file)
         card = msgspec.structs.replace(
             draft,
             name=model_path.stem,
-            sha256=sha256_of(file),
+            sha256=file_sha256(file),
             scores=_scores(own),
             fidelity=Fidelity(
                 largest_difference=largest_difference(model, file, maps[:PARITY_MAPS]),
@@ -332,11 +331,6 @@ def best_pursuit_threshold(file: Path, frames: Iterable[Frame]) -> float:
         points = pursued_points(predictor.predict(frame.ra_map), PURSUIT_THRESHOLDS[0], PursuitParams())
         tally.add(points, point_labels(frame.labels, frame.ra_map.grid))
     return max(PURSUIT_THRESHOLDS, key=tally.macro_f1)
-
-
-def sha256_of(path: Path) -> str:
-    """SHA-256 of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:

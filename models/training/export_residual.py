@@ -12,7 +12,8 @@ import torch
 
 from models.networks.residual_reflect_net import ResidualReflectNet
 from models.perception.residual_model import INPUTS, LearnedResidual, ResidualCard
-from models.training.export_onnx import require_onnx, sha256_of, write_card, write_onnx
+from models.training.export_onnx import require_onnx, write_card, write_onnx
+from models.training.files import file_sha256
 from models.training.residual_samples import FoldedImages, RecoveredScores, recovered_scores
 from models.training.train_residual import ResidualRunConfig, load_best_residual, network_offsets
 
@@ -28,7 +29,7 @@ def export_residual_onnx(network: ResidualReflectNet, path: Path) -> str:
     axes = {name: {0: "images"} for name in (*INPUTS, "residual")}
     names = {"input_names": list(INPUTS), "output_names": ["residual"], "dynamic_axes": axes}
     write_onnx(network.eval(), example, path, **names)
-    return sha256_of(path)
+    return file_sha256(path)
 
 
 def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, command: str = "") -> ResidualCard:

@@ -1,7 +1,8 @@
-"""Files that are there whole or not at all."""
+"""Files that are there whole or not at all, and their checksums."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,6 +27,12 @@ def write_whole(path: Path, content: bytes) -> None:
     """Write a small file whole or not at all."""
     with whole(path) as part:
         part.write_bytes(content)
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal; read in pieces, as captures are large."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def json_lines(value: object) -> bytes:

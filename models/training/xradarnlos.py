@@ -18,7 +18,6 @@ powers are relative.
 
 from __future__ import annotations
 
-import hashlib
 import os
 import zipfile
 import zlib
@@ -30,7 +29,7 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from models.training.files import json_lines, whole, write_whole
+from models.training.files import file_sha256, json_lines, whole, write_whole
 from msgs.frames import polar_from_xy
 from msgs.perception import PathClass
 from msgs.radar import RangeAzimuthGrid
@@ -184,7 +183,7 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
         hidden_xy_m=np.concatenate([direct, paired]).astype(np.float32),
         places_m=true_place.astype(np.float32),
         source={
-            "files": {_name(path, directory): hashlib.sha256(path.read_bytes()).hexdigest() for path in files},
+            "files": {_name(path, directory): file_sha256(path) for path in files},
             "negative_cells": negative,
         },
     )
