@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test lint stability reference bench tables fdtd-figures results results-gpu clean
+.PHONY: help setup setup-dev demo test lint audit stability reference bench faults soak fuzz tables fdtd-figures compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -35,15 +35,26 @@ demo: setup  ## a simulated corner through the whole graph: hidden objects besid
 	$(BIN)/mirrorwave demo
 
 test: setup-dev  ## all tests
-	@# graphs of processes want the machine to themselves
+	@# graphs of processes want the machine to themselves; those of the documentation, which count no losses, two at a time
 	$(BIN)/python -m pytest -q -m "not graph" -n auto --dist loadfile
-	$(BIN)/python -m pytest -q -m graph
+	$(BIN)/python -m pytest -q -m graph -n 2 --dist load tests/docs
+	$(BIN)/python -m pytest -q -m graph --ignore=tests/docs
 
 lint: setup-dev  ## style, types, house laws
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_house.py
+
+# a mirror of the index may answer without advisories: then nothing would be found, whatever there is
+ADVISORIES = import json, urllib.request as r; json.load(r.urlopen("https://pypi.org/pypi/pip/24.0/json", timeout=20))["vulnerabilities"]
+# exit code where no index of advisories answers.
+UNREACHED ?= 3
+
+audit: setup-dev  ## known vulnerabilities of all that is installed (needs PyPI's advisories)
+	@$(BIN)/python -c '$(ADVISORIES)' 2>/dev/null || { echo "audit: no index of advisories can be reached; nothing was checked"; exit $(UNREACHED); }; \
+	test -x $(VENV)/audit/bin/pip-audit || { $(PYTHON) -m venv $(VENV)/audit && $(VENV)/audit/bin/pip install --quiet pip-audit; } && \
+	$(VENV)/audit/bin/pip-audit --progress-spinner off --path $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 
 stability: setup-dev  ## the hard cases with the errors of the naive form and of ours: docs/numerical-stability.md
 	$(BIN)/python -m pytest -q tests/stability --stability-page docs/numerical-stability.md
@@ -55,12 +66,34 @@ bench: setup-dev  ## the committed benchmarks, printed
 	$(BIN)/python -m benchmarks.ra_forming
 	$(BIN)/python -m benchmarks.live_graph --duration 60
 
+faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/faults.md (half an hour)
+	$(BIN)/python -m benchmarks.faults
+
+soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/faults.md
+	$(BIN)/python -m benchmarks.soak --figure docs/images/soak.png
+
+# examples of each test of a node; seconds that all readers share
+FUZZ_EXAMPLES ?= 2000
+FUZZ_SECONDS ?= 3600
+
+fuzz: setup-dev  ## nodes against messages and parameters, then readers against bytes: docs/fuzz.md (hours)
+	@$(BIN)/python -c "import atheris" 2>/dev/null || $(BIN)/pip install --quiet --editable '.[fuzz]'
+	@# readers are looked at whatever was found in nodes
+	$(BIN)/python -m fuzz.nodes --examples $(FUZZ_EXAMPLES) --json runs/fuzz/nodes.json; found=$$?; \
+	$(BIN)/python -m fuzz --seconds $(FUZZ_SECONDS) --json runs/fuzz/readers.json && exit $$found
+
 tables: setup  ## the shipped reflectance table, simulated again (minutes; goes on if stopped)
 	$(BIN)/mirrorwave sim reflectance --rebuild
 
 fdtd-figures: setup  ## the pictures of docs/fdtd.md
 	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
+
+compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/three-sensors.md (half an hour; goes on if stopped)
+	$(BIN)/mirrorwave compare --viewpoints 6 --jobs 2 --out runs/compare
+	$(BIN)/mirrorwave compare --scene launch/scenes/hidden_car_xband.yaml --out runs/compare
+	cp runs/compare/compare.md docs/compare.md && cp runs/compare/compare.png docs/images/compare.png
+	cp runs/compare/hidden_car_xband.png docs/images/three-sensors.png
 
 results: setup-dev  ## every network of the specification and ours, trained and compared on two CPU cores (hours; goes on if stopped)
 	$(BIN)/python -m benchmarks.learned_table

@@ -90,6 +90,7 @@ class DoubleChain:
         return SimpleNamespace(
             stamp_ns=stamps.stamp_ns,
             scan_id=stamps.scan_id,
+            mode=stamps.mode,
             grid=self.grid,
             values=values,
             azimuth_stamp_ns=stamps.azimuth_stamp_ns,

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 
-from benchmarks.live_graph import shed_of, stages_ms
+from benchmarks.live_graph import quantiles, shed_of, stages_ms
 from msgs.diagnostics import NodeStatus
 from msgs.perception import BevFrame
 from msgs.vehicle import VehicleState
@@ -179,13 +179,12 @@ def scans_of(views: list[View], start_ns: int, end_ns: int) -> dict:
     before = [view for view in views if view.ended_ns < start_ns]
     first = before[-1].scan_id + 1 if before else own[0].scan_id
     latency_ms = np.array([view.latency_ms for view in own])
-    names = ("p50", "p90", "p99", "max")
     return {
         "scans": own[-1].scan_id - first + 1,
         "views_in_time": int((latency_ms <= 1e3 * DEADLINE_S).sum()),
         "views_late": int((latency_ms > 1e3 * DEADLINE_S).sum()),
         "without_view": own[-1].scan_id - first + 1 - len({view.scan_id for view in own}),
-        "latency_ms": dict(zip(names, np.percentile(latency_ms, [50, 90, 99, 100]).round(1).tolist(), strict=True)),
+        "latency_ms": quantiles(latency_ms),
     }
 
 

@@ -19,14 +19,13 @@ from scipy.optimize import brentq
 
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile, window_noise_gain
-from msgs.radar import RadarSetup, amplitude_per_code
+from msgs.radar import PRESETS, RadarSetup, amplitude_per_code
 from msgs.units import SPEED_OF_LIGHT_MPS
 from sim_player.dataset import WINDOW, profile_noise
 from sim_player.fmcw import beam_codes, noise_bank
 from sim_player.mesh_rcs import mesh_rcs_m2
 from sim_player.meshes import cylinder, dihedral, plate, sphere, trihedral
 from sim_player.ray_tracing import echo_amplitude
-from sim_player.scene import PRESETS
 
 CARRIERS_HZ = (10e9, 77e9)
 FORWARD = np.array([1.0, 0.0, 0.0])
@@ -108,7 +107,7 @@ def cylinder_rcs(carrier_hz: float, radius: float = 10.0) -> Anchor:
 
 
 def radar_equation(preset: str, range_m: float, rcs_m2: float = 10.0) -> Anchor:
-    """Peak of a point's range profile in the beam at 0 deg against P G^2 lambda^2 sigma / ((4 pi)^3 R^4)."""
+    """Peak of a point's range profile in the beam at 0 deg against P G_t G_r lambda^2 sigma / ((4 pi)^3 R^4)."""
     setup = PRESETS[preset]
     radar, array = setup.radar, setup.array
     # the middle of a range bin: no scalloping
@@ -118,9 +117,11 @@ def radar_equation(preset: str, range_m: float, rcs_m2: float = 10.0) -> Anchor:
     amplitude = echo_amplitude(radar, np.array([rcs_m2]), np.array([range_m]))[0]
     profile = range_profile(radar, np.array([2.0 * range_m]), 512, WINDOW)[0]
     measured_mw = float(np.abs(amplitude * gain * profile).max() ** 2)
-    antenna = array.columns * array.rows * 10.0 ** (setup.element.peak_gain_dbi / 10.0)
+    element = 10.0 ** (setup.element.peak_gain_dbi / 10.0)
+    receive = array.columns * array.rows * element
+    transmit = receive if array.steered_ways == 2 else element
     wavelength_m = SPEED_OF_LIGHT_MPS / radar.carrier_hz
-    expected_mw = 1e3 * radar.transmit_power_w * (antenna * wavelength_m) ** 2 * rcs_m2
+    expected_mw = 1e3 * radar.transmit_power_w * transmit * receive * wavelength_m**2 * rcs_m2
     expected_mw /= (4.0 * math.pi) ** 3 * range_m**4
     name = f"radar equation {preset} {range_m:.1f} m"
     return Anchor(name, _db(measured_mw), _db(expected_mw), "dBm", 0.01, f"{rcs_m2:g} m^2")
@@ -158,12 +159,14 @@ def beam_width(preset: str, two_way: bool) -> Anchor:
     wavelength_m = setup.radar.wavelength_m
     aperture_m = setup.array.columns * setup.array.column_spacing(wavelength_m)
     level = 0.5 if two_way else 0.25
+    # of a pattern that is squared where both ways are steered
+    measured_level = 0.5 if setup.array.steered_ways == 1 else level
     weights = _boresight(setup)
 
     def over_half(azimuth_rad: float) -> float:
         """Power relative to the beam's middle, less the level; one-way half power is a quarter two-way."""
         power = np.abs(two_way_pattern(setup, weights, np.array([0.0, azimuth_rad]), np.zeros(2))[0]) ** 2
-        return float(power[1] / power[0] - level)
+        return float(power[1] / power[0] - measured_level)
 
     half_rad = brentq(over_half, 0.0, wavelength_m / aperture_m)
     theory = brentq(lambda x: np.sinc(x) ** 4 - level, 0.0, 1.0)
@@ -187,7 +190,8 @@ def _all() -> Iterator[Callable[[], Anchor]]:
         yield from (partial(radar_equation, preset, range_m) for range_m in (5.0, 10.0, 20.0, 50.0, 100.0))
         yield partial(beat_noise_floor, preset)
         yield partial(profile_noise_floor, preset)
-        yield from (partial(beam_width, preset, two_way) for two_way in (False, True))
+        ways = (False, True)[: PRESETS[preset].array.steered_ways]
+        yield from (partial(beam_width, preset, two_way) for two_way in ways)
 
 
 ANCHORS = tuple(_all())

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from models.perception.registration import import_open3d
+from msgs.array_files import load_array
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
 MOST_POINTS = 20_000_000
@@ -18,6 +19,9 @@ PLY_BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
     "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
 }  # fmt: skip
+#: Largest numbers of a PCD header, and how much LZF can pack at most.
+PCD_MOST = {"SIZE": 8, "COUNT": 1024, "WIDTH": MOST_POINTS, "HEIGHT": MOST_POINTS, "POINTS": MOST_POINTS}
+MOST_LZF = 100
 
 
 def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, int]:
@@ -55,9 +59,8 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
 
 def _npy_points(path: Path) -> np.ndarray:
     try:
-        # mapped: a header that promises more than the file holds is refused before memory is asked for
-        return np.asarray(np.lib.format.open_memmap(path, mode="r"))
-    except (ValueError, EOFError, OSError) as error:
+        return load_array(path)
+    except (ValueError, OSError) as error:
         raise ValueError(f"{path}: must be a readable numpy array: {' '.join(str(error).split())}") from None
 
 
@@ -69,7 +72,10 @@ def _open3d_points(path: Path) -> np.ndarray:
     _refuse_cut(path)
     o3d = import_open3d()
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
-        cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+        try:
+            cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+        except (MemoryError, RuntimeError) as error:
+            raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
     return np.asarray(cloud.points)
 
 
@@ -82,9 +88,30 @@ def _refuse_cut(path: Path) -> None:
     start = content.find(b"\n", at + 1) + 1
     rows = [line.split() for line in content[: start or None].decode("latin-1").splitlines() if line.split()]
     count, row_bytes = _ply_promise(rows) if path.suffix.lower() == ".ply" else _pcd_promise(rows)
+    if path.suffix.lower() == ".pcd":
+        _refuse_large_pcd(path, rows, content[start:])
     held = len(content) - start if row_bytes else content.count(b"\n", start) + (not content.endswith(b"\n"))
     if not start or held < count * max(row_bytes, 1):
         raise ValueError(f"{path}: header promises {count} points, the file ends before: it is cut off")
+
+
+def _refuse_large_pcd(path: Path, rows: list[list[str]], data: bytes) -> None:
+    """ValueError where a PCD asks for memory that its points cannot need: open3d gives it unasked."""
+    fields = {row[0]: row[1:] for row in rows if len(row) > 1}
+    numbers = {name: [int(word) if word.isdecimal() else -1 for word in fields.get(name, [])] for name in PCD_MOST}
+    for name in ("SIZE", "WIDTH", "HEIGHT", "POINTS"):
+        # open3d takes by chance what a header does not say
+        if not numbers[name]:
+            raise ValueError(f"{path}: {name} must be said before DATA, it is not")
+    for name, most in PCD_MOST.items():
+        if not all(0 <= one <= most for one in numbers[name]):
+            raise ValueError(f"{path}: {name} must be whole numbers of at most {most}, got {' '.join(fields[name])}")
+    if fields.get("DATA", [""])[0] == "binary_compressed":
+        packed, unpacked = (int.from_bytes(data[at : at + 4], "little") for at in (0, 4))
+        if packed > len(data) - 8 or unpacked > MOST_LZF * packed:
+            raise ValueError(
+                f"{path}: {packed} bytes that unpack to {unpacked} are promised, the file holds {len(data)}"
+            )
 
 
 def _ply_promise(rows: list[list[str]]) -> tuple[int, int]:
@@ -95,7 +122,7 @@ def _ply_promise(rows: list[list[str]]) -> tuple[int, int]:
     for row in rows:
         if row[0] == "element" and len(row) == 3:
             element = row[1]
-            count = int(row[2]) if element == "vertex" and row[2].isdigit() else count
+            count = int(row[2]) if element == "vertex" and row[2].isdecimal() else count
         elif row[0] == "property" and element == "vertex" and len(row) == 3:
             row_bytes += PLY_BYTES.get(row[1], 0)
     return count, 0 if is_text else row_bytes
@@ -103,11 +130,11 @@ def _ply_promise(rows: list[list[str]]) -> tuple[int, int]:
 
 def _pcd_promise(rows: list[list[str]]) -> tuple[int, int]:
     """Points of a PCD header and the bytes of each (0: a line of text); compressed points are not counted."""
-    fields = {row[0]: row[1:] for row in rows}
+    fields = {row[0]: row[1:] for row in rows if len(row) > 1}
     kind = fields.get("DATA", [""])[0]
-    count = int(fields["POINTS"][0]) if fields.get("POINTS", [""])[0].isdigit() else 0
-    sizes = [int(size) for size in fields.get("SIZE", []) if size.isdigit()]
-    counts = [int(one) for one in fields.get("COUNT", ["1"] * len(sizes)) if one.isdigit()]
+    count = int(fields["POINTS"][0]) if fields.get("POINTS", [""])[0].isdecimal() else 0
+    sizes = [int(size) for size in fields.get("SIZE", []) if size.isdecimal()]
+    counts = [int(one) for one in fields.get("COUNT", ["1"] * len(sizes)) if one.isdecimal()]
     if kind == "binary_compressed":
         return 0, 0
     return count, sum(size * one for size, one in zip(sizes, counts, strict=False)) if kind == "binary" else 0

@@ -8,10 +8,10 @@ from typing import Any, Literal
 
 import msgspec
 import numpy as np
-import yaml
 
 from models.perception.registration import RegistrationParams
 from models.perception.slice_labels import SliceParams, WallRules
+from nodes.launch_file import read_yaml_mapping
 
 
 class Pose(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -86,14 +86,12 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 def load_manifest(path: Path) -> Manifest:
     """Read and check a manifest; ValueError in one line that names file, field, value and rule."""
+    content = read_yaml_mapping(path)
     try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
         manifest = msgspec.convert(content, Manifest)
         _require_finite(msgspec.to_builtins(manifest), "")
         return manifest
-    except yaml.YAMLError as error:
-        raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
-    except (ValueError, UnicodeDecodeError) as error:
+    except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 

@@ -23,6 +23,7 @@ from msgs.bus import Outgoing, Received
 from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame, Peaks, SceneTruth
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.topics import SENSOR_TOPICS
 from msgs.units import ns_from_s
 from msgs.vehicle import VehicleState
 from nodes.launch_file import read_launch_file, with_overrides
@@ -157,11 +158,12 @@ def _events_of(capture: Path) -> Iterator[Event]:
     seen: set[str] = set()
     for event in capture_events(capture):
         seen.add(event.outgoing.topic)
-        if "radar/beam" in seen and "radar/setup" not in seen:
-            raise ValueError(f"{capture}: holds no radar/setup")
+        for setup, raw in SENSOR_TOPICS:
+            if raw in seen and setup not in seen:
+                raise ValueError(f"{capture}: holds no {setup}")
         yield event
-    if "radar/beam" not in seen:
-        raise ValueError(f"{capture}: holds no radar/beam")
+    if not any(raw in seen for _, raw in SENSOR_TOPICS):
+        raise ValueError(f"{capture}: holds no radar/beam and no lidar/histograms")
 
 
 class _Outlet(Node):

@@ -26,6 +26,7 @@ _VERBS = {
     "export": "mirrorwave.export:export",
     "eval": "mirrorwave.evaluate:evaluate",
     "tradeoff": "mirrorwave.tradeoff:tradeoff",
+    "compare": "mirrorwave.compare:compare",
     "doctor": "mirrorwave.doctor:doctor",
     "top": "mirrorwave.top:top",
     "graph": "mirrorwave.graph:graph",
@@ -41,6 +42,7 @@ _GROUPS = {
     "import": "mirrorwave.import_:app",
     "topic": "mirrorwave.topic:app",
     "node": "mirrorwave.node:app",
+    "security": "mirrorwave.security:app",
 }
 
 #: Wrong usage, as the command line parser below typer raises it; typer brings its own copy or takes the installed one.

@@ -31,6 +31,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a ta
 Domain = Annotated[str, typer.Option("--domain", envvar="MIRRORWAVE_DOMAIN", help="Graph to talk to.")]
 DEFAULT_DOMAIN = "default"
 
+_CONTROL = {code: "\N{REPLACEMENT CHARACTER}" for code in (*range(32), *range(127, 160)) if chr(code) not in "\t\n"}
 #: What pictures may be written as.
 PICTURE_SUFFIXES = (".png", ".svg", ".pdf")
 #: File errors that mean a wrong argument, not a failing machine.
@@ -43,9 +44,14 @@ def print_json(value: Any) -> None:
     sys.stdout.flush()
 
 
+def printable(text: str) -> str:
+    """`text` without control characters but tabs and line ends: what a file says must not steer a terminal."""
+    return text.translate(_CONTROL)
+
+
 def print_line(text: str) -> None:
-    """One line on stdout, as it is."""
-    sys.stdout.write(text + "\n")
+    """One line on stdout."""
+    sys.stdout.write(printable(text) + "\n")
     sys.stdout.flush()
 
 
@@ -89,7 +95,7 @@ def error_line(error: BaseException) -> str:
         return f"{error.filename}: {error.strerror or type(error).__name__}"
     if isinstance(error, ImportError):
         return f"a package is missing: {error}"
-    return " ".join(str(error).split()) or type(error).__name__
+    return printable(" ".join(str(error).split())) or type(error).__name__
 
 
 def exit_code_of(error: BaseException) -> ExitCode:
@@ -119,7 +125,7 @@ def _cell(value: object) -> str:
         return "-"
     if isinstance(value, float):
         return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
-    return str(value)
+    return printable(str(value))
 
 
 def _is_number(cell: str) -> bool:

@@ -21,9 +21,8 @@ from matplotlib.figure import Figure
 
 from models.perception.coarray import AzimuthInterpolator
 from msgs.perception import PathClass
-from msgs.radar import RadarSetup, RangeAzimuthGrid
+from msgs.radar import PRESETS, RangeAzimuthGrid
 from sim_player.dataset_statistics import Histogram, SceneRecord, Statistics, read_records
-from sim_player.scene import PRESETS
 
 BLUE, ORANGE, GREEN, GREY = "#2F86C8", "#E08A00", "#1A9E77", "#8A8A8A"
 COLOURS = {"LOS": BLUE, "mNLOS": ORANGE, "walls": GREEN}
@@ -110,20 +109,15 @@ def write_contact_sheet(records: Sequence[SceneRecord], preset: str, out: Path) 
 
 
 def _former(preset: str) -> Callable[[SceneRecord], np.ndarray]:
-    """How a record becomes a map, power over noise [range, azimuth]: as in the vehicle, or the beams side by side."""
-    setup = PRESETS[preset]
-    if preset == "xband":
-        interpolator = AzimuthInterpolator(RadarSetup(), RangeAzimuthGrid())
-        gain = interpolator.noise_gain()
+    """How a record becomes a map, power over noise [range, azimuth], as in the vehicle."""
+    interpolator = AzimuthInterpolator(PRESETS[preset])
+    gain = interpolator.noise_gain()
 
-        def form(record: SceneRecord) -> np.ndarray:
-            values, _ = interpolator.interpolate(record.profiles, record.noise_power_mw)
-            return np.abs(values) ** 2 / (gain * record.noise_power_mw)
+    def form(record: SceneRecord) -> np.ndarray:
+        values, _ = interpolator.interpolate(record.profiles, record.noise_power_mw)
+        return np.abs(values) ** 2 / (gain * record.noise_power_mw)
 
-        return form
-    # narrow beams leave gaps between them that nothing fills
-    nearest = np.abs(RangeAzimuthGrid().azimuth_rad[:, None] - setup.beams.azimuth_rad).argmin(axis=1)
-    return lambda record: np.abs(record.profiles[nearest].T) ** 2 / record.noise_power_mw
+    return form
 
 
 def _reach_m(records: Sequence[SceneRecord]) -> float:

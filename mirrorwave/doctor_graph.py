@@ -20,8 +20,9 @@ from mirrorwave.doctor import Finding, Status
 from mirrorwave.node import Heartbeats, node_row, shed_text, topic_rows
 from mirrorwave.top import TOPICS_WATCHED, GraphWatch
 from msgs.diagnostics import NodeState, NodeStatus
-from msgs.topics import TOPICS
+from msgs.topics import SENSOR_TOPICS, TOPICS
 from nodes.live_timing import ViewFigures, views_text
+from nodes.viewer.node_table import is_of_peer
 
 _MIB, _GIB = 1 << 20, 1 << 30
 #: Six heartbeats, ten views.
@@ -54,12 +55,12 @@ class _Graph(NamedTuple):
         return sorted({*self.owner.get("nodes", ()), *self.heard})
 
     def rows(self, topic: str, way: str) -> dict[str, dict[str, Any]]:
-        """What each node says of a topic that it reads ("in") or publishes ("out")."""
+        """What each node of this host says of a topic that it reads ("in") or publishes ("out")."""
         return {
             name: row
             for name, beats in self.heard.items()
             for row in topic_rows(beats)
-            if row["topic"] == topic and row["way"] == way
+            if row["topic"] == topic and row["way"] == way and not is_of_peer(name)
         }
 
 
@@ -177,9 +178,10 @@ def _losses(graph: _Graph, name: str, beats: list[NodeStatus], window_s: float) 
             if total:
                 parts.append(f"{total} {kind} ({new} in the last {window_s:g} s)")
         if parts:
-            senders = ", ".join(graph.publishers.get(count.topic, ["nobody"]))
+            # who publishes on a peer's host is not known here
+            senders = "" if is_of_peer(name) else f" from {', '.join(graph.publishers.get(count.topic, ['nobody']))}"
             why = _last_word(graph, name, "rejected:") if count.rejected else ""
-            texts.append(f"{count.topic} from {senders}: {', '.join(parts)}{'; ' + why if why else ''}")
+            texts.append(f"{count.topic}{senders}: {', '.join(parts)}{'; ' + why if why else ''}")
     return texts
 
 
@@ -197,13 +199,22 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
     for topic, facts in TOPICS.items():
         readers, publishers = graph.rows(topic, "in"), graph.publishers.get(topic, [])
         readers.pop("supervisor", None)
-        if topic in ("diagnostics/node", "log") or not (readers or publishers):
+        if topic in ("diagnostics/node", "log") or not (readers or publishers) or _is_spare_sensor(graph, topic):
             continue
         spare = Status.WARNING if topic in _SPARE_TOPICS else Status.FAILED
         if not publishers:
             yield Finding(f"topic {topic}", spare, f"no publisher; {', '.join(readers)} reads it")
         elif facts.rate_hz:
             yield _check_rate(graph, topic, facts.rate_hz, spare)
+
+
+def _is_spare_sensor(graph: _Graph, topic: str) -> bool:
+    """Whether a sensor is silent because nobody reads it, or because one of the other kind looks."""
+    for (setup, raw), (_, other) in zip(SENSOR_TOPICS, reversed(SENSOR_TOPICS), strict=True):
+        if topic in (setup, raw) and _is_silent(graph, raw):
+            looks = not _is_silent(graph, other) if raw in graph.publishers else other in graph.publishers
+            return looks or not graph.rows(topic, "in").keys() - {"supervisor"}
+    return False
 
 
 def _check_rate(graph: _Graph, topic: str, nominal_hz: float, spare: Status) -> Finding:
@@ -236,6 +247,9 @@ def _why_no_message(graph: _Graph, topic: str, seen: tuple[str, ...]) -> str:
 
 
 def _inputs_of(graph: _Graph, name: str) -> list[str]:
+    """Topics that a node makes its own of; a link has those from another host."""
+    if graph.entries.get(name, {}).get("module") == "nodes.link":
+        return []
     rows = topic_rows(graph.heard[name])
     return [row["topic"] for row in rows if row["way"] == "in" and row["topic"] not in _SPARE_TOPICS]
 
@@ -294,9 +308,9 @@ def _log_entries(run: Path | None) -> list[dict[str, Any]]:
     for line in lines:
         try:
             entry = json.loads(line)
-        except ValueError:
+        except (ValueError, RecursionError):
             continue
-        if isinstance(entry, dict) and {"node", "level", "text"} <= set(entry):
+        if isinstance(entry, dict) and all(isinstance(entry.get(key), str) for key in ("node", "level", "text")):
             entries.append(entry)
     return entries
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mirrorwave.evaluate_run import Run, SweepPoint
     from models.perception.evaluation import FrameTruth
     from models.training.frames import DataSet, Frame, Splits
+    from msgs.radar import RadarSetup
 
 
 class SplitOption(StrEnum):
@@ -72,9 +73,9 @@ def evaluate(
     from mirrorwave.evaluate_report import Context, make_report, write_report
     from models.training.frames import DataSet, fixed_splits
 
-    methods = _methods(method or _default_methods(), threshold, threads)
-    named = _reference(reference, methods)
     dataset, splits = DataSet(data), fixed_splits(data)
+    methods = _methods(method or _default_methods(), threshold, threads, dataset.setup)
+    named = _reference(reference, methods)
     run, sweeps = _run(dataset, splits, methods, split, truth, sweep if out is not None else 0, limit)
     context = Context(
         data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=draws, threads=threads,
@@ -95,7 +96,7 @@ def _default_methods() -> list[str]:
     return ["cfar", "cfar-nlos", f"ours={DEFAULT_MODEL},refine"]
 
 
-def _methods(texts: list[str], threshold: float | None, threads: int) -> list[Method]:
+def _methods(texts: list[str], threshold: float | None, threads: int, setup: RadarSetup) -> list[Method]:
     from mirrorwave.evaluate_methods import build_method, parse_method
 
     specs = [parse_method(text) for text in texts]
@@ -103,7 +104,7 @@ def _methods(texts: list[str], threshold: float | None, threads: int) -> list[Me
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"--method names must differ, got {name!r} twice: put NAME= before one")
-    return [build_method(spec, threshold, threads) for spec in specs]
+    return [build_method(spec, threshold, threads, setup) for spec in specs]
 
 
 def _reference(name: str | None, methods: list[Method]) -> str:

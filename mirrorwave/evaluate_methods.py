@@ -26,7 +26,6 @@ from typing import Any, TypeVar, get_args
 
 import msgspec
 import numpy as np
-import yaml
 
 from models.perception.cfar import CfarParams
 from models.perception.cfar_nlos import CfarNlosParams, privileged_peaks
@@ -44,6 +43,7 @@ from models.training.frames import Frame
 from models.training.residual_samples import truth_peaks
 from msgs.perception import Peaks
 from msgs.radar import RadarSetup, RangeAzimuthGrid
+from nodes.launch_file import parse_yaml
 
 #: Lowest score that a precision-recall curve looks at.
 FLOOR = 0.05
@@ -138,7 +138,7 @@ def _take(found: dict[str, Any], text: str, word: str) -> None:
     elif key == "refine" and value in get_args(Refine):
         found["refine"] = value
     elif separator and dot and path and value:
-        found["parameters"].setdefault(group, {})[path] = yaml.safe_load(value)
+        found["parameters"].setdefault(group, {})[path] = parse_yaml(value, f"--method {text!r}: {key}")
     elif key in ("residual", "confidence") and value:
         found[key] = Path(value)
     elif key == "geometry" and value in GEOMETRIES:
@@ -169,25 +169,30 @@ def _check(spec: MethodSpec) -> None:
         raise ValueError(f"--method {spec.text!r}: confidence must go with geometry=ours, got {spec.geometry}")
 
 
-def build_method(spec: MethodSpec, threshold: float | None = None, threads: int = 1) -> Method:
-    """Load what a method needs; `threshold` is for networks that name none. Raises `ValueError` naming the method."""
+def build_method(
+    spec: MethodSpec, threshold: float | None = None, threads: int = 1, setup: RadarSetup | None = None
+) -> Method:
+    """Load what a method needs; `threshold` is for networks that name none, `setup` None the default radar.
+
+    Raises `ValueError` naming the method.
+    """
     try:
-        return _built(spec, threshold, threads)
+        return _built(spec, threshold, threads, setup or RadarSetup())
     except (ValueError, msgspec.MsgspecError) as error:
         raise ValueError(f"--method {spec.name}: {error}") from None
 
 
-def _built(spec: MethodSpec, threshold: float | None, threads: int) -> Method:
+def _built(spec: MethodSpec, threshold: float | None, threads: int, setup: RadarSetup) -> Method:
     residual, weights = _residual(spec.residual, threads)
     grid, detect_all = None, None
     if spec.kind == ".onnx":
         card = load_card(Path(spec.source))
         grid, weights = card.grid, weights + card.parameters
         at = spec.threshold or threshold or card.threshold_for(refine_way(spec.refine))
-        detect, detect_all = _network(spec, at, threads)
+        detect, detect_all = _network(spec, at, threads, setup)
     else:
         at = spec.threshold or 0.0
-        detect = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec)
+        detect = {"cfar": _cfar, "cfar-nlos": _cfar_nlos, "truth": _truth}[spec.kind](spec, setup)
     return Method(
         name=spec.name,
         text=spec.text,
@@ -201,7 +206,7 @@ def _built(spec: MethodSpec, threshold: float | None, threads: int) -> Method:
     )
 
 
-def _network(spec: MethodSpec, threshold: float, threads: int) -> tuple[Detect, Detect | None]:
+def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup) -> tuple[Detect, Detect | None]:
     """`detect` and `detect_all` of a method."""
     peaks = overridden(PeakParams(), "peaks", spec.parameters)
     named = overridden(NamedParams(), "named", spec.parameters)
@@ -210,7 +215,7 @@ def _network(spec: MethodSpec, threshold: float, threads: int) -> tuple[Detect, 
 
     def at(peak: float, name: float) -> Detect:
         detector = NetworkDetector(
-            RadarSetup(),
+            setup,
             Path(spec.source),
             threads,
             msgspec.structs.replace(peaks, threshold=peak),
@@ -226,12 +231,12 @@ def _network(spec: MethodSpec, threshold: float, threads: int) -> tuple[Detect, 
     return (at(threshold, named.threshold), floor) if refined else (floor, None)
 
 
-def _cfar(spec: MethodSpec) -> Detect:
-    detector = CfarDetector(RadarSetup(), overridden(CfarParams(), "cfar", spec.parameters))
+def _cfar(spec: MethodSpec, setup: RadarSetup) -> Detect:
+    detector = CfarDetector(setup, overridden(CfarParams(), "cfar", spec.parameters))
     return lambda frame: detector.detect(frame.ra_map)
 
 
-def _cfar_nlos(spec: MethodSpec) -> Detect:
+def _cfar_nlos(spec: MethodSpec, _setup: RadarSetup) -> Detect:
     params = overridden(CfarNlosParams(), "nlos", spec.parameters)
     cfar = overridden(params.cfar, "cfar", spec.parameters)
     params = msgspec.structs.replace(params, cfar=cfar)
@@ -243,7 +248,7 @@ def _cfar_nlos(spec: MethodSpec) -> Detect:
     return detect
 
 
-def _truth(_: MethodSpec) -> Detect:
+def _truth(_spec: MethodSpec, _setup: RadarSetup) -> Detect:
     return lambda frame: truth_peaks(frame.labels)
 
 

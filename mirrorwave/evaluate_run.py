@@ -13,6 +13,7 @@ import numpy as np
 from mirrorwave.evaluate_methods import Method, peaks_above
 from models.perception.evaluation import FrameAnswer, FrameScores, FrameTruth, score_frames, sweep_thresholds
 from models.training.frames import DataSet, Frame, FrameLabels
+from msgs.array_files import load_arrays
 from msgs.frames import xy_from_polar
 from msgs.perception import PathClass, Peaks
 from msgs.units import s_from_ns
@@ -235,9 +236,7 @@ def retraced_truth(data: DataSet) -> Callable[[Frame], FrameTruth]:
 
 def _gains_db(directory: Path) -> np.ndarray:
     """Gain of every scene of a simulated data set; fewer where shards hold none."""
-    gains = []
+    gains: list[np.ndarray] = []
     for path in sorted(directory.glob("shard-*.npz")):
-        with np.load(path, allow_pickle=False) as shard:
-            if "gain_db" in shard.files:
-                gains.append(shard["gain_db"])
+        gains += load_arrays(path, ("gain_db",)).values()
     return np.concatenate([*gains, np.zeros(0)])

@@ -15,7 +15,7 @@ import numpy as np
 import zmq
 
 from msgs.arrays import DTYPES, MAX_NDIM
-from msgs.bus import Envelope, Received
+from msgs.bus import Envelope, Forwarded, Received
 from msgs.codec import MAX_HEADER_BYTES, Buffer
 from msgs.diagnostics import TopicCount
 from msgs.topics import MIB, TOPICS
@@ -77,6 +77,10 @@ class ForeignBus:
     def publish(self, topic: str, message: msgspec.Struct) -> None:
         """Refused: types that are not known here are not sent."""
         raise TypeError(f"{topic}: a foreign topic is listened to, never published")
+
+    def forward(self, message: Forwarded) -> None:
+        """Refused likewise."""
+        raise TypeError(f"{message.topic}: a foreign topic is listened to, never published")
 
     def subscribe(self, topic: str) -> None:
         """Receive a topic from all its publishers, under the name given: `lidar/cloud` and `lidar.cloud` are one."""

@@ -112,9 +112,13 @@ def running_picture(domain: str, window_s: float, health: bool = False) -> Graph
     from mirrorwave.node import collect_heartbeats, topic_rows
     from msgs.diagnostics import NodeState
     from msgs.zmq_bus import list_publishers, run_dir
+    from nodes.viewer.node_table import is_of_peer
 
     advertised = list_publishers(run_dir(domain))
-    heard = collect_heartbeats(run_dir(domain), window_s)
+    # a peer's nodes meet elsewhere: what comes of them is published here by a link
+    heard = {
+        name: beats for name, beats in collect_heartbeats(run_dir(domain), window_s).items() if not is_of_peer(name)
+    }
     rows = {name: topic_rows(beats) for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
     if not rows and not advertised:
         raise ConnectionError(f"no graph runs in domain {domain!r}: no heartbeat in {window_s:g} s")
@@ -199,10 +203,11 @@ def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, 
     params = convert_at(dict(entry.params), module.Params, f"{name}.params")
     kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == entry.module]
     nodes = [kind for kind in kinds if issubclass(kind, Node)]
-    # what a recorder reads is in its parameters
+    # what a recorder reads is in its parameters, and what a link carries
     chosen = params.chosen_topics() if hasattr(params, "chosen_topics") else ()
+    imported = params.imported_topics() if hasattr(params, "imported_topics") else ()
     inputs = dict.fromkeys([*(topic for kind in nodes for topic in kind.inputs), *chosen])
-    return tuple(inputs), tuple(dict.fromkeys(topic for kind in nodes for topic in kind.outputs))
+    return tuple(inputs), tuple(dict.fromkeys([*(topic for kind in nodes for topic in kind.outputs), *imported]))
 
 
 def layers(nodes: tuple[GraphNode, ...] | list[GraphNode]) -> dict[str, int]:

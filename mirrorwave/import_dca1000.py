@@ -28,6 +28,8 @@ from msgs.units import db_from_ratio, ns_from_s, ratio_from_db
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.
 FRAMES_PER_FILE = 50
+#: Longer files are no configuration.
+_MAX_CONFIG_BYTES = 1 << 20
 #: Returns lie further apart than this in range or azimuth: Hann's main lobe, and that of eight channels at broadside.
 SPACING_CELLS = (2, 32)
 #: Weaker maxima may be noise: of the 4 million values that a map is chosen from (Doppler bins), the strongest lies some
@@ -63,7 +65,10 @@ class ImportedFrame:
 
 def read_config(path: Path, device: DeviceName | None) -> Dca1000Config:
     """Configuration of a `.json` or, by any other suffix, of a TI command-line file."""
-    content = path.read_bytes()
+    with path.open("rb") as file:
+        content = file.read(_MAX_CONFIG_BYTES + 1)
+    if len(content) > _MAX_CONFIG_BYTES:
+        raise ValueError(f"{path}: a configuration holds at most {_MAX_CONFIG_BYTES} bytes")
     if path.suffix.lower() == ".json":
         return parse_json(content, str(path), device)
     try:

@@ -127,5 +127,5 @@ def _recall(path: Path) -> _Remembered | None:
     """What is remembered; nothing where there is no such file or it says nothing that is understood."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=_Remembered)
-    except (OSError, msgspec.DecodeError):
+    except (OSError, msgspec.DecodeError, UnicodeError, RecursionError):
         return None

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import queue
 import sys
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
@@ -22,7 +25,7 @@ from mirrorwave.bag_options import (
     require_new_recording,
 )
 from mirrorwave.completion import complete_launch_files, complete_profiles
-from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line
+from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
 
 _COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
 _LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red"}
@@ -108,7 +111,7 @@ def run_graph(
     """
     from msgs.zmq_bus import run_dir
     from nodes.launch_file import with_origin, with_recorder, without_viewers
-    from nodes.recording_files import numbered_files
+    from nodes.recording_files import recorded_files
     from nodes.supervisor import Supervisor
 
     if headless:
@@ -118,10 +121,11 @@ def run_graph(
         require_new_recording(record, options or {})
         graph = with_recorder(graph, record, options)
     graph = with_origin(graph, command_line(), run_dir(domain))
-    printer = log_printer(list(graph.nodes))
-    code = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer).run()
+    earlier = [] if record is None else recorded_files(record)
+    with LogPrinter(log_lines(list(graph.nodes))) as printer:
+        code = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer).run()
     if record is not None and code == ExitCode.DONE:
-        code = code_of_recordings([record] if record.exists() else list(numbered_files(record).values()))
+        code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])
     return code
 
 
@@ -139,18 +143,67 @@ def code_of_recordings(files: list[Path]) -> int:
     return code
 
 
-def log_printer(nodes: list[str]) -> Callable[[dict[str, Any]], None]:
-    """A sink for log entries: `[node] text` in the node's colour, warnings and errors in theirs."""
+class LogPrinter:
+    """Shows log entries from a thread of its own: a terminal that is held (Ctrl-S, a pager) holds no graph up.
+
+    What comes while `most` entries wait is left out and counted in a line; the log file has it all. At its end it waits
+    until all has been shown.
+    """
+
+    def __init__(self, show: Callable[[dict[str, Any]], None], most: int = 1000) -> None:
+        self._show = show
+        self._entries: queue.Queue[dict[str, Any] | None] = queue.Queue(most)
+        self._left_out = 0
+        self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+        self._thread.start()
+
+    def __call__(self, entry: dict[str, Any]) -> None:
+        """Have `entry` shown; never waits."""
+        try:
+            if self._left_out:
+                text = f"{self._left_out} lines left out: the terminal did not take them"
+                self._entries.put_nowait({"node": "launch", "level": "warning", "text": text})
+                self._left_out = 0
+            self._entries.put_nowait(entry)
+        except queue.Full:
+            self._left_out += 1
+
+    def __enter__(self) -> LogPrinter:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._entries.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        # the terminal may have gone: its lines are taken all the same
+        is_there = True
+        while (entry := self._entries.get()) is not None:
+            try:
+                if is_there:
+                    self._show(entry)
+            except OSError:
+                is_there = False
+
+
+def log_lines(nodes: list[str]) -> Callable[[dict[str, Any]], None]:
+    """A printer of log entries: `[node] text` in the node's colour, warnings and errors in theirs."""
     from rich.console import Console
     from rich.text import Text
 
-    console = Console(highlight=False)
+    class Terminal(Console):
+        def on_broken_pipe(self) -> None:
+            """The graph goes on without its terminal, where rich would end the process."""
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+    console = Terminal(highlight=False)
     styles = {name: _COLOURS[index % len(_COLOURS)] for index, name in enumerate(nodes)}
 
     def show(entry: dict[str, Any]) -> None:
         name = str(entry.get("node", ""))
         level_style = _LEVEL_STYLES.get(entry["level"], "")
-        line = Text.assemble((f"[{name}] ", styles.get(name, "bold")), (entry["text"], level_style))
+        line = Text.assemble((f"[{name}] ", styles.get(name, "bold")), (printable(entry["text"]), level_style))
         console.print(line, soft_wrap=True)
         sys.stdout.flush()
 

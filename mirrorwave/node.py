@@ -15,6 +15,7 @@ import typer
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
 from msgs.diagnostics import NodeState, NodeStatus, TopicCount
+from nodes.viewer.node_table import is_of_peer
 
 app = typer.Typer(help="Look at the nodes of a running graph.", no_args_is_help=True)
 
@@ -23,6 +24,7 @@ WINDOW_S = 1.6
 WindowS = Annotated[float, typer.Option("--window", metavar="S", min=0.1, help="Listen this long.")]
 
 Heartbeats = dict[str, list[NodeStatus]]
+_NO_PROCESS: dict[str, Any] = {"command": None, "params": None}
 
 
 def collect_heartbeats(run_dir: Path, window_s: float = WINDOW_S) -> Heartbeats:
@@ -91,7 +93,7 @@ def node_process(pid: int) -> dict[str, Any]:
     try:
         words = psutil.Process(pid).cmdline()
     except psutil.Error:
-        return {"command": None, "params": None}
+        return _NO_PROCESS
     at = words.index("--params") if "nodes.node" in words and "--params" in words else -1
     return {"command": shlex.join(words) or None, "params": json.loads(words[at + 1]) if at >= 0 else None}
 
@@ -130,7 +132,8 @@ def info(
         raise ValueError(f"unknown node {name!r}; heard of are {', '.join(heard)}")
     beats = heard[name]
     status = next((beat for beat in reversed(beats) if beat.stages), beats[-1])
-    row = {**node_row(beats), **node_process(beats[-1].pid)}
+    # a peer's process is none of this machine, though one here may have its number
+    row = {**node_row(beats), **(_NO_PROCESS if is_of_peer(name) else node_process(beats[-1].pid))}
     topics = topic_rows(beats)
     if as_json:
         ways = {key: [each for each in topics if each["way"] == way] for key, way in _WAYS.items()}

@@ -9,7 +9,7 @@ from typing import NoReturn
 from mirrorwave.view_log import overview_json, read_log
 from msgs.recording import Recorded, RecordingReader
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
-from nodes.viewer.assembly import ScanAssembly, post_warnings
+from nodes.viewer.assembly import ScanAssembly, post_sensor, post_warnings
 from nodes.viewer.board import Board, json_text
 from nodes.viewer.server import Command, Play, Seek, Step
 
@@ -46,6 +46,8 @@ class Playback:
         self._loops = False
         #: When the next scan is due, on the monotonic clock.
         self._due_s = 0.0
+        if log.sensor is not None:
+            post_sensor(board, log.sensor)
         overview = overview_json(log)
         board.post("overview", lambda: (json_text(overview),))
         self.show(0)

@@ -25,7 +25,7 @@ from msgs.recording import Recorded, RecordingReader
 from msgs.topics import TOPICS
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
 from nodes.node import SETTLE_S, Stop
-from nodes.player import setup_first
+from nodes.player import moved, setup_first
 
 if TYPE_CHECKING:
     from msgs.zmq_bus import ZmqBus
@@ -278,8 +278,7 @@ class Replay:
         is_latched = TOPICS[recorded.topic].latched
         message = recorded.message
         if self._params.on_clock and due_ns is not None and not is_latched:
-            stamp_ns = message.stamp_ns + due_ns - recorded.log_time_ns  # type: ignore[attr-defined]
-            message = msgspec.structs.replace(message, stamp_ns=stamp_ns)
+            message = moved(message, due_ns - recorded.log_time_ns)
         self._bus.publish(recorded.topic, message)
         self._graph.note_sent(recorded)
         if self._params.keeps_time:

@@ -14,8 +14,8 @@ from msgs.diagnostics import NodeState, NodeStatus, TopicCount
 from msgs.recording import Recorded
 from msgs.zmq_bus import ZmqBus, list_publishers
 
-#: Topics of one scan, each made of the one before.
-CHAIN = ("radar/beam", "radar/ra_map", "perception/peaks", "perception/hidden_objects")
+#: Topics of one scan, each made of those before.
+CHAIN = ("radar/beam", "lidar/histograms", "radar/ra_map", "perception/peaks", "perception/hidden_objects")
 HEARTBEAT = "diagnostics/node"
 #: Scans on their way at once: the former folds one while the other is looked at. What is in between waits in the nodes'
 #: queues, which hold more than that.

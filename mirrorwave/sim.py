@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -38,10 +38,11 @@ def run(
     choice: Effects = "auto",
     budget_db: Budget = -20.0,
 ) -> None:
-    """Record what the radar would measure, with the truth."""
+    """Record what the radar or the LiDAR of a scene would measure, with the truth."""
     from rich.progress import Progress
 
     from nodes import player
+    from sim_player.player import ScenePlayer
 
     require_new_file(out)
     params = player.Params(
@@ -56,14 +57,16 @@ def run(
         budget_db=budget_db,
     )
     source = player.scene_player(params)
-    if not len(source.paths(0.0)):
-        typer.echo(f"{scene}: no echo reaches the radar, its map holds noise alone", err=True)
-    total = scans * (2 * len(source.setup.beams) + 1)
+    total = scans * (2 * len(source.setup.beams) + 1) if isinstance(source, ScenePlayer) else None
+    if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
+        raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
+    if not len(source.paths(0)):
+        typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
     with Progress(transient=True) as progress:
         events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)
         if out.suffix == ".mcap":
             write_recording(out, iter(events), {"scene": scene.stem, "seed": str(seed)})
-        else:
+        elif isinstance(source, ScenePlayer):
             write_sigmf(out, source.setup, iter(events))
     print_line(f"{out}: {scans} scans of {scene.stem}, seed {seed}")
 
@@ -77,8 +80,14 @@ def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, 
         for topic, message in events:
             sequence = sequences.get(topic, 0)
             sequences[topic] = sequence + 1
-            stamp_ns = message.stamp_ns  # type: ignore[attr-defined]
-            writer.write(topic, message, publisher="player", sequence=sequence, sent_ns=stamp_ns)
+            writer.write(topic, message, publisher="player", sequence=sequence, sent_ns=_sent_ns(message))
+
+
+def _sent_ns(message: Any) -> int:
+    """When a player sends a message: at its stamp; a LiDAR's scan when its last azimuth has its turn."""
+    from msgs.lidar import PhotonHistograms
+
+    return int(message.azimuth_stamp_ns[-1] if isinstance(message, PhotonHistograms) else message.stamp_ns)
 
 
 def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing]) -> None:

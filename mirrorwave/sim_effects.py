@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,6 +14,7 @@ from mirrorwave.console import AsJson, print_json, print_line, print_table
 
 if TYPE_CHECKING:
     from sim_player.planner import Plan
+    from sim_player.spad_lidar import OpticPlan
 
 SceneFile = Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)]
 Budget = Annotated[
@@ -37,9 +39,15 @@ def effects(
     from sim_player.planner import choose, chosen, plan_world
     from sim_player.ray_tracing import BASIC_EFFECTS, prepare
     from sim_player.scene import load_scene
+    from sim_player.spad_lidar import plan_optics
 
     loaded = load_scene(scene)
     world = prepare(loaded, seed)
+    if loaded.radar.preset == "spad":
+        if (budget_db, choice) != (-20.0, "auto"):
+            raise ValueError(f"{scene}: --effects and --budget-db must stay at their defaults, radar.preset is 'spad'")
+        _tell_light(plan_optics(world, loaded.lidar), as_json)
+        return
     if choice == "auto":
         plan = plan_world(world, loaded.setup, budget_db, thorough=True)
     else:
@@ -54,6 +62,17 @@ def effects(
 
 #: What the plain signal chain has.
 _PLAIN_SIGNAL = frozenset({"motion", "element_pattern", "quantised_phases", "thermal_noise", "adc"})
+
+
+def _tell_light(plans: Sequence[OpticPlan], as_json: bool) -> None:
+    """What light comes to a LiDAR, and how its photons are counted."""
+    import msgspec
+
+    if as_json:
+        print_json({"contributions": msgspec.to_builtins(plans)})
+        return
+    rows = [(one.name, "used" if one.used else "skipped", f"{one.bound:.3g}", one.reason) for one in plans]
+    print_table(("contribution", "", "detections", "why"), rows)
 
 
 def _print_plan(plan: Plan, name: str) -> None:
@@ -98,6 +117,8 @@ def paths(
     from sim_player.ways import ways_out
 
     loaded = load_scene(scene)
+    if loaded.radar.preset == "spad":
+        raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
     world = prepare(loaded, seed)
     plan = choose(world, loaded.setup, choice, budget_db)
     found = trace(world) if plan is None else plan.paths

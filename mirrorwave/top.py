@@ -17,19 +17,22 @@ from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, console_table, pr
 from mirrorwave.node import node_row, shed_text
 from msgs.bus import Bus
 from msgs.diagnostics import NodeState, NodeStatus
+from msgs.lidar import LidarSetup
 from msgs.perception import BevFrame
 from msgs.radar import RadarSetup
 from msgs.units import ns_from_s
 from nodes.live_timing import ViewFigures, ViewWatch, stage_figures, views_text
-from nodes.viewer.node_table import SILENT_NS
+from nodes.viewer.node_table import MAX_NODES, SILENT_NS, is_of_peer
 
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-TOPICS_WATCHED = ("radar/setup", "perception/hidden_objects", "diagnostics/node")
+TOPICS_WATCHED = ("radar/setup", "lidar/setup", "perception/hidden_objects", "diagnostics/node")
 #: Sixteen scans, ten heartbeats.
 WINDOW_S = 5.0
 _REFRESH_S = 0.5
+#: Of one node; a window of two minutes has as many.
+MAX_HEARTBEATS = 256
 
 
 class _Heard(NamedTuple):
@@ -48,7 +51,7 @@ class GraphWatch:
     def take(self, message: msgspec.Struct, now_ns: int) -> None:
         """Take in one message of `TOPICS_WATCHED`."""
         match message:
-            case RadarSetup():
+            case RadarSetup() | LidarSetup():
                 self._views.set_up(message)
             case BevFrame():
                 self._views.add(message.scan_id, message.stamp_ns, now_ns)
@@ -65,12 +68,15 @@ class GraphWatch:
         }
 
     def _hear(self, status: NodeStatus, now_ns: int) -> None:
-        heard = self._heard.setdefault(status.node, deque())
+        heard = self._heard.setdefault(status.node, deque(maxlen=MAX_HEARTBEATS))
         if heard and heard[-1].status.pid != status.pid:
             heard.clear()
         heard.append(_Heard(now_ns, status))
         while len(heard) > 2 and now_ns - heard[0].at_ns > self._window_ns:
             heard.popleft()
+        if len(self._heard) > MAX_NODES:
+            # any name may stand on the bus; those of a peer do not drive out the nodes of this host
+            del self._heard[min(self._heard, key=lambda name: (not is_of_peer(name), self._heard[name][-1].at_ns))]
 
 
 def _row(heard: list[_Heard], now_ns: int) -> dict[str, Any]:

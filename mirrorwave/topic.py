@@ -18,6 +18,7 @@ from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_j
 from mirrorwave.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from msgs.bus import Bus, Received
 from msgs.codec import to_builtins
+from msgs.lidar import LidarSetup
 from msgs.radar import RadarSetup
 from msgs.topics import TOPICS, topic_facts
 
@@ -221,11 +222,11 @@ def delay(
 
     # raw beams only when asked for: listening to 350 MB/s changes what is measured
     wanted = list(topics or (name for name in TOPICS if name != "radar/beam"))
-    bus = _listen(domain, list(dict.fromkeys([*wanted, "radar/setup"])))
+    bus = _listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup"])))
     try:
         watch = DelayWatch(bus.now_ns())
         for received in _messages(bus, time.monotonic() + duration):
-            if isinstance(received.message, RadarSetup):
+            if isinstance(received.message, RadarSetup | LidarSetup):
                 watch.set_up(received.message)
             if received.topic in wanted:
                 watch.take(received, bus.now_ns())

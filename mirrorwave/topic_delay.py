@@ -12,8 +12,7 @@ import numpy as np
 
 from msgs.bus import Received
 from msgs.perception import BevFrame
-from msgs.radar import RadarSetup
-from nodes.live_timing import LONGEST_AGE_NS, latency_ns, on_one_clock
+from nodes.live_timing import LONGEST_AGE_NS, Setup, latency_ns, on_one_clock
 
 #: What is measured, in the order in which it is shown, and what it says.
 SPANS = {
@@ -36,10 +35,10 @@ class DelayWatch:
 
     def __init__(self, start_ns: int) -> None:
         self._start_ns = start_ns
-        self._setup: RadarSetup | None = None
+        self._setup: Setup | None = None
         self._spans: dict[tuple[str, str], _Spans] = {}
 
-    def set_up(self, setup: RadarSetup) -> None:
+    def set_up(self, setup: Setup) -> None:
         """Beams and their time on air, for the end of a scan."""
         self._setup = setup
 

@@ -51,7 +51,7 @@ def parse_condition(text: str) -> Condition:
     field, sign, value = match.groups()
     try:
         return Condition(field, sign, json.loads(value))
-    except ValueError:
+    except (ValueError, RecursionError):
         return Condition(field, sign, value)
 
 
@@ -115,7 +115,8 @@ def save_arrays(message: msgspec.Struct, folder: Path, stem: str) -> list[Path]:
     fields = {name: getattr(message, name) for name in message.__struct_fields__}
     for name, value in (fields["body"] if isinstance(fields.get("body"), dict) else fields).items():
         if isinstance(value, np.ndarray):
-            path = folder / f"{stem}-{name}.npy"
+            # publisher and field are named by the message: they must not lead out of the folder
+            path = folder / re.sub(r"[^A-Za-z0-9_.-]", "_", f"{stem}-{name}.npy")
             with path.open("xb") as file:
                 np.save(file, value, allow_pickle=False)
             written.append(path)

@@ -303,5 +303,5 @@ def read_report(path: Path) -> Report:
     """A report from its JSON; raises `ValueError` naming the file."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=Report)
-    except (OSError, msgspec.DecodeError) as error:
+    except (OSError, msgspec.DecodeError, UnicodeError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None

@@ -28,7 +28,10 @@ def dense(
     data: Annotated[Path, typer.Option(metavar="DIR", help="Data set; its fixed splits train, choose and test.")],
     out: Annotated[Path, typer.Option(metavar="RUN", help="Run folder; a run that was stopped goes on in it.")],
     network: Annotated[
-        str, typer.Option(metavar="NAME[:SIZE]", help="compact_unet, unet, swin_unet, ...; compact, native, full.")
+        str,
+        typer.Option(
+            metavar="NAME[:SIZE]", help="compact_unet, unet, swin_unet, ...; compact, fine (77 GHz), native, full."
+        ),
     ] = "compact_unet:compact",
     inputs: Annotated[
         str | None, typer.Option("--input", metavar="NAME", help="complex, log, both, levels, levels+phase, ...")

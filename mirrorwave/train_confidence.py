@@ -48,20 +48,21 @@ def confidence(
     from models.training.files import write_whole
     from models.training.fit_confidence import FitConfig, collected, fit_confidence
     from models.training.frames import DataSet, fixed_splits
-    from msgs.radar import RadarSetup
 
     path = model or DEFAULT_MODEL
     card = load_card(path)
     at = card.threshold_for(refine) if threshold is None else threshold
-    detector = NetworkDetector(RadarSetup(), path, 1, PeakParams(threshold=at), refine=refine, flip_test=flip_test)
     correction = None if residual is None else LearnedResidual(residual)
     scenes, splits = DataSet(data), fixed_splits(data)
+    detector = NetworkDetector(scenes.setup, path, 1, PeakParams(threshold=at), refine=refine, flip_test=flip_test)
     places = {}
     with Progress(disable=json) as progress:
         for split in ("train", "validation"):
             frames = scenes.frames(splits.of(split))
             if not clean:
-                frames = chain(frames, scenes.frames(splits.of(split), partial(imperfect, seed=seed)))
+                frames = chain(
+                    frames, scenes.frames(splits.of(split), partial(imperfect, seed=seed, setup=scenes.setup))
+                )
             total = len(splits.of(split)) * (1 if clean else 2)
             on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=total))
             places[split] = collected(frames, detector, GeometryParams(), correction, on_scene)

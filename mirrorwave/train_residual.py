@@ -86,7 +86,6 @@ def _folded(data: Path, model: Path, config: SampleConfig, out: Path, progress: 
     from models.perception.detectors import NetworkDetector
     from models.training.frames import DataSet, fixed_splits
     from models.training.residual_samples import fold_scenes, load_folded, save_folded
-    from msgs.radar import RadarSetup
 
     scenes, splits, folded = DataSet(data), fixed_splits(data), {}
     for split in ("train", "validation", "test"):
@@ -95,7 +94,7 @@ def _folded(data: Path, model: Path, config: SampleConfig, out: Path, progress: 
             indices, source = splits.of(split), config.source if split == "train" else "peaks"
             on_scene = partial(progress.advance, progress.add_task(f"{split} scenes", total=len(indices)))
             # the published chain takes the heatmap's maxima
-            detector = NetworkDetector(RadarSetup(), model, refine=config.geometry == "ours")
+            detector = NetworkDetector(scenes.setup, model, refine=config.geometry == "ours")
             save_folded(path, fold_scenes(scenes, indices, source, detector, config, on_scene))
         folded[split] = load_folded(path)
     return folded

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from msgs.perception import BevFrame
 from msgs.recording import RecordingReader
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
+from nodes.live_timing import Setup
 from nodes.viewer.assembly import TABLE_PERIOD_NS
 from nodes.viewer.board import json_text
 from nodes.viewer.driver_warnings import DriverWarning, Level
@@ -53,6 +54,8 @@ class ViewLog(NamedTuple):
 
     moments: list[Moment]
     marks: list[Mark]
+    #: Set-up of the sensor, the last that was told; None where none was.
+    sensor: Setup | None
 
 
 def read_log(reader: RecordingReader) -> ViewLog:
@@ -74,7 +77,7 @@ def read_log(reader: RecordingReader) -> ViewLog:
         if isinstance(message, BevFrame):
             moments.append(_moment(message, watch, now_ns))
             marks.add(moments[-1].warnings, now_ns)
-    return ViewLog(moments, marks.closed())
+    return ViewLog(moments, marks.closed(), None if watch is None else watch.sensor)
 
 
 def _moment(frame: BevFrame, watch: Watch, now_ns: int) -> Moment:

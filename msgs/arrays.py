@@ -7,6 +7,8 @@ import numpy as np
 #: What may travel. No object, no structured, no datetime dtype: nothing that could carry code or pointers.
 DTYPES = frozenset({"|b1", "|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8", "<c8", "<c16"})
 MAX_NDIM = 6
+#: Stamps beyond this, 146 years, fit no message: neither two of them nor their difference would fit 64 bits.
+MAX_STAMP_NS = 1 << 62
 
 
 def require_array(name: str, array: np.ndarray, dtype: str, shape: tuple[int | None, ...]) -> None:
@@ -34,3 +36,19 @@ def require_positive(name: str, value: float) -> None:
     """Raise `ValueError` naming the field unless `value` is finite and above zero."""
     if not (np.isfinite(value) and value > 0):
         raise ValueError(f"{name} must be finite and positive, got {value!r}")
+
+
+def require_within(name: str, least: float, most: float, *values: float) -> None:
+    """Raise `ValueError` naming the field unless every value lies in `least`..`most`, ends included."""
+    for value in values:
+        if not least <= value <= most:
+            raise ValueError(f"{name} must lie in {least:g}..{most:g}, got {value!r}")
+
+
+def require_stamps(name: str, *stamps_ns: int | np.ndarray) -> None:
+    """Raise `ValueError` naming the field unless every stamp [ns] lies within `MAX_STAMP_NS` of zero."""
+    for stamp_ns in stamps_ns:
+        ends = (stamp_ns,) if isinstance(stamp_ns, int) else (stamp_ns.min(initial=0), stamp_ns.max(initial=0))
+        for end in ends:
+            if not -MAX_STAMP_NS <= end <= MAX_STAMP_NS:
+                raise ValueError(f"{name} must lie within 2^62 ns of zero, got {end}")

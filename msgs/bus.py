@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 
@@ -38,11 +38,22 @@ class Outgoing(NamedTuple):
     message: msgspec.Struct
 
 
+class Forwarded(NamedTuple):
+    """A message of another graph, checked and encoded, that goes on under the envelope it has."""
+
+    topic: str
+    envelope: Envelope
+    frames: list[bytes | memoryview]
+
+
 class Bus(Protocol):
     """One node's connection to the graph. Not thread-safe: one owner, one thread."""
 
     def publish(self, topic: str, message: msgspec.Struct) -> None:
         """Send `message`; its type must be the topic's. Arrays are sent as they are: do not change them afterwards."""
+
+    def forward(self, message: Forwarded) -> None:
+        """Send a message on as it is: its number stays, so that receivers here count what was lost before."""
 
     def subscribe(self, topic: str) -> None:
         """Receive `topic` from all its publishers from now on; a latched topic delivers its last message."""
@@ -58,3 +69,10 @@ class Bus(Protocol):
 
     def close(self) -> None:
         """Let go of all resources; waits no longer than the bus's linger."""
+
+
+class WaitingBus(Bus, Protocol):
+    """A bus that waits in `receive`, and can be told what else ends a wait."""
+
+    def watch(self, source: Any) -> None:
+        """End waits also when `source`, a socket or file descriptor of the owner's, can be read."""

@@ -311,7 +311,7 @@ def _array_schema(value_type: type) -> dict[str, Any]:
 def _array_summary(array: np.ndarray) -> dict[str, Any]:
     summary: dict[str, Any] = {"dtype": array.dtype.str, "shape": array.shape}
     # beyond the largest float is said as None like all that is not finite
-    with np.errstate(over="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"):
         values = np.abs(array.astype(np.complex128)) if np.iscomplexobj(array) else array
         finite = values[np.isfinite(values)]
         if finite.size:

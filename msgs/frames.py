@@ -7,7 +7,10 @@ import math
 import msgspec
 import numpy as np
 
-from msgs.arrays import require_finite
+from msgs.arrays import require_finite, require_within
+
+#: Either way: squares of it, and what they are divided by, are numbers that doubles hold.
+MOST_PLACE_M = 1e12
 
 
 class Pose2(msgspec.Struct, frozen=True):
@@ -19,6 +22,7 @@ class Pose2(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         require_finite("pose", self.x_m, self.y_m, self.yaw_rad)
+        require_within("pose", -MOST_PLACE_M, MOST_PLACE_M, self.x_m, self.y_m)
 
     def __matmul__(self, inner: Pose2) -> Pose2:
         """`a_from_b @ b_from_c` is `a_from_c`: inner names must meet."""

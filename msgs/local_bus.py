@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from msgs.arrays import require_finite
-from msgs.bus import Envelope, Received
+from msgs.bus import Envelope, Forwarded, Received
 from msgs.codec import Buffer
 from msgs.diagnostics import TopicCount
 from msgs.tally import Tally
@@ -166,6 +166,11 @@ class LocalBus:
         facts = topic_facts(topic)
         envelope, frames = self._tally.pack(topic, message, self._network.now_ns)
         self._network._send(facts, envelope, frames)
+
+    def forward(self, message: Forwarded) -> None:
+        """Send a message of another graph on as it is."""
+        self._tally.forward(message)
+        self._network._send(topic_facts(message.topic), message.envelope, message.frames)
 
     def subscribe(self, topic: str) -> None:
         """Receive `topic` from now on, and the last message of each publisher where it is latched."""

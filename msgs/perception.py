@@ -8,7 +8,7 @@ from enum import IntEnum
 import msgspec
 import numpy as np
 
-from msgs.arrays import require_array, require_finite, require_positive
+from msgs.arrays import require_array, require_finite, require_positive, require_stamps, require_within
 from msgs.frames import Pose2
 from msgs.vehicle import VehicleState
 
@@ -21,6 +21,20 @@ class PathClass(IntEnum):
 
     LOS = 0
     MIRRORED = 1
+
+
+#: What the numbers of a peak may be, either way. Far beyond any sensor; within them every quantity that follows is one
+#: that doubles hold.
+PEAK_LIMITS: dict[str, float] = {
+    "range_m": 1e6,
+    "azimuth_rad": 1e3,
+    "score": 1e15,
+    "snr_db": 1e4,
+    "covariance": 1e12,
+}
+
+#: Peaks of one scan that are looked at: more are no scene, and each is held against each.
+MOST_PEAKS = 2048
 
 
 class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -58,9 +72,14 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_array("peaks.path_class", self.path_class, "|u1", (count,))
         require_array("peaks.covariance", self.covariance, "<f8", (count, 2, 2))
         require_array("peaks.peak_stamp_ns", self.peak_stamp_ns, "<i8", (count,))
-        for name in ("range_m", "azimuth_rad", "score", "snr_db", "covariance"):
+        require_within("peaks.saturated_share", 0.0, 1.0, self.saturated_share)
+        require_stamps("peaks.stamp_ns", self.stamp_ns)
+        require_stamps("peaks.peak_stamp_ns", self.peak_stamp_ns)
+        for name, most in PEAK_LIMITS.items():
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"peaks.{name} must be finite")
+            require_within(f"peaks.{name}", -most, most, float(np.abs(getattr(self, name)).max(initial=0.0)))
+        require_within("peaks.sensitivity_db", -PEAK_LIMITS["snr_db"], PEAK_LIMITS["snr_db"], self.sensitivity_db)
 
     def __len__(self) -> int:
         return len(self.range_m)
@@ -187,6 +206,7 @@ class BevFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     flags: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        require_stamps("bev.stamp_ns", self.stamp_ns, *(one.stamp_ns for one in self.objects))
         require_array("bev.los_points_m", self.los_points_m, "<f4", (None, 2))
         require_array("bev.visibility", self.visibility, "|u1", (self.grid.rows, self.grid.columns))
 
@@ -230,6 +250,7 @@ class SceneTruth(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     surfaces: tuple[TruthSurface, ...] = ()
 
     def __post_init__(self) -> None:
+        require_stamps("truth.stamp_ns", self.stamp_ns)
         require_array("truth.los_points_m", self.los_points_m, "<f4", (None, 3))
         require_array("truth.mirrored_points_m", self.mirrored_points_m, "<f4", (None, 3))
         count = len(self.mirrored_points_m)

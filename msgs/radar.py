@@ -7,7 +7,7 @@ import math
 import msgspec
 import numpy as np
 
-from msgs.arrays import require_array, require_finite, require_positive
+from msgs.arrays import require_array, require_finite, require_stamps, require_within
 from msgs.frames import Pose2
 from msgs.units import (
     BOLTZMANN_J_PER_K,
@@ -20,6 +20,30 @@ from msgs.units import (
 
 #: Magnitude of the int16 code that `full_scale_dbm` refers to.
 FULL_SCALE_CODE = 32768
+#: What a parameter may be, ends included. Far beyond any device; within them memory and time are bounded, and every
+#: quantity is one that doubles hold.
+RADAR_LIMITS: dict[str, tuple[float, float]] = {
+    "carrier_hz": (1e6, 1e15),
+    "bandwidth_hz": (1.0, 1e13),
+    "sample_rate_hz": (1.0, 1e13),
+    "chirps_per_beam": (1, 1 << 14),
+    "samples_per_chirp": (1, 1 << 20),
+    "transmit_power_w": (1e-30, 1e12),
+    "noise_figure_db": (-200.0, 200.0),
+    "scan_period_s": (1e-9, 1e6),
+}
+ARRAY_LIMITS: dict[str, tuple[float, float]] = {
+    "columns": (1, 256),
+    "rows": (1, 1 << 12),
+}
+SPACING_LIMITS_M = (1e-9, 1e3)
+RANGE_BIN_LIMITS_M = (1e-9, 1e9)
+#: Without end: the same in all directions.
+BEAM_WIDTH_LIMITS_DEG = (1e-3, math.inf)
+MOST_BEAMS = 1024
+#: Either way.
+MOST_LEVEL_DB = 300.0
+LONGEST_CHIRP_INTERVAL_S = 1e3
 
 
 def amplitude_per_code(full_scale_dbm: float) -> float:
@@ -43,14 +67,16 @@ class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
     chirp_interval_s: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("carrier_hz", "bandwidth_hz", "sample_rate_hz", "transmit_power_w", "scan_period_s"):
-            require_positive(f"radar.{name}", getattr(self, name))
-        for name in ("chirps_per_beam", "samples_per_chirp"):
-            require_positive(f"radar.{name}", getattr(self, name))
-        if self.chirp_interval_s is not None and not self.chirp_period_s <= self.chirp_interval_s < math.inf:
+        for name, limits in RADAR_LIMITS.items():
+            require_within(f"radar.{name}", *limits, getattr(self, name))
+        if (
+            self.chirp_interval_s is not None
+            and not self.chirp_period_s <= self.chirp_interval_s <= LONGEST_CHIRP_INTERVAL_S
+        ):
             raise ValueError(
                 "radar.chirp_interval_s must be finite and no shorter than a chirp's samples, "
-                f"{self.chirp_period_s!r} s, got {self.chirp_interval_s!r}"
+                f"{self.chirp_period_s!r} s, nor longer than {LONGEST_CHIRP_INTERVAL_S:g} s, "
+                f"got {self.chirp_interval_s!r}"
             )
 
     @property
@@ -107,17 +133,25 @@ class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
     phase_bits: int = 6
     #: 2: transmit and receive are steered alike; 1: receive alone, the transmitter is one fixed element.
     steered_ways: int = 2
+    #: The receiver samples all columns at once, and beams are formed of those samples by numbers: all beams of a scan
+    #: are of one time. Needs `steered_ways` 1 and no phase shifters.
+    digital: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("columns", "rows"):
-            require_positive(f"array.{name}", getattr(self, name))
+        for name, limits in ARRAY_LIMITS.items():
+            require_within(f"array.{name}", *limits, getattr(self, name))
         for name in ("column_spacing_m", "row_spacing_m"):
             if getattr(self, name) is not None:
-                require_positive(f"array.{name}", getattr(self, name))
+                require_within(f"array.{name}", *SPACING_LIMITS_M, getattr(self, name))
         if not 0 <= self.phase_bits <= 16:
             raise ValueError(f"array.phase_bits must be 0..16, got {self.phase_bits!r}")
         if self.steered_ways not in (1, 2):
             raise ValueError(f"array.steered_ways must be 1 or 2, got {self.steered_ways!r}")
+        if self.digital and (self.steered_ways, self.phase_bits) != (1, 0):
+            raise ValueError(
+                "array.digital needs array.steered_ways 1 and array.phase_bits 0, "
+                f"got {self.steered_ways!r} and {self.phase_bits!r}"
+            )
 
     def column_spacing(self, wavelength_m: float) -> float:
         """Column spacing in metres, lambda/2 unless given."""
@@ -136,6 +170,12 @@ class ElementPattern(msgspec.Struct, frozen=True, kw_only=True):
     peak_gain_dbi: float = 4.1
     sidelobe_floor_db: float = -25.0
 
+    def __post_init__(self) -> None:
+        for name in ("azimuth_hpbw_deg", "elevation_hpbw_deg"):
+            require_within(f"element.{name}", *BEAM_WIDTH_LIMITS_DEG, getattr(self, name))
+        for name in ("peak_gain_dbi", "sidelobe_floor_db"):
+            require_within(f"element.{name}", -MOST_LEVEL_DB, MOST_LEVEL_DB, getattr(self, name))
+
 
 class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
     """Steering azimuths of a scan in order of acquisition; 25 beams, -60..60 deg by 5, unless given."""
@@ -145,6 +185,8 @@ class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not self.azimuth_deg:
             raise ValueError("beams.azimuth_deg must name at least one beam")
+        if len(self.azimuth_deg) > MOST_BEAMS:
+            raise ValueError(f"beams.azimuth_deg must name at most {MOST_BEAMS} beams, got {len(self.azimuth_deg)}")
         require_finite("beams.azimuth_deg", *self.azimuth_deg)
         if max(abs(angle) for angle in self.azimuth_deg) >= 90.0:
             raise ValueError(f"beams.azimuth_deg must lie inside -90..90, got {self.azimuth_deg}")
@@ -167,7 +209,7 @@ class RangeAzimuthGrid(msgspec.Struct, frozen=True, kw_only=True):
     azimuth_limit_deg: float = 60.0
 
     def __post_init__(self) -> None:
-        require_positive("grid.range_bin_m", self.range_bin_m)
+        require_within("grid.range_bin_m", *RANGE_BIN_LIMITS_M, self.range_bin_m)
         if not 1 <= self.range_bins <= 8192:
             raise ValueError(f"grid.range_bins must be 1..8192, got {self.range_bins!r}")
         if not 2 <= self.azimuth_bins <= 4096:
@@ -232,7 +274,9 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     background: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        require_finite("setup.full_scale_dbm", self.full_scale_dbm)
+        require_stamps("setup.stamp_ns", self.stamp_ns)
+        require_within("setup.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
+        require_finite("setup.radar_height_m", self.radar_height_m)
         if self.beat_sign not in (1, -1):
             raise ValueError(f"setup.beat_sign must be +1 or -1, got {self.beat_sign!r}")
         if self.steering_weights is not None:
@@ -247,13 +291,35 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def beam_interval_ns(self) -> int:
-        """Nominal time from one beam to the next."""
+        """Nominal time from one beam to the next; 0 for a digital array, whose beams are of one time."""
+        return 0 if self.array.digital else self.beam_share_ns
+
+    @property
+    def beam_share_ns(self) -> int:
+        """A beam's share of the scan period."""
         return ns_from_s(self.radar.scan_period_s / len(self.beams))
 
     @property
     def milliwatt_per_code_squared(self) -> float:
         """Power in milliwatt of a complex tone of amplitude one code."""
         return amplitude_per_code(self.full_scale_dbm) ** 2
+
+
+def orthogonal_beams(columns: int) -> BeamGrid:
+    """The beams of a digital array of half-wavelength columns: sines 2 / columns apart, noise independent."""
+    sines = 2.0 / columns * (np.arange(columns) - 0.5 * (columns - 1))
+    return BeamGrid(azimuth_deg=tuple(np.degrees(np.arcsin(sines)).tolist()))
+
+
+#: Radars by name. The 77 GHz one has the aperture of section 2.1.1, a single row of 57, received digitally.
+PRESETS: dict[str, RadarSetup] = {
+    "xband": RadarSetup(),
+    "77ghz": RadarSetup(
+        radar=RadarParams(carrier_hz=77e9),
+        array=ArrayParams(columns=57, rows=1, phase_bits=0, steered_ways=1, digital=True),
+        beams=orthogonal_beams(57),
+    ),
+}
 
 
 class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -271,15 +337,20 @@ class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     def __post_init__(self) -> None:
         require_array("beam.samples", self.samples, "<i2", (None, None, 2))
         require_finite("beam.azimuth_rad", self.azimuth_rad)
-        require_finite("beam.full_scale_dbm", self.full_scale_dbm)
+        require_stamps("beam.stamp_ns", self.stamp_ns)
+        require_within("beam.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
         if self.scan_id < 0:
             raise ValueError(f"beam.scan_id must not be negative, got {self.scan_id!r}")
+        if self.beam_count > MOST_BEAMS:
+            raise ValueError(f"beam.beam_count must be at most {MOST_BEAMS}, got {self.beam_count!r}")
         if not 0 <= self.beam_index < self.beam_count:
             raise ValueError(f"beam.beam_index must be 0..beam_count-1, got {self.beam_index!r} of {self.beam_count!r}")
 
 
 #: Profiles and azimuths coherent; profiles alone, azimuths from magnitudes; mean power of single chirps.
 FORMING_MODES = ("coherent", "magnitude", "welch")
+#: How a map came about: formed of beams, or excess photons of a LiDAR in standard deviations.
+MAP_MODES = (*FORMING_MODES, "photons")
 #: Chirps of zeros; beams without any echo; beams under foreign noise; tones that fill all beams; columns whose gains
 #: or phases are not those of the set-up.
 MAP_FAULTS = ("lost_chirps", "silent_beams", "drowned_beams", "spurs", "array_error")
@@ -317,9 +388,12 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_array("map.values", self.values, "<c8", self.grid.shape)
         require_array("map.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (self.grid.azimuth_bins,))
         require_array("map.incoherent", self.incoherent, "|b1", (self.grid.range_bins,))
+        require_stamps("map.stamp_ns", self.stamp_ns)
+        require_stamps("map.azimuth_stamp_ns", self.azimuth_stamp_ns)
         if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
             raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
-        if self.mode not in FORMING_MODES:
-            raise ValueError(f"map.mode must be one of {', '.join(FORMING_MODES)}, got {self.mode!r}")
+        require_within("map.saturated_share", 0.0, 1.0, self.saturated_share)
+        if self.mode not in MAP_MODES:
+            raise ValueError(f"map.mode must be one of {', '.join(MAP_MODES)}, got {self.mode!r}")
         if not set(self.faults) <= set(MAP_FAULTS):
             raise ValueError(f"map.faults must be among {', '.join(MAP_FAULTS)}, got {self.faults!r}")

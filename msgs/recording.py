@@ -24,6 +24,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import BinaryIO, NamedTuple, Self
 
+import lz4.frame
 import msgspec
 import zstandard
 from mcap.data_stream import ReadDataStream
@@ -57,7 +58,7 @@ _RECORD_HEAD = struct.Struct("<BQ")
 #: First fields of a chunk: start, end, uncompressed size.
 _CHUNK_HEAD = struct.Struct("<QQQ")
 #: What reading a damaged record may raise.
-_DAMAGE = (McapError, ValueError, struct.error, RuntimeError, MemoryError, zstandard.ZstdError)
+_DAMAGE = (McapError, ValueError, OverflowError, struct.error, RuntimeError, MemoryError, zstandard.ZstdError)
 
 
 class Recorded(NamedTuple):
@@ -658,6 +659,8 @@ def _note_record(walk: _Walk, file: BinaryIO, opcode: int, offset: int, length: 
         walk.metadata[metadata.name] = metadata.metadata
     elif opcode == Opcode.CHUNK_INDEX:
         index = ChunkIndex.read(_body(file, length))
+        if index.chunk_start_offset >= walk.size:
+            raise ValueError(f"its chunk would begin at byte {index.chunk_start_offset} of {walk.size}")
         span_ns = index.message_start_time, index.message_end_time
         walk.indexed.append(_Chunk(index.chunk_start_offset, *span_ns, tuple(index.message_index_offsets)))
     elif opcode == Opcode.DATA_END:
@@ -694,7 +697,23 @@ def _read_chunk(file: BinaryIO, chunk: _Chunk) -> list[object]:
     whole = Chunk.read(body)
     if whole.uncompressed_size > _MAX_RECORD_BYTES:
         raise ValueError(f"chunk of {whole.uncompressed_size} bytes exceeds {_MAX_RECORD_BYTES}")
-    return list(breakup_chunk(whole, validate_crc=True))
+    return list(breakup_chunk(_without_bomb(whole), validate_crc=True))
+
+
+def _without_bomb(chunk: Chunk) -> Chunk:
+    """The chunk, if its data unpack to no more than its head promises; `mcap` gives them the memory they ask for."""
+    size = chunk.uncompressed_size
+    fits = True
+    if chunk.compression == "lz4":
+        unpacking = lz4.frame.LZ4FrameDecompressor()
+        data = unpacking.decompress(chunk.data, max_length=size + 1)
+        chunk, fits = dataclasses.replace(chunk, compression="", data=data), unpacking.eof and len(data) <= size
+    elif chunk.compression == "zstd":
+        # one that does not say is held to the chunk's size
+        fits = zstandard.frame_content_size(chunk.data) <= size
+    if not fits:
+        raise ValueError(f"chunk does not unpack to the {size} bytes that it promises")
+    return chunk
 
 
 def _decode(topic: str, channel: Channel, raw: Message) -> msgspec.Struct | None:

@@ -24,6 +24,7 @@ import numpy as np
 from jsonschema.exceptions import ValidationError  # type: ignore[import-untyped]
 from sigmf.validate import validate
 
+from msgs.array_files import load_array
 from msgs.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.units import ns_from_s
 
@@ -57,6 +58,16 @@ class _Number(NamedTuple):
         return isinstance(value, kinds) and not isinstance(value, bool) and self.low <= value <= self.high
 
 
+class _Flag(NamedTuple):
+    """A truth value."""
+
+    def __str__(self) -> str:
+        return "true or false"
+
+    def permits(self, value: object) -> bool:
+        return isinstance(value, bool)
+
+
 _POSITIVE = _Number(1e-12, 1e15)
 _ANY = _Number(-1e15, 1e15)
 _LEVEL_DB = _Number(-300.0, 300.0)
@@ -66,13 +77,14 @@ _INDEX = _Number(0, _MAX_INT, whole=True)
 _ANGLE_DEG = _Number(-89.999, 89.999)
 
 #: Optional global keys: part of the setup, field, permitted values. Absent keys leave the field at its default.
-_OPTIONAL: dict[str, tuple[str, str, _Number]] = {
+_OPTIONAL: dict[str, tuple[str, str, _Number | _Flag]] = {
     "array_columns": ("array", "columns", _Number(1, 1024, whole=True)),
     "array_rows": ("array", "rows", _Number(1, 1024, whole=True)),
     "column_spacing_m": ("array", "column_spacing_m", _POSITIVE),
     "row_spacing_m": ("array", "row_spacing_m", _POSITIVE),
     "phase_bits": ("array", "phase_bits", _Number(0, 16, whole=True)),
     "steered_ways": ("array", "steered_ways", _Number(1, 2, whole=True)),
+    "array_digital": ("array", "digital", _Flag()),
     "element_azimuth_hpbw_deg": ("element", "azimuth_hpbw_deg", _POSITIVE),
     "element_elevation_hpbw_deg": ("element", "elevation_hpbw_deg", _POSITIVE),
     "element_peak_gain_dbi": ("element", "peak_gain_dbi", _LEVEL_DB),
@@ -116,7 +128,8 @@ class SigmfCapture:
         meta_path, data_path = capture_paths(Path(path))
         metadata = _load_metadata(meta_path)
         fields = _Fields(meta_path, metadata)
-        setup, beams = fields.setup(), fields.beams()
+        setup = fields.setup()
+        beams = fields.beams(setup)
         _check_data(data_path, setup.radar, len(beams), metadata["global"].get("core:sha512") if verify else None)
         return cls(data_path, setup, beams)
 
@@ -221,10 +234,9 @@ class _Fields:
         except msgspec.ValidationError as error:
             raise ValueError(f"{self._path}: {error}") from error
 
-    def beams(self) -> list[_Beam]:
+    def beams(self, setup: RadarSetup) -> list[_Beam]:
         """Scan, index and time of every beam; by order and by nominal timing where the capture does not say."""
-        period_ns = ns_from_s(self._scan_period_s())
-        interval_ns = ns_from_s(self._scan_period_s() / self._per_scan)
+        period_ns, interval_ns = ns_from_s(setup.radar.scan_period_s), setup.beam_interval_ns
         beams: list[_Beam] = []
         for at in range(len(self._captures)):
             scan_id, beam_index = self._place(at)
@@ -274,10 +286,6 @@ class _Fields:
             self._fail(at, "core:sample_start", start, f"must be {expected}: beams follow each other without gaps")
         beam_index = self._number(capture, at, "mirrorwave:beam_index", count, at % self._per_scan)
         return int(self._number(capture, at, "mirrorwave:scan_id", _INDEX, at // self._per_scan)), int(beam_index)
-
-    def _scan_period_s(self) -> float:
-        default_s = RadarParams().scan_period_s
-        return self._number(self._global, "global", "mirrorwave:scan_period_s", _POSITIVE, default_s)
 
     def _carrier_hz(self) -> float:
         carriers = [self._number(each, at, "core:frequency", _POSITIVE) for at, each in enumerate(self._captures)]
@@ -337,22 +345,21 @@ class _Fields:
             self._fail("global", key, name, "must name a .npy file beside the capture")
         shape = len(setup.beams), setup.radar.samples_per_chirp
         try:
-            # mapped first: a header that promises more than the file holds is then refused, not allocated
-            background = np.load(self._path.with_name(name), mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, SyntaxError, EOFError) as error:
+            background = load_array(self._path.with_name(name))
+        except (OSError, ValueError) as error:
             self._fail("global", key, name, f"cannot be read ({' '.join(str(error).split())})")
         if background.dtype.str != "<c8" or background.shape != shape:
             self._fail("global", key, name, f"must hold complex64 {shape}, not {background.dtype} {background.shape}")
         if not np.isfinite(background).all():
             self._fail("global", key, name, "must be finite")
-        return np.array(background)
+        return background
 
     def _number(
         self,
         section: dict[str, Any],
         where: str | int,
         key: str,
-        permitted: _Number,
+        permitted: _Number | _Flag,
         default: float | None = None,
     ) -> Any:
         """A number of the metadata; integers stay exact."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import msgspec
 
-from msgs.bus import Envelope, Received
+from msgs.bus import Envelope, Forwarded, Received
 from msgs.codec import Buffer, CodecError, decode, encode
 from msgs.diagnostics import TopicCount
 from msgs.topics import topic_facts
@@ -22,6 +22,16 @@ logger = logging.getLogger(__name__)
 _WARNING_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
 #: A player gives up a scan that is not answered for this long (`mirrorwave.replay_graph`).
 _PACED_NS = 10 * NANOSECONDS_PER_SECOND
+#: Publishers of a topic that are told apart; any name may stand on the bus, and one more is turned away as long as all
+#: of them have spoken lately.
+MAX_PUBLISHERS = 256
+_LATELY_NS = 10 * NANOSECONDS_PER_SECOND
+#: As long as names of nodes may be.
+_MAX_NAME = 64
+#: What the counts of losses stop at: every program can hold it, and no sum of some of them leaves an int64.
+_MOST_LOST = 1 << 53
+#: Publishers of a latched topic whose last message is kept for who comes late.
+_MAX_LATCHED = 32
 
 
 class _Count:
@@ -48,27 +58,37 @@ class _Count:
 class Tally:
     """Sequence numbers and counts of one node's connection."""
 
-    def __init__(self, node: str, paced: bool = False, keeps_all: bool = False) -> None:
-        self._node = node
+    def __init__(
+        self, node: str, paced: bool = False, keeps_all: bool = False, most_publishers: int = MAX_PUBLISHERS
+    ) -> None:
+        self._node, self._most_publishers = node, most_publishers
         self._paced, self._keeps_all = paced, keeps_all
         #: What is outdated is handed out too.
         self.wants_all = False
         #: Topics whose last message was paced, and when it came: what is made of them is paced too.
         self._paced_ns: dict[str, int] = {}
+        #: Numbers spent per topic; what is sent on for others has its own.
+        self._sequences: dict[str, int] = {}
         self._published: dict[str, _Count] = {}
         self._received: dict[str, _Count] = {}
-        self._last: dict[tuple[str, str], Envelope] = {}
+        #: Last envelope of each publisher of a topic; who was silent longest comes first.
+        self._last: dict[str, dict[str, Envelope]] = {}
         self._warned_ns: dict[str, int] = {}
 
     def pack(self, topic: str, message: msgspec.Struct, now_ns: int) -> tuple[Envelope, list[Buffer]]:
         """Envelope and frames of the next message; raises `CodecError`, and spends no number, if it cannot travel."""
-        sequence = self._published[topic].messages if topic in self._published else 0
+        sequence = self._sequences.get(topic, 0)
         # not for ever: its player has ended without a word, and a radar that waits for nobody may follow
         paced = self._paced or any(now_ns - came_ns <= _PACED_NS for came_ns in self._paced_ns.values())
         envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns, paced=paced)
         frames = encode(envelope, message)
+        self._sequences[topic] = sequence + 1
         self._published.setdefault(topic, _Count()).add(frames)
         return envelope, frames
+
+    def forward(self, message: Forwarded) -> None:
+        """Count a message that is sent on; it spends no number."""
+        self._published.setdefault(message.topic, _Count()).add(message.frames)
 
     def expect(self, topic: str) -> None:
         """Count `topic` from now on, so that silence shows as zero."""
@@ -80,17 +100,20 @@ class Tally:
         try:
             received = decode(frames)
             _check_origin(received, topic, now_ns)
+            self._make_room(received.envelope, now_ns)
         except CodecError as error:
             count.rejected += 1
             self._warn(topic, str(error))
             return None
-        last = self._last.get((topic, received.envelope.publisher))
+        known = self._last[topic]
+        last = known.get(received.envelope.publisher)
         if last is not None:
             if received.envelope.sent_ns <= last.sent_ns and received.envelope.sequence <= last.sequence:
                 return None
             # a publisher that starts again counts from 0: what it sent in between was never numbered
-            count.lost += max(0, received.envelope.sequence - last.sequence - 1)
-        self._last[topic, received.envelope.publisher] = received.envelope
+            count.lost = min(_MOST_LOST, count.lost + max(0, received.envelope.sequence - last.sequence - 1))
+        known.pop(received.envelope.publisher, None)
+        known[received.envelope.publisher] = received.envelope
         count.add(frames)
         if received.envelope.paced:
             self._paced_ns[topic] = now_ns
@@ -100,7 +123,11 @@ class Tally:
 
     def forget(self, topic: str, publisher: str) -> None:
         """The next message of `publisher` is its first: no gap before it."""
-        self._last.pop((topic, publisher), None)
+        self._last.get(topic, {}).pop(publisher, None)
+
+    def forget_all(self) -> None:
+        """The next message of every publisher is its first."""
+        self._last.clear()
 
     def without_outdated(self, messages: list[Received]) -> list[Received]:
         """`messages`, with the last of each publisher alone on topics whose receivers want the newest only; counts.
@@ -125,6 +152,18 @@ class Tally:
         published = tuple(self._published[topic].frozen(topic) for topic in sorted(self._published))
         return received, published
 
+    def _make_room(self, envelope: Envelope, now_ns: int) -> None:
+        """Forget who was silent longest for a publisher too many; raise `CodecError` where all spoke lately."""
+        known = self._last.setdefault(envelope.topic, {})
+        if envelope.publisher in known or len(known) < self._most_publishers:
+            return
+        silent = next(iter(known))
+        if now_ns - known[silent].sent_ns <= _LATELY_NS:
+            raise CodecError(
+                f"{envelope.topic}: more than {self._most_publishers} publishers, {envelope.publisher!r} among them"
+            )
+        del known[silent]
+
     def _warn(self, topic: str, reason: str) -> None:
         now_ns = time.monotonic_ns()
         if now_ns - self._warned_ns.get(topic, -_WARNING_INTERVAL_NS) >= _WARNING_INTERVAL_NS:
@@ -132,9 +171,19 @@ class Tally:
             logger.warning("rejected: %s (%d so far)", reason, self._received[topic].rejected)
 
 
+def latch(kept: dict[str, list[Buffer]], publisher: str, frames: list[Buffer]) -> None:
+    """Keep the last message of a publisher of a latched topic; of too many, those that spoke last."""
+    kept.pop(publisher, None)
+    kept[publisher] = frames
+    while len(kept) > _MAX_LATCHED:
+        del kept[next(iter(kept))]
+
+
 def _check_origin(received: Received, topic: str, now_ns: int) -> None:
     """Raise `CodecError` for another topic's message, or one from the future, which would make all later ones old."""
     if received.topic != topic:
         raise CodecError(f"{topic}: message of {received.topic} on its connection")
+    if len(received.envelope.publisher) > _MAX_NAME:
+        raise CodecError(f"{topic}: publisher must have at most {_MAX_NAME} characters")
     if received.envelope.sent_ns > now_ns:
         raise CodecError(f"{topic}: sent_ns must not lie in the future, got {received.envelope.sent_ns} at {now_ns}")

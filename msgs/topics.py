@@ -5,6 +5,7 @@ from __future__ import annotations
 import msgspec
 
 from msgs.diagnostics import LogRecord, NodeStatus
+from msgs.lidar import LidarSetup, PhotonHistograms
 from msgs.perception import BevFrame, Peaks, SceneTruth
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.vehicle import VehicleState
@@ -44,6 +45,14 @@ _ALL = (
         history_bytes=16 * MIB,
         newest_only=True,
     ),
+    Topic(name="lidar/setup", type=LidarSetup, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=MIB, latched=True),
+    Topic(
+        name="lidar/histograms",
+        type=PhotonHistograms,
+        rate_hz=1 / 0.3,
+        max_bytes=16 * MIB,
+        history_bytes=64 * MIB,
+    ),
     Topic(
         name="perception/peaks",
         type=Peaks,
@@ -67,6 +76,8 @@ _ALL = (
 )
 
 TOPICS: dict[str, Topic] = {topic.name: topic for topic in _ALL}
+#: Set-up of each kind of sensor, and what it measures; a graph looks through one.
+SENSOR_TOPICS = (("radar/setup", "radar/beam"), ("lidar/setup", "lidar/histograms"))
 
 
 def topic_facts(name: str) -> Topic:

@@ -6,8 +6,11 @@ import math
 
 import msgspec
 
-from msgs.arrays import require_finite
+from msgs.arrays import require_finite, require_stamps, require_within
 from msgs.frames import Pose2, wrap_angle
+
+#: Either way; beyond any vehicle, and within it every pose is one that doubles hold.
+MOST_SPEED_MPS, MOST_YAW_RATE_RPS = 1e7, 1e4
 
 
 class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
@@ -24,7 +27,10 @@ class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
     age_s: float = 0.0
 
     def __post_init__(self) -> None:
+        require_stamps("vehicle.stamp_ns", self.stamp_ns)
         require_finite("vehicle", self.speed_mps, self.yaw_rate_rps, self.steering_rad, self.age_s)
+        require_within("vehicle.speed_mps", -MOST_SPEED_MPS, MOST_SPEED_MPS, self.speed_mps)
+        require_within("vehicle.yaw_rate_rps", -MOST_YAW_RATE_RPS, MOST_YAW_RATE_RPS, self.yaw_rate_rps)
 
 
 def ego_motion(speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:

@@ -6,21 +6,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import os
 import re
 import socket
+import stat
 import time
 from pathlib import Path
 
 import msgspec
 import zmq
 
-from msgs.bus import Received
+from msgs.bus import Forwarded, Received
 from msgs.codec import Buffer, topic_frame
 from msgs.diagnostics import TopicCount
-from msgs.tally import Tally
+from msgs.tally import Tally, latch
 from msgs.topics import MIB, TOPICS, Topic, topic_facts
 from msgs.units import NANOSECONDS_PER_SECOND
+
+logger = logging.getLogger(__name__)
 
 #: Room for a path in a Unix socket address, its end mark apart.
 _MAX_PATH_BYTES = 107
@@ -28,13 +33,13 @@ _NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _MAX_MESSAGES_A_CALL = 64
 _LINGER_MS = 500
 _RECONNECT_MS = 20
-_RECONNECT_MAX_MS = 200
+_RECONNECT_MAX_MS = 50
 #: A subscriber of a paced topic that takes nothing may hold the publisher up for so long.
 _HELD_UP_NS = 10 * NANOSECONDS_PER_SECOND
 _RETRY_S = 0.001
 #: How often to look for publishers: while a topic has none yet, and afterwards.
 _SEARCH_INTERVAL_NS = 50_000_000
-_RESCAN_INTERVAL_NS = 250_000_000
+_RESCAN_INTERVAL_NS = 100_000_000
 
 
 class ZmqBus:
@@ -43,8 +48,8 @@ class ZmqBus:
     `paced`: subscribers that are behind hold `publish` up instead of missing messages, and every message says so.
     `counted`: `subscribers` knows of every topic, as it does where messages are paced, and whatever comes is kept, on
     topics whose receivers want the newest only too.
-    Raises `ValueError` for a node name or run directory that cannot be used, `OSError` where the directory cannot be
-    made.
+    Raises `ValueError` for a node name or run directory that cannot be used or is not ours alone, `OSError` where the
+    directory cannot be made.
     """
 
     def __init__(self, node: str, run_dir: Path, paced: bool = False, counted: bool = False) -> None:
@@ -54,19 +59,21 @@ class ZmqBus:
         self._dir = Path(run_dir)
         for topic in TOPICS:
             _require_path_fits(socket_path(self._dir, topic, node))
-        self._dir.mkdir(parents=True, exist_ok=True, mode=0o700)
-        self._dir.chmod(0o700)
+        make_run_dir(self._dir)
         self._context = zmq.Context()
         self._paced, self._counted = paced, paced or counted
         self._tally = Tally(node, paced, keeps_all=counted)
         self._poller = zmq.Poller()
         self._publishers: dict[str, zmq.Socket[bytes]] = {}
-        self._latched: dict[str, list[Buffer]] = {}
+        #: Last message of each latched topic, by the publisher that its envelope names.
+        self._latched: dict[str, dict[str, list[Buffer]]] = {}
         #: Subscribers of the topics whose publishers hear of them: all of a counted bus, else the latched.
         self._joined: dict[str, int] = {}
         self._subscribers: dict[str, zmq.Socket[bytes]] = {}
         #: Publishers found per topic, and the life of each, as its socket file tells it.
         self._found: dict[str, dict[str, tuple[int, int]]] = {}
+        #: What else may end a wait: sockets and file descriptors that are not the bus's own.
+        self._watched: set[zmq.Socket[bytes] | int] = set()
         self._next_scan_ns = 0
 
     def advertise(self, topic: str) -> None:
@@ -84,12 +91,14 @@ class ZmqBus:
         `TimeoutError` where a subscriber takes nothing for 10 s.
         """
         self.advertise(topic)
-        _, frames = self._tally.pack(topic, message, self.now_ns())
-        if topic in self._latched:
-            # newcomers get the message below: nothing older is owed to them
-            self._newcomers(topic)
-            self._latched[topic] = frames
-        self._send(topic, frames)
+        envelope, frames = self._tally.pack(topic, message, self.now_ns())
+        self._hand_out(topic, envelope.publisher, frames)
+
+    def forward(self, message: Forwarded) -> None:
+        """Send a message of another graph on as it is, without waiting; raises `TimeoutError` as `publish` does."""
+        self.advertise(message.topic)
+        self._tally.forward(message)
+        self._hand_out(message.topic, message.envelope.publisher, message.frames)
 
     def subscribers(self, topic: str) -> int:
         """How many are connected to an advertised topic, latched or counted: they get what is sent from now on."""
@@ -118,14 +127,27 @@ class ZmqBus:
         """Receive what is outdated, too."""
         self._tally.wants_all = True
 
+    def watch(self, source: zmq.Socket[bytes] | int) -> None:
+        """End the wait of `receive` also when `source`, a socket or file descriptor of the owner's, can be read."""
+        self._watched.add(source)
+        self._poller.register(source, zmq.POLLIN)
+
+    def unwatch(self, source: zmq.Socket[bytes] | int) -> None:
+        """Take no further notice of `source`; to be called before it is closed."""
+        self._watched.remove(source)
+        self._poller.unregister(source)
+
     def receive(self, timeout_s: float) -> list[Received]:
-        """Messages waiting, oldest first and at most 64 a topic; waits up to `timeout_s` for the first."""
+        """Messages waiting, oldest first and at most 64 a topic; waits up to `timeout_s` for the first.
+
+        Empty as soon as something watched can be read.
+        """
         deadline_ns = self.now_ns() + max(0, int(timeout_s * NANOSECONDS_PER_SECOND))
         while True:
             self._search_when_due()
             wake_ns = min(deadline_ns, self._next_scan_ns) if self._subscribers else deadline_ns
-            received = self._poll(max(0, wake_ns - self.now_ns()))
-            if received or self.now_ns() >= deadline_ns:
+            received, is_watched_ready = self._poll(max(0, wake_ns - self.now_ns()))
+            if received or is_watched_ready or self.now_ns() >= deadline_ns:
                 return received
 
     def now_ns(self) -> int:
@@ -143,6 +165,15 @@ class ZmqBus:
         self._publishers.clear()
         self._subscribers.clear()
         self._context.term()
+
+    def _hand_out(self, topic: str, publisher: str, frames: list[Buffer]) -> None:
+        """Send a message to all who are there, and keep it for those to come where it is latched."""
+        if topic in self._latched:
+            # of this publisher nothing older is owed to newcomers
+            self._latched[topic].pop(publisher, None)
+            self._serve_newcomers(topic)
+            latch(self._latched[topic], publisher, frames)
+        self._send(topic, frames)
 
     def _send(self, topic: str, frames: list[Buffer]) -> None:
         """Hand a message to ZeroMQ, which refuses it while a subscriber of a paced topic is behind."""
@@ -164,21 +195,32 @@ class ZmqBus:
             path.unlink(missing_ok=True)
         hears = topic.latched or self._counted
         publisher = self._context.socket(zmq.XPUB if hears else zmq.PUB)
-        # a reader reports what it took in steps of half the mark: only twice the history surely holds it
-        publisher.set(zmq.SNDHWM, 2 * topic.history_messages)
+        publisher.set(zmq.SNDHWM, _queue_length(topic))
         publisher.set(zmq.LINGER, 0 if _is_bulk(topic) and not self._paced else _LINGER_MS)
         if hears:
             publisher.set(zmq.XPUB_VERBOSER, 1)
             publisher.set(zmq.XPUB_NODROP, int(self._paced))
             self._joined[topic.name] = 0
             if topic.latched:
-                self._latched[topic.name] = []
+                self._latched[topic.name] = {}
             self._poller.register(publisher, zmq.POLLIN)
         publisher.bind(f"ipc://{path}")
         return publisher
 
-    def _poll(self, wait_ns: int) -> list[Received]:
-        """Wait once for any socket; serve newcomers to latched topics, return what came in."""
+    def _bind_again(self) -> None:
+        """Open socket files anew that somebody deleted: who comes later would find nobody."""
+        gone = [topic for topic in self._publishers if not socket_path(self._dir, topic, self._node).exists()]
+        if not gone:
+            return
+        # not unbound before: an old listener unlinks its path when it is closed, which may be after this
+        with contextlib.suppress(OSError, ValueError, zmq.ZMQError):
+            make_run_dir(self._dir)
+            for topic in gone:
+                self._publishers[topic].bind(f"ipc://{socket_path(self._dir, topic, self._node)}")
+            logger.warning("%s: %d socket files were gone; opened again", self._dir, len(gone))
+
+    def _poll(self, wait_ns: int) -> tuple[list[Received], bool]:
+        """Wait once, serve newcomers to latched topics; what came in, and whether anything watched can be read."""
         if not self._poller.sockets:
             # a poll of nothing would return at once
             time.sleep(wait_ns / NANOSECONDS_PER_SECOND)
@@ -192,7 +234,7 @@ class ZmqBus:
                 received += self._drain(topic, subscriber)
         # one publisher's clock readings never fall: its own order is kept
         received.sort(key=lambda message: message.envelope.sent_ns)
-        return self._tally.without_outdated(received)
+        return self._tally.without_outdated(received), not self._watched.isdisjoint(ready)
 
     def _drain(self, topic: str, subscriber: zmq.Socket[bytes]) -> list[Received]:
         self._notice_restarts(topic)
@@ -216,9 +258,13 @@ class ZmqBus:
                 self._tally.forget(topic, node)
 
     def _serve_newcomers(self, topic: str) -> None:
-        """Send a latched topic's last message again if somebody joined; all others discard it as seen."""
-        if self._newcomers(topic) and self._latched.get(topic):
-            self._publishers[topic].send_multipart(self._latched[topic], copy=False)
+        """Send a latched topic's last messages again if somebody joined; all others discard them as seen."""
+        latched = self._latched.get(topic, {})
+        if self._newcomers(topic) and latched:
+            # set anew because a connection starts with the length known when the socket was bound
+            self._publishers[topic].set(zmq.SNDHWM, _queue_length(topic_facts(topic), len(latched)))
+            for frames in latched.values():
+                self._publishers[topic].send_multipart(frames, copy=False)
 
     def _newcomers(self, topic: str) -> bool:
         """Whether anybody subscribed to a topic since the last look; counts who is there."""
@@ -233,7 +279,8 @@ class ZmqBus:
             joined |= is_new
 
     def _search_when_due(self) -> None:
-        if self._subscribers and self.now_ns() >= self._next_scan_ns:
+        if self.now_ns() >= self._next_scan_ns:
+            self._bind_again()
             self._search()
 
     def _search(self) -> None:
@@ -255,6 +302,24 @@ def run_dir(domain: str) -> Path:
     if runtime := os.environ.get("XDG_RUNTIME_DIR"):
         return Path(runtime) / "mirrorwave" / domain
     return Path("/tmp") / f"mirrorwave-{os.getuid()}" / domain
+
+
+def make_run_dir(run_dir: Path) -> None:
+    """Make a meeting place where nobody else can enter, or take in one that is there.
+
+    Raises `ValueError` where another user made it first, or could put another in its place: who meets there would be in
+    that user's hands. `OSError` where it cannot be made.
+    """
+    run_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    for folder in (run_dir, run_dir.parent):
+        # a link counts with what it leads to: its owner chooses that
+        for found in (folder.lstat(), folder.stat()):
+            if found.st_uid not in (os.geteuid(), 0):
+                raise ValueError(f"{folder}: must belong to who runs the graph or to root, is user {found.st_uid}'s")
+    mode = run_dir.parent.stat().st_mode
+    if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+        raise ValueError(f"{run_dir.parent}: everybody may rename what is in it; chmod o-w, or +t")
+    run_dir.chmod(0o700)
 
 
 def socket_path(run_dir: Path, topic: str, node: str) -> Path:
@@ -304,6 +369,12 @@ def _is_alive(path: Path) -> bool:
             # a full backlog or a time-out: somebody is there, if busy
             return path.is_socket()
     return True
+
+
+def _queue_length(topic: Topic, origins: int = 1) -> int:
+    """Messages that may wait for a subscriber of one publisher, who may speak for several."""
+    # a reader reports what it took in steps of half the mark: only twice the history surely holds it
+    return 2 * topic.history_messages * origins
 
 
 def _is_bulk(topic: Topic) -> bool:

@@ -16,6 +16,10 @@ from msgs.radar import RadarBeam
 SHED_IN_A_ROW = 10
 #: This share of a scan may always pile up: beams come in twos and threes where a process waits for its core.
 _LEAST_PILE = 0.16
+#: So many scans wait at most, also of a player that waits for the graph: more are a flood.
+MOST_SCANS_WAITING = 8
+#: Torn scans and publishers remembered.
+_MOST_KNOWN = 64
 #: Numbers that fall by more are a source that started anew; by less, a beam that came late.
 _LATE_SCANS = 2
 
@@ -28,8 +32,10 @@ class BeamQueue:
 
     def __init__(self, behind: float) -> None:
         self._behind = behind
-        #: Time that folding a beam takes lately, in intervals between two beams; 1 just keeps the radar's pace.
+        #: Time that folding a beam takes lately, in a beam's shares of the scan period; 1 just keeps the radar's pace.
         self.load = 0.0
+        #: All beams of a scan come together: a scan that waits whole is not late, the second one is.
+        self.at_once = False
         #: Of the scan under way, and late ones; of scans not begun.
         self._under_way: deque[RadarBeam] = deque()
         self._to_begin: deque[RadarBeam] = deque()
@@ -38,7 +44,7 @@ class BeamQueue:
         self._shed: list[int] = []
         self._sequence: dict[str, int] = {}
         self._last: int | None = None
-        self._torn: set[int] = set()
+        self._torn: deque[int] = deque(maxlen=_MOST_KNOWN)
         self.shed_scans = 0
         self.shed_beams = 0
 
@@ -50,7 +56,7 @@ class BeamQueue:
         beam = received.message
         assert isinstance(beam, RadarBeam)
         self._notice_gap(received, beam)
-        if beam.scan_id in self._shed:
+        if beam.scan_id in self._shed or len(self) >= MOST_SCANS_WAITING * beam.beam_count:
             self.shed_beams += 1
         elif self._begins(beam):
             self._to_begin.append(beam)
@@ -72,7 +78,7 @@ class BeamQueue:
     def torn(self, scan_id: int) -> bool:
         """Whether beams next to or among those of a scan were lost on the bus; asked once, when the scan is closed."""
         is_torn = scan_id in self._torn
-        self._torn = {one for one in self._torn if one > scan_id}
+        self._torn = deque((one for one in self._torn if one > scan_id), _MOST_KNOWN)
         return is_torn
 
     def _begins(self, beam: RadarBeam) -> bool:
@@ -91,6 +97,8 @@ class BeamQueue:
         Begun p scans late, with every beam taking `load` intervals, the end comes p + load - 1 late. No more than a
         scan piles up, so that a node that sleeps while its load is low does not wake to work long out of date.
         """
+        if self.at_once:
+            return 1.0
         return max(_LEAST_PILE, min(1.0 + self._behind - self.load, max(1.0, self._behind)))
 
     def _leave_out(self, scan_id: int) -> None:
@@ -111,6 +119,8 @@ class BeamQueue:
         envelope = received.envelope
         before = self._sequence.get(envelope.publisher, envelope.sequence)
         self._sequence[envelope.publisher] = envelope.sequence
+        if len(self._sequence) > _MOST_KNOWN:
+            del self._sequence[next(iter(self._sequence))]
         if envelope.sequence > before + 1:
-            self._torn |= {beam.scan_id, beam.scan_id if self._last is None else self._last}
+            self._torn.extend({beam.scan_id, beam.scan_id if self._last is None else self._last})
         self._last = beam.scan_id

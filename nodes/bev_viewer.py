@@ -51,7 +51,8 @@ class BevViewer(Node):
         board = Board()
         self._assembly = Assembly(board, gives_way=True)
         self.server = ViewerServer(board, title=params.title, port=params.port, max_clients=params.max_clients)
-        _LOG.info("open %s", self.server.url)
+        # who has the address may look: it is for this user's terminal and log file alone
+        _LOG.info("open %s", self.server.url, extra={"in_public": f"page at port {self.server.port}"})
         if params.open_browser and not webbrowser.open(self.server.url):
             _LOG.warning("no browser could be opened here")
 

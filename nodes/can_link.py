@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,13 @@ _LOG = logging.getLogger(__name__)
 
 #: Files named in launch files are looked for here when they are not in the working directory.
 CHECKOUT = Path(__file__).resolve().parents[1]
+#: Larger files are no DBC; cantools would take minutes and all memory to find out.
+MAX_DBC_BYTES = 1 << 24
+#: Longest message of CAN, sent in many frames (J1939).
+MAX_MESSAGE_BYTES = 1785
+#: Twenty digits are more than enough, and `int` takes no more than some thousand.
+_DBC_MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d{1,20})")
+_DBC_SIGNAL = re.compile(r":\s*(\d{1,20})\s*\|\s*(\d{1,20})\s*@")
 RETRY_S, MAX_RETRY_S = 0.2, 5.0
 #: A frame that cannot be read is no broken bus; this many without a good one between them are.
 MAX_UNREADABLE = 3
@@ -198,7 +206,8 @@ def bus_frame(arbitration_id: int, data: bytes, extended: bool, now_ns: int) -> 
 
 def frame_stamp_ns(frame: can.Message) -> int:
     """The frame's own stamp; negative, which no decoder takes, where it has none that is a time."""
-    return ns_from_s(frame.timestamp) if math.isfinite(frame.timestamp) else _NO_STAMP_NS
+    # in nanoseconds it may be infinite though it is not in seconds
+    return ns_from_s(frame.timestamp) if math.isfinite(frame.timestamp * NANOSECONDS_PER_SECOND) else _NO_STAMP_NS
 
 
 class LogFrame(NamedTuple):
@@ -264,9 +273,22 @@ def load_dbc(path: Path) -> Database:
 
 
 def _load_database(path: Path, strict: bool) -> Database:
+    if path.stat().st_size > MAX_DBC_BYTES:
+        raise ValueError(f"at most {MAX_DBC_BYTES} bytes are read, got {path.stat().st_size}")
+    _refuse_long_messages(path.read_text(encoding="cp1252", errors="replace"))
     database = cantools.database.load_file(path, database_format="dbc", strict=strict)
     assert isinstance(database, Database)
     return database
+
+
+def _refuse_long_messages(dbc: str) -> None:
+    """Raise `ValueError` for messages that no bus carries: cantools takes memory and time for every bit of them."""
+    plain = re.sub(r"//[^\n]*", "", dbc)
+    lengths = [int(found[1]) for found in _DBC_MESSAGE.finditer(plain)]
+    ends = [int(found[1]) + int(found[2]) for found in _DBC_SIGNAL.finditer(plain)]
+    longest = max([*lengths, *(-(-end // 8) for end in ends)], default=0)
+    if longest > MAX_MESSAGE_BYTES:
+        raise ValueError(f"messages must be of at most {MAX_MESSAGE_BYTES} bytes, got {longest}")
 
 
 def load_mapping(path: Path) -> CanMapping:

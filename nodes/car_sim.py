@@ -12,7 +12,6 @@ from msgs.vehicle import VehicleState
 from nodes.can_link import BusParams, CanLink, bus_frame, checkout_path, load_dbc, load_mapping
 from nodes.node import Node
 from sim_player.car import CarShape, SimulatedCar
-from sim_player.scene import load_scene
 
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -64,6 +63,9 @@ def motion_of(params: Params) -> VehicleState:
     """Speed, yaw rate and the steering that goes with them."""
     speed_mps, yaw_rate_rps = params.speed_mps, params.yaw_rate_rps
     if params.scene is not None:
+        # here: a car whose motion is given needs no simulator
+        from sim_player.scene import load_scene
+
         ego = load_scene(checkout_path(params.scene)).ego
         speed_mps = ego.speed_mps if speed_mps is None else speed_mps
         yaw_rate_rps = math.radians(ego.yaw_rate_dps) if yaw_rate_rps is None else yaw_rate_rps

@@ -35,7 +35,9 @@ class Child:
 
     def __init__(self, name: str, entry: NodeEntry, run_dir: Path) -> None:
         self._splitter = LineSplitter()
-        self._signals: list[tuple[float, signal.Signals]] | None = None
+        #: When SIGINT, and when SIGTERM, was sent.
+        self._asked_s: float | None = None
+        self._told_s: float | None = None
         self._process = subprocess.Popen(
             _command(name, entry, run_dir),
             stdin=subprocess.DEVNULL,
@@ -47,6 +49,14 @@ class Child:
         assert self._process.stdout is not None
         self._pipe = self._process.stdout.fileno()
         os.set_blocking(self._pipe, False)
+        try:
+            #: A file descriptor that can be read once the process has ended.
+            self.ended = os.pidfd_open(self.pid)
+        except OSError:
+            self.kill()
+            self._process.wait()
+            self._process.stdout.close()
+            raise
 
     @property
     def pid(self) -> int:
@@ -74,30 +84,36 @@ class Child:
             lines += self._splitter.feed(data)
         return lines
 
-    def stop(self, now_s: float, patience_s: float = PATIENCE_S) -> None:
-        """Ask it to end: SIGINT, `patience_s` later SIGTERM, then SIGKILL; to be called again until it has."""
-        if self._signals is None:
-            term_s = now_s + patience_s
-            self._signals = [
-                (now_s, signal.SIGINT),
-                (term_s, signal.SIGTERM),
-                (term_s + PATIENCE_S, signal.SIGKILL),
-            ]
-        while self._signals and self._signals[0][0] <= now_s:
-            self._signal(self._signals.pop(0)[1])
+    def stop(self, now_s: float, patience_s: float = PATIENCE_S, last_s: float = PATIENCE_S) -> None:
+        """Ask it to end: SIGINT, `patience_s` later SIGTERM, `last_s` later SIGKILL; to be called again until it has.
+
+        Both may change with what is known of it. A process that was stopped is woken, so that it hears.
+        """
+        if self._asked_s is None:
+            self._asked_s = now_s
+            self._signal(signal.SIGINT)
+            self._signal(signal.SIGCONT)
+        elif self._told_s is None and now_s - self._asked_s >= patience_s:
+            self._told_s = now_s
+            self._signal(signal.SIGTERM)
+        elif self._told_s is not None and now_s - self._told_s >= last_s:
+            self.kill()
 
     def kill(self) -> None:
         """End it now."""
         self._signal(signal.SIGKILL)
 
     def close(self) -> list[str]:
-        """Kill it if it runs, wait for it, close its pipe; what it still had to say comes back."""
+        """Kill it if it runs, wait for it, close what was held of it; what it still had to say comes back."""
         if self.exit_code() is None:
             self.kill()
             self._process.wait()
         assert self._process.stdout is not None
-        lines = [] if self._process.stdout.closed else self.read_lines() + self._splitter.finish()
+        if self._process.stdout.closed:
+            return []
+        lines = self.read_lines() + self._splitter.finish()
         self._process.stdout.close()
+        os.close(self.ended)
         return lines
 
     def _signal(self, number: signal.Signals) -> None:

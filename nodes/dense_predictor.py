@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Literal
 
 import msgspec
+import numpy as np
 
 from models.perception.cards import learned_path
-from models.perception.cfar import CfarParams
-from models.perception.detectors import CfarDetector, Detector, NetworkDetector, Refine
+from models.perception.cfar import PHOTON_CFAR, CfarParams
+from models.perception.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
 from models.perception.named import NamedParams
 from models.perception.onnx_model import DEFAULT_MODEL
 from models.perception.peaks import PeakParams
 from models.perception.refinement import RefinementParams
+from msgs.arrays import require_within
 from msgs.bus import Outgoing, Received
+from msgs.diagnostics import NodeState
 from msgs.radar import RadarSetup, RangeAzimuthMap
 from nodes.node import Node
+
+_LOG = logging.getLogger(__name__)
+
+#: Squares of it, and sums of them over a map, are numbers that float32 holds.
+MOST_AMPLITUDE = 1e15
+#: Zero, which is not known, or so much.
+NOISE_LIMITS_MW = (1e-60, 1e60)
+#: More would take the machine longer to start than any map to detect in.
+MOST_THREADS = 256
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -37,6 +50,12 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: None: the released settings with the threshold of the model's card.
     peaks: PeakParams | None = None
     cfar: CfarParams = CfarParams()
+    #: Of maps of a LiDAR, which CFAR looks at whatever the method: no committed network was trained on any.
+    photons: CfarParams = PHOTON_CFAR
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.threads <= MOST_THREADS:
+            raise ValueError(f"threads must be 1..{MOST_THREADS}, got {self.threads!r}")
 
 
 class DensePredictorNode(Node):
@@ -50,18 +69,57 @@ class DensePredictorNode(Node):
         self._params = params
         # the default set-up until the radar's own comes: a missing or broken model shows at start, not at the first map
         self._detector = detector_for(params, RadarSetup())
+        self._photon_detector = PhotonDetector(params.photons)
+        self._trouble = ""
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One set of peaks per map."""
+        """One set of peaks per map; set-ups and maps that do not suit the detector are refused, counted and said."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "radar/ra_map"):
             match received.message:
                 case RadarSetup() as setup:
-                    self._detector = detector_for(self._params, setup)
+                    self._set_up(setup)
                 case RangeAzimuthMap() as ra_map:
-                    with self.stages("detect"):
-                        out.append(Outgoing("perception/peaks", self._detector.detect(ra_map)))
+                    out += self._detected(ra_map)
         return out
+
+    def health(self) -> tuple[NodeState, str]:
+        """DEGRADED while maps are refused."""
+        return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
+
+    def _set_up(self, setup: RadarSetup) -> None:
+        """Detect by another set-up; one that cannot be used changes nothing."""
+        try:
+            self._detector = detector_for(self._params, setup)
+        except ValueError as error:
+            self._say(str(error), "setup")
+
+    def _detected(self, ra_map: RangeAzimuthMap) -> list[Outgoing]:
+        detector = self._photon_detector if ra_map.mode == "photons" else self._detector
+        try:
+            with self.stages("detect"):
+                _require_sound(ra_map)
+                peaks = detector.detect(ra_map)
+        except ValueError as error:
+            self._say(str(error), "map")
+            return []
+        self._trouble = ""
+        return [Outgoing("perception/peaks", peaks)]
+
+    def _say(self, trouble: str, what: str) -> None:
+        self.shed.add(what, "refused")
+        if trouble != self._trouble:
+            _LOG.warning("%s refused: %s", what, trouble)
+        self._trouble = trouble
+
+
+def _require_sound(ra_map: RangeAzimuthMap) -> None:
+    """Raise `ValueError` for a map with numbers that would spread over all that are near: no power follows of them."""
+    largest = float(np.maximum(np.abs(ra_map.values.real), np.abs(ra_map.values.imag)).max())
+    if not largest <= MOST_AMPLITUDE:
+        raise ValueError(f"map.values must be finite, of at most {MOST_AMPLITUDE:g}, got {largest!r}")
+    if ra_map.noise_power_mw:
+        require_within("map.noise_power_mw", *NOISE_LIMITS_MW, ra_map.noise_power_mw)
 
 
 def model_path(model: str | None) -> Path:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import msgspec
@@ -11,12 +12,14 @@ from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, lo
 from models.perception.geometry import GeometryParams, recover_bev, warm
 from models.perception.memory import MemoryParams, ScanMemory
 from models.perception.recovery import Residual
-from models.perception.residual_model import LearnedResidual
 from msgs.bus import Outgoing, Received
+from msgs.diagnostics import NodeState
 from msgs.perception import BevFrame, Peaks
 from msgs.vehicle import VehicleState
 from nodes.node import Node
 from nodes.state_history import StateHistory
+
+_LOG = logging.getLogger(__name__)
 
 
 class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -45,9 +48,10 @@ class GeometryNode(Node):
         warm(params)
         self._states = StateHistory()
         self._memory = ScanMemory(params.memory)
+        self._trouble = ""
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One view per set of peaks."""
+        """One view per set of peaks; what the stage cannot take is refused, counted and said."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "perception/peaks"):
             match received.message:
@@ -55,8 +59,24 @@ class GeometryNode(Node):
                     self._states.add(state)
                     self._memory.add(state)
                 case Peaks() as peaks:
-                    out.append(Outgoing("perception/hidden_objects", self._view(peaks)))
+                    out += self._seen(peaks)
         return out
+
+    def health(self) -> tuple[NodeState, str]:
+        """DEGRADED while peaks are refused."""
+        return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
+
+    def _seen(self, peaks: Peaks) -> list[Outgoing]:
+        try:
+            view = self._view(peaks)
+        except ValueError as error:
+            self.shed.add("scan", "refused")
+            if str(error) != self._trouble:
+                _LOG.warning("scan %d refused: %s", peaks.scan_id, error)
+            self._trouble = str(error)
+            return []
+        self._trouble = ""
+        return [Outgoing("perception/hidden_objects", view)]
 
     def _view(self, peaks: Peaks) -> BevFrame:
         with self.stages("geometry"):
@@ -68,9 +88,16 @@ class GeometryNode(Node):
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, PlaceConfidence | None]:
     """What the stage needs beside the peaks; raises `ValueError` naming a file that is missing or broken."""
-    residual = None if params.residual == "none" else LearnedResidual(Path(params.residual))
+    residual = None if params.residual == "none" else _learned_residual(Path(params.residual))
     path = confidence_path(params.confidence)
     return params, residual, None if path is None else load_confidence(path)
+
+
+def _learned_residual(path: Path) -> Residual:
+    # here: without a network this node starts again faster by what bringing its runtime along takes
+    from models.perception.residual_model import LearnedResidual
+
+    return LearnedResidual(path)
 
 
 def confidence_path(confidence: str) -> Path | None:

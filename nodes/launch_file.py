@@ -38,7 +38,7 @@ class RestartPolicy(StrEnum):
 
 
 class Restart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Restart of a node: after `delay_s`, doubling up to `max_delay_s`, at most `max_restarts` in `window_s`."""
+    """Restart of a node: at once, then after `delay_s`, doubling up to `max_delay_s`; `max_restarts` in `window_s`."""
 
     policy: RestartPolicy = RestartPolicy.ON_FAILURE
     delay_s: float = 0.2
@@ -54,8 +54,10 @@ class Restart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     def backoff_s(self, recent_restarts: int) -> float:
         """Delay before the next start after `recent_restarts` restarts inside the window."""
+        if recent_restarts == 0:
+            return 0.0
         # the exponent is bounded because 2.0 ** 1024 overflows
-        return min(self.max_delay_s, self.delay_s * 2.0 ** min(recent_restarts, 60))
+        return min(self.max_delay_s, self.delay_s * 2.0 ** min(recent_restarts - 1, 60))
 
 
 class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,7 +69,8 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     #: Nodes that must be ready before this one starts.
     after: tuple[str, ...] = ()
     restart: Restart = Restart()
-    #: A node whose heartbeat is older is killed and restarted.
+    #: A node that could have sent a heartbeat for longer is killed and restarted: time in which it waits for a core
+    #: is not counted. One that is blocked (no thread of it runs) is given half of this, a stopped process a fifth.
     hang_timeout_s: float = 5.0
     #: Longest time from the start of the process to its first READY heartbeat.
     start_timeout_s: float = 60.0
@@ -277,6 +280,8 @@ class _StrictLoader(yaml.SafeLoader):
     def compose_node(self, parent: Any, index: Any) -> Any:
         if self.check_event(yaml.AliasEvent):
             raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=self.peek_event().start_mark)
+        if getattr(self.peek_event(), "tag", None) is not None:
+            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
         self._depth += 1
         if self._depth > MAX_DEPTH:
             raise yaml.MarkedYAMLError(problem=f"nested deeper than {MAX_DEPTH} levels")

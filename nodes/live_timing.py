@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from msgs.diagnostics import StageTime
+from msgs.lidar import LidarSetup
 from msgs.radar import RadarSetup
 from msgs.units import ns_from_s, s_from_ns
 
@@ -24,13 +25,24 @@ WINDOW_S = 10.0
 LONGEST_AGE_NS = ns_from_s(60.0)
 
 
-def last_beam_ns(setup: RadarSetup | None = None) -> int:
-    """From the start of a scan to the nominal end of its last beam; None: the default radar's."""
+#: Set-up of a sensor.
+Setup = RadarSetup | LidarSetup
+
+
+def scan_period_s(setup: Setup) -> float:
+    """From one scan to the next."""
+    return setup.radar.scan_period_s if isinstance(setup, RadarSetup) else setup.period_s
+
+
+def last_beam_ns(setup: Setup | None = None) -> int:
+    """From the start of a scan to the nominal end of its last beam or azimuth; None: the default radar's."""
     setup = setup or RadarSetup()
+    if isinstance(setup, LidarSetup):
+        return ns_from_s(setup.grid.azimuth_bins * setup.spad.measurement_time_s)
     return (len(setup.beams) - 1) * setup.beam_interval_ns + ns_from_s(setup.radar.beam_duration_s)
 
 
-def latency_ns(stamp_ns: int, now_ns: int, setup: RadarSetup | None = None) -> int:
+def latency_ns(stamp_ns: int, now_ns: int, setup: Setup | None = None) -> int:
     """Time since the nominal end of the last beam of the scan that began at `stamp_ns`."""
     return now_ns - stamp_ns - last_beam_ns(setup)
 
@@ -139,12 +151,12 @@ class ViewWatch:
 
     def __init__(self, start_ns: int, window_s: float = WINDOW_S, deadline_s: float = DEADLINE_S) -> None:
         self._start_ns, self._window_s, self._deadline_s = start_ns, window_s, deadline_s
-        self._setup = RadarSetup()
+        self._setup: Setup = RadarSetup()
         self._views: deque[_View] = deque()
         self._newest: _View | None = None
         self._total = self._late_total = self._absent_total = 0
 
-    def set_up(self, setup: RadarSetup) -> None:
+    def set_up(self, setup: Setup) -> None:
         """Beams and their time on air from now on."""
         self._setup = setup
 
@@ -196,7 +208,7 @@ class ViewWatch:
 
     def _overdue(self, age_ns: int | None) -> int:
         """The scan after the newest view's ends a period later and has its deadline after that, and so on."""
-        period_ns = ns_from_s(self._setup.radar.scan_period_s)
+        period_ns = ns_from_s(scan_period_s(self._setup))
         return 0 if age_ns is None else max(0, (age_ns - ns_from_s(self._deadline_s) - 1) // period_ns)
 
     def _absent_before(self, scan_id: int, stamp_ns: int) -> int:
@@ -204,7 +216,7 @@ class ViewWatch:
         if self._newest is None:
             return 0
         elapsed_ns = stamp_ns - self._newest.stamp_ns
-        by_time = round(elapsed_ns / ns_from_s(self._setup.radar.scan_period_s)) - 1
+        by_time = round(elapsed_ns / ns_from_s(scan_period_s(self._setup))) - 1
         return max(0, min(scan_id - self._newest.scan_id - 1, by_time))
 
     def _forget(self, now_ns: int) -> None:

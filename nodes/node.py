@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import ctypes
+import gc
 import importlib
 import json
 import logging
@@ -18,14 +19,14 @@ import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
 import psutil
 
-from msgs.bus import Bus, Outgoing, Received
+from msgs.bus import Bus, Forwarded, Outgoing, Received, WaitingBus
 from msgs.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.topics import topic_facts
 from nodes.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
@@ -46,7 +47,7 @@ DRAINED_S = 0.15
 #: Where a foreign publisher goes on, what waits would never end; this is enough for a queue of beams.
 DRAIN_LIMIT_S = 2.0
 #: Subscribers look for new publishers several times in this; a source that spoke earlier would not be heard.
-SETTLE_S = 0.4
+SETTLE_S = 0.25
 #: The bus drops what is still on its way when it is closed; the last answers of a node get this long.
 FLUSH_S = 0.1
 _REASON_LIMIT = 500
@@ -68,7 +69,11 @@ class StageClock:
         try:
             yield
         finally:
-            self._durations_ms.setdefault(name, []).append(1e-6 * (time.perf_counter_ns() - start_ns))
+            self.add(name, time.perf_counter_ns() - start_ns)
+
+    def add(self, name: str, duration_ns: int) -> None:
+        """Note a duration that was measured elsewhere."""
+        self._durations_ms.setdefault(name, []).append(1e-6 * duration_ns)
 
     def drain(self) -> tuple[StageTime, ...]:
         """Stages since the last call, in the order in which they first ran."""
@@ -122,13 +127,17 @@ class Node:
         #: What the bus counted of each input so far; nothing before the node stands on one.
         self.counts: Callable[[], tuple[TopicCount, ...]] = tuple
 
-    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+    def step(self, inputs: list[Received], now_ns: int) -> Sequence[Outgoing | Forwarded]:
         """Answer what came in, in order of arrival; empty when the node is called because it was due."""
         raise TypeError(f"{type(self).__name__} must define step(inputs, now_ns)")
 
     def due_ns(self, now_ns: int) -> int | None:
         """Bus time at which `step` is to be called even without input; None: never."""
         return None
+
+    def watched(self) -> tuple[Any, ...]:
+        """Sockets and file descriptors of its own that end a wait for input; `pending` says that they can be read."""
+        return ()
 
     def pending(self) -> bool:
         """True while the last step left work undone that needs no further input: the next step comes at once."""
@@ -232,20 +241,22 @@ class Heartbeat:
             self._bus.publish("log", record)
 
 
-def run_loop(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
+def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat) -> None:
     """Drive one node until it is finished or `stop` asks for the end; what a step raises passes through.
 
     The heartbeat comes from between the steps: a step that hangs is a heartbeat that stops.
     """
     for topic in node.inputs:
         bus.subscribe(topic)
+    for source in node.watched():
+        bus.watch(source)
     node.counts = lambda: bus.counts()[0]
     reason = ""
     try:
-        heartbeat.beat(*node.health())
-        # through the pipe, because the bus may need a moment to find the supervisor
+        # through the pipe, because the bus may need a moment to find the supervisor; the heartbeat has it looked at now
         _LOG.info("ready", extra={"state": NodeState.READY})
-        if not node.inputs:
+        heartbeat.beat(*node.health())
+        if node.outputs and not node.inputs:
             bus.receive(SETTLE_S)
         while not (stop.requested or node.finished()):
             _turn(node, bus, min(_wait_s(node, bus), max(heartbeat.remaining_s(), 0.0)))
@@ -297,10 +308,13 @@ def _turn(node: Node, bus: Bus, timeout_s: float) -> bool:
 
 
 def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
-    for topic, message in node.step(inputs, now_ns):
-        if topic not in node.outputs:
-            raise ValueError(f"{type(node).__name__} published {topic!r}; its outputs are {', '.join(node.outputs)}")
-        bus.publish(topic, message)
+    for said in node.step(inputs, now_ns):
+        if said[0] not in node.outputs:
+            raise ValueError(f"{type(node).__name__} published {said[0]!r}; its outputs are {', '.join(node.outputs)}")
+        if isinstance(said, Forwarded):
+            bus.forward(said)
+        else:
+            bus.publish(*said)
 
 
 class InProcessGraph:
@@ -380,7 +394,8 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
     bus = ZmqBus(arguments.name, arguments.run_dir)
     try:
         heartbeat = Heartbeat(bus, arguments.name, log)
-        heartbeat.beat(NodeState.STARTING)
+        if not _has_its_name(heartbeat):
+            return EXIT_FAILED
         node = _load_or_say_why(arguments, heartbeat)
         if node is None:
             return EXIT_BAD_INPUT
@@ -400,6 +415,16 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
     return EXIT_DONE
 
 
+def _has_its_name(heartbeat: Heartbeat) -> bool:
+    """Whether no living process bears the node's name, as the first heartbeat finds out; says which one does."""
+    try:
+        heartbeat.beat(NodeState.STARTING)
+    except ValueError as error:
+        _LOG.critical("%s", error)
+        return False
+    return True
+
+
 def _give_way(nice: int) -> None:
     """Lower the priority of this process: of each thread, as Linux keeps it, and of those to come."""
     for thread in psutil.Process().threads() if nice else ():
@@ -407,12 +432,18 @@ def _give_way(nice: int) -> None:
 
 
 def _load_or_say_why(arguments: argparse.Namespace, heartbeat: Heartbeat) -> Node | None:
+    # what is imported stays: to search it for garbage again and again took a tenth of the start
+    gc.disable()
     try:
         return load_node(arguments.module, json.loads(arguments.params), arguments.name)
     except (ValueError, FileNotFoundError, msgspec.MsgspecError) as error:
-        _LOG.critical("%s", " ".join(str(error).split()))
-        heartbeat.beat(NodeState.STOPPING, str(error))
+        reason = " ".join(str(error).split())
+        _LOG.critical("%s", reason)
+        heartbeat.beat(NodeState.STOPPING, reason)
         return None
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 def _arguments(argv: list[str] | None) -> argparse.Namespace:

@@ -1,33 +1,45 @@
-"""Plays a scene, a SigMF capture or an MCAP recording onto the bus, at the radar's rate or any other."""
+"""Plays a scene, a SigMF capture or an MCAP recording onto the bus, at the sensor's rate or any other."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+import logging
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from msgs.arrays import require_finite
 from msgs.bus import Outgoing, Received
+from msgs.lidar import LidarSetup, PhotonHistograms
+from msgs.topics import SENSOR_TOPICS
 from msgs.units import ns_from_s
 from msgs.vehicle import VehicleState
 from nodes.node import Node
 from nodes.state_history import MAX_AGE_NS
-from nodes.validation import require_rest
+from nodes.validation import require_clock_offset, require_rest
 
 if TYPE_CHECKING:
+    from typing_extensions import TypeIs
+
+    from msgs.radar import RadarBeam, RadarSetup
     from msgs.recording import Recorded
+    from sim_player.lidar_player import LidarPlayer
     from sim_player.player import ScenePlayer
     from sim_player.scene import Scene
 
+_LOG = logging.getLogger(__name__)
+
 #: What the sensors say, and the truth. All else in a recording is the graph's own work and is done again.
-SENSED_TOPICS = ("radar/setup", "radar/beam", "vehicle/state", "sim/truth")
+SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), "vehicle/state", "sim/truth")
+#: What is said once, before all else.
+SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
 #: Scenes named in launch files are looked for here when they are not in the working directory.
 CHECKOUT = Path(__file__).resolve().parents[1]
 #: What must be known before a beam.
-_KNOWN = ("radar/setup", "vehicle/state")
+_KNOWN = (*SETUP_TOPICS, "vehicle/state")
+#: A scan of a LiDAR lasts seconds; the vehicle's motion is told this often meanwhile, or at every azimuth.
+_STATE_PERIOD_S = 0.02
 #: Most messages that one step may send: heartbeats and a stop come between steps.
 BURST = 8
 
@@ -66,7 +78,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if self.scans is not None and self.scans < 0:
             raise ValueError(f"player.scans must not be negative, got {self.scans!r}")
         require_rest("player.settle_s", self.settle_s)
-        require_finite("player.vehicle_clock_offset_s", self.vehicle_clock_offset_s)
+        require_clock_offset("player.vehicle_clock_offset_s", self.vehicle_clock_offset_s)
 
 
 class Event(NamedTuple):
@@ -124,7 +136,9 @@ class Player(Node):
         """
         self._start_ns = now_ns + self._settle_ns
         out: list[Outgoing] = []
-        while self._next is not None and self._next.offset_ns <= MAX_AGE_NS and self._next.outgoing.topic in _KNOWN:
+        # of a scene nothing was heard before its start
+        latest_ns = 0 if self._restamp else MAX_AGE_NS
+        while self._next is not None and self._next.offset_ns <= latest_ns and self._next.outgoing.topic in _KNOWN:
             out.append(self._take())
         return out
 
@@ -142,23 +156,66 @@ class Player(Node):
 
     def _stamped(self, outgoing: Outgoing) -> Outgoing:
         """A live scene is stamped with the bus clock; a capture keeps the stamps it was recorded with."""
-        if not self._restamp:
+        if not self._restamp or self._start_ns is None:
             return outgoing
-        stamp_ns = outgoing.message.stamp_ns + self._start_ns  # type: ignore[attr-defined]
-        return Outgoing(outgoing.topic, msgspec.structs.replace(outgoing.message, stamp_ns=stamp_ns))
+        return Outgoing(outgoing.topic, moved(outgoing.message, self._start_ns))
 
 
-def scene_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
-    """Beams, vehicle state and truth of a scene, scan after scan, stamped from zero."""
+def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
+    """A message with a stamp, as if it had been measured so much later."""
+    stamps: dict[str, Any] = {"stamp_ns": message.stamp_ns + by_ns}  # type: ignore[attr-defined]
+    if isinstance(message, PhotonHistograms):
+        stamps["azimuth_stamp_ns"] = message.azimuth_stamp_ns + by_ns
+    return msgspec.structs.replace(message, **stamps)
+
+
+def scene_events(player: ScenePlayer | LidarPlayer, scans: int | None) -> Iterator[Event]:
+    """What the sensor of a scene says, vehicle states and truth, scan after scan, stamped from zero."""
+    return _lidar_events(player, scans) if _is_lidar(player) else _radar_events(player, scans)
+
+
+def _is_lidar(player: ScenePlayer | LidarPlayer) -> TypeIs[LidarPlayer]:
+    # by its set-up, not its class: to start a radar's player should not take bringing the LiDAR's along
+    return isinstance(player.setup, LidarSetup)
+
+
+def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
+    """Histograms go out when their last azimuth has been measured."""
+    setup = player.setup
+    azimuths = setup.grid.azimuth_bins
+    told_at = range(0, azimuths, max(1, round(_STATE_PERIOD_S / setup.spad.measurement_time_s)))
+    # compiles what scans need while the graph still waits
+    player.scan(0)
+    yield Event(0, Outgoing("lidar/setup", setup))
+    for scan in itertools.count() if scans is None else range(scans):
+        histograms = None
+        for azimuth in told_at:
+            stamp_ns = player.stamp_ns(scan, azimuth)
+            yield Event(stamp_ns, Outgoing("vehicle/state", player.vehicle_state(stamp_ns)))
+            # made early, so that the scan's end finds it ready, and not while the scan before goes out
+            histograms = player.scan(scan) if azimuth == told_at[len(told_at) // 3] else histograms
+        end_ns = player.stamp_ns(scan, azimuths)
+        yield Event(end_ns, Outgoing("lidar/histograms", histograms or player.scan(scan)))
+        yield Event(end_ns, Outgoing("sim/truth", player.truth(scan)))
+
+
+def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
     yield Event(0, Outgoing("radar/setup", player.setup))
     scan = 0
     while scans is None or scan < scans:
-        for index in range(len(player.setup.beams)):
-            beam = player.beam(scan, index)
-            yield Event(beam.stamp_ns, Outgoing("vehicle/state", player.vehicle_state(beam.stamp_ns)))
-            yield Event(beam.stamp_ns, Outgoing("radar/beam", beam))
-        yield Event(beam.stamp_ns, Outgoing("sim/truth", player.truth(scan)))
+        beams: Iterable[RadarBeam] = (player.beam(scan, index) for index in range(len(player.setup.beams)))
+        # those of a digital array are there at once: made before their time, not while they are due
+        for beam in list(beams) if player.setup.array.digital else beams:
+            due_ns = beam.stamp_ns + _wait_ns(player.setup, beam)
+            yield Event(due_ns, Outgoing("vehicle/state", player.vehicle_state(beam.stamp_ns)))
+            yield Event(due_ns, Outgoing("radar/beam", beam))
+        yield Event(due_ns, Outgoing("sim/truth", player.truth(scan)))
         scan += 1
+
+
+def _wait_ns(setup: RadarSetup, beam: RadarBeam) -> int:
+    """How long a beam is held back: queues would not take those of one time at once, over half of the scan they do."""
+    return beam.beam_index * setup.beam_share_ns // 2 if setup.array.digital else 0
 
 
 def capture_events(path: Path) -> Iterator[Event]:
@@ -182,7 +239,7 @@ def _sigmf_events(path: Path) -> Iterator[Event]:
     start_ns: int | None = None
     for beam in capture.beams():
         start_ns = beam.stamp_ns if start_ns is None else start_ns
-        yield Event(beam.stamp_ns - start_ns, Outgoing("radar/beam", beam))
+        yield Event(beam.stamp_ns - start_ns + _wait_ns(capture.setup, beam), Outgoing("radar/beam", beam))
 
 
 def _recording_events(path: Path) -> Iterator[Event]:
@@ -190,12 +247,14 @@ def _recording_events(path: Path) -> Iterator[Event]:
 
     with RecordingReader(path) as reader:
         start_ns: int | None = None
-        setup = next(reader.messages(["radar/setup"]), None)
+        setup = next(reader.messages(SETUP_TOPICS), None)
         for recorded in setup_first(setup, reader.messages(topics=SENSED_TOPICS)):
-            if recorded.topic != "radar/setup" and start_ns is None:
+            if recorded.topic not in SETUP_TOPICS and start_ns is None:
                 start_ns = recorded.log_time_ns
             offset_ns = 0 if start_ns is None else recorded.log_time_ns - start_ns
             yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
+        if reader.loss:
+            _LOG.warning("%s: %s", path, reader.loss)
 
 
 def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterator[Recorded]:
@@ -249,18 +308,35 @@ def scene_of(params: Params) -> Scene:
     return scene
 
 
-def scene_player(params: Params) -> ScenePlayer:
-    """The simulator that plays `params.scene`."""
+def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
+    """The simulator that plays `params.scene`: of a radar, or of a LiDAR where its preset is "spad"."""
+    scene = scene_of(params)
+    if scene.radar.preset == "spad":
+        from sim_player.lidar_player import LidarPlayer
+
+        _require_for_lidar(params)
+        return LidarPlayer(scene, seed=params.seed)
+
     from sim_player.player import ScenePlayer
 
     return ScenePlayer(
-        scene_of(params),
+        scene,
         seed=params.seed,
         phase_jitter_rad=params.phase_jitter_rad,
         chirps_per_beam=params.chirps_per_beam,
         effects=params.effects,
         budget_db=params.budget_db,
     )
+
+
+def _require_for_lidar(params: Params) -> None:
+    """Raise `ValueError` for parameters of radars; effects "auto" are what a scene calls for, of a LiDAR none."""
+    radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db")
+    default = Params(scene=params.scene)
+    for name in radar_only:
+        value = getattr(params, name)
+        if value != getattr(default, name) and (name, value) != ("effects", "auto"):
+            raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
 
 
 def create(params: Params) -> Player:

@@ -19,6 +19,7 @@ from models.perception.ra_forming import FormingParams, RaFormer
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
 from nodes.beam_queue import BeamQueue
 from nodes.node import Node
@@ -28,6 +29,8 @@ _LOG = logging.getLogger(__name__)
 
 #: A scan whose next beam has not come for this long is given up and published with what is there.
 PATIENCE_NS = 500_000_000
+#: Beams of a scan lie no further apart; stamps that do are of a clock that was set meanwhile.
+LONGEST_SCAN_NS = 2_000_000_000
 
 
 class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -75,6 +78,8 @@ class RaFormerNode(Node):
         #: Why scans were left out lately; empty once two successive ones came through.
         self._behind = ""
         self._published_scan: int | None = None
+        #: Number and stamp of the scan under way, as its first beam has them.
+        self._scan_begun: tuple[int, int] | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Fold one beam; the last of a scan brings its map, a long silence that of an unfinished one."""
@@ -82,7 +87,7 @@ class RaFormerNode(Node):
         for received in sorted(inputs, key=lambda item: item.topic == "radar/beam"):
             match received.message:
                 case RadarSetup() as setup:
-                    self._former = RaFormer(self._with_background(setup), self._params)
+                    self._set_up(setup)
                 case VehicleState() as state:
                     self._states.add(state)
                 case RadarBeam():
@@ -110,6 +115,15 @@ class RaFormerNode(Node):
         reason = self._trouble or self._behind
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
+    def _set_up(self, setup: RadarSetup) -> None:
+        """Form by another set-up; one that cannot be used changes nothing, and its beams are refused as they come."""
+        try:
+            self._former = RaFormer(self._with_background(setup), self._params)
+        except ValueError as error:
+            self._say(str(error), "setup")
+            return
+        self._queue.at_once = setup.array.digital
+
     def _with_background(self, setup: RadarSetup) -> RadarSetup:
         """The set-up with the background of the parameters, where they name one."""
         return setup if self._background is None else msgspec.structs.replace(setup, background=self._background)
@@ -131,8 +145,9 @@ class RaFormerNode(Node):
         maps += self._fold(self._queue.take())
         self._folds_ns.append(self._clock_ns() - start_ns)
         if self._former is not None:
-            interval_ns = self._former.folder.setup.beam_interval_ns
-            self._queue.load = sum(self._folds_ns) / len(self._folds_ns) / interval_ns
+            # none where more beams are to come than a scan has nanoseconds
+            share_ns = max(self._former.folder.setup.beam_share_ns, 1)
+            self._queue.load = sum(self._folds_ns) / len(self._folds_ns) / share_ns
         return maps
 
     def _leave_out(self, reason: str) -> None:
@@ -154,11 +169,20 @@ class RaFormerNode(Node):
         return True
 
     def _close_scan(self) -> list[RangeAzimuthMap]:
-        return [] if self._former is None else self._former.flush()
+        self._scan_begun = None
+        try:
+            return [] if self._former is None else self._former.flush()
+        except ValueError as error:
+            # its first beam, which never came, would have a stamp that none can have
+            self._say(str(error), "scan")
+            return []
 
     def _fold(self, beam: RadarBeam) -> list[RangeAzimuthMap]:
         if self._former is None:
             self._say(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
+            return []
+        if jump_s := self._clock_jump_s(beam):
+            self._say(f"the radar's clock was set by {jump_s:+.0f} s within scan {beam.scan_id}")
             return []
         late, repeated = self._former.late_beams, self._former.repeated_beams
         try:
@@ -171,7 +195,16 @@ class RaFormerNode(Node):
         self._count("repeated", self._former.repeated_beams - repeated)
         if maps:
             self._trouble = ""
+        if any(ra_map.scan_id == beam.scan_id for ra_map in maps):
+            self._scan_begun = None
         return maps
+
+    def _clock_jump_s(self, beam: RadarBeam) -> float:
+        """How far a beam's stamp is from its scan's where that is further than a scan lasts; else 0."""
+        if self._scan_begun is None or self._scan_begun[0] != beam.scan_id:
+            self._scan_begun = (beam.scan_id, beam.stamp_ns)
+        away_ns = beam.stamp_ns - self._scan_begun[1]
+        return s_from_ns(away_ns) if abs(away_ns) > LONGEST_SCAN_NS else 0.0
 
     def _count(self, reason: str, beams: int) -> None:
         if beams:
@@ -182,9 +215,9 @@ class RaFormerNode(Node):
         state = self._states.at(beam.stamp_ns) if self._params.ego_compensation else None
         return state if state is not None and state.valid else None
 
-    def _say(self, trouble: str) -> None:
-        self._refused += 1
-        self.shed.add("beam", "refused")
+    def _say(self, trouble: str, what: str = "beam") -> None:
+        self._refused += what == "beam"
+        self.shed.add(what, "refused")
         if trouble != self._trouble:
             _LOG.warning("%s (%d beams refused so far)", trouble, self._refused)
         self._trouble = trouble

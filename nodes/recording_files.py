@@ -59,6 +59,15 @@ def numbered_files(path: Path) -> dict[int, Path]:
     return dict(sorted(found.items()))
 
 
+def recorded_files(path: Path) -> list[Path]:
+    """What recorders that were told to write to `path` have made: it, what restarts put beside it, its parts."""
+    pattern = re.compile(re.escape(path.stem) + r"-([1-9]\d{0,3})" + re.escape(path.suffix))
+    names = os.listdir(path.parent) if path.parent.is_dir() else []
+    restarts = sorted((int(match[1]), name) for name in names if (match := pattern.fullmatch(name)))
+    first = [path] if path.exists() else []
+    return [*first, *(path.with_name(name) for _, name in restarts), *numbered_files(path).values()]
+
+
 def next_number(path: Path) -> int:
     """Number behind the highest that exists."""
     return max(numbered_files(path), default=0) + 1

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import json
+import math
 import os
 import signal
 import time
@@ -16,19 +17,36 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
-from msgs.bus import Bus, Received
+from msgs.bus import Received
 from msgs.diagnostics import LogRecord, NodeState, NodeStatus
 from nodes.child import PATIENCE_S, Child
-from nodes.launch_file import SUPERVISOR, LaunchFile, NodeEntry, RestartPolicy, dump_launch, start_order, stop_order
+from nodes.launch_file import (
+    RECORDER_MODULE,
+    SUPERVISOR,
+    LaunchFile,
+    NodeEntry,
+    RestartPolicy,
+    dump_launch,
+    start_order,
+    stop_order,
+)
+from nodes.liveness import LATE_S, Doing, Silence, sample
 from nodes.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
 from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat
 
-#: A crash is seen this much later at most.
+#: How often the output of the nodes is read; a crash wakes the supervisor at once.
 POLL_S = 0.05
-#: If the supervisor itself stood still this long, the age of heartbeats says nothing about the nodes.
-STALLED_S = 1.0
+#: A node that has not been heard for this long is said to be silent, with what it is at.
+SILENT_S = 0.9
+#: The same node is said to be silent no more often than this.
+_SILENCE_INTERVAL_S = 10.0
+#: A node that is stopped, blocked or in an endless step is given no more time than this to answer what waits, and
+#: then to close what it holds.
+_STUCK_PATIENCE_S, _STUCK_LAST_S = 0.5, 1.5
+#: A recorder may take this long to write what it holds: a snapshot takes seconds.
+_RECORDER_LAST_S = 10.0
 #: A node that is asked to stop at the end of a stream may take this long to answer what waits.
 DRAIN_S = 5.0
 LOCK_NAME = "supervisor.lock"
@@ -57,9 +75,13 @@ class _Watched:
         #: WAITING nodes start no earlier.
         self.start_at_s = 0.0
         self.started_s = self.heard_s = 0.0
+        #: What is known of it since its heartbeat is late; None while it is not.
+        self.silence: Silence | None = None
+        #: When the log last said that it is silent; whether it says so of the present silence.
+        self.silence_said_s, self.is_said = -math.inf, False
         self.restarts: deque[float] = deque()
-        #: Last error it reported itself, or what the supervisor killed it for.
-        self.reason = ""
+        #: Last error it reported itself, and what the supervisor killed it for.
+        self.reason = self.killed_for = ""
 
     def recent_restarts(self, now_s: float) -> int:
         while self.restarts and self.restarts[0] <= now_s - self.entry.restart.window_s:
@@ -67,20 +89,57 @@ class _Watched:
         return len(self.restarts)
 
     def start(self, name: str, run_dir: Path, now_s: float) -> None:
+        self.phase, self.started_s = Phase.STARTING, now_s
+        self.reason = self.killed_for = ""
+        self.heard(now_s)
         self.child = Child(name, self.entry, run_dir)
-        self.phase, self.started_s, self.reason = Phase.STARTING, now_s, ""
 
     def kill(self) -> None:
         if self.child is not None:
             self.child.kill()
 
-    def overdue(self, now_s: float) -> str:
-        """Why the node counts as hanging; empty if it does not."""
-        if self.phase is Phase.READY and now_s - self.heard_s > self.entry.hang_timeout_s:
-            return f"no heartbeat for {self.entry.hang_timeout_s:g} s"
-        if self.phase is Phase.STARTING and now_s - self.started_s > self.entry.start_timeout_s:
-            return f"not ready after {self.entry.start_timeout_s:g} s"
-        return ""
+    def heard(self, now_s: float) -> None:
+        self.heard_s, self.silence, self.is_said = now_s, None, False
+
+    def is_silent(self, now_s: float) -> bool:
+        """Whether it, once ready, has said nothing for so long that the world should know."""
+        is_known = self.silence is not None and self.silence.doing is not None
+        return is_known and self.phase is Phase.READY and now_s - self.heard_s >= SILENT_S
+
+    def look(self, now_s: float) -> str:
+        """Look at its process if its heartbeat is late; why it counts as hanging, empty if it does not."""
+        if self.child is None or now_s - self.heard_s < LATE_S:
+            return ""
+        self.silence = self.silence or Silence()
+        self.silence.add(sample(self.child.pid))
+        if self.phase is Phase.READY:
+            return self.silence.overdue(self.entry.hang_timeout_s)
+        reason = self.silence.overdue(self.entry.start_timeout_s, is_starting=True)
+        return f"not ready, {reason}" if reason else ""
+
+    def stop(self, now_s: float, patience_s: float, by_hand: bool) -> None:
+        if self.child is None:
+            return
+        self.look(now_s)
+        if self._is_stuck(by_hand):
+            self.child.stop(now_s, min(patience_s, _STUCK_PATIENCE_S), _STUCK_LAST_S)
+        else:
+            self.child.stop(now_s, patience_s, _RECORDER_LAST_S if self._records() else PATIENCE_S)
+
+    def _is_stuck(self, by_hand: bool) -> bool:
+        """Whether it will hardly answer what waits; somebody who waits for the end waits for no long step either."""
+        if self.silence is None:
+            return False
+        is_busy = self.silence.doing is Doing.BUSY and self.silence.answerable_s >= SILENT_S
+        stands = self.silence.doing in (Doing.BLOCKED, Doing.STOPPED)
+        return stands or (by_hand and is_busy and not self._records())
+
+    def _records(self) -> bool:
+        return self.entry.module == RECORDER_MODULE
+
+    def why(self, code: int) -> str:
+        """Why it ended, as far as it or the supervisor knows: of a signal from elsewhere it could say nothing."""
+        return self.killed_for or (self.reason if code >= 0 else "")
 
 
 class Supervisor:
@@ -108,7 +167,6 @@ class Supervisor:
         self._stop_requests = 0
         #: Nodes still to be stopped one after the other; None while the graph runs.
         self._stopping: list[list[str]] | None = None
-        self._patience_s = DRAIN_S
         self._stop_at_s: float | None = None
 
     def request_stop(self) -> None:
@@ -118,17 +176,18 @@ class Supervisor:
     def run(self) -> int:
         """Run the graph to its end; exit code 0 done, 1 a node failed for good, 2 a node refused its parameters.
 
-        Raises `OSError` if the graph's directory is in use by another graph or not writable. Call it from the
-        thread that lives longest: the kernel kills the nodes when the thread that started them ends.
+        Raises `OSError` if the graph's directory is in use by another graph or not writable, `ValueError` if it is not
+        ours alone. Call it from the thread that lives longest: the kernel kills the nodes when the thread that started
+        them ends.
         """
-        from msgs.zmq_bus import ZmqBus
+        from msgs.zmq_bus import ZmqBus, make_run_dir
 
         with contextlib.ExitStack() as stack:
-            self._run_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+            make_run_dir(self._run_dir)
             run_folder = stack.enter_context(self._locked())
             self._log = JsonLog(run_folder / "log.jsonl")
             stack.callback(self._log.close)
-            self._bus: Bus = ZmqBus(SUPERVISOR, self._run_dir)
+            self._bus = ZmqBus(SUPERVISOR, self._run_dir)
             stack.callback(self._bus.close)
             self._heartbeat = Heartbeat(self._bus, SUPERVISOR)
             self._bus.subscribe("diagnostics/node")
@@ -139,17 +198,13 @@ class Supervisor:
         return self._exit_code
 
     def _loop(self) -> None:
-        turned_s = time.monotonic()
         while not self._all_gone():
             messages = self._bus.receive(POLL_S)
             now_s = time.monotonic()
             self._hear(messages, now_s)
-            if now_s - turned_s > STALLED_S:
-                self._forgive(now_s)
-            turned_s = now_s
             self._read_output()
             self._reap(now_s)
-            self._kill_hanging(now_s)
+            self._look_at_silent(now_s)
             self._check_end(now_s)
             self._start_or_stop(now_s)
             self._report()
@@ -164,7 +219,9 @@ class Supervisor:
             # a heartbeat that was on its way when its process died says nothing about the next one
             if node is None or node.child is None or node.child.pid != status.pid:
                 continue
-            node.heard_s = now_s
+            if node.is_said:
+                self._say("info", f"{status.node} answers again after {now_s - node.heard_s:.1f} s")
+            node.heard(now_s)
             node.reason = status.reason or node.reason
 
     def _read_output(self) -> None:
@@ -184,7 +241,8 @@ class Supervisor:
 
     def _mark_ready(self, name: str, node: _Watched, now_s: float) -> None:
         assert node.child is not None
-        node.phase, node.was_ready, node.heard_s = Phase.READY, True, now_s
+        node.phase, node.was_ready = Phase.READY, True
+        node.heard(now_s)
         self._say("info", f"{name} ready after {now_s - node.started_s:.2f} s, pid {node.child.pid}")
 
     # what becomes of them
@@ -193,9 +251,15 @@ class Supervisor:
         for name, node in self._nodes.items():
             code = node.child.exit_code() if node.child else None
             if node.child is not None and code is not None:
-                self._pass_on(name, node.child.close())
-                node.child = None
+                self._let_go(name, node)
                 self._after_exit(name, node, code, now_s)
+
+    def _let_go(self, name: str, node: _Watched) -> None:
+        """Close an ended node's process, or end it."""
+        if node.child is not None:
+            self._bus.unwatch(node.child.ended)
+            self._pass_on(name, node.child.close())
+            node.child, node.silence, node.is_said = None, None, False
 
     def _after_exit(self, name: str, node: _Watched, code: int, now_s: float) -> None:
         restart = node.entry.restart
@@ -211,7 +275,7 @@ class Supervisor:
             delay_s = restart.backoff_s(len(node.restarts))
             node.restarts.append(now_s)
             node.phase, node.start_at_s = Phase.WAITING, now_s + delay_s
-            self._say("warning", f"{name} {_how(code)}{_because(node.reason)}; restart in {delay_s:g} s")
+            self._say("warning", f"{name} {_how(code)}{_because(node.why(code))}; restart in {delay_s:g} s")
 
     def _after_stop(self, name: str, node: _Watched, code: int) -> None:
         if code > 0:
@@ -233,22 +297,23 @@ class Supervisor:
     def _fail(self, name: str, node: _Watched, code: int) -> None:
         node.phase = Phase.FAILED
         self._exit_code = EXIT_BAD_INPUT if code == EXIT_BAD_INPUT else self._exit_code or EXIT_FAILED
-        node.reason = node.reason or _how(code)
+        node.reason = node.why(code) or _how(code)
         self._say("error", f"{name} FAILED{_because(node.reason)}")
         if self._stopping is None and (not node.was_ready or node.entry.ends_graph):
             self._stop_in_order(f"{name} is needed")
 
-    def _kill_hanging(self, now_s: float) -> None:
-        for name, node in self._nodes.items():
-            reason = node.overdue(now_s)
-            if reason and node.child is not None and self._stopping is None:
-                node.reason = reason
+    def _look_at_silent(self, now_s: float) -> None:
+        for name, node in self._nodes.items() if self._stopping is None else ():
+            reason = node.look(now_s)
+            if reason:
                 self._say("error", f"{name} hangs: {reason}")
                 node.kill()
-
-    def _forgive(self, now_s: float) -> None:
-        for node in self._nodes.values():
-            node.heard_s = max(node.heard_s, now_s)
+                # a process that waits for a disk takes its time to end
+                node.heard(now_s)
+                node.killed_for = reason
+            elif node.is_silent(now_s) and now_s - node.silence_said_s >= _SILENCE_INTERVAL_S:
+                node.silence_said_s, node.is_said = now_s, True
+                self._say("warning", _silence(name, node, now_s))
 
     # start and end of the graph
 
@@ -258,7 +323,18 @@ class Supervisor:
             return
         for name, node in self._nodes.items():
             if node.phase is Phase.WAITING and node.start_at_s <= now_s and self._may_start(node):
-                node.start(name, self._run_dir, now_s)
+                self._start(name, node, now_s)
+
+    def _start(self, name: str, node: _Watched, now_s: float) -> None:
+        try:
+            node.start(name, self._run_dir, now_s)
+        except OSError as error:
+            # no memory, no file descriptor or no process is left: that may pass, as a crash may
+            node.reason = f"cannot be started: {error}"
+            self._after_exit(name, node, EXIT_FAILED, now_s)
+            return
+        assert node.child is not None
+        self._bus.watch(node.child.ended)
 
     def _may_start(self, node: _Watched) -> bool:
         others = [self._nodes[other] for other in node.entry.after]
@@ -272,7 +348,7 @@ class Supervisor:
             return
         if self._stop_requests:
             self._say("info", "stopping: asked to")
-            self._stopping, self._patience_s = [list(self._nodes)], PATIENCE_S
+            self._stopping = [list(self._nodes)]
         elif self._one_shots_ended():
             self._stop_in_order("all nodes that run once have ended")
         elif self._duration_over(now_s):
@@ -300,9 +376,10 @@ class Supervisor:
             self._stopping.pop(0)
         if self._stop_requests and len(self._stopping) > 1:
             self._stopping = [[name for group in self._stopping for name in group]]
+        patience_s = PATIENCE_S if self._stop_requests else DRAIN_S
         for node in (self._nodes[name] for name in (self._stopping[0] if self._stopping else ())):
-            if node.child is not None and node.phase is Phase.READY:
-                node.child.stop(now_s, self._patience_s)
+            if node.phase is Phase.READY:
+                node.stop(now_s, patience_s, by_hand=self._stop_requests > 0)
             else:
                 # it has nothing to lose yet, and no handler for a gentler signal
                 node.kill()
@@ -313,14 +390,17 @@ class Supervisor:
 
     def _close_all(self) -> None:
         for name, node in self._nodes.items():
-            if node.child is not None:
-                self._pass_on(name, node.child.close())
+            self._let_go(name, node)
 
     # what the supervisor says
 
     def _report(self) -> None:
         if self._heartbeat.remaining_s() <= 0.0:
+            self._hold_again()
+            now_s = time.monotonic()
             failed = [f"{name} FAILED{_because(node.reason)}" for name, node in self._nodes.items() if _is_failed(node)]
+            failed += [_silence(name, node, now_s) for name, node in self._nodes.items() if node.is_silent(now_s)]
+            failed += [f"{self._log.lost} lines of the log are lost"] if self._log.lost else []
             is_up = all(node.was_ready or node.phase in (Phase.ENDED, Phase.FAILED) for node in self._nodes.values())
             state = NodeState.READY if is_up else NodeState.STARTING
             self._heartbeat.beat(NodeState.DEGRADED if failed else state, "; ".join(failed))
@@ -344,25 +424,47 @@ class Supervisor:
     @contextlib.contextmanager
     def _locked(self) -> Iterator[Path]:
         """Hold the graph's directory; the run folder comes back, its name and pid stand in the lock."""
-        with (self._run_dir / LOCK_NAME).open("a+") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                pid = read_lock(self._run_dir).get("pid", "unknown")
-                raise OSError(f"{self._run_dir}: a graph runs here already, pid {pid}") from None
+        self._lock = _locked_file(self._run_dir)
+        try:
             run_folder = _new_run_folder(self._runs_dir, self._launch)
-            file.truncate(0)
-            file.write(json.dumps({"pid": os.getpid(), "run": str(run_folder.resolve()), "nodes": list(self._nodes)}))
-            file.flush()
+            pid = os.getpid()
+            self._owner = {
+                "pid": pid,
+                "started": _started(pid),
+                "run": str(run_folder.resolve()),
+                "nodes": list(self._nodes),
+            }
+            self._tell_owner()
             yield run_folder
-            file.truncate(0)
+            self._lock.truncate(0)
+        finally:
+            self._lock.close()
+
+    def _tell_owner(self) -> None:
+        self._lock.truncate(0)
+        self._lock.write(json.dumps(self._owner))
+        self._lock.flush()
+
+    def _hold_again(self) -> None:
+        """Lock the directory anew where somebody deleted it: a second graph would enter, and who asks find none."""
+        if (self._run_dir / LOCK_NAME).exists():
+            return
+        # where the directory is missing the bus makes it soon
+        with contextlib.suppress(OSError):
+            lock = _locked_file(self._run_dir)
+            self._lock.close()
+            self._lock = lock
+            self._tell_owner()
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
         def ask(number: int, frame: object) -> None:
             self.request_stop()
 
-        numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+        numbers = [signal.SIGINT, signal.SIGTERM]
+        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+            # nohup asks to outlive the terminal
+            numbers.append(signal.SIGHUP)
         previous = [signal.signal(number, ask) for number in numbers]
         try:
             yield
@@ -371,18 +473,38 @@ class Supervisor:
                 signal.signal(number, handler)
 
 
+def _locked_file(run_dir: Path) -> TextIO:
+    """The lock of a graph's directory, held while it is open; raises `OSError` where another graph holds it."""
+    file = (run_dir / LOCK_NAME).open("a+")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        pid = read_lock(run_dir).get("pid", "unknown")
+        raise OSError(f"{run_dir}: a graph runs here already, pid {pid}") from None
+    return file
+
+
 def read_lock(run_dir: Path) -> dict[str, Any]:
     """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
     try:
         with (run_dir / LOCK_NAME).open("r") as file:
             owner = json.loads(file.read(1 << 16) or "{}")
-    except (FileNotFoundError, ValueError):
+    except (FileNotFoundError, ValueError, RecursionError):
         return {}
-    return owner if isinstance(owner, dict) and _is_running(owner.get("pid")) else {}
+    if not isinstance(owner, dict):
+        return {}
+    started = _started(owner.get("pid"))
+    # the number of a process that has ended may be another's by now
+    return owner if started is not None and owner.get("started", started) == started else {}
 
 
-def _is_running(pid: object) -> bool:
-    return isinstance(pid, int) and pid > 0 and Path(f"/proc/{pid}").exists()
+def _started(pid: object) -> int | None:
+    """When a process was started, in clock ticks since boot (proc_pid_stat(5), field 22); None where it has ended."""
+    try:
+        return int(Path(f"/proc/{int(str(pid))}/stat").read_text().rpartition(")")[2].split()[19])
+    except (OSError, ValueError, IndexError):
+        return None
 
 
 def _new_run_folder(runs_dir: Path, launch: LaunchFile) -> Path:
@@ -391,7 +513,8 @@ def _new_run_folder(runs_dir: Path, launch: LaunchFile) -> Path:
     while True:
         folder = runs_dir / f"{launch.name}-{number}"
         try:
-            folder.mkdir()
+            # its log holds the viewer's token
+            folder.mkdir(mode=0o700)
         except FileExistsError:
             number += 1
             continue
@@ -401,6 +524,11 @@ def _new_run_folder(runs_dir: Path, launch: LaunchFile) -> Path:
 
 def _is_failed(node: _Watched) -> bool:
     return node.phase is Phase.FAILED
+
+
+def _silence(name: str, node: _Watched, now_s: float) -> str:
+    doing = node.silence.doing if node.silence else None
+    return f"{name} has not answered for {now_s - node.heard_s:.1f} s, it {doing or 'is silent'}"
 
 
 def _how(code: int) -> str:

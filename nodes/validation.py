@@ -10,6 +10,8 @@ import msgspec
 T = TypeVar("T")
 
 LONGEST_REST_S = 3600.0
+#: Clocks that count from the start of their machine differ by less: 31 years.
+MOST_CLOCK_OFFSET_S = 1e9
 
 _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
@@ -30,10 +32,17 @@ def explain(text: str, where: str) -> str:
     found = _PATH.search(text)
     path = found["path"] if found else ""
     rule = _PATH.sub("", text).replace("`", "")
-    return f"{where}{path}: {rule}"
+    # a name that the file made up may be of several lines
+    return " ".join(f"{where}{path}: {rule}".split())
 
 
 def require_rest(name: str, value_s: float) -> None:
     """Raise `ValueError` unless a rest is 0 s to an hour: what has no end fails only once the node runs."""
     if not 0.0 <= value_s <= LONGEST_REST_S:
         raise ValueError(f"{name} must be 0..{LONGEST_REST_S:g} s, got {value_s!r}")
+
+
+def require_clock_offset(name: str, value_s: float) -> None:
+    """Raise `ValueError` unless a clock's offset is one that stamps can take."""
+    if not abs(value_s) <= MOST_CLOCK_OFFSET_S:
+        raise ValueError(f"{name} must be finite, within {MOST_CLOCK_OFFSET_S:g} s of zero, got {value_s!r}")

@@ -15,10 +15,9 @@ import can
 import msgspec
 
 from models.vehicle.can_state import CanDecoder, StampMapper, StateReporter
-from msgs.arrays import require_finite
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
-from msgs.units import ns_from_s
+from msgs.units import ns_from_s, s_from_ns
 from msgs.vehicle import VehicleState
 from nodes.can_link import (
     BURST,
@@ -32,11 +31,14 @@ from nodes.can_link import (
     read_log,
 )
 from nodes.node import Node
+from nodes.validation import require_clock_offset
 
 _LOG = logging.getLogger(__name__)
 
 #: How often a live bus is read: a quarter of the shortest period that cars use.
 POLL_NS = 5_000_000
+#: Stamps of a log that go back further, or leave out more, are of a clock that was set.
+SET_BACK_NS, SET_AHEAD_NS = 1_000_000_000, 3600 * 1_000_000_000
 
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -59,7 +61,7 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
         super().__post_init__()
         if not 0.0 < self.rate < float("inf"):
             raise ValueError(f"rate must be finite and positive, got {self.rate!r}")
-        require_finite("clock_offset_s", self.clock_offset_s)
+        require_clock_offset("clock_offset_s", self.clock_offset_s)
 
 
 class FrameSource(Protocol):
@@ -125,7 +127,10 @@ class LiveSource:
 
 
 class LogSource:
-    """Frames of a log, each when its time has come; a log that cannot be read on has ended."""
+    """Frames of a log, each when its time has come; a log that cannot be read on has ended.
+
+    Where its clock was set, the frame after that comes right behind the one before.
+    """
 
     def __init__(self, frames: Iterator[LogFrame], rate: float = 1.0, start_ns: int | None = None) -> None:
         # a frame without a time cannot be played
@@ -178,11 +183,19 @@ class LogSource:
         return frame._replace(stamp_ns=start_ns + frame.stamp_ns - self._first_ns)
 
     def _advance(self) -> None:
+        last, self._next = self._next, None
         try:
             self._next = next(self._frames, None)
         except (ValueError, OSError) as error:
-            self._next, self.trouble = None, str(error)
+            self.trouble = str(error)
             _LOG.error("%s", error)
+        if last is not None and self._next is not None:
+            self._follow_clock(self._next.stamp_ns - last.stamp_ns)
+
+    def _follow_clock(self, step_ns: int) -> None:
+        if not -SET_BACK_NS <= step_ns <= SET_AHEAD_NS:
+            self._first_ns += step_ns
+            _LOG.warning("the log's clock was set by %+.0f s; it is played on without that", s_from_ns(step_ns))
 
 
 class VehicleCanNode(Node):

@@ -9,7 +9,6 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import maximum_filter
 
 from models.perception.coarray import AzimuthInterpolator
 from msgs.radar import ArrayParams, BeamGrid, ElementPattern, RadarParams, RadarSetup
@@ -44,6 +43,9 @@ class Cells:
 
         The strongest of |values| - bound of the `unknown` - `sigmas` noise rms within one range bin and half a beam.
         """
+        # here: a player of basic effects asks for no bounds
+        from scipy.ndimage import maximum_filter
+
         beams = len(profiles)
         rms = np.concatenate([np.broadcast_to(noise_rms, profiles.shape), np.outer(self._noise_gain, noise_rms)])
         left = self.bounds(np.broadcast_to(np.asarray(unknown, np.float64), profiles.shape)) + sigmas * rms

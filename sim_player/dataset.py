@@ -141,7 +141,7 @@ def _known(manifest: Path) -> dict[str, dict[str, Any]]:
     try:
         lines = [msgspec.json.decode(line) for line in manifest.read_bytes().splitlines()]
         return {line["shard"]: {name: line[name] for name in names} for line in lines}
-    except (OSError, msgspec.DecodeError, KeyError, TypeError):
+    except (OSError, msgspec.DecodeError, UnicodeError, RecursionError, KeyError, TypeError):
         return {}
 
 

@@ -80,6 +80,7 @@ class DrivePlayer:
         self._seed, self._start_ns = seed, start_ns
         self._world = prepare(scene, seed, setup)
         self._bank = noise_bank(setup.radar, seed)
+        self._traced: tuple[float, Paths] | None = None
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
         """When a beam starts."""
@@ -129,7 +130,12 @@ class DrivePlayer:
         ]
 
     def _paths(self, time_s: float) -> Paths:
-        """Direct echoes and single mirrors from where the radar is at a time."""
+        """Direct echoes and single mirrors from where the radar is at a time; those of the last one are kept."""
+        if self._traced is None or self._traced[0] != time_s:
+            self._traced = time_s, self._trace(time_s)
+        return self._traced[1]
+
+    def _trace(self, time_s: float) -> Paths:
         start_from_radar = self._pose(time_s)
         view = snapshot(self._world, time_s)
         origin = np.array([start_from_radar.x_m, start_from_radar.y_m])

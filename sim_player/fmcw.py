@@ -14,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 from scipy import fft
-from scipy.signal.windows import dpss
 
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad
@@ -127,6 +126,9 @@ def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
     """Orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the tolerance."""
+    # here, because what it brings along takes half a second, of which a player that starts again has no need
+    from scipy.signal.windows import dpss
+
     chirp = np.arange(chirps) - 0.5 * (chirps - 1)
     edge = np.exp(1j * widest_rad * chirp)
     product = min(max(widest_rad * chirps / (2.0 * np.pi), 1e-3), 0.499 * chirps)

@@ -13,8 +13,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 Unit = Literal["m", "mm"]
 UpAxis = Literal["y", "z"]
@@ -253,7 +251,9 @@ def _refuse_cut_obj(path: Path) -> None:
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Faces there, not too many, no vertex that is not a number."""
+    """Faces there, not too many, no vertex that is not a number, three of each."""
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
+        raise ValueError(f"vertices and faces: must have three numbers each, got {vertices.shape} and {faces.shape}")
     if not len(faces):
         raise ValueError("faces: must hold at least one triangle, got 0 (empty, or cut off)")
     if len(faces) > MOST_FACES:
@@ -341,6 +341,10 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _components(count: int, one: np.ndarray, other: np.ndarray) -> tuple[int, np.ndarray]:
     """Connected components of an undirected graph: their number and the label of each node."""
+    # here: most scenes have no mesh
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     graph = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(count, count))
     number, label = connected_components(graph, directed=False)
     return int(number), label

@@ -25,7 +25,8 @@ class ScenePlayer:
 
     `setup` replaces the scene's preset; `chirps_per_beam` shortens the beams; `phase_jitter_rad` turns each beam by
     a random phase of this standard deviation (a radar that loses coherence between beams). Scans count from
-    `start_ns`, beams are spread evenly over the scan period. Raises ValueError for a scene that cannot be simulated.
+    `start_ns`, beams are spread evenly over the scan period, those of a digital array are of one time. Raises
+    ValueError for a scene that cannot be simulated.
 
     `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where things move), "auto"
     (what the scene calls for under `budget_db`, asked anew for every scan where things move), "all", or names with
@@ -57,6 +58,7 @@ class ScenePlayer:
         self._bank = noise_bank(setup.radar, seed)
         self._effects, self._budget_db = effects, budget_db
         self._plans: dict[int, Plan | None] = {}
+        self._traced: dict[tuple[float, int], Paths] = {}
         self.plan(0)
         self._still_beats = None if scene.moves else self._all_beats()
 
@@ -76,8 +78,12 @@ class ScenePlayer:
 
     def paths(self, time_s: float, scan: int = 0) -> Paths:
         """All paths at a time after start, under the effects of a scan."""
-        plan = self.plan(scan)
-        return trace(self._world, time_s) if plan is None else trace(self._world, time_s, plan.used)
+        if (time_s, scan) not in self._traced:
+            plan = self.plan(scan)
+            paths = trace(self._world, time_s) if plan is None else trace(self._world, time_s, plan.used)
+            # only the last ones are kept: those of all beams of a digital array
+            self._traced = {(time_s, scan): paths}
+        return self._traced[time_s, scan]
 
     def beam(self, scan: int, index: int) -> RadarBeam:
         """One steering angle's raw samples, as measured at its time."""

@@ -25,6 +25,7 @@ from scipy.interpolate import CubicSpline
 
 from models.physics.fresnel import Polarisation, coherent_power, stack_reflection
 from models.physics.materials import extrapolation_note, wall_layers
+from msgs.array_files import load_arrays
 from msgs.units import SPEED_OF_LIGHT_MPS
 from sim_player.executors import map_jobs
 from sim_player.fdtd import reflect_angles
@@ -370,16 +371,41 @@ def build_tables(
 
 
 def load_table(path: Path = SHIPPED) -> ReflectanceTable:
-    """Read a table and its card; ValueError where the file is not the one the card describes."""
-    card = json.loads(path.with_suffix(".json").read_text())
-    data = path.read_bytes()
+    """Read a table and its card; ValueError where the file is not the one the card describes, or either is none."""
+    card, data = _load_card(path.with_suffix(".json")), path.read_bytes()
     found = hashlib.sha256(data).hexdigest()
     if found != card["sha256"]:
         raise ValueError(f"{path}: SHA-256 must be that of its card, {card['sha256']}, got {found}")
-    with np.load(io.BytesIO(data), allow_pickle=False) as arrays:
-        values = {name: arrays[name] for name in ReflectanceTable.ARRAYS}
+    try:
+        values = load_arrays(io.BytesIO(data), ReflectanceTable.ARRAYS)
+    except ValueError as error:
+        raise ValueError(f"{path}: must be a readable table: {error}") from None
+    missing = [name for name in ReflectanceTable.ARRAYS if name not in values]
+    if missing:
+        raise ValueError(f"{path}: must hold {', '.join(ReflectanceTable.ARRAYS)}, lacks {', '.join(missing)}")
     bands_hz = tuple(1e9 * band for band in card["bands_ghz"])
     return ReflectanceTable(tuple(row["name"] for row in card["walls"]), bands_hz, **values, card=card)
+
+
+class _Wall(msgspec.Struct):
+    name: str
+
+
+class _Card(msgspec.Struct):
+    """What must stand on a table's card, beside all else that does."""
+
+    sha256: str
+    bands_ghz: list[float]
+    walls: list[_Wall]
+
+
+def _load_card(path: Path) -> dict[str, Any]:
+    try:
+        msgspec.json.decode(data := path.read_bytes(), type=_Card)
+        card: dict[str, Any] = json.loads(data)
+        return card
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 def layers_of(wall: str, frequency_hz: float) -> Layers:

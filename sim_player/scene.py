@@ -21,16 +21,14 @@ import yaml
 from models.physics.curved_mirror import arc_points
 from models.physics.materials import is_volume, permittivity, wall_layers
 from models.physics.mirror import SHORTEST_WALL_M, crosses
-from msgs.radar import ArrayParams, RadarParams, RadarSetup
+from msgs.lidar import LidarSetup, SpadParams
+from msgs.radar import PRESETS, RadarSetup
 from msgs.units import db_from_ratio
 from sim_player.front_end import FrontEnd
 from sim_player.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
 
-#: Radar presets of a scene. The 77 GHz one has the aperture of section 2.1.1, a single row of 57.
-PRESETS: dict[str, RadarSetup] = {
-    "xband": RadarSetup(),
-    "77ghz": RadarSetup(radar=RadarParams(carrier_hz=77e9), array=ArrayParams(columns=57, rows=1)),
-}
+#: Larger files are no scenes.
+MAX_BYTES = 1 << 20
 #: The radar stands at least this far from every wall.
 RADAR_CLEARANCE_M = 0.1
 #: Straight pieces that stand for an arc in checks leave it by at most this.
@@ -79,8 +77,12 @@ OBJECT_KINDS: dict[str, ObjectKind] = {
 class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Which radar, and how high above the ground it is mounted."""
 
-    preset: Literal["xband", "77ghz"] = "xband"
+    preset: Literal["xband", "77ghz", "spad"] = "xband"
     height_m: float = 1.0
+    #: The LiDAR of preset "spad".
+    spad: SpadParams = SpadParams()
+    #: Time from one scan of the LiDAR to the next; None: as long as its measurements take.
+    spad_scan_period_s: float | None = None
     #: Distance between the transmitting and the receiving array, along y; the radar stands in the middle.
     separation_m: float = 0.0
     #: The receiver's, over the preset's; None: the preset's.
@@ -215,17 +217,40 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def setup(self) -> RadarSetup:
-        """The preset's radar at the scene's mounting height."""
-        setup = msgspec.structs.replace(PRESETS[self.radar.preset], radar_height_m=self.radar.height_m)
+        """The preset's radar at the scene's mounting height; of a LiDAR the X-band radar whose labels it shares."""
+        preset = "xband" if self.radar.preset == "spad" else self.radar.preset
+        setup = msgspec.structs.replace(PRESETS[preset], radar_height_m=self.radar.height_m)
         if self.radar.noise_figure_db is None:
             return setup
         radar = msgspec.structs.replace(setup.radar, noise_figure_db=self.radar.noise_figure_db)
         return msgspec.structs.replace(setup, radar=radar)
 
+    @property
+    def lidar(self) -> LidarSetup:
+        """The scene's LiDAR at the mounting height; ValueError where a scan period is too short for it."""
+        return LidarSetup(
+            spad=self.radar.spad, lidar_height_m=self.radar.height_m, scan_period_s=self.radar.spad_scan_period_s
+        )
+
+
+class _SceneLoader(yaml.SafeLoader):
+    """`SafeLoader` without tags and aliases: lists of lists of these grow without end when they are read as values."""
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=self.peek_event().start_mark)
+        if getattr(self.peek_event(), "tag", None) is not None:
+            # PyYAML raises KeyError, IndexError and others for values that are not of their tag
+            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
+        return super().compose_node(parent, index)
+
 
 def load_scene(path: Path) -> Scene:
     """Read and check a scene file; ValueError in one line that names file, field, value and rule."""
     try:
+        # before it is read: a scene from elsewhere must not take the memory of a graph
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError(f"a scene holds at most {MAX_BYTES} bytes, got {path.stat().st_size}")
         return scene_from_yaml(path.read_text(encoding="utf-8"), path.parent)
     except FileNotFoundError:
         raise ValueError(f"{path}: no such scene file") from None
@@ -236,9 +261,11 @@ def load_scene(path: Path) -> Scene:
 def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     """A checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
     try:
-        content = yaml.safe_load(text)
+        content = yaml.load(text, Loader=_SceneLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
+    except RecursionError:
+        raise ValueError("not YAML of a scene: nested too deep") from None
     try:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:
@@ -268,6 +295,10 @@ def check_scene(scene: Scene) -> None:
         if abs(value) > FARTHEST_M and field.split(".")[0].split("[")[0] in ("surfaces", "objects"):
             raise ValueError(f"{field}: must lie within {FARTHEST_M:g} of 0, got {value!r}")
     _check_radar(scene.radar)
+    try:
+        _ = scene.lidar
+    except ValueError as error:
+        raise ValueError(f"radar.spad_scan_period_s: {error}") from None
     for field, (least, most) in WEATHER_RANGES.items():
         if not least <= getattr(scene.weather, field) <= most:
             raise ValueError(f"weather.{field}: must lie in {least:g}..{most:g}, got {getattr(scene.weather, field)!r}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import zipfile
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -13,6 +12,7 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from msgs.array_files import load_arrays
 from sim_player.effect_names import check_effects
 from sim_player.labelled_scan import LABELS, EffectChoice, LabelledScan, Labels, labelled_scan, noise_power_mw
 from sim_player.layouts import PlaceKind
@@ -31,7 +31,7 @@ FORMAT = 2
 #: Spread of the radar's gain from scene to scene (ageing, temperature, radome), uniform within.
 GAIN_DB = 3.0
 #: What a file that is not a whole shard raises when it is read.
-UNREADABLE = (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile)
+UNREADABLE = (OSError, ValueError, KeyError)
 
 
 class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -39,7 +39,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     effects: "auto" (planned per scene under `budget_db`), "all", "basic" (the signal chain of `sim_player.fmcw`), or
     names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes. shift: "hard" makes the places
-    rougher and fuller, and the board faulty (`sim_player.shifted`).
+    rougher and fuller, and the board faulty (`sim_player.shifted`), whose faults are those of steered beams.
     """
 
     places: Places = "any"
@@ -59,6 +59,11 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"shift must be one of {', '.join(SHIFTS)}, got {self.shift!r}")
         if self.places == "street_v1" and self.preset != "xband":
             raise ValueError(f"preset must be xband for places street_v1, got {self.preset!r}")
+        if self.shift == "hard" and PRESETS[self.preset].array.digital:
+            raise ValueError(
+                f"shift must be none for preset {self.preset}: a digital array has no beams that fail one by one, "
+                f"got {self.shift!r}"
+            )
         if not -200.0 <= self.budget_db < 0.0:
             raise ValueError(f"budget_db must be negative and at least -200, got {self.budget_db!r}")
         if self.scenes_per_shard < 1:
@@ -175,10 +180,8 @@ def file_sha256(path: Path) -> str:
 
 
 def read_shard(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of a shard."""
-    # numpy would leave a file open in which it finds no archive
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as shard:
-        return {name: shard[name] for name in shard.files}
+    """All arrays of a shard; raises `ValueError` where it is none, `OSError` where it cannot be read."""
+    return load_arrays(path)
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:

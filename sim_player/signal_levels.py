@@ -16,7 +16,6 @@ from functools import lru_cache
 import msgspec
 import numpy as np
 from scipy import fft
-from scipy.sparse import csr_array
 
 from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz, window_noise_gain
 from msgs.radar import RadarSetup
@@ -120,6 +119,9 @@ def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
     Each echo is spread over the `KERNEL_WIDTH` nearest half bins; the grid is convolved with the spectrum of
     window x cardinal function, once per instant. The overlapped start is corrected in time.
     """
+    # here: basic effects have no sweep
+    from scipy.sparse import csr_array
+
     radar, (instants, rows) = echoes.radar, echoes.weights.shape[:2]
     kind, real = echoes.weights.dtype, echoes.weights.real.dtype
     count = radar.samples_per_chirp

@@ -10,7 +10,16 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 FLOORS = {"msgs": 1, "models": 2, "sim_player": 3, "nodes": 4, "mirrorwave": 5}
 #: Modules of floor 1 that hold values only; floors 2 and 3 may use these and no other.
-VALUES = {"msgs.units", "msgs.arrays", "msgs.frames", "msgs.radar", "msgs.vehicle", "msgs.perception"}
+VALUES = {
+    "msgs.units",
+    "msgs.arrays",
+    "msgs.array_files",
+    "msgs.frames",
+    "msgs.radar",
+    "msgs.vehicle",
+    "msgs.perception",
+    "msgs.lidar",
+}
 ROOMS = {
     "models.physics": {"models.physics"},
     "models.vehicle": {"models.vehicle"},
@@ -105,6 +114,164 @@ def test_no_forbidden_words(path: Path) -> None:
     ]
     assert calls == []
     assert "pickle" not in {name.split(".")[0] for name in imported_modules(path.read_text())}
+
+
+#: Calls and modules that let data run code, a shell read arguments, or somebody else take a file's name first.
+FORBIDDEN_CALLS = {
+    *("yaml.unsafe_load", "yaml.unsafe_load_all", "yaml.full_load", "yaml.full_load_all"),
+    *("os.system", "os.popen", "subprocess.getoutput", "subprocess.getstatusoutput"),
+    *("tempfile.mktemp", "ssl._create_unverified_context"),
+}
+FORBIDDEN_MODULES = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "jsonpickle"}
+#: The one module that may wait for other machines: it asks for keys.
+NETWORK_MODULE = "msgs.curve_exporter"
+LOOPBACK = ("127.0.0.1", "::1", "localhost")
+
+
+def open_doors(module: str, source: str) -> list[str]:
+    """Breaches of the laws of security in a source: `line: what`."""
+    tree = ast.parse(source)
+    names = _imported_names(tree)
+    constants = {
+        target.id: node.value.value
+        for node in tree.body
+        if isinstance(node, ast.Assign) and isinstance(node.value, ast.Constant)
+        for target in node.targets
+        if isinstance(target, ast.Name)
+    }
+    safe = {"SafeLoader", "CSafeLoader"}
+    safe |= {
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef) and safe & {ast.unparse(base).rpartition(".")[2] for base in node.bases}
+    }
+    found = [f"imports {name}" for name in names.values() if name.split(".")[0] in FORBIDDEN_MODULES]
+    for call in (node for node in ast.walk(tree) if isinstance(node, ast.Call)):
+        reason = _reason_against(call, _full_name(call.func, names), safe)
+        if not reason and module != NETWORK_MODULE and _reaches_out(call, constants):
+            reason = "waits for other machines"
+        found += [f"{call.lineno}: {reason}"] if reason else []
+    return found
+
+
+def _imported_names(tree: ast.Module) -> dict[str, str]:
+    """What each imported name of a source stands for."""
+    names: dict[str, str] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names |= {alias.asname or alias.name: alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {alias.asname or alias.name: f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def _full_name(func: ast.expr, names: dict[str, str]) -> str:
+    if isinstance(func, ast.Attribute):
+        return f"{_full_name(func.value, names)}.{func.attr}"
+    return names.get(func.id, func.id) if isinstance(func, ast.Name) else "?"
+
+
+def _reason_against(call: ast.Call, name: str, safe_loaders: set[str]) -> str:
+    """Why a call is forbidden, empty if it is not."""
+    given = {keyword.arg: keyword.value for keyword in call.keywords}
+    said = {key: value.value for key, value in given.items() if isinstance(value, ast.Constant)}
+    if name in FORBIDDEN_CALLS:
+        return name
+    if name in ("yaml.load", "yaml.load_all"):
+        loader = given.get("Loader") or (call.args[1] if len(call.args) > 1 else None)
+        loader_name = ast.unparse(loader).rpartition(".")[2] if loader is not None else ""
+        return "" if loader_name in safe_loaders else f"{name} without a safe loader"
+    if name == "torch.load" and said.get("weights_only") is not True:
+        return "torch.load without weights_only=True"
+    if "allow_pickle" in given and said.get("allow_pickle") is not False:
+        return "allow_pickle"
+    if "shell" in given and said.get("shell") is not False:
+        return "a shell"
+    # of a capture it means its checksum
+    if said.get("verify") is False and not name.endswith("SigmfCapture.open"):
+        return "verify=False"
+    return ""
+
+
+def _reaches_out(call: ast.Call, constants: dict[str, object]) -> bool:
+    """Whether a call binds a socket, or makes a server, that other machines can reach."""
+    action = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+    hosts = [keyword.value for keyword in call.keywords if keyword.arg == "host"]
+    if action in ("bind", "create_server", "start_server") and call.args:
+        hosts.append(call.args[0])
+    return not all(_stays(host, constants) for host in hosts)
+
+
+def _stays(address: ast.expr, constants: dict[str, object]) -> bool:
+    """Whether an address is a path or surely of this machine."""
+    if isinstance(address, ast.Tuple) and address.elts:
+        return _stays(address.elts[0], constants)
+    if isinstance(address, ast.JoinedStr) and isinstance(address.values[0], ast.Constant):
+        return str(address.values[0].value).startswith("ipc://")
+    value = constants.get(address.id) if isinstance(address, ast.Name) else getattr(address, "value", None)
+    return isinstance(value, str) and (value in LOOPBACK or value.startswith(("ipc://", "inproc://")))
+
+
+def test_no_door_stands_open() -> None:
+    """Data cannot run code, no shell reads arguments, nobody waits for other machines without keys."""
+    found = {path: open_doors(module_name(path), path.read_text()) for path in SOURCES}
+    assert {str(path): doors for path, doors in found.items() if doors} == {}
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import yaml\nyaml.load(text)",
+        "import yaml\nyaml.load(text, Loader=yaml.Loader)",
+        "import yaml\nyaml.load(text, yaml.FullLoader)",
+        "from yaml import unsafe_load as read\nread(text)",
+        "import numpy as np\nnp.load(path, allow_pickle=True)",
+        "import numpy as np\nnp.load(path, allow_pickle=wanted)",
+        "import torch\ntorch.load(path)",
+        "import torch as t\nt.load(path, weights_only=False)",
+        "import subprocess\nsubprocess.run(command, shell=True)",
+        "from os import system\nsystem(command)",
+        "import os\nos.popen(command)",
+        "from tempfile import mktemp\nmktemp()",
+        "import marshal",
+        "def late():\n    from shelve import open",
+        "import dill.source",
+        "import requests\nrequests.get(url, verify=False)",
+        "listener.bind(('', 80))",
+        "listener.bind(('0.0.0.0', 80))",
+        "HOST = '0.0.0.0'\nlistener.bind((HOST, 80))",
+        "listener.bind((chosen, 80))",
+        "publisher.bind('tcp://*:7000')",
+        "publisher.bind(f'tcp://{host}:7000')",
+        "publisher.bind(address)",
+        "import socket\nsocket.create_server(('::', 80))",
+        "import uvicorn\nuvicorn.run(app, host='0.0.0.0')",
+    ],
+)
+def test_the_law_of_doors_catches_a_breach(source: str) -> None:
+    assert open_doors("nodes.node", source)
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import yaml\nyaml.load(text, Loader=yaml.SafeLoader)",
+        "import yaml\nclass Strict(yaml.SafeLoader): ...\nyaml.load(text, Strict)",
+        "import numpy as np\nnp.load(path, allow_pickle=False)",
+        "import torch\ntorch.load(path, weights_only=True)",
+        "import subprocess\nsubprocess.run([command], shell=False)",
+        "HOST = '127.0.0.1'\nlistener.bind((HOST, 0))",
+        "publisher.bind(f'ipc://{path}')",
+    ],
+)
+def test_the_law_of_doors_lets_pass_what_is_shut(source: str) -> None:
+    assert open_doors("nodes.node", source) == []
+
+
+def test_only_the_link_may_bind_what_it_is_told() -> None:
+    source = "publisher.bind(address)"
+    assert open_doors(NETWORK_MODULE, source) == []
+    assert open_doors("msgs.zmq_bus", source)
 
 
 def test_launch_is_data() -> None:

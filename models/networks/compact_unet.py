@@ -57,6 +57,8 @@ class CompactUNetConfig:
 
 #: Four times the parameters, for accuracy.
 WIDE = CompactUNetConfig(widths=(48, 96, 192, 256))
+#: Columns enough for the 57-column array of the 77 GHz radar.
+FINE = CompactUNetConfig(columns=128, azimuth_factor=2)
 
 
 class ResidualBlock(nn.Module):

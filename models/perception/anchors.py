@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 from models.perception.peaks import Points, keep_apart
 from msgs.perception import PathClass
@@ -26,6 +25,9 @@ def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distanc
     `threshold` and no less than its neighbours', plus its offset, kept on the map; one within `min_distance` cells (on
     both axes) of a stronger one of its class is left out. Raises ValueError for another shape or values not finite.
     """
+    # here: a network of heatmaps has no anchors
+    from scipy import ndimage
+
     _require_answer(output, stride)
     probability = _softmax(output[: NOISE + 1].astype(np.float64))
     cells, score = [], []

@@ -15,6 +15,7 @@ import numpy as np
 from scipy import fft
 
 from models.perception.folding import fold_chirps
+from msgs.array_files import load_array
 from msgs.radar import RadarBeam, RadarSetup
 from msgs.units import db_from_ratio
 
@@ -147,14 +148,13 @@ def noise_by_scans(spectra: np.ndarray) -> list[tuple[int, float]]:
 def load_background(path: Path) -> np.ndarray:
     """The background [beams, samples] of a file; `ValueError` naming file and rule where it holds none."""
     try:
-        # mapped first: a header that promises more than the file holds is then refused, not allocated
-        background = np.load(path, mmap_mode="r", allow_pickle=False)
+        background = load_array(path)
     except FileNotFoundError:
         raise ValueError(f"{path}: no such background") from None
-    except (OSError, ValueError, SyntaxError, EOFError) as error:
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path}: cannot be read as .npy ({' '.join(str(error).split())})") from None
-    if not isinstance(background, np.ndarray) or background.dtype.str != "<c8" or background.ndim != 2:
+    if background.dtype.str != "<c8" or background.ndim != 2:
         raise ValueError(f"{path}: must hold complex64 [beams, samples]")
     if not np.isfinite(background).all():
         raise ValueError(f"{path}: must be finite")
-    return np.array(background)
+    return background

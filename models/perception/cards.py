@@ -9,6 +9,8 @@ import msgspec
 
 Card = TypeVar("Card")
 
+#: Larger files are no cards.
+MAX_CARD_BYTES = 1 << 24
 #: Learned files that come with the code.
 WEIGHTS = Path(__file__).parents[1] / "weights"
 
@@ -26,6 +28,19 @@ def card_path(model_path: Path) -> Path:
 def read_card(path: Path, kind: type[Card]) -> Card:
     """A card of a type; raises `ValueError` naming the file and the field that is wrong."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-    except (msgspec.DecodeError, OSError) as error:
+        return msgspec.json.decode(read_learned(path, MAX_CARD_BYTES), type=kind)
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def read_learned(path: Path, limit_bytes: int) -> bytes:
+    """A whole learned file; raises `ValueError` naming one that cannot be read, is no file or larger than the limit."""
+    try:
+        size, is_file = path.stat().st_size, path.is_file()
+        # before it is read: it would take the memory of all other nodes
+        if is_file and size <= limit_bytes:
+            return path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"{path}: {error}") from None
+    found = f"{size} bytes" if is_file else "none"
+    raise ValueError(f"{path} must be a file of at most {limit_bytes} bytes, got {found}")

@@ -8,13 +8,14 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from scipy.optimize import brentq
 
 from models.perception.clustering import dbscan
-from models.perception.peaks import PeakParams, peaks_at
+from models.perception.peaks import PeakParams, echo_power, peaks_at
 from models.perception.recovery import WallArrays, behind_walls, cartesian_covariance, wall_arrays
-from models.perception.ridges import RidgeParams, find_ridges
+from models.perception.ridges import MOST_CELLS, RidgeParams, find_ridges, ridge_cells
 from models.perception.walls import WallParams, find_walls
+from models.physics.link_budget import spad_threshold
+from msgs.arrays import require_within
 from msgs.frames import xy_from_polar
 from msgs.perception import PathClass, Peaks, Wall
 from msgs.radar import RangeAzimuthMap
@@ -41,10 +42,24 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     walls: WallParams = WallParams()
 
     def __post_init__(self) -> None:
+        for name in ("window", "stride"):
+            require_within(f"cfar.{name}", 1, MOST_CELLS, getattr(self, name))
+        require_within("cfar.quantile", 0.0, 1.0, self.quantile)
+        require_within("cfar.guard", 0, MOST_CELLS, *self.guard)
+        require_within("cfar.training", 0, MOST_CELLS, *self.training)
         if any(train <= guard for train, guard in zip(self.training, self.guard, strict=True)):
             raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
         if not 0.0 < self.false_alarm_rate < 1.0:
             raise ValueError(f"cfar.false_alarm_rate must be in (0, 1), got {self.false_alarm_rate!r}")
+
+
+#: For maps of a LiDAR: beams without lobes, one azimuth wide. Where a cell expects a few counts, their law has a longer
+#: tail than the normal one: 16 dB keep false alarms below 4e-5 a cell whatever the count.
+PHOTON_CFAR = CfarParams(
+    false_alarm_rate=1e-6,
+    ridges=RidgeParams(spacing=(2, 1), min_snr_db=16.0, azimuth_lobe_db=300.0, range_lobe_db=300.0),
+    peaks=PeakParams(beam_width_deg=0.5, azimuth_std_floor_deg=0.14),
+)
 
 
 def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
@@ -53,6 +68,14 @@ def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     alpha keeps `false_alarm_rate` exactly for exponential (square-law) noise.
     """
     return cell_averaging_mask(power, params) if params.kind == "ca" else ordered_statistic_mask(power, params)
+
+
+def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """Cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R, A].
+
+    The noise of counts is known and need not be measured beside a cell, where a period's end or a wall may lie.
+    """
+    return power > spad_threshold(params.false_alarm_rate)
 
 
 def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
@@ -76,7 +99,7 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     """
     bins = power.shape[0]
     window = min(params.window, bins)
-    rank = max(int(params.quantile * window), 1)
+    rank = _rank(window, params)
     starts = np.clip(np.arange(0, bins, params.stride) + params.stride // 2 - window // 2, 0, bins - window)
     views = np.lib.stride_tricks.sliding_window_view(power, window, axis=0)[starts]  # [stretches, azimuth, window]
     level = np.partition(views, rank - 1, axis=-1)[..., rank - 1]
@@ -84,9 +107,29 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
     return power > np.repeat(threshold, params.stride, axis=0)[:bins]
 
 
+def warm(params: CfarParams) -> None:
+    """Compile what maps will need, or load it, with the threshold of those no shorter than the window.
+
+    The first map should not pay for that: it was a second on a busy machine, and the next ones outdated by then.
+    """
+    from models.perception.geometry import made_up_peaks
+
+    ridge_cells(np.zeros((1, 1)), params.ridges.spacing)
+    classify_behind_walls(made_up_peaks(), CfarParams())
+    if params.kind == "os":
+        ordered_statistic_alpha(params.window, _rank(params.window, params), params.false_alarm_rate)
+
+
+def _rank(window: int, params: CfarParams) -> int:
+    return max(int(params.quantile * window), 1)
+
+
 @lru_cache(maxsize=32)
 def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> float:
     """Threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
+    # here: a network needs no threshold, and this is a fifth of what its node takes to start
+    from scipy.optimize import brentq
+
     left = count - np.arange(rank)
     return float(brentq(lambda alpha: np.sum(np.log1p(alpha / left)) + np.log(false_alarm_rate), 0.0, 1e9))
 
@@ -117,8 +160,8 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
 
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
-    power = np.square(np.abs(ra_map.values), dtype=np.float64)
-    mask, noise_power_mw = cfar_mask(power, params), ra_map.noise_power_mw
+    power, noise_power_mw = echo_power(ra_map), ra_map.noise_power_mw
+    mask = photon_mask(power, params) if ra_map.mode == "photons" else cfar_mask(power, params)
     cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges)
     snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
     score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))

@@ -12,6 +12,11 @@ of an ideal centred array is real, not negative, and spanned by the same coeffic
 An array that steers receive alone (`steered_ways` 1) carries N coefficients, its columns themselves, and everything
 else holds with them. Its one-way pattern changes sign, but the square of it is the two-way pattern: where coherence
 fails, powers are interpolated instead of magnitudes.
+
+A digital array has as many orthogonal beams as columns: the inversion is then a change of basis, exact and with the
+noise of a beam in every cell. Nothing is left over to test coherence with, nor need be, as all beams are of one time.
+No other beam sees where one is missing. Powers have 2N - 1 coefficients, so that an echo between two beams keeps only
+what the better one holds of it (down to -3.9 dB) wherever magnitudes are asked for.
 """
 
 from __future__ import annotations
@@ -21,7 +26,6 @@ from functools import cached_property
 
 import msgspec
 import numpy as np
-from scipy.special import gammainccinv
 
 from models.physics.antenna import coarray_weights, setup_weights
 from msgs.arrays import require_array, require_positive
@@ -33,6 +37,11 @@ _RIDGES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
 _NOISE_GAIN_LIMIT = 2.5
 #: Ridge where every range bin has its own beam azimuths and none can be tuned for itself.
 _MOVING_RIDGE = 1e-3
+#: Sets of missing beams whose matrices are kept: there are as many as subsets.
+_MOST_INVERSES = 64
+#: Beams times coefficients of magnitudes, which each range bin has anew on the move. The 77 GHz radar has 6,441; with
+#: so many a scan takes a second.
+MOST_TERMS = 1 << 14
 #: Beams that looked no further from their steering angle than this looked there: an eighth of a cell.
 _STILL_RAD = 1e-3
 
@@ -58,6 +67,8 @@ class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 #: A beam sees this many beam spacings to either side: one missing beam leaves no gap, three in a row do.
 SEEN_SPACINGS = 1.5
+#: A digital array, whose beams have no such overlap, sees where its beams hold this share of an echo's field.
+SEEN_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -75,6 +86,18 @@ class _Inverse:
     magnitude: np.ndarray
     #: Mean noise power of a cell relative to a beam's.
     noise_gain: float
+    #: What the coherent fit makes of an echo in its own cell, relative to its field; float64 [azimuth].
+    share: np.ndarray
+
+
+def require_bearable(setup: RadarSetup) -> None:
+    """Raise `ValueError` for a set-up whose scans would take too long to form."""
+    beams, coefficients = len(setup.beams), 2 * setup.array.columns - 1
+    if beams * coefficients > MOST_TERMS:
+        raise ValueError(
+            f"setup must have at most {MOST_TERMS} beams times (2 columns - 1), "
+            f"got {beams} beams and {setup.array.columns} columns"
+        )
 
 
 def peak_field(setup: RadarSetup) -> float:
@@ -194,6 +217,8 @@ class AzimuthInterpolator:
 
     def _unseen(self, missing: tuple[int, ...]) -> np.ndarray:
         """Azimuths [azimuth] that beams should have seen but for the missing ones: there the fit would be invention."""
+        if self.setup.array.digital:
+            return (self._inverse(()).share >= SEEN_SHARE) & (self._inverse(missing).share < SEEN_SHARE)
         reach_rad = SEEN_SPACINGS * np.median(np.diff(np.sort(self.setup.beams.azimuth_rad), prepend=-np.pi))
         distance_rad = np.abs(self.grid.azimuth_rad[:, None] - self.setup.beams.azimuth_rad)
         seen, meant = (distance_rad[:, beams] <= reach_rad for beams in (self._present(missing), slice(None)))
@@ -204,6 +229,8 @@ class AzimuthInterpolator:
 
     def _inverse(self, missing: tuple[int, ...]) -> _Inverse:
         if missing not in self._inverses:
+            if len(self._inverses) >= _MOST_INVERSES:
+                del self._inverses[next(iter(self._inverses))]
             present = self._present(missing)
             self._inverses[missing] = _invert(
                 (self._beam_matrix[present], self._steering),
@@ -213,6 +240,9 @@ class AzimuthInterpolator:
 
     def _incoherent(self, beams: np.ndarray, inverse: _Inverse, noise_power_mw: float) -> np.ndarray:
         """Bins [range] whose residual noise cannot explain, nor errors of the model; none without freedom to test."""
+        # here: a detector knows arrays, but forms no maps
+        from scipy.special import gammainccinv
+
         if inverse.freedom < 1.0:
             return np.zeros(len(beams), np.bool_)
         left_over = _energy(beams @ inverse.residual)
@@ -259,7 +289,7 @@ class AzimuthInterpolator:
 
 def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray, np.ndarray]) -> _Inverse:
     """Both inverses from the beams [beams, coefficients] and the steering [azimuth, coefficients] of each."""
-    beams, _ = fields
+    beams, steering = fields
     coherent, back = _ridge_inverse(*fields)
     residual = np.eye(len(beams)) - beams @ back
     magnitude, _ = _ridge_inverse(*magnitudes)
@@ -270,7 +300,13 @@ def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray,
         freedom=float(np.sum(np.abs(residual) ** 2)),
         magnitude=magnitude.T.real.astype(np.float32),
         noise_gain=float(np.sum(np.abs(coherent) ** 2) / len(coherent)),
+        share=_share(coherent @ beams, steering),
     )
+
+
+def _share(seen: np.ndarray, steering: np.ndarray) -> np.ndarray:
+    """How much of the wanted steering [azimuth, coefficients] the one arrived at holds, [azimuth]."""
+    return np.abs(np.sum(seen * steering.conj(), axis=1)) / np.sum(np.abs(steering) ** 2, axis=1)
 
 
 def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -286,12 +322,18 @@ def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray,
 
 
 def _solve_each(beams: np.ndarray, magnitudes: np.ndarray) -> np.ndarray:
-    """Coefficients [range, 2N-1] of magnitudes [range, beams], each bin with its own matrix [range, beams, 2N-1]."""
+    """Coefficients [range, 2N-1] of magnitudes [range, beams], each bin with its own matrix [range, beams, 2N-1].
+
+    B' (B B' + r)^-1 = (B' B + r)^-1 B': the smaller of the two is solved.
+    """
     adjoint = beams.conj().transpose(0, 2, 1)
-    gram = adjoint @ beams
+    few_beams = beams.shape[1] < beams.shape[2]
+    gram = beams @ adjoint if few_beams else adjoint @ beams
     # the trace bounds the largest eigenvalue and costs nothing
-    scale = np.trace(gram, axis1=1, axis2=2).real[:, None, None] / gram.shape[1]
+    scale = np.trace(gram, axis1=1, axis2=2).real[:, None, None] / beams.shape[2]
     ridged = gram + _MOVING_RIDGE * scale * np.eye(gram.shape[1])
+    if few_beams:
+        return (adjoint @ np.linalg.solve(ridged, magnitudes[..., None]))[..., 0]
     return np.linalg.solve(ridged, adjoint @ magnitudes[..., None])[..., 0]
 
 

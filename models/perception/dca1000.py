@@ -320,7 +320,7 @@ def parse_json(text: bytes, name: str, device: DeviceName | None = None) -> Dca1
     """
     try:
         fields = msgspec.json.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise ValueError(f"{name}: must be JSON: {error}") from None
     if not isinstance(fields, dict):
         raise ValueError(f"{name}: must be a JSON object, got {type(fields).__name__}")

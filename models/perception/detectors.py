@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 
 from models.perception.calibration import calibrated_peaks
-from models.perception.cfar import CfarParams, cfar_peaks
+from models.perception.cfar import PHOTON_CFAR, CfarParams, cfar_peaks, warm
 from models.perception.named import NamedParams, named_peaks
-from models.perception.observability import sensitivity_db
+from models.perception.observability import UNKNOWN_SENSITIVITY_DB, sensitivity_db
 from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.peaks import PeakParams, find_peaks, find_pursued_peaks, peaks_at
 from models.perception.pursuit import pursued_peaks
@@ -42,7 +42,7 @@ class NetworkDetector:
     moves them below the cell on the complex map. "none" (False) are the published local maxima, "maxima_likelihood"
     moves those; both also take networks that answer at anchors. `flip_test`: as `DensePredictor`. `calibrate` turns
     scores into probabilities by the table of the model's card. `params` None: the released settings with the card's
-    threshold. Raises ValueError for another word.
+    threshold. Raises ValueError for another word, and where the network's input is too coarse for the set-up's array.
     """
 
     def __init__(
@@ -59,6 +59,7 @@ class NetworkDetector:
     ) -> None:
         way = refine_way(refine)
         self._predictor = DensePredictor(model, threads, flip_test)
+        self._predictor.card.encoding.check_array(setup, self._predictor.card.grid)
         self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(way))
         if way == "pursuit":
             # the first map should not pay for compiling
@@ -109,9 +110,24 @@ class CfarDetector:
 
     def __init__(self, setup: RadarSetup, params: CfarParams | None = None) -> None:
         self._params = params or CfarParams()
+        warm(self._params)
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Classified peaks of one map."""
         peaks = cfar_peaks(ra_map, self._params)
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
+
+
+class PhotonDetector:
+    """The same for maps of a LiDAR: what it would see of an object is not stated, so that nothing counts as observed.
+
+    A radar cross-section says nothing of light.
+    """
+
+    def __init__(self, params: CfarParams = PHOTON_CFAR) -> None:
+        self._params = params
+
+    def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
+        """Classified peaks of one map."""
+        return msgspec.structs.replace(cfar_peaks(ra_map, self._params), sensitivity_db=UNKNOWN_SENSITIVITY_DB)

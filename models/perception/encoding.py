@@ -1,12 +1,14 @@
 """From a complex range-azimuth map to a network's input: one function for training and for the vehicle.
 
 The azimuth axis of a map carries only the 2N-1 = 15 coefficients of the co-array, so its power is sampled without loss
-by 29 columns; the default network sees 32 of the 256. Column j stands for the output columns 8j..8j+7 that the
-network's pixel shuffle makes of it, and is read at their centre. The published networks see all 256.
+by 29 columns; the default network sees 32 of the 256. An array of 57 columns needs more (`Encoding.check_array`).
+Column j stands for the output columns 8j..8j+7 that the network's pixel shuffle makes of it, and is read at their
+centre. The published networks see all 256.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +17,7 @@ import msgspec
 import numpy as np
 
 from msgs.arrays import require_positive
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 #: Channels of the compact networks; all are about 0..1 or -1..1.
 CHANNELS = ("level", "shadow", "contrast", "range", "azimuth")
@@ -73,6 +75,21 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
         step = self.columns if self.columns == grid.azimuth_bins else 2 * self.columns
         if grid.azimuth_bins % step:
             raise ValueError(f"grid.azimuth_bins must be a multiple of {step}, got {grid.azimuth_bins}")
+
+    def check_array(self, setup: RadarSetup, grid: RangeAzimuthGrid) -> None:
+        """Raise `ValueError` where the array's beams fall between the columns that sample maps on `grid`.
+
+        The power of an N-column array one way has the frequencies of N points d apart over the sine of the azimuth:
+        its samples are at most lambda / (2 d (N - 1)) apart where the sine changes fastest, at boresight.
+        """
+        wavelength_m, array = setup.radar.wavelength_m, setup.array
+        aperture = 2.0 * (array.columns - 1) * array.column_spacing(wavelength_m) / wavelength_m
+        least = math.ceil(2.0 * math.radians(grid.azimuth_limit_deg) * aperture)
+        if self.columns < least:
+            raise ValueError(
+                f"encoding.columns must be at least {least} for an array of {array.columns} columns, whose beams "
+                f"would fall between them, got {self.columns}: compact_unet:fine has enough, method cfar needs none"
+            )
 
 
 def encode_map(encoding: Encoding, ra_map: RangeAzimuthMap) -> np.ndarray:

@@ -26,7 +26,7 @@ from models.perception.rejection import hidden_mask
 from models.perception.walls import WallParams, find_walls
 from msgs.arrays import require_positive
 from msgs.frames import polar_from_xy, xy_from_polar
-from msgs.perception import BevFrame, BevGrid, PathClass, Peaks, Wall
+from msgs.perception import MOST_PEAKS, BevFrame, BevGrid, PathClass, Peaks, Wall
 
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two with the walls that earlier scans showed.
@@ -70,7 +70,12 @@ def fold_scan(
     confidence: PlaceConfidence | None = None,
     remembered: Remembered | None = None,
 ) -> FoldedScan:
-    """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped."""
+    """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped.
+
+    Raises `ValueError` for more than `MOST_PEAKS`.
+    """
+    if len(peaks) > MOST_PEAKS:
+        raise ValueError(f"peaks must be at most {MOST_PEAKS} a scan, got {len(peaks)}")
     returns, walls = direct_structure(peaks, params, remembered)
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
@@ -124,11 +129,11 @@ def warm(params: GeometryParams) -> None:
 
     Types are the same whatever the parameters, so one made-up street, with the default ones, calls for all kernels.
     """
-    recover_bev(_made_up_peaks(), GeometryParams())
+    recover_bev(made_up_peaks(), GeometryParams())
     observability([], 0.0, params.grid, params.visibility)
 
 
-def _made_up_peaks() -> Peaks:
+def made_up_peaks() -> Peaks:
     """A facade with a kink, a vehicle before it, and two images behind it of which one belongs to that vehicle."""
     along = np.linspace(0.0, 10.0, 9)
     facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
-from scipy import ndimage
 
 from models.perception.peaks import PeakParams, local_maxima, peaks_at
 from models.perception.ridges import RidgeParams, find_ridges
@@ -23,6 +22,9 @@ class NamedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 def named_peaks(heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams, params: NamedParams) -> Peaks:
     """Ridges that the heatmap [2, range, azimuth] names, then its own maxima where no ridge of their class stands."""
+    # here: as in `find_ridges`
+    from scipy import ndimage
+
     near = np.stack(
         [ndimage.maximum_filter(channel, size=[2 * reach + 1 for reach in params.reach]) for channel in heatmap]
     )

@@ -24,6 +24,8 @@ from msgs.perception import BevFrame, HiddenObject, Wall
 
 #: A uniform face of length L has variance L^2 / 12 along it.
 UNIFORM_FACE = 12.0
+#: Pairs of points that may join fragments, nearest first: those of two hundred points, more than a scan folds back.
+MOST_PAIRS = 20_000
 
 
 class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -92,8 +94,8 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
     distance_m = np.hypot(difference[:, 0], difference[:, 1])
     variance = np.einsum("pi,pij,pj->p", difference, covariance_m2[first] + covariance_m2[second], difference)
     sigma_m = np.sqrt(variance) / np.maximum(distance_m, 1e-9)
-    near = np.flatnonzero(distance_m <= params.eps_m + sigma_m)
-    for pair in near[np.argsort(distance_m[near], kind="stable")]:
+    near = np.flatnonzero((distance_m <= params.eps_m + sigma_m) & (labels[first] != labels[second]))
+    for pair in near[np.argsort(distance_m[near], kind="stable")][:MOST_PAIRS]:
         i, j = first[pair], second[pair]
         if labels[i] == labels[j]:
             continue

@@ -15,9 +15,8 @@ import numpy as np
 from numba import njit
 
 from models.perception.mirrors import wall_arrays
-from models.physics.antenna import row_field
+from models.physics.link_budget import beam_snr
 from models.physics.mirror import CLEARANCE_M, cut, mirrored
-from models.physics.waveform import window_noise_gain
 from msgs.arrays import require_finite, require_positive
 from msgs.perception import BevGrid, Visibility, Wall
 from msgs.radar import RadarSetup
@@ -48,15 +47,13 @@ class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 def sensitivity_db(setup: RadarSetup) -> float:
     """Power over noise, in one cell of a beam that looks at it, of an isotropic 0 dBsm target at 1 m, in dB.
 
-    Radar equation P G^2 lambda^2 / (4 pi)^3 against k T0 f_s F spread over all samples of the beam (coherent over
-    its chirps), with the noise gain of the Hann window.
+    Coherent over the beam's chirps, with the noise gain of the Hann window.
     """
-    radar, array = setup.radar, setup.array
-    rows = float(np.square(row_field(array, radar.wavelength_m, np.zeros(1))[0]))
-    gain = rows * array.columns * 10.0 ** (setup.element.peak_gain_dbi / 10.0)
-    received_mw = 1e3 * radar.transmit_power_w * gain**2 * radar.wavelength_m**2 / (4.0 * math.pi) ** 3
-    samples = radar.samples_per_chirp * radar.chirps_per_beam
-    return db_from_ratio(received_mw / (radar.noise_power_mw * window_noise_gain("hann") / samples))
+    return db_from_ratio(float(beam_snr(setup, 1.0, 1.0)))
+
+
+#: Of a sensor of which nobody has stated it: nothing is then known to be seen.
+UNKNOWN_SENSITIVITY_DB = -1e3
 
 
 def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: VisibilityParams) -> np.ndarray:

@@ -13,7 +13,7 @@ import onnxruntime
 from models.perception.anchors import CHANNELS as ANCHOR_CHANNELS
 from models.perception.anchors import anchor_points
 from models.perception.calibration import ScoreTable, check_table
-from models.perception.cards import card_path, learned_path, read_card
+from models.perception.cards import card_path, learned_path, read_card, read_learned
 from models.perception.encoding import Encoding, encode_map
 from models.perception.peaks import Points, heatmap_points
 from msgs.perception import PathClass
@@ -24,6 +24,8 @@ _NO_NETWORK = tuple(
     getattr(onnxruntime.capi.onnxruntime_pybind11_state, name)
     for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
 )
+#: No ONNX file holds more: it is one protobuf message.
+MAX_MODEL_BYTES = (1 << 31) - 1
 #: The network in use unless another is named.
 DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
 
@@ -180,10 +182,7 @@ def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_d
 
 def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
     """A session for a file with this checksum; raises `ValueError` naming the file."""
-    try:
-        model = model_path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"{model_path}: {error}") from None
+    model = read_learned(model_path, MAX_MODEL_BYTES)
     found = hashlib.sha256(model).hexdigest()
     if found != sha256:
         raise ValueError(f"{model_path}: sha256 must be {sha256} as its card says, got {found}")

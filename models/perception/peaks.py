@@ -6,11 +6,10 @@ import math
 
 import msgspec
 import numpy as np
-from scipy import ndimage
 
 from models.perception.pursuit import PursuitParams, pursued_peaks
-from msgs.arrays import require_positive
-from msgs.perception import PathClass, Peaks
+from msgs.arrays import require_positive, require_within
+from msgs.perception import MOST_PEAKS, PathClass, Peaks
 from msgs.radar import RangeAzimuthMap
 
 
@@ -43,7 +42,8 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     incoherent_factor: float = 2.0
 
     def __post_init__(self) -> None:
-        for name in ("threshold", "min_distance", "beam_width_deg", "azimuth_std_floor_deg", "range_std_floor_m"):
+        require_within("peaks.min_distance", 1, 8192, self.min_distance)
+        for name in ("threshold", "beam_width_deg", "azimuth_std_floor_deg", "range_std_floor_m"):
             require_positive(f"peaks.{name}", getattr(self, name))
 
 
@@ -94,6 +94,13 @@ def _of_classes(found: list[tuple[np.ndarray, np.ndarray]]) -> Points:
     )
 
 
+def echo_power(ra_map: RangeAzimuthMap) -> np.ndarray:
+    """|values|^2, float64 [range, azimuth]; fewer photons than ambient light brings are no echo: they count as zero."""
+    values = ra_map.values.real.clip(0.0) if ra_map.mode == "photons" else np.abs(ra_map.values)
+    # the square of a float32 magnitude may leave float32
+    return np.square(values, dtype=np.float64)
+
+
 def peaks_at(
     ra_map: RangeAzimuthMap,
     cells: np.ndarray,
@@ -102,10 +109,15 @@ def peaks_at(
     path_class: np.ndarray,
     params: PeakParams,
 ) -> Peaks:
-    """The message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it peaks."""
+    """The message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it peaks.
+
+    Of more than `MOST_PEAKS`, as a network that has learnt nothing brings them, those of the highest scores.
+    """
+    if len(cells) > MOST_PEAKS:
+        best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MOST_PEAKS])
+        cells, fractional, score, path_class = (one[best] for one in (cells, fractional, score, path_class))
     grid = ra_map.grid
-    # the square of a float32 magnitude may leave float32
-    power = np.square(np.abs(ra_map.values), dtype=np.float64)
+    power = echo_power(ra_map)
     range_index = _refined_range(power, cells, fractional[:, 0])
     snr_db = _snr_db(power, cells, ra_map.noise_power_mw)
     return Peaks(
@@ -131,6 +143,9 @@ def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.
 
     A plateau gives one peak, at its middle. Highest first; equal ones in the order of the cells.
     """
+    # here: pursuit needs no maxima, and a node that starts again need not wait for this
+    from scipy import ndimage
+
     highest = ndimage.maximum_filter(values, size=2 * min_distance + 1, mode="constant", cval=-np.inf)
     candidate = (values >= highest) & (values >= threshold)
     plateaus, count = ndimage.label(candidate, structure=np.ones((3, 3), int))
@@ -155,10 +170,15 @@ def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
 
 
 def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Indices of cells [N, 2], best first, further than `spacing` in one axis at least from all kept before."""
+    """Indices of cells [N, 2], best first, further than `spacing` in one axis at least from all kept before.
+
+    No more than `MOST_PEAKS`.
+    """
     free = np.ones(len(cells), bool)
-    kept = []
+    kept: list[int] = []
     for index in range(len(cells)):
+        if len(kept) == MOST_PEAKS:
+            break
         if free[index]:
             kept.append(index)
             free &= (np.abs(cells - cells[index]) > spacing).any(axis=1)

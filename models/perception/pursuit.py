@@ -11,7 +11,11 @@ import msgspec
 import numpy as np
 from numba import njit
 
-from msgs.arrays import require_positive
+from msgs.arrays import require_within
+from msgs.perception import MOST_PEAKS
+
+#: Widest blur and point in cells, and the narrowest point.
+WIDEST, NARROWEST = 100.0, 1e-3
 
 
 class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -25,11 +29,10 @@ class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     max_peaks: int = 512
 
     def __post_init__(self) -> None:
-        if min(self.blur) < 0.0:
-            raise ValueError(f"pursuit.blur must not be negative, got {self.blur}")
-        if min(self.explained) <= 0.0:
-            raise ValueError(f"pursuit.explained must be positive, got {self.explained}")
-        require_positive("pursuit.max_peaks", self.max_peaks)
+        for name, least in (("blur", 0.0), ("explained", NARROWEST)):
+            for width in getattr(self, name):
+                require_within(f"pursuit.{name}", least, WIDEST, width)
+        require_within("pursuit.max_peaks", 1, MOST_PEAKS // 2, self.max_peaks)
 
 
 def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.fft
 from scipy.special import gammaincinv
 
-from models.perception.coarray import AzimuthInterpolator, CoherenceTest
+from models.perception.coarray import AzimuthInterpolator, CoherenceTest, require_bearable
 from models.perception.folding import fold_chirps, group_edges
 from models.perception.map_quality import (
     ARRAY_LIMIT,
@@ -180,6 +180,11 @@ class BeamFolder:
         if radar.samples_per_chirp % params.decimation:
             raise ValueError(
                 f"forming.decimation must divide the {radar.samples_per_chirp} samples, got {params.decimation!r}"
+            )
+        if setup.array.digital and params.beam_step > 1:
+            raise ValueError(
+                "forming.beam_step must be 1 for a digital array: no other beam sees where one is left out, "
+                f"got {params.beam_step!r}"
             )
         #: What is transformed: so many samples a chirp.
         self.samples = radar.samples_per_chirp // params.decimation
@@ -369,6 +374,7 @@ class RaFormer:
         self, setup: RadarSetup, params: FormingParams | None = None, grid: RangeAzimuthGrid | None = None
     ) -> None:
         params = params or FormingParams()
+        require_bearable(setup)
         self.interpolator = AzimuthInterpolator(setup, grid, params.coherence)
         self.folder = BeamFolder(setup, params, self.interpolator.grid)
         self.repeated_beams = 0
@@ -470,18 +476,22 @@ class _OpenScan:
     def _ego(self, beam: RadarBeam) -> EgoCorrection | None:
         if self._state is None:
             return None
-        middle_s = s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.duration_s
+        # beams made of one measurement have one pose, that of its middle: a phase for each would tear them apart
+        digital = self._folder.setup.array.digital
+        middle_s = 0.0 if digital else s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.duration_s
         return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
 
     def profiles(self) -> ScanProfiles:
         """What has been folded; noise is the median over beams, so that one disturbed beam does not set it.
 
         Silent and drowned beams are left out like those that never came: their neighbours say more about their place.
+        Not those of a digital array, of which each is made of all columns and sees what no other does.
         """
         came = ~np.isnan(self._noise_power_mw)
         noise_power_mw = float(np.median(self._noise_power_mw[came]))
-        silent = came & silent_beams(self._profiles, noise_power_mw)
-        drowned = drowned_beams(self._noise_power_mw)
+        steered = not self._folder.setup.array.digital
+        silent = came & steered & silent_beams(self._profiles, noise_power_mw)
+        drowned = steered & drowned_beams(self._noise_power_mw)
         heard = came & ~silent & ~drowned
         shown = {
             "lost_chirps": self._lost_chirps > 0,

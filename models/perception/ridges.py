@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import msgspec
 import numpy as np
-from scipy import ndimage
 
 from models.perception.peaks import keep_apart
-from msgs.arrays import require_positive
+from msgs.arrays import require_positive, require_within
+
+#: Cells that a map has along either side at most.
+MOST_CELLS = 8192
 
 
 class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -32,8 +34,7 @@ class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         require_positive("ridges.max_range_m", self.max_range_m)
-        if min(self.spacing) < 0:
-            raise ValueError(f"ridges.spacing must not be negative, got {self.spacing!r}")
+        require_within("ridges.spacing", 0, MOST_CELLS, *self.spacing)
 
 
 def find_ridges(
@@ -43,7 +44,8 @@ def find_ridges(
 
     `power` [range, azimuth] in milliwatt, `range_m` [range].
     """
-    floor = noise_power_mw * 10.0 ** (params.min_snr_db / 10.0)
+    # in float64: noise may be more than float32 holds
+    floor = np.float64(noise_power_mw * 10.0 ** (params.min_snr_db / 10.0))
     found = allowed & (power > floor) & (range_m <= params.max_range_m)[:, None]
     level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float32).tiny))
     cells = ridge_cells(np.where(found, level_db, -np.inf), params.spacing)
@@ -55,6 +57,9 @@ def find_ridges(
 
 def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
     """Cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it; highest first."""
+    # here: pursuit needs no ridges, and a node that starts again need not wait for this
+    from scipy import ndimage
+
     top = ndimage.maximum_filter1d(level_db, 2 * spacing[1] + 1, axis=1, mode="constant", cval=-np.inf)
     cells = np.argwhere((level_db >= top) & np.isfinite(level_db))
     cells = cells[np.argsort(-level_db[cells[:, 0], cells[:, 1]], kind="stable")]

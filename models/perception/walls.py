@@ -25,6 +25,9 @@ from models.perception.segments import Limits, Segment, best_segment, left_over,
 from msgs.arrays import require_positive
 from msgs.perception import Wall
 
+#: Pieces of walls that are looked at for each wall that may be kept, the best first: each is held against each.
+_MOST_CANDIDATES = 4
+
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """How walls are found. What acts as a mirror: at least `min_inliers` points over `min_length_m`, on a line known to
@@ -92,6 +95,8 @@ def _one_building(
     points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
     """Walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best first."""
+    if len(fits) > _MOST_CANDIDATES * params.max_walls:
+        fits = sorted(fits, key=lambda fit: -fit.score)[: _MOST_CANDIDATES * params.max_walls]
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
     sparse = msgspec.structs.replace(params, max_gap_m=params.sparse_gap_m, min_score=params.sparse_min_score)
     free = np.flatnonzero(~claimed(len(points_m), fits))

@@ -8,7 +8,6 @@ that are gentle and a correlation length of a wavelength or more (Kirchhoff regi
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import i0e
 
 from models.physics.fresnel import coherent_power
 
@@ -45,6 +44,9 @@ def coherent_power_miller_brown(roughness_m: np.ndarray, cos_theta: np.ndarray, 
     prefer this one; no measurement of walls was found that settles it, so take the two as a span there.
     exp and I0 are taken as one scaled function: I0 alone overflows at g^2/2 > 713.
     """
+    # here: the mirror's own law, which all use, needs no Bessel function
+    from scipy.special import i0e
+
     return np.square(i0e(0.5 * np.square(phase_deviation_rad(roughness_m, cos_theta, wavelength_m))))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.perception.coarray import AzimuthInterpolator
+from models.perception.coarray import AzimuthInterpolator, beam_matrix
 from models.perception.encoding import Encoding, encode_columns, sample_columns
 from models.training.frames import DataSet, FrameLabels, Scan, Splits, fixed_splits, scan_map
 from models.training.selection import Selection, select
@@ -97,28 +97,35 @@ class TrainingData:
     train: list[Scan]
     validation: list[DenseSample]
     config: DataConfig
+    #: The radar that saw them.
+    setup: RadarSetup = field(default_factory=RadarSetup)
 
 
 def load_training_data(config: DataConfig) -> TrainingData:
     """Scenes of the training and validation splits, and all of the further data sets.
 
-    Raises `ValueError` where a folder holds no data set, maps of another grid than the configuration's, or, in a
-    further one, a scene of the validation or test split.
+    Raises `ValueError` where a folder holds no data set, maps of another grid than the configuration's, more azimuth
+    detail than the configured columns sample, or, in a further one, another radar or a scene of the validation or test
+    split.
     """
     data, splits = DataSet(Path(config.directory)), fixed_splits(Path(config.directory))
     _check_grid(data, config.grid)
+    config.encoding.check_array(data.setup, config.grid)
     train = _chosen(data, splits.of("train"), config.selection)
     for directory in config.more:
         more = DataSet(Path(directory))
         _check_grid(more, config.grid)
+        if more.setup is not data.setup:
+            raise ValueError(f"{directory}: preset must be that of {config.directory}")
         _refuse_leaks(data, splits, more)
         train += _chosen(more, np.arange(len(more)), config.selection)
     if 0 < config.limit < len(train):
         kept = np.sort(np.random.default_rng(config.seed).permutation(len(train))[: config.limit])
         train = [train[index] for index in kept]
-    former = SampleFormer(config)
+    former = SampleFormer(config, data.setup)
     validation = _chosen(data, splits.of("validation"), config.selection)
-    return TrainingData(train=train, validation=[former.sample(scan) for scan in validation], config=config)
+    formed = [former.sample(scan) for scan in validation]
+    return TrainingData(train=train, validation=formed, config=config, setup=data.setup)
 
 
 def _check_grid(data: DataSet, grid: RangeAzimuthGrid) -> None:
@@ -141,17 +148,17 @@ def _refuse_leaks(data: DataSet, splits: Splits, more: DataSet) -> None:
 
 
 class SampleFormer:
-    """Forms the maps of scans and keeps the columns the network sees."""
+    """Forms the maps of scans of a radar (None: the default) and keeps the columns the network sees."""
 
-    def __init__(self, config: DataConfig) -> None:
-        self.config = config
-        self._interpolator = AzimuthInterpolator(RadarSetup(), config.grid)
+    def __init__(self, config: DataConfig, setup: RadarSetup | None = None) -> None:
+        self.config, self.setup = config, setup or RadarSetup()
+        self._interpolator = AzimuthInterpolator(self.setup, config.grid)
 
     def sample(self, scan: Scan, rng: np.random.Generator | None = None) -> DenseSample:
         """The map of a scan; with a generator, seen through an imperfect radar and augmented."""
         config = self.config
         if rng is not None and scan.profiles is not None and rng.random() >= config.clean_share:
-            scan = perturb_scan(scan, config.perturbation, rng)
+            scan = perturb_scan(scan, config.perturbation, rng, self.setup)
         ra_map = scan_map(scan, self._interpolator)
         sample = DenseSample(
             columns=sample_columns(config.encoding, ra_map.values),
@@ -167,10 +174,18 @@ class SampleFormer:
         return encode_columns(self.config.encoding, columns, noise_power_mw)
 
 
-def perturb_scan(scan: Scan, perturbation: Perturbation, rng: np.random.Generator) -> Scan:
-    """The same scene seen by a less perfect radar: beam gains, phases and receiver noise differ."""
+def perturb_scan(
+    scan: Scan, perturbation: Perturbation, rng: np.random.Generator, setup: RadarSetup | None = None
+) -> Scan:
+    """The same scene seen by a less perfect radar: beam gains, phases and receiver noise differ.
+
+    Of a digital array (`setup`) they are those of its columns, no beam is missing alone, and nothing moves between
+    beams of one time.
+    """
     if scan.profiles is None:
         raise ValueError(f"scene {scan.index} must hold beam profiles to be perturbed, holds a map")
+    if setup is not None and setup.array.digital:
+        return _perturb_columns(scan, perturbation, rng, setup)
     beams, bins = scan.profiles.shape
     gain = 10.0 ** (rng.normal(0.0, perturbation.gain_std_db, beams) / 20.0)
     phase_rad = np.tile(rng.normal(0.0, perturbation.phase_std_rad, (beams, 1)), bins)
@@ -190,11 +205,24 @@ def perturb_scan(scan: Scan, perturbation: Perturbation, rng: np.random.Generato
     )
 
 
-def imperfect(scan: Scan, seed: int) -> Scan:
+def _perturb_columns(scan: Scan, perturbation: Perturbation, rng: np.random.Generator, setup: RadarSetup) -> Scan:
+    assert scan.profiles is not None
+    columns = setup.array.columns
+    gain = 10.0 ** (rng.normal(0.0, perturbation.gain_std_db, columns) / 20.0)
+    factor = gain * np.exp(1j * rng.normal(0.0, perturbation.phase_std_rad, columns))
+    noise_ratio = 10.0 ** (rng.uniform(0.0, perturbation.extra_noise_db) / 10.0)
+    added_mw = (noise_ratio - 1.0) * scan.noise_power_mw
+    noise = np.sqrt(added_mw / 2.0) * rng.standard_normal((*scan.profiles.shape, 2)) @ (1.0, 1.0j)
+    matrix = beam_matrix(setup)
+    profiles = (matrix * factor) @ (np.linalg.pinv(matrix) @ scan.profiles) + noise
+    return replace(scan, profiles=profiles.astype(np.complex64), noise_power_mw=float(scan.noise_power_mw + added_mw))
+
+
+def imperfect(scan: Scan, seed: int, setup: RadarSetup | None = None) -> Scan:
     """The scene as an imperfect radar sees it, drawn from the scene's number; a map made elsewhere stays as it is."""
     if scan.profiles is None:
         return scan
-    return perturb_scan(scan, Perturbation(), np.random.default_rng((seed, scan.index)))
+    return perturb_scan(scan, Perturbation(), np.random.default_rng((seed, scan.index)), setup)
 
 
 def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) -> DenseSample:

@@ -35,7 +35,6 @@ from models.training.schedules import SCHEDULES
 from models.training.scoring import DetectionTally
 from models.training.train_dense import RunConfig, load_best, load_summary
 from msgs.perception import PathClass
-from msgs.radar import RadarSetup
 
 OPSET = 17
 #: Largest difference between torch and ONNX Runtime, in probability, that an fp32 export may show.
@@ -320,7 +319,7 @@ def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, 
     """What the scores of the live detector's peaks are worth on the validation scenes; none for anchors."""
     if head == "anchors":
         return ()
-    return fit_table(*peak_outcomes(NetworkDetector(RadarSetup(), file), scenes.validation))
+    return fit_table(*peak_outcomes(NetworkDetector(scenes.data.setup, file), scenes.validation))
 
 
 def best_pursuit_threshold(file: Path, frames: Iterable[Frame]) -> float:

@@ -39,7 +39,7 @@ FAMILIES: dict[str, Family] = {
     "compact_unet": Family(
         compact_unet.CompactUNetConfig,
         compact_unet.CompactUNet,
-        {"compact": compact_unet.CompactUNetConfig(), "wide": compact_unet.WIDE},
+        {"compact": compact_unet.CompactUNetConfig(), "wide": compact_unet.WIDE, "fine": compact_unet.FINE},
     ),
     "unet": Family(unet.UNetConfig, unet.UNet, {"compact": unet.COMPACT, "full": unet.FULL}),
     "swin_unet": Family(

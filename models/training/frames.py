@@ -7,7 +7,6 @@ elsewhere (`series.json` then says `"format": "maps"` and the grid).
 from __future__ import annotations
 
 import hashlib
-import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
@@ -20,8 +19,9 @@ import numpy as np
 from models.perception.coarray import AzimuthInterpolator
 from models.perception.ra_forming import ScanProfiles, form_map
 from models.training.files import write_whole
+from msgs.array_files import array_names, load_arrays
 from msgs.perception import PathClass
-from msgs.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 #: What every shard holds beside its profiles or values: noise [scenes], and the truth points of all scenes in one row,
 #: those of scene i at offset[i]..offset[i + 1].
@@ -132,11 +132,19 @@ class DataSet:
     @cached_property
     def grid(self) -> RangeAzimuthGrid:
         """The grid of the maps."""
-        return msgspec.convert(self.series.get("grid", {}), RangeAzimuthGrid)
+        try:
+            return msgspec.convert(self.series.get("grid", {}), RangeAzimuthGrid)
+        except msgspec.ValidationError as error:
+            raise ValueError(f"{self.directory / 'series.json'}: grid: {error}") from None
+
+    @property
+    def setup(self) -> RadarSetup:
+        """The radar that saw the scenes."""
+        return PRESETS[self.series.get("preset", "xband")]
 
     @cached_property
     def _interpolator(self) -> AzimuthInterpolator:
-        return AzimuthInterpolator(RadarSetup(), self.grid)
+        return AzimuthInterpolator(self.setup, self.grid)
 
     def scan(self, index: int) -> Scan:
         """One scene as stored; raises `ValueError` where it holds what is not finite."""
@@ -161,6 +169,26 @@ class DataSet:
         for array in (scan.labels.range_m, scan.labels.azimuth_rad, scan.labels.path_class, scan.labels.hidden_xy_m):
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
+
+
+#: Kinds of numbers (`numpy.dtype.kind`) and axes of a shard's arrays; others are not looked at.
+ARRAYS = {
+    **dict.fromkeys(("profiles", "values"), ("cfiu", 3)),
+    **dict.fromkeys(("noise_power_mw", "range_m", "azimuth_rad", "power_mw"), ("fiu", 1)),
+    **dict.fromkeys(("hidden_xy_m", "places_m"), ("fiu", 2)),
+    **dict.fromkeys(("offset", "place_offset", "path_class", "order", "object_index"), ("iu", 1)),
+    **dict.fromkeys(("scene_yaml", "sequence", "object_class", "facts"), ("SU", 1)),
+    "missing_beams": ("b", 2),
+}
+
+
+class _Facts(msgspec.Struct):
+    """What a shard says of a scene, as far as it is used."""
+
+    place: str = ""
+    relays: tuple[Any, ...] = ()
+    objects: tuple[Any, ...] = ()
+    hidden: tuple[Any, ...] = ()
 
 
 def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
@@ -191,10 +219,10 @@ def _series(path: Path) -> dict[str, Any]:
         return {}
     try:
         series = msgspec.json.decode(path.read_bytes(), type=dict)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
-    if series.get("format") != "maps" and series.get("preset", "xband") != "xband":
-        raise ValueError(f"{path}: preset must be xband, got {series['preset']!r}")
+    if series.get("preset", "xband") not in tuple(PRESETS):
+        raise ValueError(f"{path}: preset must be one of {', '.join(PRESETS)}, got {series['preset']!r}")
     return series
 
 
@@ -214,28 +242,29 @@ def _scene_count(path: Path) -> int:
 def _open(path: Path) -> tuple[list[str], int]:
     """Names of the arrays of a shard, and its scenes; 0 where it does not say."""
     try:
-        # numpy would leave a file open in which it finds no archive
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as shard:
-            return list(shard.files), len(shard["noise_power_mw"]) if "noise_power_mw" in shard.files else 0
-    except (OSError, ValueError, EOFError, AttributeError, zipfile.BadZipFile) as error:
+        scenes = sum(np.atleast_1d(noise).size for noise in load_arrays(path, ("noise_power_mw",)).values())
+        return array_names(path), scenes
+    except (OSError, ValueError) as error:
         raise ValueError(f"{path} must be a shard (npz): {' '.join(str(error).split())}") from None
 
 
 @lru_cache(maxsize=2)
 def _arrays(path: Path, changed_ns: int) -> dict[str, np.ndarray]:
     """All arrays of a shard as of its last change; neighbouring scenes come from the same one."""
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as shard:
-        arrays = {name: shard[name] for name in shard.files if name != "plan"}
+    arrays = load_arrays(path)
+    arrays.pop("plan", None)
     _check_arrays(path, arrays)
     return arrays
 
 
 def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Raise `ValueError` naming the shard and the array that does not fit the others or holds what is no truth."""
+    _check_kinds(path, arrays)
     offset, scenes = arrays["offset"], len(arrays["noise_power_mw"])
     points = len(arrays["range_m"])
-    if len(offset) != scenes + 1 or offset[0] != 0 or offset[-1] != points or (np.diff(offset) < 0).any():
-        raise ValueError(f"{path}: offset must rise from 0 to {points} points over {scenes} scenes")
+    _check_offset(path, "offset", offset, scenes, points)
+    if "places_m" in arrays:
+        _check_offset(path, "place_offset", arrays.get("place_offset", np.zeros(0)), scenes, len(arrays["places_m"]))
     lengths = dict.fromkeys(("profiles", "values", "facts", "scene_yaml", "sequence", "missing_beams"), scenes)
     lengths |= {field.name: points for field in fields(FrameLabels)}
     for name, length in lengths.items():
@@ -250,22 +279,40 @@ def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
         raise ValueError(f"{path}: path_class must be 0 (LOS) or 1 (mirrored), got {arrays['path_class'].max()}")
 
 
+def _check_offset(path: Path, name: str, offset: np.ndarray, scenes: int, points: int) -> None:
+    if len(offset) != scenes + 1 or offset[0] != 0 or offset[-1] != points or (offset[1:] < offset[:-1]).any():
+        raise ValueError(f"{path}: {name} must rise from 0 to {points} points over {scenes} scenes")
+
+
+def _check_kinds(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Raise `ValueError` naming the shard and the array whose axes or kind of numbers are others than they must be."""
+    for name in ARRAYS.keys() & arrays.keys():
+        (kinds, axes), array = ARRAYS[name], arrays[name]
+        if array.ndim != axes or array.dtype.kind not in kinds:
+            raise ValueError(
+                f"{path}: {name} must have {axes} axes and a dtype of kind {kinds}, got {array.dtype} {array.shape}"
+            )
+
+
 def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> Scan:
     measured = {name: arrays[name][scene] if name in arrays else None for name in ("profiles", "values")}
     for name, array in measured.items():
         if array is not None and not np.isfinite(array).all():
             raise ValueError(f"{path}: {name} of scene {scene} must be finite")
-    facts = msgspec.json.decode(arrays["facts"][scene]) if "facts" in arrays else {}
+    try:
+        facts = msgspec.json.decode(arrays["facts"][scene], type=_Facts) if "facts" in arrays else _Facts()
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise ValueError(f"{path}: facts of scene {scene}: {error}") from None
     missing = np.flatnonzero(arrays["missing_beams"][scene]) if "missing_beams" in arrays else ()
     return Scan(
         index=index,
         noise_power_mw=float(arrays["noise_power_mw"][scene]),
         missing_beams=tuple(int(beam) for beam in missing),
         labels=_labels(arrays, slice(*arrays["offset"][scene : scene + 2])),
-        place=facts.get("place", ""),
-        relays=tuple(facts.get("relays", ())),
-        objects=tuple(facts.get("objects", ())),
-        hidden=tuple(facts.get("hidden", ())),
+        place=facts.place,
+        relays=facts.relays,
+        objects=facts.objects,
+        hidden=facts.hidden,
         scene_yaml=str(arrays["scene_yaml"][scene]) if "scene_yaml" in arrays else "",
         sequence=str(arrays["sequence"][scene]) if "sequence" in arrays else "",
         places_m=arrays["places_m"][slice(*arrays["place_offset"][scene : scene + 2])]
@@ -307,7 +354,7 @@ def fixed_splits(directory: Path, seed: int = 0) -> Splits:
         return splits
     try:
         splits = msgspec.json.decode(path.read_bytes(), type=Splits)
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeError) as error:
         raise ValueError(f"{path}: {error}") from None
     check_splits(data, splits, path)
     return splits

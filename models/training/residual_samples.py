@@ -7,7 +7,6 @@ really receives, the peaks a network detects, behind the walls found from them. 
 from __future__ import annotations
 
 import math
-import zipfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -23,6 +22,7 @@ from models.perception.published_geometry import PublishedParams, recover_publis
 from models.perception.recovery import Recovered, ReflectionState, reflection_state
 from models.training.files import whole
 from models.training.frames import DataSet, Frame, FrameLabels
+from msgs.array_files import load_arrays
 from msgs.frames import xy_from_polar
 from msgs.perception import PathClass, Peaks
 
@@ -211,9 +211,9 @@ def load_folded(path: Path) -> FoldedImages:
     """Read what `save_folded` wrote; raises `ValueError` naming the file and what it lacks."""
     names = [field.name for field in fields(FoldedImages)]
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as arrays:
-            return FoldedImages(**{name: arrays[name] for name in names})
-    except (OSError, KeyError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        arrays = load_arrays(path)
+        return FoldedImages(**{name: arrays[name] for name in names})
+    except (OSError, KeyError, ValueError) as error:
         raise ValueError(f"{path} must hold folded images ({', '.join(names)}): {error}") from None
 
 

@@ -40,7 +40,7 @@ def load_json(path: Path, kind: type[Config]) -> Config:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:
         raise ValueError(f"{path} must be readable: {error.strerror}") from None
-    except (msgspec.DecodeError, ValueError) as error:
+    except (msgspec.DecodeError, ValueError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
 
 

@@ -129,7 +129,7 @@ class DenseTraining:
         torch.manual_seed(config.seed)
         family = FAMILIES[config.network.family]
         self.network = config.network.build().to(self.ranks.device, memory_format=torch.channels_last)
-        self.former = SampleFormer(data.config)
+        self.former = SampleFormer(data.config, data.setup)
         self.objective = objective_of(config.objective, config.network.resolved)
         self.steps_per_epoch = len(data.train) // config.schedule.batch_size
         self.optimiser, self.schedule = optimiser_of(self.network, config.schedule, family.head, self.steps_per_epoch)

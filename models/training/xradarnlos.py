@@ -19,8 +19,6 @@ powers are relative.
 from __future__ import annotations
 
 import os
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -30,6 +28,7 @@ import msgspec
 import numpy as np
 
 from models.training.files import file_sha256, json_lines, whole, write_whole
+from msgs.array_files import is_archive, load_array, load_arrays
 from msgs.frames import polar_from_xy
 from msgs.perception import PathClass
 from msgs.radar import RangeAzimuthGrid
@@ -129,8 +128,8 @@ def _sim_captures(directory: Path) -> tuple[list[Capture], list[str]]:
 def _is_label_map(path: Path) -> bool:
     """Whether an array is one of the release's label maps (512 x 256 x 5), which nobody needs beside the points."""
     try:
-        return np.load(path, mmap_mode="r", allow_pickle=False).ndim == 3
-    except (OSError, ValueError, EOFError):
+        return load_array(path).ndim == 3
+    except (OSError, ValueError):
         return False
 
 
@@ -192,12 +191,8 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
 def _load(path: Path) -> Any:
     """An array or an archive; ValueError names a file that cannot be read."""
     try:
-        with path.open("rb") as file:
-            loaded = np.load(file, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                return loaded
-            return {name: loaded[name] for name in loaded.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+        return load_arrays(path) if is_archive(path) else load_array(path)
+    except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or " ".join(str(error).split())
         raise ValueError(f"{path}: must be a readable numpy file: {reason}") from None
 

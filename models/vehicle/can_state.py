@@ -14,6 +14,7 @@ import msgspec
 from models.vehicle.end_to_end import signal_of
 from models.vehicle.frame_check import FrameCheck, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
+from msgs.arrays import MAX_STAMP_NS
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
 
@@ -27,8 +28,6 @@ AGE_PERIODS = 10
 INVALID_INTERVAL_NS = 100_000_000
 #: Stamps that go back further than this are a new start, not a late frame.
 RESTART_NS = 1_000_000_000
-#: Stamps beyond this fit no message; 2**62 ns are 146 years.
-MAX_STAMP_NS = 1 << 62
 #: A state must fit its topic's byte limit whatever a DBC calls its signals.
 _REASON_LIMIT = 500
 #: So many frames without one that is looked for are no chance.

@@ -80,6 +80,8 @@ def checksum_byte(message: Message, rule: ChecksumRule) -> int:
     first_bit = 0 if signal.byte_order == "little_endian" else 7
     if signal.length != 8 or signal.start % 8 != first_bit:
         raise ValueError(f"{field}: {rule.signal} must fill one byte")
+    if signal.start // 8 >= message.length:
+        raise ValueError(f"{field}: {rule.signal} must lie within the message's {message.length} bytes")
     return signal.start // 8
 
 

@@ -94,7 +94,12 @@ class FrameCheck:
         rule = self._rule.counter
         if rule is None:
             return Verdict.COUNTED, ""
-        last, self._counter = self._counter, int(values[rule.signal])
+        try:
+            counter = int(values[rule.signal])
+        except (KeyError, ValueError, OverflowError):
+            # of another page of the message, or no number: a DBC may say so
+            return Verdict.UNDECODABLE, "undecodable: without its counter"
+        last, self._counter = self._counter, counter
         if last is None or silent:
             # nothing to measure against: a sender that stands still must not count once for each silence
             return Verdict.FIRST, "first of its counter"

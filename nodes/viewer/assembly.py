@@ -11,11 +11,11 @@ from msgs.perception import BevFrame, Peaks, SceneTruth
 from msgs.radar import RangeAzimuthMap
 from msgs.units import NANOSECONDS_PER_SECOND
 from msgs.vehicle import VehicleState
-from nodes.live_timing import on_one_clock
+from nodes.live_timing import Setup, on_one_clock
 from nodes.viewer.board import Board, WireMessage, json_text
 from nodes.viewer.driver_warnings import DriverWarning, warnings_json
 from nodes.viewer.trails import Past
-from nodes.viewer.view_model import map_json, map_tile, mask_tile, view_json
+from nodes.viewer.view_model import map_json, map_tile, mask_tile, sensor_json, view_json
 from nodes.viewer.watch import Watch
 
 #: What the assembly takes in.
@@ -27,6 +27,7 @@ TOPICS_SHOWN = (
     "vehicle/state",
     "diagnostics/node",
     "radar/setup",
+    "lidar/setup",
 )
 #: The node table is posted this often, and the warnings at least.
 TABLE_PERIOD_NS = NANOSECONDS_PER_SECOND // 2
@@ -130,6 +131,8 @@ class Assembly:
         self._scans.take(message, now_ns, watch.past, watch.is_late)
         if isinstance(message, BevFrame):
             self._post_warnings(now_ns)
+        elif message is watch.sensor:
+            post_sensor(self._board, watch.sensor)
 
     def table_due_ns(self, now_ns: int) -> int:
         """When the node table is to be posted next."""
@@ -155,6 +158,11 @@ class Assembly:
 def post_warnings(board: Board, warnings: tuple[DriverWarning, ...], now_ns: int) -> None:
     """Hang up warnings as they stood at a time."""
     board.post("warnings", lambda: (json_text({"type": "warnings", "warnings": warnings_json(warnings, now_ns)}),))
+
+
+def post_sensor(board: Board, setup: Setup) -> None:
+    """Hang up which sensor a page looks through."""
+    board.post("sensor", lambda: (json_text(sensor_json(setup)),))
 
 
 def _view_messages(

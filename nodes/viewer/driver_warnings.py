@@ -115,6 +115,9 @@ class Facts(NamedTuple):
     views: ViewFigures | None = None
     nodes: Sequence[NodeFact] = ()
     vehicle_from_radar: Pose2 = Pose2()
+    #: What looks: "radar" or "LiDAR", and how long a scan takes.
+    sensor: str = "radar"
+    scan_period_s: float = 0.0
 
 
 class Finding(NamedTuple):
@@ -223,7 +226,12 @@ def findings(facts: Facts, params: WarningParams) -> list[Finding]:
 
 
 def _is_fresh(facts: Facts, params: WarningParams) -> bool:
-    return facts.frame_at_ns is not None and s_from_ns(facts.now_ns - facts.frame_at_ns) <= params.silent_s
+    return facts.frame_at_ns is not None and s_from_ns(facts.now_ns - facts.frame_at_ns) <= _silent_s(facts, params)
+
+
+def _silent_s(facts: Facts, params: WarningParams) -> float:
+    """How long it takes to be silent: a few scans, where they are slow."""
+    return max(params.silent_s, 3.0 * facts.scan_period_s)
 
 
 def _vehicle_age_s(facts: Facts) -> float:
@@ -440,7 +448,7 @@ def silence(facts: Facts, params: WarningParams) -> Iterable[Finding]:
     """No view for longer than a few scans: of a silent radar, or of a perception that does not follow it."""
     if facts.frame_at_ns is None:
         waited_s = s_from_ns(facts.now_ns - facts.since_ns)
-        if waited_s > params.silent_s:
+        if waited_s > _silent_s(facts, params):
             yield Finding("silent", Level.CAUTION, "No view yet", f"waiting for {waited_s:.0f} s")
     elif not _is_fresh(facts, params):
         quiet = f"no view for {s_from_ns(facts.now_ns - facts.frame_at_ns):.0f} s"
@@ -452,8 +460,8 @@ def _who_is_silent(facts: Facts, quiet: str, params: WarningParams) -> tuple[str
     if facts.map_at_ns is None:
         return "No view", quiet
     map_age_s = s_from_ns(facts.now_ns - facts.map_at_ns)
-    if map_age_s > params.silent_s:
-        return "No view: the radar is silent", f"no scan for {map_age_s:.0f} s"
+    if map_age_s > _silent_s(facts, params):
+        return f"No view: the {facts.sensor} is silent", f"no scan for {map_age_s:.0f} s"
     return "No view: perception is silent", f"scans come, {quiet}"
 
 
@@ -466,6 +474,8 @@ def blindness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
     if area_m2 >= params.blind_until_m2:
         return
     why = "no wall found to look round with" if not facts.frame.walls else "no wall mirrors what is hidden"
+    if facts.frame.walls and facts.sensor != "radar":
+        why = "what it would see of an object is not known"
     firm = area_m2 < params.blind_m2
     title = "Cannot see round corners"
     yield Finding("blind", Level.CAUTION, title, f"{why}; an empty view means nothing", firm, after_s=params.settle_s)
@@ -486,7 +496,7 @@ def own_motion(facts: Facts, params: WarningParams) -> Iterable[Finding]:
     age_s = _vehicle_age_s(facts)
     if facts.vehicle is None:
         if facts.frame is not None:
-            so = "the radar is taken as standing"
+            so = f"the {facts.sensor} is taken as standing"
             yield Finding("vehicle", Level.NOTICE, "No vehicle state", so, after_s=params.settle_s)
     elif age_s > params.vehicle_silent_s or not facts.vehicle.valid:
         reason = facts.vehicle.reason or "the vehicle state is not valid"

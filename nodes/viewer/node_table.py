@@ -15,8 +15,18 @@ WINDOW_NS = 10 * NANOSECONDS_PER_SECOND
 SILENT_NS = 3 * NANOSECONDS_PER_SECOND
 #: Nodes that ended, or never were (any name may stand on the bus), must not fill the page.
 MAX_NODES = 64
+#: Two a second are twenty in a window; who sends more says no more by it.
+MAX_HEARTBEATS = 64
+#: Stages, topics and shed work of a node that are shown: none has more than a few.
+MAX_ENTRIES = 32
+_MAX_TEXT = 500
 #: What nodes say about themselves has no rate worth showing.
 _SELF_TALK = ("diagnostics/node", "log")
+
+
+def is_of_peer(name: str) -> bool:
+    """Whether a node runs on another host, from which a link brings its heartbeats as those of `<peer>.<node>`."""
+    return "." in name
 
 
 class _Heard(NamedTuple):
@@ -35,7 +45,7 @@ class NodeTable:
 
     def add(self, status: NodeStatus, now_ns: int) -> None:
         """Take in a heartbeat; a new process under the same name starts afresh."""
-        heard = self._heard.setdefault(status.node, deque())
+        heard = self._heard.setdefault(status.node, deque(maxlen=MAX_HEARTBEATS))
         if heard and heard[-1].status.pid != status.pid:
             heard.clear()
         heard.append(_Heard(now_ns, status))
@@ -58,23 +68,24 @@ class NodeTable:
         return {
             "node": name,
             "state": "silent" if is_silent else str(status.state),
-            "reason": f"no heartbeat for {s_from_ns(age_ns):.0f} s" if is_silent else status.reason,
+            "reason": f"no heartbeat for {s_from_ns(age_ns):.0f} s" if is_silent else status.reason[:_MAX_TEXT],
             "cpu": round(_rate(first.status.cpu_s, status.cpu_s, first, last), 2),
             "memory_mib": round(status.resident_bytes / (1 << 20)),
             "lost": sum(count.lost for count in status.received),
             "rejected": sum(count.rejected for count in status.received),
             "lost_lately": _gone(status) - _gone(first.status),
-            "shed": [f"{count.count} {count.what} {count.reason}" for count in status.shed],
+            "shed": [f"{count.count} {count.what} {count.reason}" for count in status.shed[:MAX_ENTRIES]],
             "stages": [
                 {"name": one.name, "mean_ms": round(one.mean_ms, 1), "max_ms": round(one.max_ms, 1)}
-                for one in self._stages.get(name, ())
+                for one in self._stages.get(name, ())[:MAX_ENTRIES]
             ],
             "rates": _rates(first, last),
         }
 
     def _forget_oldest(self) -> None:
         while len(self._heard) > MAX_NODES:
-            oldest = min(self._heard, key=lambda name: self._heard[name][-1].at_ns)
+            # nodes of this host are not driven out by names that a peer makes up
+            oldest = min(self._heard, key=lambda name: (not is_of_peer(name), self._heard[name][-1].at_ns))
             del self._heard[oldest]
             self._stages.pop(oldest, None)
 
@@ -95,8 +106,8 @@ def _rates(first: _Heard, last: _Heard) -> list[dict[str, Any]]:
     before = {count.topic: count.messages for count in first.status.published}
     return [
         {"topic": count.topic, "hz": round(_rate(before.get(count.topic, 0), count.messages, first, last), 1)}
-        for count in last.status.published
-        if count.topic not in _SELF_TALK and TOPICS[count.topic].rate_hz > 0.0
+        for count in last.status.published[:MAX_ENTRIES]
+        if count.topic in TOPICS and count.topic not in _SELF_TALK and TOPICS[count.topic].rate_hz > 0.0
     ]
 
 

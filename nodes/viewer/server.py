@@ -3,7 +3,7 @@
 Who comes in knows the token (it is part of the address), names this host in `Host`, and, for the websocket, comes from
 this very page (`Origin`). A client gets an update, acknowledges it, and only then gets the next, made of whatever is
 newest then: between server and client there is never more than one update, and a client that does not keep up misses
-some. Nothing a client does reaches the thread that posts.
+some. Nothing a client does reaches the thread that posts. How many may stand at the door, and how long: `door.py`.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import secrets
 import socket
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, MutableMapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import uvicorn
@@ -30,6 +31,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nodes.viewer.board import Board, Posted, json_text
+from nodes.viewer.door import BACKLOG, Door, PageSocket, Visit
 from nodes.viewer.view_model import COLOURS
 
 _LOG = logging.getLogger(__name__)
@@ -43,7 +45,8 @@ _HEADERS = [
     (
         "Content-Security-Policy",
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data:; "
-        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+        "base-uri 'none'; form-action 'none'; frame-ancestors 'none'; "
+        "require-trusted-types-for 'script'; trusted-types 'none'",
     ),
     ("X-Content-Type-Options", "nosniff"),
     ("Referrer-Policy", "no-referrer"),
@@ -110,6 +113,7 @@ class ViewerServer:
             {"type": "hello", "protocol": 1, "title": title, "recording": commands is not None, "colours": COLOURS}
         )
         self._token = secrets.token_urlsafe(24)
+        self._door = Door()
         self._clients: set[_Client] = set()
         self._socket = _listen(port)
         self.port: int = self._socket.getsockname()[1]
@@ -155,8 +159,8 @@ class ViewerServer:
         return uvicorn.Config(
             _Gate(Starlette(routes=routes), self._token),
             loop="asyncio",
-            http="h11",
-            ws="websockets-sansio",
+            http=self._door.http,
+            ws=PageSocket,
             lifespan="off",
             log_config=None,
             log_level="warning",
@@ -166,7 +170,7 @@ class ViewerServer:
             ws_max_size=MAX_CLIENT_MESSAGE_BYTES,
             # noise does not compress, and a compressor a client would cost more than loopback
             ws_per_message_deflate=False,
-            limit_concurrency=4 * self._max_clients + 16,
+            backlog=BACKLOG,
             timeout_graceful_shutdown=1,
         )
 
@@ -199,10 +203,16 @@ class ViewerServer:
             return
         client = _Client(websocket, self._board, self._commands)
         self._clients.add(client)
+        visit: Visit = websocket.scope["state"]["visit"]
+        visit.welcome()
         try:
-            await client.run(self._hello)
+            errors = await client.run(self._hello)
         finally:
             self._clients.discard(client)
+            # before the last word: whoever reads nothing does not read that either
+            visit.see_out()
+        for error in errors:
+            await client.say_goodbye(error)
 
 
 class _Client:
@@ -212,12 +222,13 @@ class _Client:
         self._websocket, self._board, self._commands = websocket, board, commands
         self.news = asyncio.Event()
         self._acknowledged = asyncio.Event()
+        self._acknowledged.set()
         self._number = 0
         self._seen: dict[str, int] = {}
         self._second, self._heard = 0, 0
 
-    async def run(self, hello: str) -> None:
-        """Serve until either side ends it."""
+    async def run(self, hello: str) -> list[Exception]:
+        """Serve until either side ends it; why, where it was not the client that went."""
         tasks = [asyncio.create_task(self._send(hello)), asyncio.create_task(self._listen())]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -225,11 +236,9 @@ class _Client:
             for task in tasks:
                 task.cancel()
             ends = await asyncio.gather(*tasks, return_exceptions=True)
-        for end in ends:
-            if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect):
-                await self._say_goodbye(end)
+        return [end for end in ends if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect)]
 
-    async def _say_goodbye(self, error: Exception) -> None:
+    async def say_goodbye(self, error: Exception) -> None:
         """Close the websocket for a reason; what is nobody's fault but ours is logged."""
         code = _POLICY_VIOLATION if isinstance(error, _ProtocolError) else _GONE
         if not isinstance(error, _ProtocolError | TimeoutError):
@@ -315,25 +324,50 @@ class _Gate:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         reason = self._refusal(HTTPConnection(scope))
-        if not reason:
-            await self._app(scope, receive, send)
-        elif scope["type"] == "websocket":
-            await WebSocket(scope, receive, send).close(_POLICY_VIOLATION, reason)
+        if scope["type"] == "websocket":
+            await (
+                WebSocket(scope, receive, send).close(_POLICY_VIOLATION, reason)
+                if reason
+                else self._app(scope, receive, send)
+            )
         else:
-            await PlainTextResponse(f"{reason}\n", status_code=403)(scope, receive, send)
+            app = PlainTextResponse(f"{reason}\n", status_code=403) if reason else self._app
+            await app(scope, receive, _closing(send))
 
     def _refusal(self, connection: HTTPConnection) -> str:
         """Why this connection is refused; empty if it is not."""
-        host, origin = connection.headers.get("host", ""), connection.headers.get("origin")
+        host, origins = connection.headers.get("host", ""), connection.headers.getlist("origin")
         name, _, port = host.partition(":")
         if name not in _LOOPBACK_NAMES or not (port or "0").isdecimal():
             return "this page is for the machine it runs on"
-        if origin != f"http://{host}" and (origin is not None or connection.scope["type"] == "websocket"):
+        # a browser says it of every websocket
+        said = origins or [""] * (connection.scope["type"] == "websocket")
+        if any(origin != f"http://{host}" for origin in said):
             return "this comes from another page"
-        given = connection.scope["path"].split("/")[1]
+        if not _is_of_this_page(connection.headers):
+            return "this was asked for by another page"
+        # a path need not begin with a slash
+        given = connection.scope["path"].partition("/")[2].partition("/")[0]
         if not hmac.compare_digest(given.encode(errors="replace"), self._token):
             return "open the address that the viewer printed: it ends with a token"
         return ""
+
+
+def _is_of_this_page(headers: Mapping[str, str]) -> bool:
+    """Whether a browser, where it says so, asks of its own accord: by this page, or for a person who opens it."""
+    is_opened = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
+    return is_opened or headers.get("sec-fetch-site", "none") in ("none", "same-origin")
+
+
+def _closing(send: Send) -> Send:
+    """One answer a connection: none is kept for later."""
+
+    async def closing(message: MutableMapping[str, Any]) -> None:
+        if message["type"] == "http.response.start":
+            message = {**message, "headers": [*message["headers"], (b"connection", b"close")]}
+        await send(message)
+
+    return closing
 
 
 async def _page(request: HTTPConnection) -> Response:
@@ -357,5 +391,5 @@ def _listen(port: int) -> socket.socket:
             raise
         _LOG.warning("port %d is taken; using a free one", port)
         listener.bind((HOST, 0))
-    listener.listen(64)
+    listener.listen(BACKLOG)
     return listener

@@ -13,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from msgs.lidar import LidarSetup
 from msgs.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, TruthObject, Visibility
-from msgs.radar import RangeAzimuthMap
+from msgs.radar import RadarSetup, RangeAzimuthMap
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
+from nodes.live_timing import Setup, last_beam_ns, scan_period_s
 from nodes.viewer.trails import Past, trail_m
 
 #: Magic, version, kind, scan id, rows, columns, level of code 0 [0.01 dB], step per code [0.001 dB]; little-endian.
@@ -28,6 +30,8 @@ TILE_ROWS, TILE_COLUMNS = 512, 128
 #: Codes 0..255 span 102 dB: over the noise, or where no noise was measured, down from the map's peak.
 STEP_DB = 0.4
 SPAN_DB = 255 * STEP_DB
+#: What levels over the noise are told in, by the mode of a map where it is another.
+_NOISE_UNITS = {"photons": "dB over ambient σ"}
 #: Tracks told to a page at most: more than anybody can look at.
 MAX_TRACKS = 100
 #: An ellipse of two sigma holds 86 % of a plane's normal distribution.
@@ -81,6 +85,31 @@ def view_json(
     }
 
 
+def sensor_json(setup: Setup) -> dict[str, Any]:
+    """Which sensor a page looks through, and how long its scans take."""
+    name = "radar" if isinstance(setup, RadarSetup) else "LiDAR"
+    return {
+        "type": "sensor",
+        "text": sensor_text(setup),
+        "name": name,
+        "scan_period_s": scan_period_s(setup),
+        "scan_s": s_from_ns(last_beam_ns(setup)),
+    }
+
+
+def sensor_text(setup: Setup) -> str:
+    """A sensor in a line: "X-band radar, 10 GHz, 25 beams", "SPAD LiDAR, 850 nm, 256 azimuths, 11 gates"."""
+    if isinstance(setup, LidarSetup):
+        gates = f", {setup.spad.gates} gates" if setup.spad.gates > 1 else ""
+        return f"SPAD LiDAR, {1e9 * setup.spad.wavelength_m:.4g} nm, {setup.grid.azimuth_bins} azimuths{gates}"
+    carrier_ghz = 1e-9 * setup.radar.carrier_hz
+    # the X band is 8 to 12 GHz (IEEE 521)
+    name = f"X-band radar, {carrier_ghz:.3g} GHz" if 8.0 <= carrier_ghz <= 12.0 else f"{carrier_ghz:.3g} GHz radar"
+    if setup.array.digital:
+        return f"{name}, {setup.array.columns * setup.array.rows} channels, digital"
+    return f"{name}, {len(setup.beams)} beams"
+
+
 def summary_text(frame: BevFrame) -> str:
     """One line for people and screen readers: "2 hidden objects at 11.6, 8.5 m and 16.3, 13.7 m"."""
     places = [f"{one.x_m:.1f}, {one.y_m:.1f} m" for one in _placed(frame)]
@@ -123,6 +152,7 @@ def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
         "azimuth_bins": grid.azimuth_bins,
         "pool": list(_pooling(grid.shape)),
         "reference": reference,
+        "unit": "dB below peak" if reference == "peak" else _NOISE_UNITS.get(ra_map.mode, "dB over noise"),
         "peak_db": round(float(level_db.max()), 1),
         "mode": ra_map.mode,
         "ego_compensated": ra_map.ego_compensated,
@@ -166,7 +196,8 @@ def _level_db(ra_map: RangeAzimuthMap) -> tuple[np.ndarray, str]:
 
     Cells that are not finite count as empty: one bad cell must not take the scale from all others.
     """
-    power = np.square(ra_map.values.real) + np.square(ra_map.values.imag)
+    with np.errstate(over="ignore", invalid="ignore"):
+        power = np.square(ra_map.values.real) + np.square(ra_map.values.imag)
     power = np.where(np.isfinite(power), power, 0.0).astype(np.float64)
     noise = ra_map.noise_power_mw
     unit = noise if noise > 0.0 else float(power.max())

@@ -8,10 +8,11 @@ from typing import Any
 import msgspec
 
 from msgs.diagnostics import NodeStatus
+from msgs.lidar import LidarSetup
 from msgs.perception import BevFrame, Peaks
 from msgs.radar import RadarSetup, RangeAzimuthMap
 from msgs.vehicle import VehicleState
-from nodes.live_timing import ViewWatch, views_text
+from nodes.live_timing import Setup, ViewWatch, scan_period_s, views_text
 from nodes.viewer.driver_warnings import DriverWarning, Facts, NodeFact, Warner, WarningParams
 from nodes.viewer.node_table import NodeTable
 from nodes.viewer.trails import Past, Trails
@@ -24,6 +25,7 @@ TOPICS_WATCHED = (
     "vehicle/state",
     "diagnostics/node",
     "radar/setup",
+    "lidar/setup",
 )
 
 
@@ -38,6 +40,8 @@ class Watch:
         self._facts = Facts(start_ns, start_ns)
         #: Whether the newest view came after its deadline.
         self.is_late = False
+        #: The set-up of the sensor that it looks through, once it was told.
+        self.sensor: Setup | None = None
 
     def take(self, message: msgspec.Struct, now_ns: int) -> None:
         """Take in one message; of topics that say nothing here, nothing."""
@@ -56,8 +60,11 @@ class Watch:
                 self._facts = self._facts._replace(vehicle=message, vehicle_at_ns=now_ns)
             case NodeStatus():
                 self._nodes.add(message, now_ns)
-            case RadarSetup():
+            case RadarSetup() | LidarSetup():
                 self._views.set_up(message)
+                self.sensor = message
+                name = "radar" if isinstance(message, RadarSetup) else "LiDAR"
+                self._facts = self._facts._replace(sensor=name, scan_period_s=scan_period_s(message))
 
     @property
     def past(self) -> tuple[Past, ...]:

@@ -29,6 +29,9 @@ from msgs.diagnostics import NodeState
 from msgs.zmq_bus import run_dir
 
 ROOT = Path(__file__).resolve().parents[2]
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # tests in the background of a shell: what is started from here would not hear the Ctrl-C that ends it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 #: A graph that the documentation starts in the background gets this long to be ready.
 READY_S = 60.0
 
@@ -45,8 +48,12 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"--window 10\b", "--window 2"),
     (r"^(mirrorwave sim run .*)$", r"\1 --chirps-per-beam 8"),
     (r"--scans \d+", "--scans 2"),
+    # two machines in one folder; the nodes that link them run in tests/nodes/test_link.py
+    (r"^scp keys/(\S+) \w+:(\S+)$", r"cp keys/\1 \2"),
+    (r"^mirrorwave launch (launch/two_hosts_\S+).*$", r"mirrorwave graph \1"),
     (r"^mirrorwave launch (launch/\S+)(?!.*--duration)(.*)$", r"mirrorwave launch \1 --duration 2\2"),
-    (r"^mirrorwave launch (launch/corner\S*)(.*)$", r"mirrorwave launch \1 -p player.chirps_per_beam=8\2"),
+    # a LiDAR has no chirps
+    (r"^mirrorwave launch (launch/corner(?!_spad)\S*)(.*)$", r"mirrorwave launch \1 -p player.chirps_per_beam=8\2"),
     (r"^mirrorwave top$", "mirrorwave top --once --window 1"),
     (r"--count \d+", "--count 8"),
     (r"--workers 2", "--workers 1"),
@@ -58,7 +65,11 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r" --full$| --full ", " "),
     (r"^mirrorwave tradeoff(?!.*--simulator)(.*)$", r"mirrorwave tradeoff\1 --frames 1 --repeats 1 --no-memory"),
     (r"^(mirrorwave tradeoff (?!.*--row).*--no-memory)$", r"\1 --row chirps"),
-    # minutes whatever one asks; tests/mirrorwave/test_tradeoff_simulator.py runs it on small cases
+    (
+        r"^mirrorwave compare (?!--scene).*$",
+        "mirrorwave compare --quick --viewpoints 1 --sweep roughness --sensor xband --sensor 77ghz",
+    ),
+    # likewise, tests/mirrorwave/test_tradeoff_simulator.py
     (r"^mirrorwave tradeoff --simulator.*$", "mirrorwave tradeoff --simulator --help"),
     # the other machine is this one: what SSH forwards is relayed between two sockets here
     (r"^ssh -N -L (\$XDG\S+) vehicle( &)?$", r"python -m tests.docs.relay \1\2"),

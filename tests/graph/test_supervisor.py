@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -13,9 +14,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import psutil
 import pytest
 
+from benchmarks.faults import processes_of
 from nodes.launch_file import LaunchFile, launch_from_mapping
 from nodes.supervisor import Supervisor, read_lock
 
@@ -32,11 +33,7 @@ def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
     with tempfile.TemporaryDirectory(prefix="mw") as folder:
         yield Path(folder) / "run"
-        assert _orphans(folder) == []
-
-
-def _orphans(folder: str) -> list[int]:
-    return [process.pid for process in psutil.process_iter(["cmdline"]) if folder in str(process.info["cmdline"])]
+        assert processes_of(folder) == []
 
 
 def _launch(**nodes: dict[str, Any]) -> LaunchFile:
@@ -97,14 +94,94 @@ def test_a_killed_node_is_restarted_and_the_others_stay(run_dir: Path) -> None:
     assert log.count("echo ready") == 1
 
 
-def test_a_hanging_node_is_killed_and_restarted(run_dir: Path) -> None:
+@pytest.mark.parametrize(
+    ("kind", "timeout_s", "reason"),
+    [
+        # a stopped and a blocked process are given a fifth and a half of the time
+        ("tick", 4.0, "stopped for 0."),
+        ("hang", 1.6, "blocked for 0."),
+        ("busy", 1.0, "silent for 1 s, it is busy"),
+    ],
+)
+def test_a_silent_node_is_replaced_by_what_it_is_at(kind: str, timeout_s: float, reason: str, run_dir: Path) -> None:
     log = _Log()
-    launch = _launch(hang={"params": {"kind": "hang"}, "hang_timeout_s": 1.0})
+    launch = _launch(
+        echo={"params": {"kind": "echo"}},
+        toy={"params": {"kind": kind}, "hang_timeout_s": timeout_s, "after": ["echo"]},
+    )
     supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
-    # twice: a hanging node takes no notice of the first request
-    log.rules = [("hang ready", 2, lambda: (supervisor.request_stop(), supervisor.request_stop())[0])]
+    log.rules = [
+        # twice: a hanging node takes no notice of the first request
+        ("toy ready", 2, lambda: (supervisor.request_stop(), supervisor.request_stop())[0]),
+        ("toy ready", 1, lambda: os.kill(log.pid("toy"), signal.SIGSTOP if kind == "tick" else 0)),
+    ]
     supervisor.run()
-    assert log.count("hang hangs: no heartbeat for 1 s") == 1
+    said = [entry["text"] for entry in log.entries if entry["text"].startswith("toy hangs: ")]
+    assert len(said) == 1
+    assert said[0].startswith(f"toy hangs: {reason}")
+    assert log.count("toy was ended by SIGKILL") == 1
+    assert log.count("echo ready") == 1
+
+
+def test_a_silence_is_said_before_anybody_is_killed_for_it(run_dir: Path) -> None:
+    log = _Log()
+    # its heartbeat comes late each time; the log says so of the first silence alone
+    launch = _launch(slow={"params": {"kind": "pause", "after_s": 1.5, "period_s": 0.01}, "hang_timeout_s": 60.0})
+    supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
+    log.rules = [("slow answers again after", 1, supervisor.request_stop)]
+    assert supervisor.run() == 0
+    assert log.count("slow has not answered for") == 1
+    assert log.count("it is blocked") == 1
+    assert log.count("hangs") == 0
+
+
+def test_a_crash_wakes_the_supervisor(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # nothing else does within the hour: nobody is heard, and READY stands in the pipe until it is read
+    monkeypatch.setattr("msgs.zmq_bus.ZmqBus.subscribe", lambda *_: None)
+    log = _Log()
+    launch = _launch(crash={"params": {"kind": "crash"}, "restart": {"max_restarts": 3, "delay_s": 0.0}})
+    supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
+    log.rules = [("crash ready", 1, lambda: monkeypatch.setattr("nodes.supervisor.POLL_S", 3600.0))]
+    assert supervisor.run() == 1
+    assert log.count("restart in 0 s") == 3
+
+
+def test_what_cannot_be_started_is_tried_again(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import nodes.child
+
+    log, tries = _Log(), []
+    popen = nodes.child.subprocess.Popen
+
+    def refuse_once(*arguments: Any, **options: Any) -> Any:
+        tries.append(1)
+        if len(tries) == 1:
+            raise BlockingIOError(11, "Resource temporarily unavailable")
+        return popen(*arguments, **options)
+
+    monkeypatch.setattr(nodes.child.subprocess, "Popen", refuse_once)
+    assert _run(_launch(tick={"params": {"ticks": 1}, "ends_graph": True}), run_dir, log) == 0
+    assert log.count("cannot be started: [Errno 11] Resource temporarily unavailable; restart in 0 s") == 1
+
+
+def test_nothing_is_left_open_of_nodes_that_ended(run_dir: Path) -> None:
+    log, opened = _Log(), []
+    launch = _launch(crash={"params": {"kind": "crash"}, "restart": {"max_restarts": 2, "delay_s": 0.0}})
+    supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
+    log.rules = [("crash ready", number, lambda: opened.append(_held_of_children())) for number in (1, 2, 3)]
+    assert supervisor.run() == 1
+    assert len(opened) == 3
+    assert len(set(opened)) == 1
+    assert _held_of_children() == opened[0] - 2
+
+
+def _held_of_children() -> int:
+    """Open pipes and process descriptors of this process."""
+    found = 0
+    for entry in os.listdir("/proc/self/fd"):
+        with contextlib.suppress(OSError):
+            target = os.readlink(f"/proc/self/fd/{entry}")
+            found += target.startswith("pipe:") or "pidfd" in target
+    return found
 
 
 def test_a_node_that_keeps_crashing_fails_for_good(run_dir: Path) -> None:
@@ -149,6 +226,38 @@ def test_two_graphs_do_not_share_a_directory(run_dir: Path) -> None:
     assert read_lock(run_dir) == {}
 
 
+def test_the_graph_goes_on_without_its_terminal(run_dir: Path) -> None:
+    from nodes.launch_file import dump_launch
+
+    folder = run_dir.parent
+    launch = _launch(tick={"params": {"ticks": 10, "text": "hello\n"}, "ends_graph": True})
+    (folder / "toy.yaml").write_text(dump_launch(launch))
+    command = [sys.executable, "-m", "mirrorwave", "launch", str(folder / "toy.yaml"), "--runs-dir", str(folder)]
+    environment = {**os.environ, "MIRRORWAVE_RUN_DIR": str(folder)}
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, env=environment) as process:
+        assert process.stdout is not None
+        assert b"graph toy" in process.stdout.readline()
+        # as `mirrorwave launch ... | head -1` does
+        process.stdout.close()
+    assert process.returncode == 0
+    said = [json.loads(line)["text"] for line in (folder / "toy-1" / "log.jsonl").read_text().splitlines()]
+    assert said[-1] == "stopping: tick has come to its end"
+
+
+def test_the_patience_with_a_process_may_change_while_it_is_asked_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    from nodes.child import Child
+
+    sent: list[signal.Signals] = []
+    monkeypatch.setattr(Child, "__init__", lambda self: vars(self).update(_asked_s=None, _told_s=None))
+    monkeypatch.setattr(Child, "_signal", lambda self, number: sent.append(number))
+    child = Child()  # type: ignore[call-arg]
+    for now_s, patience_s, last_s in ((0.0, 5.0, 2.0), (1.0, 5.0, 2.0), (1.1, 0.5, 1.5), (2.5, 0.5, 1.5)):
+        child.stop(now_s, patience_s, last_s)
+    assert sent == [signal.SIGINT, signal.SIGCONT, signal.SIGTERM]
+    child.stop(2.7, 0.5, 1.5)
+    assert sent[3:] == [signal.SIGKILL]
+
+
 _SCRIPT = """
 import sys
 from pathlib import Path
@@ -186,7 +295,7 @@ def test_no_process_is_left_behind(run_dir: Path, numbers: list[signal.Signals])
         process.wait()
         guard.cancel()
     deadline_s = time.monotonic() + 5.0
-    while _orphans(str(folder)) and time.monotonic() < deadline_s:
+    while processes_of(folder) and time.monotonic() < deadline_s:
         time.sleep(0.02)
-    assert _orphans(str(folder)) == []
+    assert processes_of(folder) == []
     assert process.returncode == (-signal.SIGKILL if signal.SIGKILL in numbers else 0)

@@ -1,4 +1,4 @@
-"""A node that can be told to tick, echo, crash or hang: stands in for every node of a graph."""
+"""A node that can be told to tick, pause, echo, crash or hang: stands in for every node of a graph."""
 
 from __future__ import annotations
 
@@ -68,7 +68,23 @@ class Hang(Crash):
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         while True:
-            time.sleep(0.05)
+            time.sleep(3600.0)
+
+
+class Busy(Crash):
+    """Works without end after `after_s` and takes no notice of SIGINT or SIGTERM."""
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        while True:
+            pass
+
+
+class Pause(Tick):
+    """Does nothing for `after_s` in every step."""
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
+        time.sleep(self.params.after_s)
+        return super().step(inputs, now_ns)
 
 
 class Echo(Node):
@@ -94,7 +110,15 @@ class Undeclared(Tick):
     outputs = ()
 
 
-KINDS = {"tick": Tick, "crash": Crash, "hang": Hang, "echo": Echo, "undeclared": Undeclared}
+KINDS = {
+    "tick": Tick,
+    "pause": Pause,
+    "echo": Echo,
+    "crash": Crash,
+    "hang": Hang,
+    "busy": Busy,
+    "undeclared": Undeclared,
+}
 
 
 def create(params: Params) -> Node:

@@ -34,7 +34,7 @@ from msgs.recording import Recorded, RecordingReader, RecordingWriter
 from msgs.tally import Tally
 from msgs.vehicle import VehicleState
 from msgs.zmq_bus import ZmqBus
-from nodes.beam_queue import BeamQueue
+from nodes.beam_queue import MOST_SCANS_WAITING, BeamQueue
 from nodes.node import Stop
 
 ANSWER = "perception/hidden_objects"
@@ -402,13 +402,16 @@ def test_a_node_that_never_connects_ends_it(tmp_path: Path, monkeypatch: pytest.
 # what a paced message asks of others
 
 
-def test_paced_beams_are_all_folded_however_high_they_pile() -> None:
-    for paced, kept in ((False, 0), (True, 40)):
+def test_paced_beams_are_all_folded_up_to_what_only_a_flood_would_pile() -> None:
+    most = MOST_SCANS_WAITING * BEAMS
+    for paced, kept in ((False, 0), (True, most)):
         queue = BeamQueue(0.5)
         queue.load = 5.0
-        for number in range(40):
+        for number in range(most):
             queue.put(received("radar/beam", beam(number // BEAMS, number % BEAMS), paced, number))
         assert (len(queue) == kept) if paced else (queue.shed_scans > 0)
+    queue.put(received("radar/beam", beam(MOST_SCANS_WAITING, 0), True, most))
+    assert (len(queue), queue.shed_beams) == (most, 1)
 
 
 def test_what_is_made_of_paced_messages_is_paced_and_kept() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -12,6 +13,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import psutil
 import pytest
 import zmq
@@ -21,12 +23,15 @@ from mirrorwave.cli import main
 from mirrorwave.doctor import Finding, Status, check_graph, check_weights
 from mirrorwave.doctor_graph import (
     _check_node,
+    _check_topics,
     _Graph,
     _why_no_message,
     check_can_interface,
     check_room,
     graph_findings,
 )
+from msgs.diagnostics import NodeState, NodeStatus, TopicCount
+from msgs.topics import SENSOR_TOPICS
 from msgs.zmq_bus import socket_path
 from nodes.live_timing import ViewWatch
 from nodes.supervisor import read_lock
@@ -165,6 +170,67 @@ def test_a_node_that_has_done_its_work_has_not_failed() -> None:
     again = graph._replace(log=[*said, said[0]])
     assert _check_node(again, "player", 3.0).status is Status.FAILED
     assert _why_no_message(again, "radar/beam", ()) == "player gives no heartbeat"
+
+
+def _beats(node: str, sent: dict[str, int], read: tuple[str, ...] = ()) -> list[NodeStatus]:
+    """Two heartbeats 3 s apart, with so many messages sent between them."""
+    return [
+        NodeStatus(
+            stamp_ns=0,
+            node=node,
+            pid=1,
+            state=NodeState.READY,
+            uptime_s=3.0 * beat,
+            published=tuple(TopicCount(topic=topic, messages=beat * count, bytes=0) for topic, count in sent.items()),
+            received=tuple(TopicCount(topic=topic, messages=0, bytes=0) for topic in read),
+        )
+        for beat in (0, 1)
+    ]
+
+
+@pytest.mark.parametrize("looks", [0, 1])
+@pytest.mark.parametrize("takes_both", [False, True])
+@pytest.mark.parametrize("sends_both", [False, True])
+def test_a_graph_does_not_miss_the_other_kind_of_sensor(looks: int, takes_both: bool, sends_both: bool) -> None:
+    """Whether somebody waits or could send; where nothing comes of the own one, that is said."""
+    setup, raw = SENSOR_TOPICS[looks]
+    every = tuple(itertools.chain(*SENSOR_TOPICS))
+    read = every if takes_both else (setup, raw)
+    sends = every if sends_both else (setup, raw)
+    views = ViewWatch(0, 3.0).figures(0)
+    for messages in (250, 0):
+        heard = {
+            "player": _beats("player", dict.fromkeys(sends, 0) | {raw: messages}),
+            "former": _beats("former", {}, read),
+        }
+        graph = _Graph({}, {topic: ["player"] for topic in sends}, heard, views, [], {})
+        said = {one.check.removeprefix("topic "): one.status for one in _check_topics(graph)}
+        if messages:
+            assert said == {raw: Status.OK}
+        else:
+            assert said[raw] is Status.FAILED
+
+
+def test_what_a_peer_s_nodes_read_and_publish_is_not_this_graph_s() -> None:
+    """Their beams stay there, and a map that two heartbeats count, theirs and the link's, comes once."""
+    heard = {
+        "link": _beats("link", {"radar/ra_map": 10}, ("perception/hidden_objects",)),
+        "sensor.ra_former": _beats("sensor.ra_former", {"radar/ra_map": 10}, ("radar/beam",)),
+        "geometry": _beats("geometry", {"perception/hidden_objects": 0}, ("radar/ra_map",)),
+    }
+    publishers = {"radar/ra_map": ["link"], "perception/hidden_objects": ["geometry"]}
+    entries = {"link": {"module": "nodes.link"}}
+    graph = _Graph({}, publishers, heard, ViewWatch(0, 3.0).figures(0), [], entries)
+    said = {one.check.removeprefix("topic "): one for one in _check_topics(graph)}
+    assert set(said) == set(publishers)
+    assert (said["radar/ra_map"].status, said["radar/ra_map"].detail) == (Status.OK, "3.33 Hz from link")
+    # a link does not make maps of the views that it sends away
+    cut = graph._replace(heard=heard | {"link": _beats("link", {"radar/ra_map": 0}, ("perception/hidden_objects",))})
+    silent = {one.check.removeprefix("topic "): one.detail for one in _check_topics(cut)}
+    assert silent["radar/ra_map"] == "silent: link is ready and publishes none"
+    lost = TopicCount(topic="radar/beam", messages=9, bytes=9, lost=3)
+    lossy = [msgspec.structs.replace(beat, received=(lost,)) for beat in heard["geometry"]]
+    assert "radar/beam: 3 lost" in _check_node(graph._replace(heard={"sensor.x": lossy}), "sensor.x", 3.0).detail
 
 
 def test_weights_that_cannot_be_read_are_named(tmp_path: Path) -> None:

@@ -61,6 +61,14 @@ def test_what_a_recorder_reads_is_in_its_parameters(tmp_path: Path) -> None:
     assert not (tmp_path / "a.mcap").exists()
 
 
+def test_what_a_link_carries_is_in_its_parameters() -> None:
+    picture = launch_picture(Path("launch/two_hosts_compute.yaml"))
+    assert picture.publishers("radar/ra_map") == ["link"]
+    assert "link" in picture.readers("perception/hidden_objects")
+    assert [node.node for node in picture.nodes][:3] == ["link", "dense_predictor", "geometry"]
+    assert svg_text(picture)
+
+
 @pytest.mark.parametrize(
     ("text", "reason"),
     [

@@ -53,8 +53,8 @@ def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_options_are_those_of_the_simulator() -> None:
+    from msgs.radar import PRESETS
     from sim_player.executors import EXECUTORS
-    from sim_player.scene import PRESETS
     from sim_player.shards import PLACES
     from sim_player.shifted import SHIFTS
 

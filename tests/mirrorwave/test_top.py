@@ -12,10 +12,11 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.top import GraphWatch, _picture
+from mirrorwave.top import MAX_HEARTBEATS, GraphWatch, _picture
 from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 from msgs.radar import BeamGrid, RadarSetup
 from nodes.live_timing import last_beam_ns
+from nodes.viewer.node_table import MAX_NODES
 from tests.nodes.test_bev_viewer import frame
 
 S = 1_000_000_000
@@ -151,3 +152,26 @@ def test_one_object_after_one_window(quiet_domain: Path, capsys: pytest.CaptureF
     assert [row["node"] for row in told["nodes"]] == ["ra_former"]
     assert told["graph"]["views"] > 0
     assert told["graph"]["age_ms"] is not None
+
+
+def test_invented_nodes_and_a_flood_of_heartbeats_take_no_memory() -> None:
+    """The names heard last stay, and of each the newest heartbeats."""
+    watch = GraphWatch(0)
+    for number in range(3000):
+        watch.take(status(0.0, f"invented{number}"), number)
+    for number in range(3000):
+        watch.take(status(1e-3 * number), 3000 + number)
+    nodes = [row["node"] for row in watch.report(6000)["nodes"]]
+    assert len(nodes) == MAX_NODES
+    assert {"ra_former", "invented2999"} <= set(nodes)
+    assert len(watch._heard["ra_former"]) == MAX_HEARTBEATS
+
+
+def test_names_that_a_peer_makes_up_do_not_drive_out_the_nodes_of_this_host() -> None:
+    watch = GraphWatch(0)
+    watch.take(status(0.0), 0)
+    for number in range(3000):
+        watch.take(status(0.0, f"sensor.invented{number}"), 1 + number)
+    nodes = [row["node"] for row in watch.report(3001)["nodes"]]
+    assert len(nodes) == MAX_NODES
+    assert {"ra_former", "sensor.invented2999"} <= set(nodes)

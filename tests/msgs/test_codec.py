@@ -16,14 +16,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msgs.arrays import DTYPES
+from msgs.arrays import DTYPES, MAX_STAMP_NS
 from msgs.bus import Envelope
 from msgs.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
 from msgs.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
+from msgs.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
+from msgs.vehicle import MOST_SPEED_MPS, VehicleState
 
 RANDOM = np.random.default_rng(7)
 GRID = RangeAzimuthGrid(range_bins=6, azimuth_bins=4)
@@ -92,6 +93,15 @@ EXAMPLES: dict[str, list[msgspec.Struct]] = {
             azimuth_stamp_ns=np.arange(4, dtype=np.int64),
             noise_power_mw=1e-9,
             incoherent=np.array([True, False] * 3),
+        )
+    ],
+    "lidar/setup": [LidarSetup(spad=SpadParams(arming="gated", gates=3), grid=GRID, scan_period_s=1.0)],
+    "lidar/histograms": [
+        PhotonHistograms(
+            stamp_ns=1,
+            scan_id=0,
+            counts=RANDOM.integers(0, 2**32, (4, 512), np.uint32),
+            azimuth_stamp_ns=np.arange(4, dtype=np.int64),
         )
     ],
     "perception/peaks": [peaks(0), peaks(5)],
@@ -235,7 +245,7 @@ def test_header_has_a_limit_of_its_own() -> None:
 
 def test_integer_too_large_for_msgpack() -> None:
     with pytest.raises(CodecError):
-        encode(envelope("vehicle/state"), VehicleState(stamp_ns=1 << 70))
+        encode(envelope("log"), LogRecord(stamp_ns=1 << 70, node="a", level="INFO", text=""))
 
 
 def tampered(change: object, frames: list[bytes] | None = None) -> list[bytes]:
@@ -393,8 +403,8 @@ def refusal(read: Callable[[], object]) -> str:
 @given(
     message=st.builds(
         VehicleState,
-        stamp_ns=st.integers(-(2**63), 2**64 - 1),
-        speed_mps=st.floats(allow_nan=False, allow_infinity=False),
+        stamp_ns=st.integers(-MAX_STAMP_NS, MAX_STAMP_NS),
+        speed_mps=st.floats(-MOST_SPEED_MPS, MOST_SPEED_MPS),
         valid=st.booleans(),
         reason=st.text(max_size=30),
     )

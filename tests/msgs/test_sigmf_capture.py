@@ -142,6 +142,22 @@ def test_absent_keys_take_their_defaults(tmp_path: Path) -> None:
     assert capture.setup.array == ArrayParams()
 
 
+def test_beams_of_a_digital_array_are_of_one_time(tmp_path: Path) -> None:
+    """Written, read back, and stamped alike where a capture does not say when; the flag is a truth value."""
+    digital = msgspec.structs.replace(SETUP, array=ArrayParams(phase_bits=0, steered_ways=1, digital=True))
+    meta_path, _ = write_capture(tmp_path / "x", digital, beams(digital, 3))
+    assert SigmfCapture.open(tmp_path / "x").setup.array == digital.array
+    metadata = json.loads(meta_path.read_text())
+    for capture in metadata["captures"]:
+        del capture["mirrorwave:stamp_ns"]
+    meta_path.write_text(json.dumps(metadata))
+    assert {beam.stamp_ns for beam in SigmfCapture.open(tmp_path / "x").beams()} == {0}
+    metadata["global"]["mirrorwave:array_digital"] = 1
+    meta_path.write_text(json.dumps(metadata))
+    with pytest.raises(ValueError, match="mirrorwave:array_digital is 1: must be true or false"):
+        SigmfCapture.open(tmp_path / "x")
+
+
 def test_missing_beams_of_an_only_scan_are_filled_on_the_line(tmp_path: Path) -> None:
     """Beams 0, 2 and 3 of 5, evenly spaced: the grid of the whole scan is known all the same."""
     setup = msgspec.structs.replace(SETUP, beams=BeamGrid(azimuth_deg=(-20.0, -10.0, 0.0, 10.0, 20.0)))

@@ -11,7 +11,16 @@ from hypothesis import strategies as st
 
 from msgs.frames import Pose2, polar_from_xy, wrap_angle, xy_from_polar
 from msgs.perception import BevGrid, Peaks, Wall
-from msgs.radar import ArrayParams, BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.radar import (
+    ArrayParams,
+    BeamGrid,
+    ElementPattern,
+    RadarBeam,
+    RadarParams,
+    RadarSetup,
+    RangeAzimuthGrid,
+    RangeAzimuthMap,
+)
 from msgs.units import db_from_ratio, ns_from_s, ratio_from_db, s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
 
@@ -121,10 +130,20 @@ def test_beam_refuses(change: dict, rule: str) -> None:
         beam(**change)
 
 
+def peak(**changes: float) -> Peaks:
+    """One peak, some of its arrays filled with another value."""
+    fields = {
+        "range_m": np.ones(1), "azimuth_rad": np.zeros(1), "score": np.ones(1), "path_class": np.zeros(1, np.uint8),
+        "covariance": np.ones((1, 2, 2)), "peak_stamp_ns": np.zeros(1, np.int64), "snr_db": np.ones(1),
+    }  # fmt: skip
+    changed = {name: np.full_like(fields[name], value) for name, value in changes.items()}
+    return Peaks(stamp_ns=0, scan_id=0, **{**fields, **changed})
+
+
 @pytest.mark.parametrize(
     ("make", "rule"),
     [
-        (lambda: RadarParams(carrier_hz=0.0), "radar.carrier_hz must be finite and positive"),
+        (lambda: RadarParams(carrier_hz=0.0), "radar.carrier_hz must lie in"),
         (lambda: RadarParams(chirps_per_beam=0), "radar.chirps_per_beam"),
         (lambda: ArrayParams(phase_bits=17), "array.phase_bits must be 0..16, got 17"),
         (lambda: BeamGrid(azimuth_deg=()), "at least one beam"),
@@ -137,6 +156,22 @@ def test_beam_refuses(change: dict, rule: str) -> None:
         (lambda: VehicleState(stamp_ns=0, speed_mps=math.inf), "vehicle must be finite"),
         (lambda: Wall(normal=(1.0, 1.0), offset_m=0.0, ends_m=((0, 0), (1, 1)), inliers=2), "length 1"),
         (lambda: BevGrid(rows=0), "bev_grid.rows"),
+        # found by the fuzz of the nodes: what follows of these overflows, or takes all memory
+        (lambda: RadarParams(samples_per_chirp=2**63), "radar.samples_per_chirp must lie in 1..1.04858e"),
+        (lambda: RadarParams(scan_period_s=1e300), "radar.scan_period_s must lie in"),
+        (lambda: ArrayParams(columns=2**40), "array.columns must lie in 1..256"),
+        (lambda: ElementPattern(azimuth_hpbw_deg=5e-324), "element.azimuth_hpbw_deg must lie in 0.001..inf"),
+        (lambda: BeamGrid(azimuth_deg=(0.0,) * 1025), "at most 1024 beams, got 1025"),
+        (lambda: RadarSetup(full_scale_dbm=1e300), "setup.full_scale_dbm must lie in -300..300"),
+        (lambda: RadarSetup(stamp_ns=2**64 - 1), "setup.stamp_ns must lie within"),
+        (lambda: VehicleState(stamp_ns=-(2**63)), "vehicle.stamp_ns must lie within"),
+        (lambda: VehicleState(stamp_ns=0, speed_mps=1e300), "vehicle.speed_mps must lie in -1e"),
+        (lambda: Pose2(1e155, 0.0, 0.0), "pose must lie in"),
+        (lambda: beam(stamp_ns=2**63), "beam.stamp_ns must lie within"),
+        (lambda: beam(beam_count=2**40), "beam.beam_count must be at most 1024"),
+        (lambda: peak(range_m=1e155), "peaks.range_m must lie in"),
+        (lambda: peak(covariance=1e300), "peaks.covariance must lie in"),
+        (lambda: peak(peak_stamp_ns=np.iinfo(np.int64).min), "peaks.peak_stamp_ns must lie within"),
     ],
 )
 def test_parameters_refuse(make, rule: str) -> None:

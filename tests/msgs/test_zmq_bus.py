@@ -324,6 +324,20 @@ def test_stale_file_is_taken_over(meeting: Path) -> None:
         connect(sender, receiver, "vehicle/state", state)
 
 
+def test_a_watched_descriptor_ends_the_wait(meeting: Path) -> None:
+    read, write = os.pipe()
+    with closing(ZmqBus("node", meeting)) as bus:
+        bus.subscribe("vehicle/state")
+        bus.watch(read)
+        os.write(write, b"x")
+        # a bus that takes no notice waits for an hour
+        assert bus.receive(3600.0) == []
+        bus.unwatch(read)
+        assert bus.receive(0.0) == []
+    os.close(read)
+    os.close(write)
+
+
 @pytest.mark.parametrize("node", ["", "a/b", "a@b", "a b", "n" * 65, "ü"])
 def test_node_names_are_checked(meeting: Path, node: str) -> None:
     with pytest.raises(ValueError, match="node name must be"):

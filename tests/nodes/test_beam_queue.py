@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
 from msgs.bus import Envelope, Received
 from msgs.radar import RadarBeam
-from nodes.beam_queue import SHED_IN_A_ROW, BeamQueue
+from nodes.beam_queue import MOST_SCANS_WAITING, SHED_IN_A_ROW, BeamQueue
 
 BEAMS = 25
 
@@ -39,6 +40,17 @@ def folded(queue: BeamQueue) -> list[tuple[int, int]]:
 def test_a_pile_up_to_the_limit_is_folded_and_one_beam_more_is_not() -> None:
     assert len(folded(filled(*[beam(0, index) for index in range(13)]))) == 13
     assert folded(filled(*[beam(0, index) for index in range(14)])) == []
+
+
+def test_a_scan_that_comes_at_once_is_folded_and_left_out_when_the_next_one_comes() -> None:
+    queue = BeamQueue(behind=0.5)
+    queue.load, queue.at_once = 0.9, True
+    for index in range(BEAMS):
+        queue.put(beam(0, index))
+    assert (len(queue), queue.shed_scans) == (BEAMS, 0)
+    queue.put(beam(1, 0))
+    queue.put(beam(1, 1))
+    assert (folded(queue), queue.shed_scans) == ([(1, 0), (1, 1)], 1)
 
 
 @pytest.mark.parametrize(("load", "beams"), [(0.0, 26), (0.5, 26), (0.9, 16), (1.0, 13), (1.2, 8), (2.0, 5), (50.0, 5)])
@@ -124,3 +136,26 @@ def test_a_publisher_that_counts_anew_tears_nothing() -> None:
     queue = filled(beam(7, 3), beam(8, 0, sequence=0), beam(8, 1, sequence=1))
     assert not queue.torn(7)
     assert not queue.torn(8)
+
+
+def test_a_flood_of_beams_of_one_scan_is_bounded() -> None:
+    """Beams of the scan under way are never behind, however often they come: eight scans of them wait, not all."""
+    queue = filled(beam(0, 0))
+    queue.take()
+    for _ in range(20 * BEAMS):
+        queue.put(beam(0, 1))
+    assert len(queue) == MOST_SCANS_WAITING * BEAMS
+    assert queue.shed_beams == (20 - MOST_SCANS_WAITING) * BEAMS
+
+
+def test_gaps_and_publishers_are_not_remembered_for_ever() -> None:
+    """Numbers with gaps and no scan that is ever closed, from publishers of ever new names."""
+    queue = BeamQueue(behind=0.5)
+    for number in range(1000):
+        one = beam(number, 0, sequence=2 * number)
+        name = f"radar{number // 2}"
+        queue.put(one._replace(envelope=msgspec.structs.replace(one.envelope, publisher=name)))
+        while queue:
+            queue.take()
+    assert len(queue._torn) <= 64
+    assert len(queue._sequence) <= 64

@@ -10,8 +10,9 @@ import pytest
 
 from models.perception.ra_forming import RaFormer
 from msgs.bus import Envelope, Received
+from msgs.diagnostics import NodeState
 from msgs.perception import BevFrame, Peaks
-from msgs.radar import RadarSetup, RangeAzimuthMap
+from msgs.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
@@ -74,3 +75,42 @@ def test_a_view_carries_the_vehicles_motion_at_its_scan() -> None:
     # the scan began at 7
     (view,) = node.step([received(peaks.message, "perception/peaks"), *states], 0)
     assert view.message.ego.speed_mps == 7.0
+
+
+def test_maps_and_setups_that_do_not_suit_the_network_are_refused_and_said() -> None:
+    """An array of 200 columns, whose beams fall between the cells, and a map of another grid; then all is well."""
+    node = dense_predictor.create(dense_predictor.Params())
+    fine = RadarSetup(array=ArrayParams(columns=200))
+    grid = RangeAzimuthGrid(range_bins=64, azimuth_bins=32)
+    other = RangeAzimuthMap(
+        stamp_ns=0, scan_id=0, grid=grid, values=np.zeros(grid.shape, "<c8"), azimuth_stamp_ns=np.zeros(32, "<i8"),
+        noise_power_mw=1.0, incoherent=np.zeros(64, bool),
+    )  # fmt: skip
+    assert node.step([received(fine, "radar/setup"), received(other, "radar/ra_map")], 0) == []
+    state, reason = node.health()
+    assert state is NodeState.DEGRADED
+    assert "map.grid must be" in reason
+    assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [
+        ("setup", "refused", 1), ("map", "refused", 1),
+    ]  # fmt: skip
+    assert len(node.step([received(noise_map(), "radar/ra_map")], 0)) == 1
+    assert node.health() == (NodeState.READY, "")
+
+
+def test_a_number_of_threads_no_machine_has_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"threads must be 1\.\.256, got 2147483648"):
+        dense_predictor.Params(threads=1 << 31)
+
+
+@pytest.mark.parametrize("method", ["network", "cfar"])
+@pytest.mark.parametrize(("cell", "noise_power_mw"), [(np.inf, 1.0), (np.nan, 1.0), (1e30, 1.0), (1.0, 5e-324)])
+def test_a_map_of_which_no_powers_follow_is_refused(method: str, cell: float, noise_power_mw: float) -> None:
+    """One such cell would spread over its neighbours, or divide by nothing: no peaks, and it is said."""
+    node = dense_predictor.create(dense_predictor.Params(method=method))  # type: ignore[arg-type]
+    good = noise_map()
+    values = good.values.copy()
+    values[40, 100] = cell
+    bad = msgspec.structs.replace(good, values=values, noise_power_mw=noise_power_mw)
+    assert node.step([received(bad, "radar/ra_map")], 0) == []
+    assert node.health()[0] is NodeState.DEGRADED
+    assert len(node.step([received(good, "radar/ra_map")], 0)) == 1

@@ -23,6 +23,7 @@ from nodes.launch_file import (
     with_recorder,
     without_viewers,
 )
+from nodes.node import load_node
 
 
 def _launch(**nodes: dict) -> LaunchFile:
@@ -61,7 +62,8 @@ def test_errors_name_the_field_and_the_rule(fields: dict, message: str) -> None:
         ("a: &x 1\nb: *x", "aliases are refused"),
         ("[" * 100, "nested deeper than 32 levels"),
         ("a: b: c", "line 1"),
-        ("!!python/object:os.system {}", "could not determine a constructor"),
+        ("!!python/object:os.system {}", "tags are refused"),
+        ("a: !!bool x", "line 1, column 4: tags are refused"),
         ("1: 2", "key 1 must be text"),
         ("\x00", "unacceptable character"),
     ],
@@ -145,4 +147,9 @@ def test_a_dumped_launch_file_reads_back_equal(tmp_path: Path) -> None:
 
 def test_back_off_doubles_up_to_its_limit() -> None:
     restart = Restart(delay_s=0.2, max_delay_s=1.0)
-    assert [restart.backoff_s(count) for count in (0, 1, 2, 3, 5000)] == [0.2, 0.4, 0.8, 1.0, 1.0]
+    assert [restart.backoff_s(count) for count in (0, 1, 2, 3, 4, 5000)] == [0.0, 0.2, 0.4, 0.8, 1.0, 1.0]
+
+
+def test_a_field_whose_name_has_several_lines_is_refused_in_one() -> None:
+    with pytest.raises(ValueError, match=r"^lidar_former\.params: Object contains unknown field a b$"):
+        load_node("nodes.lidar_former", {"a\nb": 1})

@@ -169,5 +169,6 @@ def test_lines_are_cut_cleaned_and_parsed() -> None:
     splitter = LineSplitter(limit=4)
     assert splitter.feed(b"a\x1b[2J\nbcdefg\xff") == ["a[2J", "bcde"]
     assert splitter.finish() == ["fg\ufffd"]
-    assert parse_line("n", '\x1e{"text": "t", "level": "info"}') == {"text": "t", "level": "info"}
+    entry = parse_line("n", '\x1e{"text": "t", "level": "info"}')
+    assert (entry["node"], entry["level"], entry["text"]) == ("n", "info", "t")
     assert parse_line("n", '\x1e{"text": 1}')["level"] == "output"

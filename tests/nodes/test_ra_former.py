@@ -107,3 +107,15 @@ def test_compensation_can_be_switched_off() -> None:
     node = create(Params(ego_compensation=False))
     (out,) = steps(node, setup(), state(0, 8.0), *[beam(index) for index in range(25)])
     assert not out.message.ego_compensated
+
+
+def test_a_setup_that_cannot_be_used_changes_nothing_and_is_said(node: RaFormerNode) -> None:
+    """Chirps of 256 samples for a map of 512 bins: the scan under way, of the set-up before, goes on."""
+    short = RadarSetup(radar=RadarParams(chirps_per_beam=8, samples_per_chirp=256))
+    steps(node, setup(), beam(0), received(short, "radar/setup"))
+    state, reason = node.health()
+    assert state is NodeState.DEGRADED
+    assert "at most samples_per_chirp = 256, got 512" in reason
+    (out,) = steps(node, *[beam(index) for index in range(1, 25)])
+    assert out.message.missing_beams == ()
+    assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == [("setup", "refused", 1)]

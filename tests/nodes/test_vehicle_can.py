@@ -18,7 +18,7 @@ from msgs.diagnostics import NodeState
 from msgs.local_bus import LocalNetwork
 from msgs.vehicle import VehicleState
 from nodes import car_sim, player, vehicle_can
-from nodes.can_link import BusParams, CanLink, LogFrame, load_dbc, load_decoder, load_mapping, read_log
+from nodes.can_link import BusParams, CanLink, LogFrame, frame_stamp_ns, load_dbc, load_decoder, load_mapping, read_log
 from nodes.launch_file import read_launch_file
 from nodes.node import InProcessGraph, load_node
 from sim_player.car import SimulatedCar
@@ -372,6 +372,12 @@ def test_a_log_that_breaks_off_ends_the_play(tmp_path: Path, caplog: pytest.LogC
         states = heard({"vehicle_can": node})
     assert sum(state.valid for state in states) == 23
     assert "drive.log: cannot be read after 50 frames" in caplog.text
+
+
+@pytest.mark.parametrize("timestamp_s", [1e300, -1e300, float("inf"), float("nan")])
+def test_a_stamp_that_is_no_time_is_negative(timestamp_s: float) -> None:
+    """1e300 s is finite, and infinite in nanoseconds."""
+    assert frame_stamp_ns(can.Message(timestamp=timestamp_s)) < 0
 
 
 def test_a_frame_without_a_time_does_not_hold_up_the_log() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from matplotlib import colormaps
 
 from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.lidar import LidarSetup, SpadParams
 from msgs.perception import (
     BevFrame,
     BevGrid,
@@ -25,11 +26,11 @@ from msgs.perception import (
     TruthSurface,
     Wall,
 )
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.radar import PRESETS, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.vehicle import VehicleState
 from nodes.viewer import view_model
 from nodes.viewer.board import json_text
-from nodes.viewer.node_table import MAX_NODES, SILENT_NS, NodeTable
+from nodes.viewer.node_table import MAX_ENTRIES, MAX_HEARTBEATS, MAX_NODES, SILENT_NS, NodeTable
 from nodes.viewer.view_model import MAX_TRACKS, STEP_DB, ellipse, map_json, map_tile, mask_tile, summary_text, view_json
 
 HEADER = struct.Struct("<2sBBIHHhH")
@@ -213,6 +214,11 @@ def test_levels_become_codes_over_the_noise() -> None:
     assert STEP_DB == 0.4
 
 
+def test_a_cell_whose_power_overflows_counts_as_empty() -> None:
+    """3e38 is a float32, its square none."""
+    assert list(map_tile(ra_map(np.array([[3e38, 10.0]])))[16:]) == [0, 50]
+
+
 def test_without_noise_levels_hang_from_the_peak() -> None:
     tile = map_tile(ra_map(np.array([[1e-3, 1e-4]]), noise_power_mw=0.0))
     assert HEADER.unpack(tile[:16])[-2:] == (-10200, 400)
@@ -294,6 +300,14 @@ def test_rates_and_load_come_from_the_last_seconds() -> None:
     assert (row["lost"], row["rejected"], row["state"]) == (2, 1, "ready")
 
 
+def test_a_topic_that_nobody_knows_has_no_rate() -> None:
+    """A heartbeat names any topics it likes."""
+    table = NodeTable()
+    for beat in range(2):
+        table.add(status(second=beat, published=(TopicCount(topic="ready", messages=beat, bytes=0),)), beat * S)
+    assert table.rows(S)[0]["rates"] == []
+
+
 def test_one_heartbeat_has_no_rate_yet() -> None:
     table = NodeTable()
     table.add(status(messages=5), 0)
@@ -346,3 +360,51 @@ def test_the_table_is_bounded() -> None:
         table.add(status(f"n{index:03}"), index)
     assert len(table.rows(0)) == MAX_NODES
     assert table.rows(0)[0]["node"] == "n005"
+
+
+def test_a_peer_s_names_do_not_drive_out_the_nodes_of_this_host() -> None:
+    table = NodeTable()
+    table.add(status("geometry"), 0)
+    for index in range(2 * MAX_NODES):
+        table.add(status(f"sensor.n{index}"), 1 + index)
+    names = {row["node"] for row in table.rows(0)}
+    assert len(names) == MAX_NODES
+    assert {"geometry", f"sensor.n{2 * MAX_NODES - 1}"} <= names
+
+
+@pytest.mark.parametrize(
+    ("setup", "words"),
+    [
+        (RadarSetup(), "X-band radar, 10 GHz, 25 beams"),
+        (PRESETS["77ghz"], "77 GHz radar, 57 channels, digital"),
+        (RadarSetup(radar=RadarParams(carrier_hz=24.125e9)), "24.1 GHz radar, 25 beams"),
+        (LidarSetup(), "SPAD LiDAR, 850 nm, 256 azimuths"),
+        (LidarSetup(spad=SpadParams(arming="gated", gates=11)), "SPAD LiDAR, 850 nm, 256 azimuths, 11 gates"),
+    ],
+)
+def test_the_page_is_told_which_sensor_it_looks_through(setup: RadarSetup | LidarSetup, words: str) -> None:
+    told = view_model.sensor_json(setup)
+    assert told["text"] == words
+    assert told["name"] == ("LiDAR" if isinstance(setup, LidarSetup) else "radar")
+    assert 0.0 < told["scan_s"] <= told["scan_period_s"] * (1.0 + 1e-9)
+
+
+def test_a_peer_that_invents_all_it_can_fills_neither_table_nor_page() -> None:
+    """Names, heartbeats, stages, topics, reasons: whatever stands on the bus, a row stays a row."""
+    table = NodeTable()
+    stages = tuple(StageTime(name=f"s{n}", count=1, last_ms=1.0, mean_ms=1.0, max_ms=1.0) for n in range(1000))
+    topics = tuple(TopicCount(topic=f"t{n}", messages=1, bytes=1) for n in range(1000))
+    shed = tuple(ShedCount(what="x", reason=str(n), count=1) for n in range(1000))
+    for number in range(1000):
+        status = NodeStatus(
+            stamp_ns=0, node=f"n{number % 100}", pid=1, state=NodeState.READY, reason="r" * 100_000, stages=stages,
+            published=topics, shed=shed,
+        )  # fmt: skip
+        table.add(status, number)
+    for number in range(1000):
+        table.add(NodeStatus(stamp_ns=0, node="one", pid=1, state=NodeState.READY), 1000 + number)
+    rows = table.rows(2000)
+    assert len(rows) == MAX_NODES
+    assert max(len(heard) for heard in table._heard.values()) == MAX_HEARTBEATS
+    assert all(len(row[name]) <= MAX_ENTRIES for row in rows for name in ("stages", "shed", "rates"))
+    assert len(json_text(rows)) < MAX_NODES * 6000

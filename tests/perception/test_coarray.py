@@ -211,3 +211,13 @@ def test_what_no_beam_saw_stays_dark() -> None:
     assert not magnitudes[:, azimuth_deg > -7.5 + 0.01].any()
     filled, _ = interpolator.interpolate(profiles, 1e-12, missing=(12,))
     assert np.abs(filled).min(axis=0)[np.abs(azimuth_deg) < 5.0].min() > 0.0
+
+
+def test_matrices_are_kept_of_so_many_sets_of_missing_beams_only() -> None:
+    """There are 2^25 sets; a radar that loses beams by chance must not fill the memory with them."""
+    interpolator = AzimuthInterpolator(RadarSetup(beams=BeamGrid(azimuth_deg=tuple(range(-35, 36, 10)))))
+    first = interpolator.noise_gain((0,))
+    for bits in range(1, 128):
+        interpolator.noise_gain(tuple(beam for beam in range(7) if bits >> beam & 1))
+    assert len(interpolator._inverses) <= 64
+    assert interpolator.noise_gain((0,)) == first

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from models.perception.encoding import CHANNELS, Encoding, encode_columns, encode_map, sample_columns
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.radar import PRESETS, RangeAzimuthGrid, RangeAzimuthMap
 
 ENCODING = Encoding()
 LEVEL, SHADOW, CONTRAST = range(3)
@@ -126,6 +126,14 @@ def test_grid_that_does_not_fit_is_refused() -> None:
     odd = RangeAzimuthGrid(azimuth_bins=250)
     with pytest.raises(ValueError, match=r"grid\.azimuth_bins must be a multiple of 64, got 250"):
         encode_map(ENCODING, ra_map(np.ones(odd.shape), grid=odd))
+
+
+def test_columns_that_miss_the_beams_of_an_array_are_refused() -> None:
+    """57 columns half a wavelength apart: 120 deg hold 2.0944 x 56 = 117.3 samples of their power."""
+    ENCODING.check_array(PRESETS["xband"], RangeAzimuthGrid())
+    Encoding(columns=128).check_array(PRESETS["77ghz"], RangeAzimuthGrid())
+    with pytest.raises(ValueError, match=r"encoding\.columns must be at least 118 for an array of 57 .* got 32"):
+        ENCODING.check_array(PRESETS["77ghz"], RangeAzimuthGrid())
 
 
 def test_levels_out_of_order_are_refused() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.perception.peaks import PeakParams, find_peaks, local_maxima, polar_covariance
-from msgs.perception import PathClass
+from msgs.perception import MOST_PEAKS, PathClass
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
@@ -104,3 +104,15 @@ def test_no_peaks_is_a_valid_message_and_a_wrong_grid_is_refused():
     assert len(find_peaks(np.zeros((2, *GRID.shape), np.float32), flat_map(), PeakParams())) == 0
     with pytest.raises(ValueError, match="probabilities"):
         find_peaks(np.zeros((2, 512, 512), np.float32), flat_map(), PeakParams())
+
+
+def test_of_too_many_peaks_the_best_are_kept() -> None:
+    """A heat map of noise, as of a network that has learnt nothing: two classes, each with thousands of maxima."""
+    ra_map = flat_map()
+    noise = np.random.default_rng(0).random((len(PathClass), *ra_map.grid.shape))
+    every = [local_maxima(channel, 0.5, 1) for channel in noise]
+    assert sum(len(cells) for cells in every) > MOST_PEAKS
+    peaks = find_peaks(noise, ra_map, PeakParams(threshold=0.5, min_distance=1))
+    assert len(peaks) == MOST_PEAKS
+    best = np.sort(np.concatenate([noise[which][tuple(cells.T)] for which, cells in enumerate(every)]))[-MOST_PEAKS:]
+    np.testing.assert_array_equal(np.sort(peaks.score), best)

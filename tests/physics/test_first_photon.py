@@ -6,7 +6,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy.stats import chi2
+from scipy.stats import chi2, kstest
 
 from models.physics.first_photon import (
     bins_of_ticks,
@@ -45,16 +45,20 @@ def test_many_histograms_at_once_are_each_their_own() -> None:
 
 
 def test_draws_have_the_probabilities() -> None:
-    """Chi-square of 20 seeds over 30 bins and none: p-values spread over 0..1: none under 1e-4, mean 0.5 +- 0.2."""
-    mean_counts = 0.3 * np.random.default_rng(1).random(30)
+    """Three laws in one call, of 2e4, 1e5 and 3e9 periods. Chi-square of 20 seeds over bins and none: none of the
+    p-values under 1e-4, and in each row evenly spread (Kolmogorov-Smirnov).
+    """
+    mean_counts = np.array([[0.01], [0.3], [1e-3]]) * np.random.default_rng(1).random(30)
+    periods = np.array([20_000, 100_000, 3_000_000_000])
     p, none = first_photon_probability(mean_counts)
-    expected, values = 100_000 * np.append(p, none), []
+    expected, values = periods[:, None] * np.column_stack([p, none]), []
+    assert expected.min() > 1.0
     for seed in range(20):
-        drawn = first_photon_histogram(mean_counts, 100_000, np.random.default_rng(seed))
-        seen = np.append(drawn, 100_000 - drawn.sum())
-        values.append(chi2.sf(np.sum((seen - expected) ** 2 / expected), len(p)))
-    assert min(values) > 1e-4
-    assert np.mean(values) == pytest.approx(0.5, abs=0.2)
+        drawn = first_photon_histogram(mean_counts, periods, np.random.default_rng(seed))
+        seen = np.column_stack([drawn, periods - drawn.sum(axis=1)])
+        values.append(chi2.sf(np.sum((seen - expected) ** 2 / expected, axis=1), p.shape[1]))
+    assert np.min(values) > 1e-4
+    assert all(kstest(row, "uniform").pvalue > 0.01 for row in np.transpose(values))
 
 
 def test_pile_up_is_undone() -> None:

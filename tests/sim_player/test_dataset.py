@@ -243,7 +243,7 @@ def test_places_carry_their_plans(places: Path) -> None:
 def test_millimetre_waves_too(tmp_path: Path) -> None:
     folder = write_dataset(tmp_path, 1, 5, Recipe(preset="77ghz", places="parking_lot")).parent
     shard = read_shard(folder / "shard-00000.npz")
-    assert shard["profiles"].shape == (1, 25, 512)
+    assert shard["profiles"].shape == (1, 57, 512)
     assert scene_from_yaml(str(shard["scene_yaml"][0])).setup.radar.carrier_hz == 77e9
 
 
@@ -378,6 +378,7 @@ def test_another_series_folder_is_refused(tmp_path: Path) -> None:
         ({"places": "nowhere"}, "places must be one of any, street, .*, got 'nowhere'"),
         ({"preset": "spad"}, "preset must be one of xband, 77ghz, got 'spad'"),
         ({"places": "street_v1", "preset": "77ghz"}, "preset must be xband for places street_v1"),
+        ({"preset": "77ghz", "shift": "hard"}, "shift must be none for preset 77ghz: .* got 'hard'"),
         ({"budget_db": 0.0}, "budget_db must be negative"),
         ({"budget_db": float("nan")}, "budget_db must be negative"),
         ({"effects": "some"}, "effects must be auto, all, basic or a list of names, got 'some'"),

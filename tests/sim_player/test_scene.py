@@ -116,7 +116,7 @@ def test_written_scene_reads_back_the_same() -> None:
         (scene(more="weather: {temperature_c: -61}"), "weather.temperature_c: must lie in -60..60, got -61.0"),
         (scene(more="weather: {pressure_hpa: 101325}"), "weather.pressure_hpa: must lie in 500..1100, got 101325.0"),
         (scene(more="weather: {water_vapour_g_per_m3: 51}"), "weather.water_vapour_g_per_m3: must lie in 0..50"),
-        (scene(more="radar: {preset: spad}"), "radar.preset: "),
+        (scene(more="radar: {preset: sonar}"), "radar.preset: "),
         (scene(more="radar: {height_m: 0}"), "radar.height_m: must be positive"),
         (scene(WALL.replace("concrete", "brick").join("[]"), more="radar: {preset: 77ghz}"), "got 77 GHz"),
         ("name: [", "not YAML: "),

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from models.perception.coarray import beam_matrix
 from models.perception.encoding import Encoding
 from models.training.datasets import (
     DataConfig,
@@ -18,7 +19,7 @@ from models.training.datasets import (
     shuffled_batches,
 )
 from models.training.frames import FrameLabels, Scan, fixed_splits
-from msgs.radar import RangeAzimuthGrid
+from msgs.radar import PRESETS, RangeAzimuthGrid
 from sim_player.dataset import write_dataset
 
 GRID = RangeAzimuthGrid(azimuth_bins=64, range_bins=32)
@@ -75,6 +76,20 @@ def test_perturbed_noise_is_as_strong_as_it_says() -> None:
     added_mw = noisy.noise_power_mw - 2.0
     assert added_mw > 0.5
     assert np.mean(np.abs(noisy.profiles) ** 2) == pytest.approx(added_mw, rel=0.016)
+
+
+def test_a_digital_array_is_perturbed_in_its_columns() -> None:
+    """Every range is turned by one matrix that is diagonal over the columns, its factors near 1; no beam is missing."""
+    setup, rng = PRESETS["77ghz"], np.random.default_rng(2)
+    profiles = (rng.standard_normal((57, 64)) + 1j * rng.standard_normal((57, 64))).astype(np.complex64)
+    always = Perturbation(moving_share=1.0, missing_share=1.0)
+    perturbed = perturb_scan(scan_of(profiles), always, rng, setup)
+    assert perturbed.profiles is not None
+    assert perturbed.missing_beams == ()
+    columns = np.linalg.inv(beam_matrix(setup))
+    factors = (columns @ perturbed.profiles) / (columns @ profiles)
+    np.testing.assert_allclose(factors, factors[:, :1] * np.ones(64), rtol=2e-3)
+    assert 0.0 < np.abs(20 * np.log10(np.abs(factors))).max() < 2.0
 
 
 def test_perturbation_changes_beams_not_ranges() -> None:

@@ -24,11 +24,11 @@ from models.training.run_folder import BEST, CONFIG, SUMMARY
 from models.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig, load_best
 from msgs.radar import RadarSetup, RangeAzimuthGrid
 
-GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
-ENCODING = Encoding(range_bins=32, columns=8)
+GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=128)
+ENCODING = Encoding(range_bins=32, columns=16)
 #: Chosen on the validation scenes.
 THRESHOLD = 0.2
-NETWORK = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
+NETWORK = CompactUNetConfig(range_bins=32, columns=16, widths=(8, 16), attention_heads=2, attention_blocks=1)
 
 
 def write_shards(directory: Path, seed: int, scenes: int = 12) -> Path:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from models.training.frames import DataSet, Splits, fixed_splits
-from msgs.radar import RangeAzimuthGrid
+from msgs.radar import PRESETS, RangeAzimuthGrid
 from sim_player.dataset import write_dataset
 
 GRID = RangeAzimuthGrid(range_bins=16, azimuth_bins=8)
@@ -139,8 +139,10 @@ def test_values_that_are_not_finite_name_their_scene(tmp_path: Path) -> None:
         DataSet(tmp_path).scan(1)
 
 
-def test_data_of_another_radar_is_refused(tmp_path: Path) -> None:
+def test_data_know_their_radar(tmp_path: Path) -> None:
     write_maps(tmp_path, ["a", "b", "c"])
     (tmp_path / "series.json").write_text('{"preset": "77ghz"}')
-    with pytest.raises(ValueError, match=r"series\.json: preset must be xband, got '77ghz'"):
+    assert DataSet(tmp_path).setup is PRESETS["77ghz"]
+    (tmp_path / "series.json").write_text('{"preset": "spad"}')
+    with pytest.raises(ValueError, match=r"series\.json: preset must be one of xband, 77ghz, got 'spad'"):
         DataSet(tmp_path)

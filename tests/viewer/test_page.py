@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from msgs.lidar import LidarSetup
 from msgs.perception import BevFrame, BevGrid, HiddenObject, Peaks, Track
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.vehicle import VehicleState
@@ -309,6 +310,22 @@ def test_a_screen_reader_hears_what_is_seen(server: ViewerServer, board: Board, 
     assert page.evaluate(outline) == "solid"
 
 
+def test_the_page_says_which_sensor_it_looks_through(server: ViewerServer, board: Board, open_page: Open) -> None:
+    """In the header of both themes and in the words of both pictures; photons have a unit of their own."""
+    words = "SPAD LiDAR, 850 nm, 256 azimuths"
+    assembly = Assembly(board)
+    assembly.take(LidarSetup(), 0)
+    assembly.take(msgspec.structs.replace(one_echo(20.0, 0.3), mode="photons"), 0)
+    assembly.take(frame(0), 0)
+    for scheme in ("light", "dark"):
+        page = open_page(server, scheme)
+        until(page, "mirrorwave.state.view && mirrorwave.state.map && mirrorwave.state.sensor")
+        assert page.locator("header #sensor").inner_text() == words
+        for canvas in ("bev", "map"):
+            assert words in (page.locator(f"#{canvas}").get_attribute("aria-label") or "")
+        assert "60 dB over ambient σ" in page.locator("#map-note").inner_text()
+
+
 def test_the_vehicle_and_nodes_are_shown(server: ViewerServer, board: Board, open_page: Open) -> None:
     from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 
@@ -586,3 +603,46 @@ def test_truth_is_absent_where_nobody_knows_it(server: ViewerServer, board: Boar
     until(page, "mirrorwave.state.view")
     assert page.evaluate("mirrorwave.state.view.truth") is None
     assert page.locator("#objects tbody td").nth(4).inner_text() == "–"
+
+
+def test_what_peers_say_is_text_and_never_markup(board: Board, open_page: Open) -> None:
+    """Names, reasons, flags and titles of a hostile peer: no element of theirs, no script, no violated policy."""
+    from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime
+    from msgs.perception import SceneTruth, TruthObject
+
+    evil = "<img src=x onerror=alert(1)><script>window.evil = 1</script>"
+    none = np.zeros((0, 3), np.float32)
+    car = TruthObject(id=0, object_class=evil, x_m=10.0, y_m=5.0, yaw_rad=0.0, length_m=4.0, width_m=2.0, hidden=True)
+    assembly = Assembly(board)
+    status = NodeStatus(
+        stamp_ns=0, node=evil, pid=1, state=NodeState.DEGRADED, reason=evil,
+        stages=(StageTime(name=evil, count=1, last_ms=1.0, mean_ms=1.0, max_ms=1.0),),
+        shed=(ShedCount(what=evil, reason=evil, count=1),),
+    )  # fmt: skip
+    truth = SceneTruth(
+        stamp_ns=0, scan_id=0, los_points_m=none, mirrored_points_m=none, hidden_points_m=none,
+        hidden_object=np.zeros(0, np.int32), objects=(car,),
+    )  # fmt: skip
+    state = VehicleState(stamp_ns=0, valid=False, reason=evil)
+    view = msgspec.structs.replace(frame(0, (10.0, 5.0)), flags=(evil,))
+    for message in (state, truth, status, one_echo(20.0, 0.3), view):
+        assembly.take(message, 0)
+    assembly.post_table(0)
+    with ViewerServer(board, title=evil) as server:
+        page = open_page(server)
+        until(page, "mirrorwave.state.nodes.length && mirrorwave.state.view && mirrorwave.state.warnings.length")
+        assert page.locator("img").count() == 0
+        assert page.locator("script").count() == 1
+        assert page.evaluate("window.evil") is None
+        for place in ("#title", "#nodes", "#warning-list"):
+            assert evil in page.locator(place).inner_text().replace("\n", " "), place
+        page.goto("about:blank")
+
+
+def test_the_page_could_not_make_markup_of_text_if_it_tried(server: ViewerServer, browser: Any) -> None:
+    context = browser.new_context()
+    page = context.new_page()
+    page.goto(server.url)
+    attempt = "(() => { try { document.body.innerHTML = 'x'; return ''; } catch (error) { return error.name; } })()"
+    assert page.evaluate(attempt) == "TypeError"
+    context.close()

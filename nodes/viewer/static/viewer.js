@@ -22,7 +22,7 @@ const LAYERS = [
   { key: "images", name: "mirror images", on: true, swatch: (c) => drawDiamond(c, 11, 8, 5) },
   { key: "objects", name: "recovered", on: true, swatch: drawObjectSwatch },
   { key: "truth", name: "truth", on: true, swatch: drawTruthSwatch },
-  { key: "map", name: "radar map beneath", on: false, swatch: drawMapSwatch },
+  { key: "map", name: "map beneath", on: false, swatch: drawMapSwatch },
   { key: "grid", name: "grid", on: true, swatch: drawGridSwatch },
   { key: "tracks", name: "followed", on: true, swatch: drawTrackSwatch, hint: "followed over scans: where it was, where it goes, where it comes into sight" },
 ];
@@ -36,7 +36,7 @@ const state = {
   connection: "waiting", title: "", recording: false, colours: [],
   paused: false, missed: 0, number: null, updates: 0, announced: "",
   // what is shown, and what came while paused
-  view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
+  sensor: null, view: null, mask: null, viewAt: 0, map: null, tile: null, nodes: [], graph: null, timeline: null,
   held: { view: null, map: null },
   warnings: [], warningsAt: null, overview: null, sound: false, loop: false,
   layers: Object.fromEntries(LAYERS.map((layer) => [layer.key, layer.on])),
@@ -98,8 +98,9 @@ function greet(message) {
   ramp = colourRamp(message.colours);
   byId("title").textContent = message.title;
   document.title = `mirrorwave ${message.title}`;
-  Object.assign(state, { overview: null, warnings: [], warningsAt: performance.now() });
+  Object.assign(state, { sensor: null, overview: null, warnings: [], warningsAt: performance.now() });
   byId("timeline").hidden = !message.recording;
+  byId("sensor").hidden = true;
   document.body.toggleAttribute("data-recording", message.recording);
   byId("pause").hidden = message.recording;
   setConnection("live");
@@ -116,6 +117,7 @@ function take({ kinds, got }) {
     else if (message.type === "map") takeMap({ message, tile });
     else if (message.type === "nodes") { state.nodes = message.nodes; state.graph = message.graph; showNodes(); }
     else if (message.type === "timeline") { state.timeline = message; showTimeline(); }
+    else if (message.type === "sensor") showSensor(message);
     else if (message.type === "overview") { state.overview = message; drawStrip(); }
     else if (message.type === "warnings") { state.warnings = message.warnings; state.warningsAt = performance.now(); showWarnings(); }
   }
@@ -163,11 +165,23 @@ function setConnection(connection) {
   showWarnings();
 }
 
+// Whose eyes these are, for eyes and for screen readers: the same scene looks different to each sensor.
+function showSensor(message) {
+  state.sensor = message;
+  byId("sensor").textContent = message.text;
+  byId("sensor").hidden = false;
+  byId("latency-figure").title = `Start of the scan to its view here; the scan itself takes ${Number(message.scan_s.toFixed(2))} s of it`;
+  if (state.view) byId("bev").setAttribute("aria-label", bevLabel(state.view));
+}
+
+const sensorWords = () => (state.sensor ? `${state.sensor.text}, ` : "");
+const bevLabel = (view) => `Bird’s-eye view, ${sensorWords()}scan ${view.scan_id}: ${view.summary}`;
+
 function showView({ message, mask, at }) {
   Object.assign(state, { view: message, mask, viewAt: at, maskImage: null });
   byId("summary").textContent = message.summary;
   byId("flags").textContent = message.flags.map((flag) => flag.replaceAll("_", " ")).join(", ");
-  byId("bev").setAttribute("aria-label", `Bird’s-eye view, scan ${message.scan_id}: ${message.summary}`);
+  byId("bev").setAttribute("aria-label", bevLabel(message));
   showObjects();
   showTracks();
   announce(message);
@@ -179,14 +193,15 @@ function showView({ message, mask, at }) {
 function showMap({ message, tile }) {
   Object.assign(state, { map: message, tile, planeImage: null, polarImage: null });
   const conditions = [
-    message.mode === "coherent" ? "" : `${message.mode} mode`,
+    ["coherent", "photons"].includes(message.mode) ? "" : `${message.mode} mode`,
     message.incoherent_share > 0 ? `${(100 * message.incoherent_share).toFixed(0)} % of ranges incoherent` : "",
     message.missing_beams.length ? `beams ${message.missing_beams.join(", ")} missing` : "",
     message.saturated_share > 0 ? `${(100 * message.saturated_share).toFixed(1)} % saturated` : "",
     message.ego_compensated ? "ego motion taken out" : "",
   ].filter(Boolean);
-  byId("map-note").textContent = [`scan ${message.scan_id}`, `peak ${message.peak_db.toFixed(0)} dB${message.reference === "noise" ? " over noise" : ""}`, ...conditions].join(" · ");
-  byId("map").setAttribute("aria-label", `Range-azimuth map of scan ${message.scan_id}, peak ${message.peak_db.toFixed(0)} dB over noise`);
+  const peak = `peak ${message.peak_db.toFixed(0)} ${message.reference === "noise" ? message.unit : "dB"}`;
+  byId("map-note").textContent = [`scan ${message.scan_id}`, peak, ...conditions].join(" · ");
+  byId("map").setAttribute("aria-label", `Range-azimuth map, ${sensorWords()}scan ${message.scan_id}, ${peak}`);
   dirty.map = true;
   if (state.layers.map) dirty.bev = true;
 }
@@ -205,7 +220,8 @@ function announce(view) {
 
 function showFigures() {
   const now = performance.now();
-  while (arrivals.length && arrivals[0] < now - 5000) arrivals.shift();
+  // the last one stays: how long it is ago is told
+  while (arrivals.length > 1 && arrivals[0] < now - 5000) arrivals.shift();
   const { view, timeline } = state;
   const quiet = arrivals.length ? now - arrivals[arrivals.length - 1] : Infinity;
   const [name, text] = linkState(quiet);
@@ -227,7 +243,7 @@ function linkState(quiet) {
   if (state.recording) return ["live", "recording"];
   if (state.paused) return ["waiting", "paused"];
   if (!state.view) return ["waiting", "waiting for the first view"];
-  return quiet > STALE_MS ? ["waiting", `no new view for ${(quiet / 1000).toFixed(0)} s`] : ["live", "live"];
+  return quiet > Math.max(STALE_MS, state.sensor ? 3000 * state.sensor.scan_period_s : 0) ? ["waiting", `no new view for ${(quiet / 1000).toFixed(0)} s`] : ["live", "live"];
 }
 
 function cell(text, className) {
@@ -929,7 +945,7 @@ function drawTruth(c, truth) {
   }
 }
 
-// The radar, and where its vehicle will be in two seconds if it goes on as it does.
+// The sensor, and where its vehicle will be in two seconds if it goes on as it does.
 function drawEgo(c, vehicle) {
   if (vehicle && vehicle.valid && Math.abs(vehicle.speed_mps) > 0.05) {
     const points = [];
@@ -947,8 +963,9 @@ function drawEgo(c, vehicle) {
   c.fillStyle = colours.ego;
   c.fill();
   c.textAlign = "left";
-  const words = !vehicle ? "radar" : !vehicle.valid ? `radar, motion unknown: ${vehicle.reason}`
-    : `radar, ${vehicle.speed_mps.toFixed(1)} m/s${Math.abs(vehicle.yaw_rate_rps) > 1e-3 ? `, ${((vehicle.yaw_rate_rps * 180) / Math.PI).toFixed(0)}°/s` : ""}`;
+  const name = state.sensor ? state.sensor.name : "radar";
+  const words = !vehicle ? name : !vehicle.valid ? `${name}, motion unknown: ${vehicle.reason}`
+    : `${name}, ${vehicle.speed_mps.toFixed(1)} m/s${Math.abs(vehicle.yaw_rate_rps) > 1e-3 ? `, ${((vehicle.yaw_rate_rps * 180) / Math.PI).toFixed(0)}°/s` : ""}`;
   caption(c, words, px + 13, py + 6);
 }
 
@@ -986,7 +1003,8 @@ function rgba(hex) {
 function levelWindow() {
   if (state.map.reference !== "noise") return [-DYNAMIC_RANGE_DB, 0];
   const top = Math.max(Math.ceil(state.map.peak_db / 5) * 5, LEAST_TOP_DB);
-  return [Math.max(top - DYNAMIC_RANGE_DB, 0), top];
+  // a wall at hand outshines its own mirror image by more than beams do: of photons all levels are shown
+  return [state.map.mode === "photons" ? 0 : Math.max(top - DYNAMIC_RANGE_DB, 0), top];
 }
 
 // Colour of each code of a tile within the window of levels.
@@ -1162,7 +1180,7 @@ function drawColourBar(c, x, y, width, height) {
   c.translate(x + width + 38, y + height / 2);
   c.rotate(-Math.PI / 2);
   c.textAlign = "center";
-  c.fillText(state.map.reference === "noise" ? "dB over noise" : "dB below peak", 0, 0);
+  c.fillText(state.map.unit, 0, 0);
   c.restore();
 }
 

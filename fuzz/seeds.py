@@ -1,0 +1,390 @@
+"""Valid inputs to begin with, made by the project's own writers: small, seeded, nothing measured."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import math
+import struct
+import tempfile
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from msgs import codec
+from msgs.bus import Envelope
+from msgs.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.lidar import LidarSetup, PhotonHistograms
+from msgs.perception import (
+    BevFrame,
+    BevGrid,
+    HiddenObject,
+    HiddenPoint,
+    Peaks,
+    SceneTruth,
+    Track,
+    TruthObject,
+    TruthSurface,
+    Wall,
+)
+from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.recording import Losses, RecordingWriter, TopicLoss
+from msgs.sigmf_capture import write_capture
+from msgs.vehicle import VehicleState
+
+ROOT = Path(__file__).resolve().parents[1]
+GRID = RangeAzimuthGrid(range_bins=4, azimuth_bins=4)
+SETUP = RadarSetup(
+    radar=RadarParams(chirps_per_beam=1, samples_per_chirp=4, scan_period_s=0.2),
+    beams=BeamGrid(azimuth_deg=(-20.0, 0.0, 20.0)),
+    full_scale_dbm=-21.7,
+)
+FULL_SETUP = msgspec.structs.replace(
+    SETUP,
+    beat_sign=-1,
+    steering_weights=np.exp(1j * np.arange(24.0).reshape(3, 8)).astype(np.complex64),
+    background=np.arange(12.0).reshape(3, 4).astype(np.complex64),
+)
+_COVARIANCE = ((1.0, 0.0), (0.0, 2.0))
+
+
+def beams(count: int) -> Iterator[RadarBeam]:
+    """Beams of `SETUP`, three a scan."""
+    for at in range(count):
+        yield RadarBeam(
+            stamp_ns=1000 + 70_000_000 * at,
+            scan_id=at // 3,
+            beam_index=at % 3,
+            beam_count=3,
+            azimuth_rad=math.radians(SETUP.beams.azimuth_deg[at % 3]),
+            samples=np.arange(8, dtype=np.int16).reshape(1, 4, 2),
+            full_scale_dbm=SETUP.full_scale_dbm,
+        )
+
+
+def _peaks(scan_id: int) -> Peaks:
+    column = np.array([0.25, 0.5])
+    return Peaks(
+        stamp_ns=1000, scan_id=scan_id, range_m=column, azimuth_rad=column, score=column, snr_db=column,
+        path_class=np.array([0, 1], np.uint8), covariance=np.zeros((2, 2, 2)), peak_stamp_ns=np.arange(2),
+        missing_beams=(2,), faults=("interference",),
+    )  # fmt: skip
+
+
+def _map(scan_id: int) -> RangeAzimuthMap:
+    return RangeAzimuthMap(
+        stamp_ns=1000, scan_id=scan_id, grid=GRID, values=np.full(GRID.shape, 1j, np.complex64), noise_power_mw=1e-9,
+        azimuth_stamp_ns=np.arange(4, dtype=np.int64), incoherent=np.array([True, False] * 2), missing_beams=(1,),
+    )  # fmt: skip
+
+
+def _view(scan_id: int) -> BevFrame:
+    return BevFrame(
+        stamp_ns=1000,
+        scan_id=scan_id,
+        walls=(Wall(normal=(-1.0, 0.0), offset_m=9.0, ends_m=((9.0, -1.0), (9.0, 1.0)), inliers=4),),
+        points=(HiddenPoint(x_m=1.0, y_m=2.0, score=0.5, image_x_m=3.0, image_y_m=4.0, wall=0),),
+        objects=(
+            HiddenObject(id=1, x_m=1.0, y_m=2.0, length_m=4.0, width_m=2.0, yaw_rad=0.1, score=0.9, cov_m2=_COVARIANCE),
+        ),
+        tracks=(
+            Track(
+                id=1, x_m=1.0, y_m=2.0, velocity_x_mps=0.0, velocity_y_mps=1.0, age_s=1.0, cov_m2=_COVARIANCE,
+                time_to_appear_s=2.0, velocity_cov_m2ps2=_COVARIANCE,
+            ),
+        ),
+        los_points_m=np.ones((2, 2), np.float32),
+        grid=BevGrid(rows=2, columns=3),
+        visibility=np.array([[0, 1, 2], [2, 1, 0]], np.uint8),
+        ego=VehicleState(stamp_ns=3, speed_mps=4.5),
+        flags=("incoherent",),
+    )  # fmt: skip
+
+
+def _truth(scan_id: int) -> SceneTruth:
+    return SceneTruth(
+        stamp_ns=1000,
+        scan_id=scan_id,
+        los_points_m=np.zeros((2, 3), np.float32),
+        mirrored_points_m=np.ones((1, 3), np.float32),
+        hidden_points_m=np.ones((1, 3), np.float32),
+        hidden_object=np.array([-1], np.int32),
+        objects=(TruthObject(id=1, object_class="car", x_m=1.0, y_m=2.0, length_m=4.0, width_m=2.0, yaw_rad=0.0),),
+        surfaces=(TruthSurface(role="relay", material="glass", polyline_m=((1.0, 2.0), (3.0, 4.0))),),
+    )
+
+
+def messages(scan_id: int = 0) -> list[tuple[str, msgspec.Struct]]:
+    """At least one message of every topic, its optional fields filled."""
+    status = NodeStatus(
+        stamp_ns=1, node="a", pid=3, state=NodeState.READY, cpu_s=1.0, uptime_s=2.0, resident_bytes=9,
+        stages=(StageTime(name="fold", count=3, last_ms=1.0, mean_ms=1.0, max_ms=2.0, samples_ms=(1.0, 2.0)),),
+        received=(TopicCount(topic="radar/beam", messages=1, bytes=2, lost=1),),
+        published=(TopicCount(topic="log", messages=1, bytes=2),),
+        shed=(ShedCount(what="map", reason="late", count=2),),
+    )  # fmt: skip
+    histograms = PhotonHistograms(
+        stamp_ns=1, scan_id=scan_id, counts=np.arange(8, dtype=np.uint32).reshape(4, 2), azimuth_stamp_ns=np.arange(4)
+    )
+    return [
+        ("radar/setup", FULL_SETUP),
+        ("radar/setup", SETUP),
+        ("lidar/setup", LidarSetup(grid=GRID, scan_period_s=1.0)),
+        ("vehicle/state", VehicleState(stamp_ns=3, speed_mps=4.5, valid=False, reason="stale")),
+        *(("radar/beam", beam) for beam in beams(3)),
+        ("lidar/histograms", histograms),
+        ("radar/ra_map", _map(scan_id)),
+        ("perception/peaks", _peaks(scan_id)),
+        ("perception/hidden_objects", _view(scan_id)),
+        ("sim/truth", _truth(scan_id)),
+        ("diagnostics/node", status),
+        ("log", LogRecord(stamp_ns=1, node="a", level="info", text="wall found: 12 m")),
+    ]
+
+
+def wire() -> list[list[bytes]]:
+    """Every message as frames."""
+    return [
+        [bytes(frame) for frame in codec.encode(Envelope(publisher="n", topic=topic, sequence=1, sent_ns=7), message)]
+        for topic, message in messages()
+    ]
+
+
+@lru_cache
+def recordings() -> list[bytes]:
+    """A recording of every topic over two scans; one of a single topic; one that was cut off."""
+    every = [(topic, message) for scan in (0, 1) for topic, message in messages(scan)]
+    one = [("vehicle/state", VehicleState(stamp_ns=at, speed_mps=1.0)) for at in range(3)]
+    view = [(topic, message) for topic, message in every if topic in ("perception/hidden_objects", "radar/setup")]
+    made = [_recording(every), _recording(one), _recording(view)]
+    return [*made, made[1][: len(made[1]) // 2], _foreign_recording()]
+
+
+def _recording(every: list[tuple[str, msgspec.Struct]]) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "seed.mcap"
+        with RecordingWriter(path, {"started_utc": "2026-01-01", "launch": "name: a", "machine": "{}"}) as writer:
+            for at, (topic, message) in enumerate(every):
+                writer.write(topic, message, publisher="n", sequence=at, sent_ns=50_000_000 * at)
+            writer.write_losses(Losses(topics=(TopicLoss(topic="radar/beam", lost=2),), ended="disk full"))
+        return path.read_bytes()
+
+
+def _foreign_recording() -> bytes:
+    """As another program writes one: channels declared once, an attachment, messages outside chunks."""
+    from mcap.writer import CompressionType, Writer
+
+    out = io.BytesIO()
+    writer = Writer(out, compression=CompressionType.LZ4, use_chunking=True, chunk_size=64)
+    writer.start("x", "other")
+    schema = writer.register_schema("VehicleState", "jsonschema", b"{}")
+    channel = writer.register_channel("vehicle/state", "msgpack", schema)
+    other = writer.register_channel("imu", "json", 0)
+    state = codec.encode_inline(VehicleState(stamp_ns=1, speed_mps=2.0))
+    for at in range(4):
+        writer.add_message(channel, at, state, at, at)
+        writer.add_message(other, at, b"{}", at, at)
+    writer.add_attachment(1, 1, "a", "text/plain", b"x")
+    writer.add_metadata("mirrorwave", {"a": "b"})
+    writer.finish()
+    return out.getvalue()
+
+
+@lru_cache
+def sigmf() -> list[list[bytes]]:
+    """Metadata, data and background of captures, plain and with all optional keys."""
+    found = []
+    for setup, count in ((SETUP, 6), (FULL_SETUP, 3), (SETUP, 2)):
+        with tempfile.TemporaryDirectory() as folder:
+            meta, data = write_capture(Path(folder) / "c", setup, beams(count))
+            # a checksum that every change breaks would hide all that lies behind it
+            fields = msgspec.json.decode(meta.read_bytes())
+            del fields["global"]["core:sha512"]
+            background = Path(folder) / "c.background.npy"
+            parts = [msgspec.json.encode(fields), data.read_bytes()]
+            found.append([*parts, background.read_bytes()] if background.exists() else parts)
+    return found
+
+
+def files(pattern: str) -> list[bytes]:
+    """Files that come with the code, by a pattern from the checkout."""
+    return [path.read_bytes() for path in sorted(ROOT.glob(pattern))]
+
+
+def npz(**arrays: Any) -> bytes:
+    """An archive of arrays."""
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    return out.getvalue()
+
+
+def npy(array: np.ndarray, order: str = "C") -> bytes:
+    """One array."""
+    out = io.BytesIO()
+    np.save(out, np.asarray(array, order=order))  # type: ignore[call-overload]
+    return out.getvalue()
+
+
+def shard() -> bytes:
+    """A data set's shard of two scenes with three points."""
+    return npz(
+        values=np.ones((2, 4, 4), np.complex64),
+        noise_power_mw=np.array([1e-9, 2e-9]),
+        offset=np.array([0, 1, 3]),
+        range_m=np.array([1.0, 2.0, 3.0], np.float32),
+        azimuth_rad=np.zeros(3, np.float32),
+        path_class=np.array([0, 1, 1], np.uint8),
+        hidden_xy_m=np.ones((3, 2), np.float32),
+        facts=np.array([b'{"place": "street", "objects": ["car"]}', b"{}"]),
+        scene_yaml=np.array(["name: a", "name: b"]),
+        sequence=np.array(["a", "b"]),
+        places_m=np.ones((2, 2), np.float32),
+        place_offset=np.array([0, 1, 2]),
+    )
+
+
+@lru_cache
+def network() -> list[bytes]:
+    """A card and the smallest ONNX file that it can describe; the card's checksum is put right by the target."""
+    import onnx
+    from onnx import TensorProto, helper, numpy_helper
+
+    weights = numpy_helper.from_array(np.full((2, 7, 1, 1), 0.1, np.float32), "w")
+    graph = helper.make_graph(
+        [
+            helper.make_node("Conv", ["map", "w"], ["seen"]),
+            helper.make_node("Sigmoid", ["seen"], ["heat"]),
+        ],
+        "g",
+        [helper.make_tensor_value_info("map", TensorProto.FLOAT, (1, 7, 8, 16))],
+        [helper.make_tensor_value_info("heat", TensorProto.FLOAT, (1, 2, 8, 16))],
+        [weights],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    onnx.checker.check_model(model)
+    content = model.SerializeToString()
+    card = msgspec.json.decode((ROOT / "models/weights/compact_unet.near.int8.json").read_bytes())
+    card |= {
+        "sha256": hashlib.sha256(content).hexdigest(),
+        "encoding": card["encoding"] | {"range_bins": 8, "crop_bins": None, "columns": 16},
+        "grid": {"range_bin_m": 0.2, "range_bins": 8, "azimuth_bins": 16, "azimuth_limit_deg": 60.0},
+        "input_shape": [1, 7, 8, 16],
+        "output_shape": [1, 2, 8, 16],
+        "scores": card["scores"][:1],
+        "calibration": [[0.0, 0.0], [0.5, 0.5], [1.0, 1.0]],
+        "training": {"command": "mirrorwave train"},
+        "data": {"training": "none"},
+    }
+    return [msgspec.json.encode(card), content]
+
+
+CFG = b"""% Platform:xWR16xx
+sensorStop
+channelCfg 15 3 0
+adcCfg 2 1
+adcbufCfg -1 0 0 1 1
+profileCfg 0 77.0 30 6 62 0 0 60 1 4 2500 0 0 30
+chirpCfg 0 0 0 0 0 0 0 1
+chirpCfg 1 1 0 0 0 0 0 2
+frameCfg 0 1 2 2 40 1 0
+lvdsStreamCfg -1 0 1 0
+sensorStart
+"""
+CFG_JSON = b"""{"device": "xwr14xx", "channelCfg": {"rx_mask": 15, "tx_mask": 5}, "adcCfg": {"adc_bits": 2,
+"output_format": 1}, "profileCfg": {"profile_id": 0, "start_frequency_ghz": 77.0, "idle_time_us": 30,
+"adc_start_time_us": 6, "ramp_end_time_us": 62, "tx_backoff": 0, "tx_phase_shifter": 0, "slope_mhz_per_us": 60,
+"tx_start_time_us": 1, "adc_samples": 4, "sample_rate_ksps": 2500, "hpf_corner_1": 0, "hpf_corner_2": 0,
+"rx_gain_db": 30}, "chirpCfg": [{"start_index": 0, "end_index": 0, "profile_id": 0, "tx_mask": 1},
+{"start_index": 1, "end_index": 1, "profile_id": 0, "tx_mask": 4}], "frameCfg": {"chirp_start_index": 0,
+"chirp_end_index": 1, "loops": 2, "frames": 2, "period_ms": 40}}"""
+
+SCENE = b"""name: every
+radar: {preset: xband, height_m: 0.8, noise_figure_db: 9.0, front_end: {adc_bits: 12}}
+surfaces:
+  - {role: relay, material: glass, polyline_m: [[12.0, -3.0], [12.0, 3.0], [10.0, 6.0]], thickness_mm: 8.0}
+  - {role: occluder, material: concrete, polyline_m: [[4.0, 1.0], [8.0, 1.5]], roughness_mm: 1.0, curvature_per_m: 0.01}
+  - {role: ground, material: concrete}
+objects:
+  - {class: car, x_m: 6.0, y_m: 6.0, yaw_deg: 90.0, speed_mps: 3.0}
+  - {primitive: box, size_m: [1.0, 1.0, 1.0], material: metal, x_m: 3.0, y_m: -4.0, z_m: 0.2}
+ego: {speed_mps: 2.0, yaw_rate_dps: 1.0}
+weather: {rain_mm_per_h: 5.0}
+"""
+MANIFEST = b"""name: yard
+radar_height_m: 1.2
+clouds:
+  - {file: a.ply, radar_from_lidar: {x_m: 1.0, yaw_deg: 3.0}, calibrated: true}
+  - {file: b.ply, unit: mm}
+radar: drive.sigmf-meta
+slice: {}
+seed: 3
+"""
+SETTINGS = b"""rows:
+  - {switch: beams, value: half, params: {ra_former: {beams: 13}}}
+  - {switch: refine, value: none, params: {dense_predictor: {refine: none}}}
+"""
+OBJ = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"
+PLY_MESH = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+)
+STL_TEXT = (
+    b"solid a\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\n"
+    b"endsolid a\n"
+)
+GLTF = b'{"asset": {"version": "2.0"}, "meshes": [], "nodes": [], "scenes": [{"nodes": []}], "scene": 0}'
+STL_BINARY = bytes(80) + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)
+PLY_CLOUD = (
+    b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    b"0 0 0\n5 5 1\n1 2 3\n"
+)
+PLY_BINARY = PLY_CLOUD[: PLY_CLOUD.index(b"0 0 0")].replace(b"ascii", b"binary_little_endian") + struct.pack(
+    "<9f", 0, 0, 0, 5, 5, 1, 1, 2, 3
+)
+PCD = (
+    b"# .PCD v0.7\nVERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\n"
+    b"VIEWPOINT 0 0 0 1 0 0 0\nPOINTS 3\nDATA ascii\n0 0 0\n5 5 1\n1 2 3\n"
+)
+
+
+def can_frames(count: int = 6) -> bytes:
+    """Frames of the car of launch/can as 18 bytes each: id, stamp [ms], length, flags, data."""
+    from models.vehicle.end_to_end import ChecksumRule, checksum_of
+
+    out = b""
+    for at in range(count):
+        for number, name in ((256, "SPEED_CHECKSUM"), (257, "MOTION_CHECKSUM")):
+            payload = bytes([0, at % 16, 16, 39, 0, 1, 0, 0])
+            rule = ChecksumRule(signal=name, algorithm="crc8_sae_j1850", data_id=number)
+            payload = bytes([checksum_of(rule, payload, 0)]) + payload[1:]
+            out += struct.pack("<IIBB", number, 20 * at, 8, 0) + payload
+    return out
+
+
+def can_logs() -> list[list[bytes]]:
+    """The same frames as each kind of log, its suffix first."""
+    import can
+
+    found = []
+    for suffix in (".log", ".asc", ".blf", ".csv", ".trc"):
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"a{suffix}"
+            with can.Logger(path) as logger:
+                frames = can_frames()
+                for at in range(0, len(frames), 18):
+                    number, stamp_ms, length, _ = struct.unpack_from("<IIBB", frames, at)
+                    logger(
+                        can.Message(
+                            timestamp=1.0 + 1e-3 * stamp_ms,
+                            arbitration_id=number,
+                            data=frames[at + 10 : at + 10 + length],
+                            is_extended_id=False,
+                            channel=0,
+                        )
+                    )
+            found.append([suffix.encode(), path.read_bytes()])
+    return found

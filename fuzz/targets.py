@@ -1,0 +1,843 @@
+"""Every reader of bytes from outside, what it may answer, and where its inputs come from.
+
+A target passes if its reader gives a value or raises what it documents, in one line; leaves its input as it was; and,
+where a writer exists, reads back what was written of the value. Modules are imported when a target runs, so that
+coverage sees their branches.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import itertools
+import json
+import shutil
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from fuzz.mutations import Parts
+
+
+class Box:
+    """A folder for the files of one input; `check` tells that none that was put there has changed."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._put: dict[Path, bytes] = {}
+
+    def put(self, name: str, content: bytes) -> Path:
+        """A file with this content."""
+        path = self.folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+        self._put[path] = content
+        return path
+
+    def new(self, name: str) -> Path:
+        """A path at which there is nothing."""
+        path = self.folder / name
+        if path.is_dir():
+            shutil.rmtree(path)
+        path.unlink(missing_ok=True)
+        return path
+
+    def check(self) -> None:
+        """Raise `AssertionError` where a reader changed its input."""
+        for path, content in self._put.items():
+            assert path.read_bytes() == content, f"{path.name} was changed by its reader"
+
+
+@dataclass(frozen=True)
+class Target:
+    """A reader: how it is run on the parts of an input, what kind each part is, what it may raise."""
+
+    run: Callable[[Parts, Box], None]
+    kinds: tuple[str, ...]
+    seeds: Callable[[], list[Parts]]
+    refusals: tuple[type[Exception], ...] = (ValueError, OSError)
+    #: Packages whose branches count, beside the project's own.
+    modules: tuple[str, ...] = ()
+    #: Longest input worth trying.
+    max_bytes: int = 1 << 14
+
+
+def execute(target: Target, parts: Parts, folder: Path) -> bool:
+    """Run a target on one input; True where a value came, False for a documented refusal, else what was raised."""
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    box = Box(folder)
+    try:
+        target.run(parts, box)
+    except target.refusals as error:
+        _require_plain_words(error)
+        box.check()
+        return False
+    box.check()
+    return True
+
+
+def _require_plain_words(error: Exception) -> None:
+    from mirrorwave.console import error_line
+
+    line = error_line(error)
+    assert line.strip(), f"{type(error).__name__} says nothing"
+    assert "Traceback" not in line, line
+
+
+def part(parts: Parts, at: int) -> bytes:
+    """One part, empty where there is none."""
+    return parts[at] if at < len(parts) else b""
+
+
+def number(parts: Parts, at: int, below: int) -> int:
+    """The first byte of a part as a choice."""
+    return (part(parts, at) or b"\0")[0] % below
+
+
+def text(parts: Parts, at: int) -> str:
+    """A part as text, whatever its bytes."""
+    return part(parts, at).decode("utf-8", "replace")
+
+
+def _wire(parts: Parts, box: Box) -> None:
+    from msgs import codec
+
+    found = codec.decode(parts)
+    frames = [bytes(frame) for frame in codec.encode(found.envelope, found.message)]
+    again = codec.decode(frames)
+    assert [bytes(frame) for frame in codec.encode(again.envelope, again.message)] == frames
+    json.dumps(codec.to_builtins(found.message), allow_nan=False)
+
+
+def _inline(parts: Parts, box: Box) -> None:
+    from msgs import codec
+    from msgs.topics import TOPICS
+
+    kind = list(TOPICS.values())[number(parts, 0, len(TOPICS))].type
+    message = codec.decode_inline(kind, part(parts, 1))
+    data = codec.encode_inline(message)
+    assert codec.encode_inline(codec.decode_inline(kind, data)) == data
+
+
+def _foreign(parts: Parts, box: Box) -> None:
+    from mirrorwave.foreign_topic import decode_foreign
+    from mirrorwave.topic_echo import CsvLines, text_lines
+    from msgs.codec import to_builtins
+
+    found = decode_foreign("a", [memoryview(one) for one in parts])
+    body = to_builtins(found.message)
+    list(text_lines(body))
+    list(CsvLines().lines({}, body))
+
+
+def _recording(parts: Parts, box: Box) -> None:
+    from mirrorwave.bag import _origin
+    from msgs.recording import RecordingReader
+
+    with RecordingReader(box.put("a.mcap", part(parts, 0))) as reader:
+        listed = sum(1 for _ in reader.messages()) + sum(reader.skipped.values())
+        found = reader.info()
+        assert reader.types is not None
+        assert reader.span_ns is not None
+    # `info` counts in file order, `messages` in order of time: both see every message there is
+    assert listed == sum(one.messages for one in found.topics), (listed, found.topics)
+    _origin(found.metadata)
+    json.dumps(_builtins(found), allow_nan=False)
+
+
+def _builtins(value: Any) -> Any:
+    import msgspec
+
+    return msgspec.to_builtins(value)
+
+
+def _recover(parts: Parts, box: Box) -> None:
+    from msgs.recording import RecordingReader, copy_recording, info
+
+    source, out = box.put("a.mcap", part(parts, 0)), box.new("out.mcap")
+    choice = number(parts, 1, 8)
+    start_ns = 50_000_000 if choice & 1 else None
+    topics = ("vehicle/state", "radar/setup") if choice & 2 else None
+    count, _ = copy_recording(source, out, topics=topics, start_ns=start_ns, compress=bool(choice & 4))
+    found = info(out)
+    assert (found.complete, found.checksums_agree, found.loss) == (True, True, None), found
+    assert sum(one.messages for one in found.topics) == count
+    if topics is None and start_ns is None:
+        with RecordingReader(source) as before, RecordingReader(out) as after:
+            # in order of time; heads of chunks that lie about their span leave the source in disorder
+            assert _told(before) == _told(after)
+
+
+def _told(reader: Any) -> list[tuple[str, int, bytes]]:
+    return sorted((channel.topic, raw.log_time, raw.data) for channel, raw in reader._in_order(None, None))
+
+
+def _replay(parts: Parts, box: Box) -> None:
+    from mirrorwave.replay import LatchedMessages, ReplayParams, first_sensed_ns, whole_scans
+    from msgs.recording import RecordingReader
+    from msgs.topics import TOPICS
+    from nodes.player import capture_events, moved
+
+    path = box.put("a.mcap", part(parts, 0))
+    for event in capture_events(path):
+        assert event.outgoing.topic in TOPICS
+    with RecordingReader(path) as reader:
+        topics = tuple(topic for topic in reader.types if topic in TOPICS)
+        first_ns = first_sensed_ns(reader, topics, {})
+        params = ReplayParams(topics=topics, first_ns=first_ns, start_ns=first_ns)
+        LatchedMessages(reader, params).until(first_ns)
+        is_cut, end_ns = bool(number(parts, 1, 2)), None if number(parts, 1, 4) < 2 else first_ns + 400_000_000
+        for recorded in whole_scans(reader.messages(topics, first_ns), is_cut, end_ns):
+            moved(recorded.message, 1_000_000_000)
+
+
+def _view(parts: Parts, box: Box) -> None:
+    from mirrorwave.playback import Playback
+    from msgs.recording import RecordingReader
+    from nodes.viewer.board import Board
+    from nodes.viewer.server import Play, Seek, Step
+
+    with RecordingReader(box.put("a.mcap", part(parts, 0))) as reader:
+        board = Board()
+        playback = Playback(reader, board)
+        for at in range(min(playback.count, 4)):
+            playback.show(at)
+            for kind, posted in board.newer({}).items():
+                board.messages(kind, posted)
+        playback.obey([Play(1.0), Seek(1 << 40), Step(-(1 << 40)), Play(-1e308, True)], 0.0)
+
+
+def _convert(parts: Parts, box: Box) -> None:
+    from mirrorwave.bag_convert import Format, convert
+    from mirrorwave.console import progress_bar
+
+    target = list(Format)[number(parts, 1, len(Format))]
+    out = box.new({"sigmf": "out.sigmf-meta", "foxglove": "out.mcap", "numpy": "out.npz"}.get(target.value, "out"))
+    for end in ("out.sigmf-data", "out.background.npy"):
+        box.new(end)
+    convert(box.put("a.mcap", part(parts, 0)), out, target, progress_bar)
+
+
+def _sigmf(parts: Parts, box: Box) -> None:
+    from mirrorwave.import_recording import import_sigmf
+    from msgs.recording import info
+    from msgs.sigmf_capture import SigmfCapture, write_capture
+
+    stem = box.folder / "c"
+    meta = box.put("c.sigmf-meta", part(parts, 0))
+    box.put("c.sigmf-data", part(parts, 1))
+    if len(parts) > 2:
+        box.put("c.background.npy", parts[2])
+    capture = SigmfCapture.open(stem)
+    beams = list(capture.beams())
+    assert len(beams) == len(capture)
+    if len(capture) * capture.setup.radar.chirps_per_beam > 1 << 12:
+        return
+    written, _ = write_capture(box.new("again.sigmf-meta"), capture.setup, beams, overwrite=True)
+    again = SigmfCapture.open(written)
+    assert _encoded(again.setup) == _encoded(capture.setup)
+    assert [_encoded(one) for one in again.beams()] == [_encoded(one) for one in beams]
+    found = import_sigmf(meta, box.new("out.mcap"), lambda: None)
+    assert found["beams"] == sum(one.messages for one in info(box.folder / "out.mcap").topics if "beam" in one.topic)
+
+
+def _encoded(message: Any) -> bytes:
+    from msgs.codec import encode_inline
+
+    return encode_inline(message)
+
+
+def _scene(parts: Parts, box: Box) -> None:
+    import msgspec
+
+    from sim_player.scene import load_scene, scene_from_yaml, scene_to_yaml
+
+    scene = load_scene(box.put("a.yaml", part(parts, 0)))
+    assert scene_from_yaml(scene_to_yaml(scene)) == scene
+    msgspec.json.encode(scene.setup, enc_hook=str)
+    for thing in scene.objects:
+        thing.corners_m()
+
+
+def _plan(parts: Parts, box: Box) -> None:
+    from sim_player.planner import plan_effects
+    from sim_player.scene import load_scene
+
+    scene = load_scene(box.put("a.yaml", part(parts, 0)))
+    if len(scene.surfaces) + len(scene.objects) < 8 and scene.radar.preset != "spad":
+        plan_effects(scene, thorough=False)
+
+
+def _mesh(parts: Parts, box: Box) -> None:
+    import numpy as np
+
+    from sim_player.meshes import load_mesh
+
+    suffix = (".obj", ".ply", ".stl", ".glb", ".gltf")[number(parts, 0, 5)]
+    mesh = load_mesh(box.put(f"a{suffix}", part(parts, 1)), "mm" if number(parts, 0, 32) >= 16 else "m")
+    assert np.isfinite(mesh.vertices_m).all()
+
+
+def _launch(parts: Parts, box: Box) -> None:
+    from nodes import launch_file
+
+    launch = launch_file.read_launch_file(box.put("a.yaml", part(parts, 0)))
+    assert launch_file.launch_from_mapping(launch_file.parse_yaml(launch_file.dump_launch(launch), "a"), "a") == launch
+    if part(parts, 1):
+        launch = launch_file.with_params(launch, launch_file.read_yaml_mapping(box.put("p.yaml", parts[1])), "p.yaml")
+    launch = launch_file.with_overrides(launch, [text(parts, at) for at in range(2, len(parts))])
+    launch = launch_file.without_viewers(launch_file.with_origin(launch, "command", box.folder))
+    if launch.nodes and launch_file.RECORDER not in launch.nodes:
+        launch_file.with_recorder(launch, box.folder / "a.mcap")
+    launch_file.start_order(launch), launch_file.stop_order(launch)
+    again = launch_file.parse_yaml(launch_file.dump_launch(launch), "a")
+    assert launch_file.launch_from_mapping(again, "a") == launch
+
+
+def _settings(parts: Parts, box: Box) -> None:
+    from mirrorwave.tradeoff_settings import read_settings
+
+    read_settings(box.put("a.yaml", part(parts, 0)))
+
+
+def _dbc(parts: Parts, box: Box) -> None:
+    from mirrorwave.can_signals import SignalReport
+    from nodes.can_link import load_dbc
+
+    report = SignalReport(load_dbc(box.put("a.dbc", part(parts, 0))), 0.1)
+    report.read(_frames(part(parts, 1)))
+    json.dumps(_plain(report.as_dict()), allow_nan=False)
+
+
+def _plain(value: Any) -> Any:
+    from mirrorwave.console import _plain as plain
+
+    return plain(value)
+
+
+def _frames(data: bytes) -> Any:
+    """CAN frames of 10 bytes and their payload: id, stamp [ms], length, flags."""
+    import can
+
+    from nodes.can_link import LogFrame
+
+    at = 0
+    while at + 10 <= len(data):
+        arbitration_id, stamp_ms, length, flags = struct.unpack_from("<IIBB", data, at)
+        length %= 65
+        frame = can.Message(
+            arbitration_id=arbitration_id & (0x1FFFFFFF if flags & 1 else 0x7FF),
+            is_extended_id=bool(flags & 1),
+            is_error_frame=bool(flags & 2),
+            is_remote_frame=bool(flags & 4),
+            is_fd=bool(flags & 8),
+            data=data[at + 10 : at + 10 + length],
+        )
+        stamp_ns = -1 if flags & 16 else stamp_ms * (1_000_000 if not flags & 32 else 1 << 40)
+        yield LogFrame(frame, stamp_ns)
+        at += 10 + length
+
+
+def _can_frames(parts: Parts, box: Box) -> None:
+    from mirrorwave.can import LogReport
+    from mirrorwave.can_signals import SignalReport
+    from msgs import codec
+    from nodes.can_link import checkout_path, load_dbc, load_decoder
+
+    dbc = checkout_path("launch/can/mirrorwave.dbc")
+    decoder = load_decoder(dbc, checkout_path("launch/can/mirrorwave.yaml"))
+    report = LogReport(decoder, 0.0)
+    report.read(_frames(part(parts, 0)))
+    json.dumps(_plain(report.as_dict()), allow_nan=False)
+    state = decoder.state(1 << 40)
+    assert codec.decode_inline(type(state), codec.encode_inline(state)) == state
+    signals = SignalReport(load_dbc(dbc), 0.0)
+    signals.read(_frames(part(parts, 0)))
+    json.dumps(_plain(signals.as_dict()), allow_nan=False)
+
+
+def _mapping(parts: Parts, box: Box) -> None:
+    from mirrorwave.can_log import log_states
+    from nodes.can_link import load_decoder
+
+    dbc, mapping = box.put("a.dbc", part(parts, 1)), box.put("a.yaml", part(parts, 0))
+    decoder = load_decoder(dbc, mapping)
+    for _ in log_states(decoder, _frames(part(parts, 2))):
+        pass
+
+
+def _can_log(parts: Parts, box: Box) -> None:
+    from mirrorwave.import_recording import CanSource, import_can
+    from msgs.recording import info
+    from nodes.can_link import checkout_path, read_log
+
+    suffix = text(parts, 0) if text(parts, 0) in (".log", ".asc", ".blf", ".csv", ".trc", ".asc.gz") else ".asc"
+    log = box.put(f"a{suffix}", part(parts, 1))
+    dbc, mapping = checkout_path("launch/can/mirrorwave.dbc"), checkout_path("launch/can/mirrorwave.yaml")
+    out = box.new("out.mcap")
+    found = import_can(CanSource(log=log, dbc=dbc, mapping=mapping), out)
+    assert found["states"] == sum(one.messages for one in info(out).topics)
+    assert not any(frame.stamp_ns is None for frame in itertools.islice(read_log(log, "0"), 3))
+
+
+def _viewer_client(parts: Parts, box: Box) -> None:
+    from nodes.viewer.board import Board
+    from nodes.viewer.server import Acknowledge, _Client, _ProtocolError
+
+    commands: list[Any] = []
+    client = _Client(None, Board(), commands.append)  # type: ignore[arg-type]
+    for at in range(len(parts)):
+        try:
+            message = client._understood(text(parts, at))
+            client._take(message)
+        except _ProtocolError as error:
+            raise ValueError(error) from None
+        assert isinstance(message, Acknowledge) or commands
+
+
+def _log_lines(parts: Parts, box: Box) -> None:
+    from nodes.logs import RECORD_SEPARATOR, LineSplitter, parse_line
+
+    splitter = LineSplitter(limit=256)
+    lines = [line for one in parts for line in splitter.feed(one)] + splitter.finish()
+    for line in lines:
+        assert len(line.encode()) <= 3 * max(256, *map(len, parts)), "a line grows"
+        entry = parse_line("node", line)
+        json.dumps(entry)
+        for key in ("time", "node", "level", "text"):
+            assert isinstance(entry.get(key), str), f"{key} of a log entry is {entry.get(key)!r}"
+            # a child's output must not move the cursor of the terminal
+            assert all(mark.isprintable() or mark in "\t\n" for mark in entry[key]), f"{key}: {entry[key]!r}"
+            assert RECORD_SEPARATOR not in entry[key]
+
+
+def _background(parts: Parts, box: Box) -> None:
+    from models.perception.background import load_background
+
+    assert load_background(box.put("a.npy", part(parts, 0))).ndim == 2
+
+
+def _card(parts: Parts, box: Box) -> None:
+    from models.perception.cards import read_card
+    from models.perception.confidence import PlaceConfidence
+    from models.perception.onnx_model import ModelCard
+    from models.perception.residual_model import ResidualCard
+
+    kind: Any = (ModelCard, PlaceConfidence, ResidualCard)[number(parts, 0, 3)]
+    card = read_card(box.put("a.json", part(parts, 1)), kind)
+    if isinstance(card, ModelCard):
+        assert len(card.answer_shape) == 4
+
+
+def _onnx(parts: Parts, box: Box) -> None:
+    import msgspec
+
+    from models.perception.onnx_model import DensePredictor
+
+    model = box.put("a.onnx", part(parts, 1))
+    # a checksum that every change breaks would hide all that lies behind it
+    try:
+        card = msgspec.json.decode(part(parts, 0), type=dict) | {"sha256": hashlib.sha256(part(parts, 1)).hexdigest()}
+    except (msgspec.MsgspecError, RecursionError):
+        card = {}
+    box.put("a.json", msgspec.json.encode(card))
+    DensePredictor(model)
+
+
+def _manifest(parts: Parts, box: Box) -> None:
+    from mirrorwave.annotate_manifest import Pose, load_manifest
+
+    found = load_manifest(box.put("a.yaml", part(parts, 0)))
+    for cloud in found.clouds:
+        if cloud.radar_from_lidar is not None:
+            Pose.of(cloud.radar_from_lidar.transform())
+
+
+def _cloud(parts: Parts, box: Box) -> None:
+    from mirrorwave.annotate_clouds import SUFFIXES, read_cloud
+
+    points_m, _ = read_cloud(box.put(f"a{SUFFIXES[number(parts, 0, len(SUFFIXES))]}", part(parts, 1)))
+    assert points_m.shape[1] == 3
+
+
+def _shard(parts: Parts, box: Box) -> None:
+    from models.training.frames import DataSet, fixed_splits
+    from sim_player.shards import UNREADABLE, read_shard
+
+    path = box.put("set/shard-00000.npz", part(parts, 0))
+    for at, name in enumerate(("series.json", "splits.json", "manifest.jsonl"), start=1):
+        if part(parts, at):
+            box.put(f"set/{name}", parts[at])
+        else:
+            box.new(f"set/{name}")
+    with contextlib.suppress(UNREADABLE):
+        read_shard(path)
+    data = DataSet(path.parent)
+    assert data.setup is not None
+    for index in range(min(len(data), 4)):
+        data.scan(index)
+    if part(parts, 2):
+        fixed_splits(path.parent)
+    assert data.grid is not None
+
+
+def _xradarnlos(parts: Parts, box: Box) -> None:
+    from models.training.xradarnlos import import_folder
+
+    box.new("in")
+    if number(parts, 0, 2):
+        box.put("in/a.npy", part(parts, 1))
+        box.put("in/a.npz", part(parts, 2))
+    else:
+        (box.folder / "in").mkdir(exist_ok=True)
+        box.put("in/welch_interpolated_background_subtracted.npz", part(parts, 1))
+        for at, name in enumerate(("los", "mirrored_nlos", "nlos"), start=2):
+            box.put(f"in/labeled_points/{name}.npy", part(parts, at))
+    import_folder(box.folder / "in", box.new("out"), "sim" if number(parts, 0, 2) else "real")
+
+
+def _dca1000(parts: Parts, box: Box) -> None:
+    import numpy as np
+
+    from mirrorwave.import_dca1000 import read_config
+    from models.perception.dca1000 import array_params, frame_samples, frames_of, map_grid
+
+    suffix = (".cfg", ".json")[number(parts, 0, 2)]
+    capture, config = box.put("a.bin", part(parts, 2)), read_config(box.put(f"a{suffix}", part(parts, 1)), None)
+    found = frames_of(capture.stat().st_size, config, str(capture))
+    assert array_params(config) is not None
+    assert map_grid(config).range_bins > 0
+    with capture.open("rb") as file:
+        for _ in range(min(found.whole, 4)):
+            frame_samples(np.fromfile(file, "<i2", config.frame_bytes // 2), config)
+
+
+def _json_files(parts: Parts, box: Box) -> None:
+    from mirrorwave.latency_budget import _recall
+    from mirrorwave.tradeoff_report import read_report
+    from nodes.supervisor import LOCK_NAME, read_lock
+
+    content = part(parts, 1)
+    match number(parts, 0, 5):
+        case 0:
+            read_report(box.put("a.json", content))
+        case 1:
+            _recall(box.put("a.json", content))
+        case 3:
+            box.put(LOCK_NAME, content)
+            read_lock(box.folder)
+        case _:
+            from mirrorwave.doctor_graph import _log_entries
+
+            box.put("log.jsonl", content)
+            for entry in _log_entries(box.folder):
+                assert all(isinstance(entry[key], str) for key in ("node", "level", "text"))
+
+
+def _reflectance(parts: Parts, box: Box) -> None:
+    from sim_player.reflectance import _read_partial, load_table
+
+    _read_partial(box.put("a.cells.jsonl", part(parts, 2)))
+    try:
+        card = json.loads(part(parts, 0))
+        card["sha256"] = hashlib.sha256(part(parts, 1)).hexdigest()
+        box.put("a.json", json.dumps(card).encode())
+    except (ValueError, TypeError, RecursionError):
+        box.put("a.json", part(parts, 0))
+    load_table(box.put("a.npz", part(parts, 1)))
+
+
+def _keys(parts: Parts, box: Box) -> None:
+    from msgs.curve_keys import is_loopback, load_allowed, load_own, load_public
+
+    secret, public = box.put("own/a.key_secret", part(parts, 0)), box.put("peers/b.key", part(parts, 1))
+    secret.chmod(0o600), public.chmod(0o644)
+    is_loopback(text(parts, 2))
+    # each is tried, whatever became of the others
+    refused = []
+    for read in (lambda: load_own(secret), lambda: load_public(public), lambda: load_allowed(public.parent)):
+        try:
+            read()
+        except ValueError as error:
+            refused.append(error)
+    for error in refused:
+        raise error
+
+
+def _words(parts: Parts, box: Box) -> None:
+    """What is typed at the command line: conditions, fields, angles, lists, spans, methods, overrides."""
+    import math
+
+    from mirrorwave import bag_options, evaluate_methods, sim_dataset, sim_material, topic_echo
+    from models.training.selection import parse_selection
+    from msgs.codec import to_builtins
+
+    word = text(parts, 1)
+    match number(parts, 0, 9):
+        case 0:
+            condition = topic_echo.parse_condition(word)
+            for _, message in _messages():
+                body = to_builtins(message)
+                if condition.field.partition(".")[0] in body:
+                    assert condition.holds(body) in (True, False)
+        case 1:
+            for _, message in _messages():
+                topic_echo.field_of(to_builtins(message), word)
+        case 2:
+            angles = sim_material.parse_angles(word)
+            assert 0 < len(angles) <= sim_material.MOST_ANGLES
+        case 3:
+            bag_options.split_topics(word)
+        case 4:
+            start, end, duration = (float(one) for one in [*word.split(), "nan", "nan", "nan"][:3])
+            first, last = bag_options.span_ns(0, start, *(None if math.isnan(one) else one for one in (end, duration)))
+            assert last is None or last > first
+        case 5:
+            evaluate_methods.parse_method(word)
+        case 6:
+            sim_dataset.parse_effects(word)
+        case 7:
+            sim_dataset.parse_slurm(word.split("|"))
+        case _:
+            parse_selection(word.split("|")[:1], word.split("|")[1:])
+
+
+def _messages() -> list[tuple[str, Any]]:
+    from fuzz import seeds
+
+    return seeds.messages()
+
+
+def _seeds(name: str, *arguments: Any) -> Callable[[], list[Parts]]:
+    """Seeds made when they are asked for."""
+
+    def made() -> list[Parts]:
+        from fuzz import seeds
+
+        return getattr(seeds, name)(*arguments)
+
+    return made
+
+
+def _each(*names: str) -> Callable[[], list[Parts]]:
+    """Constants of `fuzz.seeds`, or files of the checkout where a name has a slash, one part each."""
+
+    def made() -> list[Parts]:
+        from fuzz import seeds
+
+        found = [seeds.files(name) if "/" in name else [getattr(seeds, name)] for name in names]
+        return [[one] for group in found for one in group if len(one) < 1 << 14]
+
+    return made
+
+
+def _recordings() -> list[Parts]:
+    from fuzz import seeds
+
+    return [[one, bytes([choice])] for one in seeds.recordings() for choice in (0, 1, 2, 3)]
+
+
+def _inline_seeds() -> list[Parts]:
+    from fuzz import seeds
+    from msgs import codec
+    from msgs.topics import TOPICS
+
+    order = list(TOPICS)
+    return [[bytes([order.index(topic)]), codec.encode_inline(message)] for topic, message in seeds.messages()]
+
+
+def _launch_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    found = [[one] for one in seeds.files("launch/*.yaml") if b"nodes:" in one and len(one) < 4000]
+    params = b"player: {rate: 2.0}\n"
+    extra = [
+        [one[0], params if b"player:" in one[0] else b"", b"player.scans=3", b"player.a.b=[1, x]"] for one in found
+    ]
+    return found + extra
+
+
+def _dbc_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    return [[one, seeds.can_frames()] for one in seeds.files("launch/can/*.dbc")]
+
+
+def _mapping_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    dbc = (seeds.ROOT / "launch/can/mirrorwave.dbc").read_bytes()
+    return [[one, dbc, seeds.can_frames()] for one in seeds.files("launch/can/mirrorwave.yaml")]
+
+
+def _frame_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    return [[seeds.can_frames()], [seeds.can_frames(40)]]
+
+
+def _client_seeds() -> list[Parts]:
+    return [
+        [b'{"type": "ack", "number": 0}'],
+        [b'{"type": "play", "speed": 1.0, "loop": true}', b'{"type": "seek", "index": 3}'],
+        [b'{"type": "step", "by": -1}'],
+    ]
+
+
+def _log_seeds() -> list[Parts]:
+    record = b'\x1e{"time": "t", "node": "n", "level": "info", "text": "a", "state": "ready"}\n'
+    return [[b"plain text\n", record], [record[:20], record[20:]], [b"a\r\nb\x1b[2J\xff\n" + b"x" * 600]]
+
+
+def _npy_seeds() -> list[Parts]:
+    import numpy as np
+
+    from fuzz import seeds
+
+    background = np.ones((3, 4), np.complex64)
+    return [[seeds.npy(background)], [seeds.npy(background, "F")], [seeds.npz(a=background)]]
+
+
+def _card_seeds() -> list[Parts]:
+    import msgspec
+
+    from fuzz import seeds
+
+    model = seeds.network()[0]
+    confidence = (seeds.ROOT / "models/weights/compact_unet.confidence.json").read_bytes()
+    residual = {
+        "name": "r", "sha256": "0", "parameters": 1, "frame": "wall", "neighbours": 4, "source": "truth", "seed": 1,
+        "geometry": "ours", "command": "x", "data": {"a": 1}, "metrics": {"f1": 0.5}, "training": {"epochs": [1]},
+    }  # fmt: skip
+    return [[b"\0", model], [b"\1", confidence], [b"\2", msgspec.json.encode(residual)]]
+
+
+def _network_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    return [seeds.network()]
+
+
+def _cloud_seeds() -> list[Parts]:
+    import numpy as np
+
+    from fuzz import seeds
+
+    points = np.arange(12.0).reshape(4, 3)
+    return [
+        [b"\0", seeds.PLY_CLOUD], [b"\0", seeds.PLY_BINARY], [b"\1", seeds.PCD], [b"\2", b"0 0 0\n5 5 1\n1 2 3\n"],
+        [b"\3", seeds.npy(points)],
+    ]  # fmt: skip
+
+
+def _mesh_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    return [
+        [b"\0", seeds.OBJ], [b"\1", seeds.PLY_MESH], [b"\2", seeds.STL_TEXT], [b"\2", seeds.STL_BINARY],
+        [b"\4", seeds.GLTF], *([b"\3", one] for one in seeds.files("tests/data/meshes/*.glb") if len(one) < 1 << 13),
+    ]  # fmt: skip
+
+
+def _shard_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    series = b'{"preset": "xband", "grid": {"range_bin_m": 0.2, "range_bins": 4, "azimuth_bins": 4}}'
+    splits = b'{"seed": 0, "train": [0], "validation": [1], "test": [], "test_sha256": ""}'
+    return [[seeds.shard()], [seeds.shard(), series], [seeds.shard(), series, splits]]
+
+
+def _xradarnlos_seeds() -> list[Parts]:
+    import numpy as np
+
+    from fuzz import seeds
+
+    one, two = np.array([[0.5], [10.0], [0.0]]), np.array([[1.0, 10.0]])
+    sim = [seeds.npy(np.ones((512, 256), np.complex64)[:1].repeat(512, 0) * 0), seeds.npz(L=one, G=one, T=one)]
+    real = [seeds.npz(Pxx=np.zeros((4, 4), np.int8)), *[seeds.npy(two)] * 3]
+    return [[b"\1", seeds.npy(np.zeros((4, 4), np.complex64)), sim[1]], [b"\0", *real]]
+
+
+def _dca_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    return [[b"\0", seeds.CFG, bytes(range(256)) * 2], [b"\1", seeds.CFG_JSON, bytes(512)]]
+
+
+def _json_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    report = (seeds.ROOT / "launch/tradeoff.json").read_bytes()
+    return [
+        [b"\0", report if len(report) < 1 << 15 else b"{}"],
+        [b"\1", b'{"key": "a", "times_ms": {}}'],
+        [b"\3", b'{"pid": 1, "run": "runs/a", "nodes": ["a"]}'],
+        [b"\4", b'{"time": "t", "node": "n", "level": "info", "text": "a"}\nx\n'],
+    ]
+
+
+def _table_seeds() -> list[Parts]:
+    import numpy as np
+
+    from fuzz import seeds
+    from sim_player.reflectance import ReflectanceTable
+
+    card = b'{"sha256": "", "bands_ghz": [10.0], "walls": [{"name": "concrete"}]}'
+    return [[card, seeds.npz(**{name: np.zeros((1, 1)) for name in ReflectanceTable.ARRAYS}), b'{"entry": {}}\n']]
+
+
+def _key_seeds() -> list[Parts]:
+    # a pair made once for nothing else
+    public = b'curve\n    public-key = "Yne@$w-vo<fVvi]a<NY6T1ed:M$fCG*[IaLV{hID"\n'
+    secret = public + b'    secret-key = "D:)Q[IlAW!ahhC2ac:9*A}h:p?([4%wOTJ%JR%cs"\n'
+    return [[secret, public, b"tcp://127.0.0.1:5555"], [secret, public, b"tcp://[::1]:*"]]
+
+
+def _word_seeds() -> list[Parts]:
+    words = (
+        (0, "speed_mps>5"), (0, "valid==false"), (0, 'reason=="stale"'), (1, "walls.0.normal.1"), (1, "los_points_m"),
+        (2, "0:85:5"), (3, "radar/beam,log"), (4, "1 2"), (4, "0.5 nan 3"), (5, "cfar,threshold=0.5,refine"),
+        (5, "a=x.onnx,recovery.gate_m=[1,2],geometry=ours"), (6, "auto"), (6, "relay,noise"), (7, "mem_gb=4|x='a'"),
+        (8, "a=b|c=d"),
+    )  # fmt: skip
+    return [[bytes([kind]), word.encode()] for kind, word in words]
+
+
+_CAN = ("can", "cantools", "textparser", "bitstruct")
+TARGETS: dict[str, Target] = {
+    "wire": Target(_wire, ("bytes", "msgpack", "bytes"), _seeds("wire")),
+    "inline": Target(_inline, ("bytes", "msgpack"), _inline_seeds),
+    "foreign": Target(_foreign, ("bytes", "msgpack", "bytes"), _seeds("wire")),
+    "recording": Target(_recording, ("mcap",), _recordings, modules=("mcap",), max_bytes=1 << 16),
+    "recover": Target(_recover, ("mcap", "bytes"), _recordings, modules=("mcap",), max_bytes=1 << 16),
+    "replay": Target(_replay, ("mcap", "bytes"), _recordings, modules=("mcap",), max_bytes=1 << 16),
+    "view": Target(_view, ("mcap",), _recordings, modules=("mcap",), max_bytes=1 << 16),
+    "convert": Target(_convert, ("mcap", "bytes"), _recordings, modules=("mcap", "rosbags"), max_bytes=1 << 16),
+    "sigmf": Target(_sigmf, ("json", "bytes", "npy"), _seeds("sigmf"), modules=("sigmf",)),
+    "scene": Target(_scene, ("yaml",), _each("SCENE", "launch/scenes/*.yaml"), modules=("yaml",)),
+    "plan": Target(_plan, ("yaml",), _each("SCENE", "launch/scenes/*.yaml")),
+    "mesh": Target(_mesh, ("bytes", "text"), _mesh_seeds, modules=("trimesh",)),
+    "launch": Target(_launch, ("yaml", "yaml", "text"), _launch_seeds, modules=("yaml",)),
+    "settings": Target(_settings, ("yaml",), _each("SETTINGS"), modules=("yaml",)),
+    "dbc": Target(_dbc, ("text", "bytes"), _dbc_seeds, modules=_CAN),
+    "mapping": Target(_mapping, ("yaml", "text", "bytes"), _mapping_seeds),
+    "can_frames": Target(_can_frames, ("bytes",), _frame_seeds),
+    "can_log": Target(_can_log, ("bytes", "text"), _seeds("can_logs"), modules=("can",)),
+    "viewer_client": Target(_viewer_client, ("json",), _client_seeds),
+    "log_lines": Target(_log_lines, ("text",), _log_seeds, refusals=()),
+    "background": Target(_background, ("npy",), _npy_seeds),
+    "card": Target(_card, ("bytes", "json"), _card_seeds),
+    "onnx": Target(_onnx, ("json", "bytes"), _network_seeds),
+    "manifest": Target(_manifest, ("yaml",), _each("MANIFEST"), modules=("yaml",)),
+    "cloud": Target(_cloud, ("bytes", "text"), _cloud_seeds),
+    "shard": Target(_shard, ("npz", "json"), _shard_seeds),
+    "xradarnlos": Target(_xradarnlos, ("bytes", "npz", "npy"), _xradarnlos_seeds),
+    "dca1000": Target(_dca1000, ("bytes", "text", "bytes"), _dca_seeds),
+    "json_files": Target(_json_files, ("bytes", "json"), _json_seeds),
+    "reflectance": Target(_reflectance, ("json", "npz", "json"), _table_seeds),
+    "keys": Target(_keys, ("text", "text", "text"), _key_seeds),
+    "words": Target(_words, ("bytes", "text"), _word_seeds),
+}

@@ -1,0 +1,96 @@
+"""Arrays from .npy and .npz files of others: nothing that such a file says is believed before it is checked.
+
+numpy's own reader allocates what a header promises, and lets through whatever its parsers raise.
+"""
+
+from __future__ import annotations
+
+import lzma
+import math
+import struct
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Collection
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+#: No archive of ours comes near; one that unpacks to more would take all memory.
+MAX_UNPACKED_BYTES = 1 << 33
+#: What numpy, zip and their decompressors raise for bytes that are none of theirs.
+_TROUBLE = (
+    ValueError, TypeError, KeyError, EOFError, SyntaxError, SystemError, ArithmeticError, MemoryError, RecursionError,
+    RuntimeError, tokenize.TokenError, struct.error, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
+)  # fmt: skip
+
+
+def load_array(path: Path) -> np.ndarray:
+    """The array of a .npy file; raises `ValueError` with the reason in one line, `OSError` where it cannot be read."""
+    with path.open("rb") as file:
+        try:
+            return _read(file, path.stat().st_size)
+        except _TROUBLE as error:
+            raise ValueError(_reason(error)) from None
+
+
+def load_arrays(source: Path | IO[bytes], only: Collection[str] | None = None) -> dict[str, np.ndarray]:
+    """Arrays of a .npz archive by name, all or those of `only` that it has.
+
+    Raises `ValueError` with the reason in one line, `OSError` where it cannot be read.
+    """
+    try:
+        with zipfile.ZipFile(source) as archive:
+            infos = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
+            unpacked = sum(info.file_size for info in infos.values())
+            if unpacked > MAX_UNPACKED_BYTES:
+                raise ValueError(f"unpacks to {unpacked} bytes, at most {MAX_UNPACKED_BYTES} are read")
+            return {name: _member(archive, info) for name, info in infos.items() if only is None or name in only}
+    except _TROUBLE as error:
+        raise ValueError(_reason(error)) from None
+
+
+def array_names(path: Path) -> list[str]:
+    """Names of the arrays of a .npz archive; raises as `load_arrays` does."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return [name.removesuffix(".npy") for name in archive.namelist()]
+    except _TROUBLE as error:
+        raise ValueError(_reason(error)) from None
+
+
+def is_archive(path: Path) -> bool:
+    """Whether a file is a .npz archive by its first bytes, whatever its name."""
+    with path.open("rb") as file:
+        return file.read(2) == b"PK"
+
+
+def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    with archive.open(info) as file:
+        return _read(file, info.file_size)
+
+
+def _read(file: IO[bytes], size: int) -> np.ndarray:
+    """One array of a file of `size` bytes; a header that promises more than that is refused, not allocated."""
+    with warnings.catch_warnings():
+        # a header as Python 2 wrote it is slow to read, and no worse
+        warnings.simplefilter("ignore")
+        version = np.lib.format.read_magic(file)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(file)
+        promised = math.prod(shape) * dtype.itemsize
+        # objects are refused by numpy itself, as pickle is not allowed
+        if not dtype.hasobject and (min(shape, default=0) < 0 or promised > size):
+            raise ValueError(f"header promises {dtype} {shape}, {promised} bytes, of a file of {size}")
+        file.seek(0)
+        array: np.ndarray = np.lib.format.read_array(file, allow_pickle=False)
+    if dtype.kind == "U":
+        # characters that are none would be found when they are used, as SystemError
+        array.tolist()
+    return array
+
+
+def _reason(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,216 @@
+"""The node `link`: carries chosen topics to and from other hosts, each with a graph of its own.
+
+It alone opens TCP beyond this machine, one port where it exports, and encrypts what goes through (`msgs.curve_link`).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+import zmq
+
+from msgs.bus import Forwarded, Received
+from msgs.curve_exporter import Exporter
+from msgs.curve_importer import Importer, Server
+from msgs.curve_keys import KeyPair, is_loopback, load_allowed, load_own, load_public
+from msgs.diagnostics import NodeState
+from msgs.topics import topic_facts
+from nodes.node import NODE_NAME, Node
+
+_LOG = logging.getLogger(__name__)
+
+
+class Peer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A host whose topics are imported."""
+
+    #: tcp://HOST:PORT, the `bind` of its link.
+    address: str
+    #: File of its public key.
+    key: str = ""
+    topics: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        _require_tcp(self.address)
+        _require_topics(self.topics)
+
+
+class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What goes to peers and what comes from them; files as seen from the folder where the graph is launched."""
+
+    #: Name of this host in its log; that of its key file, if not given.
+    name: str = ""
+    #: File of this host's secret key (`mirrorwave security keygen`).
+    key: str = ""
+    #: Folder of the public keys of those who may connect.
+    allowed: str = ""
+    #: Where peers connect, e.g. tcp://*:7100; none: nothing is exported.
+    bind: str = ""
+    #: Topics that peers may have.
+    export: tuple[str, ...] = ()
+    #: Peers by the name that is put before their nodes' names.
+    connect: dict[str, Peer] = {}
+    #: Open TCP beyond this machine without keys, for all who can reach it.
+    insecure: bool = False
+
+    def __post_init__(self) -> None:
+        if bool(self.bind) != bool(self.export):
+            raise ValueError("bind and export belong together: where peers connect, and what they may have")
+        if not (self.bind or self.connect):
+            raise ValueError("a link needs bind and export, or connect, or both")
+        if self.bind:
+            _require_tcp(self.bind)
+        _require_topics(self.export)
+        for name, peer in self.connect.items():
+            if not NODE_NAME.fullmatch(name):
+                raise ValueError(f"connect.{name}: a peer's name must be of a-z, 0-9 and _")
+            if peer.key and not self.key:
+                raise ValueError(f"connect.{name}: its key needs an own one, key")
+        if bool(self.allowed) != bool(self.key and self.bind):
+            raise ValueError("key, allowed and bind belong together: who we are, who may connect, and where")
+        for address in () if self.insecure else self.open_addresses():
+            raise ValueError(f"{address}: TCP beyond this machine needs keys (key and allowed, connect.PEER.key)")
+
+    def open_addresses(self) -> list[str]:
+        """Addresses beyond this machine that no key protects."""
+        plain = [peer.address for peer in self.connect.values() if not peer.key]
+        if self.bind and not self.key:
+            plain.append(self.bind)
+        return [address for address in plain if not is_loopback(address)]
+
+    def chosen_topics(self) -> tuple[str, ...]:
+        """Topics of this graph that it reads."""
+        return self.export
+
+    def imported_topics(self) -> tuple[str, ...]:
+        """Topics of peers that it publishes here."""
+        return tuple(sorted({topic for peer in self.connect.values() for topic in peer.topics}))
+
+    @property
+    def own_name(self) -> str:
+        """Name of this host."""
+        return self.name or (Path(self.key).stem if self.key else "this host")
+
+
+class Link(Node):
+    """Local topics -> peers, and peers' topics -> local graph; what a peer sent is never sent on to another."""
+
+    #: A peer counts what is left out as lost.
+    wants_all = True
+
+    def __init__(self, params: Params) -> None:
+        super().__init__()
+        own, public = _keys(params)
+        allowed = load_allowed(Path(params.allowed)) if params.allowed else {}
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._exporter: Exporter | None = None
+        self._importers: list[Importer] = []
+        self._told: dict[tuple[str, str], int] = {}
+        self._open = params.open_addresses()
+        try:
+            self._connect(params, own, public)
+            if params.bind:
+                self._exporter = Exporter(self._context, params.bind, params.export, own if allowed else None, allowed)
+        except BaseException:
+            self.close()
+            raise
+        self.inputs, self.outputs = params.chosen_topics(), params.imported_topics()
+        self._say(params, allowed.values())
+
+    @property
+    def address(self) -> str:
+        """Where peers connect, as bound; empty where nothing is exported."""
+        return self._exporter.address if self._exporter else ""
+
+    def watched(self) -> tuple[zmq.Socket[bytes], ...]:
+        """The sockets of all peers."""
+        ends = [importer.sources for importer in self._importers]
+        if self._exporter is not None:
+            ends.append(self._exporter.sources)
+        return tuple(source for sources in ends for source in sources)
+
+    def pending(self) -> bool:
+        """Whether a peer has said something."""
+        return any(source.poll(0) for source in self.watched())
+
+    def due_ns(self, now_ns: int) -> int | None:
+        """When a peer is to be asked for its clock."""
+        return min((importer.due_ns for importer in self._importers), default=None)
+
+    def step(self, inputs: list[Received], now_ns: int) -> list[Forwarded]:
+        """Send on what this graph said, hand over what peers said."""
+        if self._exporter is not None:
+            for received in inputs:
+                self._exporter.send(received)
+            self._exporter.turn()
+        imported = [message for importer in self._importers for message in importer.turn()]
+        self._count()
+        return imported
+
+    def health(self) -> tuple[NodeState, str]:
+        """DEGRADED while a peer is silent, nobody judges who may connect, or no key protects an address."""
+        troubles = [trouble for importer in self._importers if (trouble := importer.trouble())]
+        if self._exporter is not None and not self._exporter.alive:
+            troubles.append("nobody is let in: the authenticator has ended")
+        troubles += [f"{address} is open without keys" for address in self._open]
+        return (NodeState.DEGRADED, "; ".join(troubles)) if troubles else (NodeState.READY, "")
+
+    def close(self) -> None:
+        """Leave all peers and close the port."""
+        for importer in self._importers:
+            importer.close()
+        if self._exporter is not None:
+            self._exporter.close()
+        self._context.term()
+
+    def _connect(self, params: Params, own: KeyPair | None, public: dict[str, bytes]) -> None:
+        for name, peer in params.connect.items():
+            server = Server(name, peer.address, public.get(name))
+            self._importers.append(Importer(self._context, server, peer.topics, own if name in public else None))
+
+    def _say(self, params: Params, allowed: Iterable[str]) -> None:
+        if self.address:
+            _LOG.info("%s: %s is open to %s", params.own_name, self.address, ", ".join(allowed) or "all")
+        for address in self._open:
+            _LOG.warning("INSECURE: %s has no keys: whoever reaches it reads along or speaks to this graph", address)
+
+    def _count(self) -> None:
+        """Losses and refusals so far into the heartbeat, and the round trips beside the stages."""
+        if self._exporter is not None:
+            self._shed("handshake", "refused", self._exporter.refused)
+            self._shed("message", "rejected", self._exporter.rejected)
+        for importer in self._importers:
+            self._shed(f"{importer.name} handshake", "failed", importer.refused)
+            self._shed(f"{importer.name} message", "rejected", importer.rejected)
+            for topic, lost in importer.lost().items():
+                self._shed(f"{importer.name} {topic}", "lost on the link", lost)
+            for round_trip_ns in importer.round_trips_ns():
+                self.stages.add(f"{importer.name} round trip", round_trip_ns)
+
+    def _shed(self, what: str, reason: str, total: int) -> None:
+        if more := total - self._told.get((what, reason), 0):
+            self._told[what, reason] = total
+            self.shed.add(what, reason, more)
+
+
+def create(params: Params) -> Link:
+    """The node, its port open; raises `ValueError` or `OSError` naming key, folder or address."""
+    return Link(params)
+
+
+def _keys(params: Params) -> tuple[KeyPair | None, dict[str, bytes]]:
+    """The own pair and the public keys of the peers that have one."""
+    own = load_own(Path(params.key)) if params.key else None
+    return own, {name: load_public(Path(peer.key)) for name, peer in params.connect.items() if peer.key}
+
+
+def _require_tcp(address: str) -> None:
+    if not address.startswith("tcp://"):
+        raise ValueError(f"an address must be tcp://HOST:PORT, got {address!r}")
+
+
+def _require_topics(topics: Iterable[str]) -> None:
+    for topic in topics:
+        topic_facts(topic)

@@ -1,0 +1,99 @@
+"""Counts of a connection under publishers that nobody expected."""
+
+from __future__ import annotations
+
+import tracemalloc
+
+from msgs.bus import Envelope
+from msgs.codec import encode
+from msgs.diagnostics import LogRecord
+from msgs.tally import MAX_PUBLISHERS, Tally, latch
+
+TOPIC = "log"
+S = 1_000_000_000
+RECORD = LogRecord(stamp_ns=0, node="x", level="info", text="")
+
+
+def heard(tally: Tally, publisher: str, now_ns: int, sequence: int = 0) -> bool:
+    envelope = Envelope(publisher=publisher, topic=TOPIC, sequence=sequence, sent_ns=now_ns)
+    return tally.accept(TOPIC, encode(envelope, RECORD), now_ns) is not None
+
+
+def listening() -> Tally:
+    tally = Tally("listener")
+    tally.expect(TOPIC)
+    return tally
+
+
+def rejected(tally: Tally) -> int:
+    return tally.counts()[0][0].rejected
+
+
+def test_names_without_end_take_no_memory_and_turn_nobody_out() -> None:
+    """Who spoke before the flood is heard in it and after it; each name too many is counted as rejected."""
+    tally = listening()
+    assert heard(tally, "honest", 0)
+    tracemalloc.start()
+    try:
+        for number in range(5000):
+            heard(tally, f"invented{number}", number)
+            if number == MAX_PUBLISHERS:
+                before = tracemalloc.get_traced_memory()[0]
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert rejected(tally) == 5001 - MAX_PUBLISHERS
+    assert grown < 20_000
+    assert heard(tally, "honest", 6000, 1)
+    # a gap is still counted
+    assert heard(tally, "honest", 6001, 4)
+    assert tally.counts()[0][0].lost == 2
+
+
+def test_who_has_been_silent_makes_room() -> None:
+    """Publishers come and go over days: the one that was silent longest is forgotten, the others are known still."""
+    tally = listening()
+    for number in range(MAX_PUBLISHERS):
+        heard(tally, f"n{number}", number)
+    heard(tally, "n0", MAX_PUBLISHERS, 1)
+    assert not heard(tally, "late", 5 * S)
+    assert heard(tally, "late", 11 * S)
+    assert not heard(tally, "n2", 2)  # an old message again: it was seen
+    assert rejected(tally) == 1
+    assert heard(tally, "n1", 11 * S + 1)  # forgotten, so it begins anew, in the place of n2
+    assert tally.counts()[0][0].lost == 0
+
+
+def test_a_name_longer_than_any_node_has_is_refused() -> None:
+    tally = listening()
+    assert heard(tally, "n" * 64, 0)
+    assert not heard(tally, "n" * 65, 0)
+    assert rejected(tally) == 1
+
+
+def test_losses_that_somebody_makes_up_are_numbers_that_can_travel() -> None:
+    """Jumps back and forth over the largest gap would leave 64 bits, and no heartbeat that says so could be encoded."""
+    tally = listening()
+    for number in range(200):
+        assert heard(tally, "liar", number, sequence=(number % 2) << 48)
+    assert tally.counts()[0][0].lost == 2**53
+
+
+def test_who_is_to_be_forgotten_begins_anew() -> None:
+    tally = listening()
+    for name in ("a", "b"):
+        heard(tally, name, 0, 5)
+    tally.forget(TOPIC, "a")
+    assert [heard(tally, name, 0, 3) for name in ("a", "b")] == [True, False]
+    tally.forget_all()
+    assert [heard(tally, name, 0, 1) for name in ("a", "b")] == [True, True]
+    assert tally.counts()[0][0].lost == 0
+
+
+def test_latched_messages_are_kept_in_order_of_the_last_word_and_not_without_end() -> None:
+    kept: dict[str, list] = {}
+    for number in range(40):
+        latch(kept, f"n{number}", [b"old"])
+    latch(kept, "n10", [b"new"])
+    assert list(kept) == [f"n{number}" for number in range(8, 40) if number != 10] + ["n10"]
+    assert kept["n10"] == [b"new"]

@@ -1,0 +1,255 @@
+"""What comes from others is bounded: sizes, what unpacks, names of files, what reaches a terminal."""
+
+from __future__ import annotations
+
+import io
+import stat
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+
+import lz4.frame
+import numpy as np
+import pytest
+import zstandard
+from mcap.records import Chunk
+from mcap.writer import CompressionType, Writer
+
+from mirrorwave.annotate_manifest import load_manifest
+from mirrorwave.console import error_line, print_line, print_table
+from mirrorwave.import_dca1000 import read_config
+from mirrorwave.topic_echo import save_arrays
+from msgs import array_files, recording
+from msgs.array_files import load_arrays
+from msgs.recording import RecordingReader
+from msgs.vehicle import VehicleState
+from nodes.can_link import MAX_DBC_BYTES, load_dbc
+from sim_player.meshes import load_mesh
+from sim_player.scene import MAX_BYTES, load_scene, scene_from_yaml
+
+MIB = 1 << 20
+
+
+def of_size(path: Path, size: int) -> Path:
+    """A file that says it is so large and takes no room."""
+    with path.open("wb") as file:
+        file.truncate(size)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("read", "size"),
+    [
+        (load_scene, MAX_BYTES + 1),
+        (load_manifest, MIB + 1),
+        (lambda path: read_config(path, None), MIB + 1),
+        (load_dbc, MAX_DBC_BYTES + 1),
+    ],
+    ids=["scene", "manifest", "dca1000", "dbc"],
+)
+def test_a_file_that_is_too_large_is_refused_before_it_is_parsed(
+    tmp_path: Path, read: Callable[[Path], object], size: int
+) -> None:
+    path = of_size(tmp_path / "large.cfg", size)
+    with pytest.raises(ValueError, match=r"large\.cfg.*at most \d+ bytes"):
+        read(path)
+
+
+def test_a_scene_may_not_repeat_itself_by_reference() -> None:
+    """Four lines would give 10^5 x 10^5 numbers."""
+    with pytest.raises(ValueError, match="aliases are refused"):
+        scene_from_yaml("name: x\nsurfaces: [&a {role: relay}, *a]\n")
+
+
+def test_a_scene_nested_without_end_is_refused() -> None:
+    with pytest.raises(ValueError, match="nested too deep"):
+        scene_from_yaml("[" * 100_000)
+
+
+def test_a_mesh_takes_its_buffers_from_its_own_folder_only(tmp_path: Path) -> None:
+    import trimesh
+
+    parts = trimesh.Scene(trimesh.creation.box((2.0, 2.0, 2.0))).export(file_type="gltf")
+    buffers = [name for name in parts if name.endswith(".bin")]
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    for name, data in parts.items():
+        (inner / name).write_bytes(data)
+    assert len(load_mesh(inner / "model.gltf").faces) == 12
+    for name in buffers:
+        (inner / name).rename(tmp_path / name)
+    (inner / "model.gltf").write_bytes(parts["model.gltf"].replace(b'"gltf_buffer', b'"../gltf_buffer'))
+    with pytest.raises(ValueError, match="escapes"):
+        load_mesh(inner / "model.gltf")
+
+
+# recordings
+
+
+def chunk(compression: str, data: bytes, size: int) -> Chunk:
+    return Chunk(
+        compression=compression,
+        data=data,
+        message_start_time=0,
+        message_end_time=0,
+        uncompressed_crc=0,
+        uncompressed_size=size,
+    )
+
+
+PACKERS = {"zstd": zstandard.compress, "lz4": lz4.frame.compress}
+
+
+@pytest.mark.parametrize("compression", PACKERS)
+def test_a_chunk_that_unpacks_to_more_than_it_promises_is_refused(compression: str) -> None:
+    """16 MiB of zeros in some kilobytes: the head of the chunk promises 1000 bytes, the data know no limit."""
+    packed = PACKERS[compression](bytes(16 * MIB))
+    assert len(packed) < MIB
+    with pytest.raises(ValueError, match="does not unpack to the 1000 bytes"):
+        recording._without_bomb(chunk(compression, packed, 1000))
+
+
+def test_an_unsaid_size_is_held_to_the_chunks() -> None:
+    packer = zstandard.ZstdCompressor(write_content_size=False)
+    whole = recording._without_bomb(chunk("zstd", packer.compress(bytes(MIB)), 1000))
+    with pytest.raises(recording._DAMAGE):
+        recording.breakup_chunk(whole)
+
+
+def test_an_lz4_chunk_that_ends_early_is_refused() -> None:
+    packed = lz4.frame.compress(np.random.default_rng(0).bytes(1000))
+    with pytest.raises(ValueError, match="does not unpack"):
+        recording._without_bomb(chunk("lz4", packed[:-200], 1000))
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_honest_chunks_of_every_compression_are_read(tmp_path: Path, compression: CompressionType) -> None:
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=compression)
+        writer.start()
+        channel = writer.register_channel("other/topic", "json", writer.register_schema("x", "jsonschema", b"{}"))
+        for count in range(3):
+            writer.add_message(channel, count, bytes(100), count)
+        writer.finish()
+    with RecordingReader(path) as reader:
+        assert list(reader.messages()) == []
+        assert (reader.loss, reader.skipped) == (None, {"other/topic": 3})
+
+
+# archives
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    packed = io.BytesIO()
+    np.savez_compressed(packed, zeros=np.zeros(MIB, np.uint8))
+    packed.seek(0)
+    assert load_arrays(packed)["zeros"].nbytes == MIB
+    packed.seek(0)
+    monkeypatch.setattr(array_files, "MAX_UNPACKED_BYTES", MIB)
+    with pytest.raises(ValueError, match="unpacks to"):
+        load_arrays(packed)
+
+
+def test_a_pickle_is_never_loaded() -> None:
+    packed = io.BytesIO()
+    np.savez(packed, evil=np.array([zlib.compress], dtype=object))
+    packed.seek(0)
+    with pytest.raises(ValueError, match="allow_pickle=False"):
+        load_arrays(packed)["evil"]
+
+
+# names and terminals
+
+
+def test_a_publisher_cannot_name_a_file_outside_the_folder(tmp_path: Path) -> None:
+    from msgs.perception import Peaks
+
+    fields = {name: np.zeros(0, np.float32) for name in Peaks.__struct_fields__ if name != "stamp_ns"}
+    message = type("Message", (), {"__struct_fields__": ("body",), "body": {"../../x": np.zeros(2), **fields}})()
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    written = save_arrays(message, inner, "log-../../evil-0")  # type: ignore[arg-type]
+    assert {path.parent for path in written} == {inner}
+    assert list(tmp_path.iterdir()) == [inner]
+    assert save_arrays(VehicleState(stamp_ns=0), inner, "x") == []
+
+
+def test_no_text_steers_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    """ESC ] 0 ; sets a title, 0x9B is another way to begin a command; tabs and umlauts are no harm."""
+    evil = "a\x1b]0;title\x07\x9b2J\r\tü"
+    print_line(evil)
+    print_table(("X",), [(evil,)])
+    shown = capsys.readouterr().out + error_line(ValueError(evil))
+    assert not set("\x1b\x07\x9b\r") & set(shown)
+    assert "ü" in shown
+
+
+# what is promised
+
+
+def _limits() -> dict[str, str]:
+    """The table of limits in SECURITY.md."""
+    text = (Path(__file__).parents[1] / "SECURITY.md").read_text(encoding="utf-8")
+    table = text.split("| door | limit |")[1].split("\n\n")[0]
+    rows = (line.strip("| ").split(" | ") for line in table.splitlines()[2:])
+    return {row[0].strip("`"): row[1] for row in rows}
+
+
+def _size(count: int) -> str:
+    for shift, unit in ((30, "GiB"), (20, "MiB"), (10, "KiB")):
+        if count >= 1 << shift:
+            return f"{round(count / (1 << shift))} {unit}"
+    return str(count)
+
+
+def test_the_limits_of_the_page_are_those_of_the_code() -> None:
+    from mirrorwave import foreign_topic, import_dca1000
+    from models.perception import cards, onnx_model
+    from msgs import arrays, codec, curve_exporter, curve_keys, curve_link, peer_messages, sigmf_capture, tally
+    from msgs.topics import TOPICS
+    from nodes import bev_viewer, launch_file, logs
+    from nodes.viewer import door, server
+    from sim_player import meshes, scene
+
+    promised = _limits()
+    expected = {name: _size(topic.max_bytes) for name, topic in TOPICS.items()} | {
+        "topic of another program (`topic echo`)": _size(foreign_topic._MAX_BYTES),
+        "header of a message": _size(codec.MAX_HEADER_BYTES),
+        "dimensions of an array": str(arrays.MAX_NDIM),
+        "publishers of a topic": str(tally.MAX_PUBLISHERS),
+        "what a link's peer may send up at once": _size(curve_link.MAX_UPWARD_BYTES),
+        "publishers behind one peer": str(peer_messages.MAX_ORIGINS),
+        "last messages kept of a latched topic": f"{tally._MAX_LATCHED} publishers",
+        "connections to a link that have not shown a key": (
+            f"{curve_exporter._MAX_STRANGERS}, for {curve_link._HANDSHAKE_MS / 1000:g} s"
+        ),
+        "pages at the viewer": str(bev_viewer.Params().max_clients),
+        "connections to the viewer that are no page": f"{door.MAX_VISITORS}, for {door.VISIT_S:g} s",
+        "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
+        "launch, parameter, profile, CAN mapping or annotation file": (
+            f"{_size(launch_file.MAX_BYTES)}, {launch_file.MAX_DEPTH} levels"
+        ),
+        "scene": _size(scene.MAX_BYTES),
+        "mesh": f"{_size(meshes.MOST_BYTES)}, {meshes.MOST_FACES:,} faces",
+        "DBC": _size(MAX_DBC_BYTES),
+        "configuration of a DCA1000 capture": _size(import_dca1000._MAX_CONFIG_BYTES),
+        "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
+        "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),
+        "message of a recording": _size(codec.MAX_INLINE_BYTES),
+        "card of a network": _size(cards.MAX_CARD_BYTES),
+        "network": _size(onnx_model.MAX_MODEL_BYTES),
+        "archive of arrays, unpacked": _size(array_files.MAX_UNPACKED_BYTES),
+        "key file": _size(curve_keys.MAX_BYTES),
+        "a node's log file": f"{_size(logs._FILE_BYTES)}, four of them",
+    }
+    assert promised == expected
+    assert logs._FILES_KEPT == 3
+
+
+def test_the_folder_of_a_run_is_for_its_user_alone(tmp_path: Path) -> None:
+    from nodes.launch_file import LaunchFile, NodeEntry
+    from nodes.supervisor import _new_run_folder
+
+    folder = _new_run_folder(tmp_path / "runs", LaunchFile(name="x", nodes={"a": NodeEntry(module="nodes.player")}))
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
