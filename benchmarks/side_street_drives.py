@@ -24,7 +24,8 @@ from msgs.frames import Pose2
 from msgs.perception import SceneTruth
 from msgs.units import ns_from_s, s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
-from nodes.can_link import load_decoder, read_log
+from nodes.can_link import load_decoder
+from nodes.can_log_file import read_log
 from sim_player.drive import Drive, DrivePlayer
 from sim_player.player import ScenePlayer
 from sim_player.scene import Ego, Scene, SceneObject, Surface, load_scene

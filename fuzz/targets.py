@@ -372,7 +372,8 @@ def _mapping(parts: Parts, box: Box) -> None:
 def _can_log(parts: Parts, box: Box) -> None:
     from mirrorwave.import_recording import CanSource, import_can
     from msgs.recording import info
-    from nodes.can_link import checkout_path, read_log
+    from nodes.can_link import checkout_path
+    from nodes.can_log_file import read_log
 
     suffix = text(parts, 0) if text(parts, 0) in (".log", ".asc", ".blf", ".csv", ".trc", ".asc.gz") else ".asc"
     log = box.put(f"a{suffix}", part(parts, 1))

@@ -12,6 +12,8 @@ from msgs.array_files import load_array
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
 MOST_POINTS = 20_000_000
+#: A file of as many points, each with a hundred bytes of numbers or words.
+MOST_BYTES = 1 << 31
 #: Longest side of a plausible cloud. The same numbers read in metres and in millimetres rarely both pass.
 EXTENT_M = (2.0, 1000.0)
 #: Bytes of a number in PLY, by both of its names.
@@ -34,13 +36,14 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
         raise ValueError(f"{path}: format must be one of {', '.join(SUFFIXES)}, got {path.suffix!r}")
     if not path.is_file():
         raise FileNotFoundError(2, "no such cloud", str(path))
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: at most {MOST_BYTES} bytes are read, got {path.stat().st_size}")
     points = _npy_points(path) if path.suffix.lower() == ".npy" else _open3d_points(path)
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or points.dtype.kind not in "fiu":
         raise ValueError(
             f"{path}: points must be numbers of shape (N, 3) with N > 0, got {points.dtype} {points.shape}"
         )
-    if len(points) > MOST_POINTS:
-        raise ValueError(f"{path}: points must be at most {MOST_POINTS}, got {len(points)}")
+    _require_bearable(path, len(points))
     points_m = points[:, :3].astype(np.float64) * (1e-3 if unit == "mm" else 1.0)
     finite = np.isfinite(points_m).all(axis=1)
     if not finite.any():
@@ -57,6 +60,11 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
     return points_m, int(np.count_nonzero(~finite))
 
 
+def _require_bearable(path: Path, count: int) -> None:
+    if count > MOST_POINTS:
+        raise ValueError(f"{path}: points must be at most {MOST_POINTS}, got {count}")
+
+
 def _npy_points(path: Path) -> np.ndarray:
     try:
         return load_array(path)
@@ -67,9 +75,10 @@ def _npy_points(path: Path) -> np.ndarray:
 def _open3d_points(path: Path) -> np.ndarray:
     """Points as open3d reads them; what it does not understand comes back empty.
 
-    Of a file that ends early it gives chance numbers: such a file is refused before.
+    Of a file that ends early it gives chance numbers, and it makes room for all that is promised: such a file is
+    refused before.
     """
-    _refuse_cut(path)
+    _refuse_promises(path)
     o3d = import_open3d()
     with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
         try:
@@ -79,23 +88,26 @@ def _open3d_points(path: Path) -> np.ndarray:
     return np.asarray(cloud.points)
 
 
-def _refuse_cut(path: Path) -> None:
-    """ValueError where a PLY or PCD holds fewer bytes or lines than its header promises."""
+def _refuse_promises(path: Path) -> None:
+    """ValueError where a file has too many points, or a PLY or PCD holds fewer bytes or lines than its header promises."""
     end = {".ply": b"end_header", ".pcd": b"\nDATA"}.get(path.suffix.lower())
     content = path.read_bytes()
-    if end is None or (at := content.find(end)) < 0:
+    if end is None:
+        return _require_bearable(path, content.count(b"\n"))
+    if (at := content.find(end)) < 0:
         return
     start = content.find(b"\n", at + 1) + 1
     rows = [line.split() for line in content[: start or None].decode("latin-1").splitlines() if line.split()]
     count, row_bytes = _ply_promise(rows) if path.suffix.lower() == ".ply" else _pcd_promise(rows)
+    _require_bearable(path, count)
     if path.suffix.lower() == ".pcd":
-        _refuse_large_pcd(path, rows, content[start:])
+        _refuse_large_pcd(path, rows, content[start : start + 8], len(content) - start)
     held = len(content) - start if row_bytes else content.count(b"\n", start) + (not content.endswith(b"\n"))
     if not start or held < count * max(row_bytes, 1):
         raise ValueError(f"{path}: header promises {count} points, the file ends before: it is cut off")
 
 
-def _refuse_large_pcd(path: Path, rows: list[list[str]], data: bytes) -> None:
+def _refuse_large_pcd(path: Path, rows: list[list[str]], head: bytes, held: int) -> None:
     """ValueError where a PCD asks for memory that its points cannot need: open3d gives it unasked."""
     fields = {row[0]: row[1:] for row in rows if len(row) > 1}
     numbers = {name: [int(word) if word.isdecimal() else -1 for word in fields.get(name, [])] for name in PCD_MOST}
@@ -107,11 +119,9 @@ def _refuse_large_pcd(path: Path, rows: list[list[str]], data: bytes) -> None:
         if not all(0 <= one <= most for one in numbers[name]):
             raise ValueError(f"{path}: {name} must be whole numbers of at most {most}, got {' '.join(fields[name])}")
     if fields.get("DATA", [""])[0] == "binary_compressed":
-        packed, unpacked = (int.from_bytes(data[at : at + 4], "little") for at in (0, 4))
-        if packed > len(data) - 8 or unpacked > MOST_LZF * packed:
-            raise ValueError(
-                f"{path}: {packed} bytes that unpack to {unpacked} are promised, the file holds {len(data)}"
-            )
+        packed, unpacked = (int.from_bytes(head[at : at + 4], "little") for at in (0, 4))
+        if packed > held - 8 or unpacked > min(MOST_LZF * packed, MOST_BYTES):
+            raise ValueError(f"{path}: {packed} bytes that unpack to {unpacked} are promised, the file holds {held}")
 
 
 def _ply_promise(rows: list[list[str]]) -> tuple[int, int]:

@@ -141,7 +141,8 @@ def decode(
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
-    from nodes.can_link import checkout_path, load_decoder, read_log
+    from nodes.can_link import checkout_path, load_decoder
+    from nodes.can_log_file import read_log
 
     if signals:
         _decode_signals(log, dbc, channel, every, as_json)
@@ -182,7 +183,8 @@ def _print_report(report: LogReport) -> None:
 def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, as_json: bool) -> None:
     """All that a DBC knows of a log; exit code 1 if it knows none of its frames."""
     from mirrorwave.can_signals import SignalReport
-    from nodes.can_link import checkout_path, load_dbc, read_log
+    from nodes.can_link import checkout_path, load_dbc
+    from nodes.can_log_file import read_log
 
     report = SignalReport(load_dbc(checkout_path(str(dbc))), every_s)
     report.read(_until_error(read_log(log, channel), report))

@@ -41,7 +41,8 @@ def import_can(source: CanSource, out: Path) -> dict[str, Any]:
     Raises `ValueError` where the log cannot be read at all, or gives not one valid state with this DBC and mapping.
     """
     from mirrorwave.can_log import log_states
-    from nodes.can_link import load_decoder, read_log
+    from nodes.can_link import load_decoder
+    from nodes.can_log_file import read_log
 
     decoder = load_decoder(source.dbc, source.mapping)
     frames = _Shifted(read_log(source.log, source.channel), source.start_ns)

@@ -1,11 +1,11 @@
-"""CAN at the door: a bus that is opened again whenever it fails, logs of any kind, a car's DBC and mapping."""
+"""CAN at the door: a bus that is opened again whenever it fails, frames and their stamps, a car's DBC and mapping."""
 
 from __future__ import annotations
 
 import logging
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -215,38 +215,6 @@ class LogFrame(NamedTuple):
 
     frame: can.Message
     stamp_ns: int
-
-
-def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
-    """Frames of a candump (.log), ASC, BLF, CSV or TRC log (also gzipped), of one channel if one is named.
-
-    Raises `ValueError` naming the file and the frame where it cannot be read on; `OSError` if it cannot be opened.
-    """
-    # ASC is read as seconds since the first frame unless told otherwise; all others keep the time of day
-    is_asc = path.name.lower().removesuffix(".gz").endswith(".asc")
-    options = {"relative_timestamp": False} if is_asc else {}
-    count = 0
-    stamp_ns = 0
-    try:
-        with can.LogReader(path, **options) as reader:
-            for frame in reader:
-                count += 1
-                stamp_ns = _log_stamp_ns(reader, frame, stamp_ns)
-                if channel is None or str(frame.channel) == channel:
-                    yield LogFrame(frame, stamp_ns)
-    except OSError:
-        raise
-    except Exception as error:  # noqa: BLE001 - readers of foreign formats fail in whatever way the damage makes them
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
-        raise ValueError(f"{path}: cannot be read after {count} frames: {reason}") from None
-
-
-def _log_stamp_ns(reader: Any, frame: can.Message, last_ns: int) -> int:
-    """An ASC log whose header says "relative" counts each stamp from the frame before; python-can takes it as is."""
-    if getattr(reader, "timestamps_format", None) != "relative" or not math.isfinite(frame.timestamp):
-        return frame_stamp_ns(frame)
-    start_ns = ns_from_s(reader.start_time)
-    return (last_ns or start_ns) + frame_stamp_ns(frame) - start_ns
 
 
 def checkout_path(name: str) -> Path:

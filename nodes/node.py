@@ -173,7 +173,8 @@ class Stop:
 def load_node(module_name: str, params: Mapping[str, Any], name: str | None = None) -> Node:
     """Import a node's module and create the node with `params`.
 
-    Raises `ValueError` naming the node's field for a module that is no node and for wrong parameters.
+    Raises `ValueError` naming the node's field for a module that is no node or needs a library that is not installed,
+    and for wrong parameters.
     """
     name = name or module_name.rpartition(".")[2]
     if not MODULE_NAME.fullmatch(module_name):
@@ -181,9 +182,9 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        if error.name is None or not f"{module_name}.".startswith(f"{error.name}."):
-            raise
-        raise ValueError(f"{name}.module: no module named {error.name!r}") from None
+        is_missing = f"{module_name}.".startswith(f"{error.name}.")
+        what = f"no module named {error.name!r}" if is_missing else f"{module_name} needs {error.name}, not installed here"
+        raise ValueError(f"{name}.module: {what}") from None
     if not (hasattr(module, "Params") and hasattr(module, "create")):
         raise ValueError(f"{name}.module: {module_name} is no node, it must define Params and create(params)")
     node: Node = module.create(convert_at(dict(params), module.Params, f"{name}.params"))

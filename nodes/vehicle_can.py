@@ -28,8 +28,8 @@ from nodes.can_link import (
     decode_frame,
     frame_stamp_ns,
     load_decoder,
-    read_log,
 )
+from nodes.can_log_file import read_log
 from nodes.node import Node
 from nodes.validation import require_clock_offset
 

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import stat
+import struct
+import tracemalloc
 import zlib
 from collections.abc import Callable
 from pathlib import Path
 
+import can
 import lz4.frame
 import numpy as np
 import pytest
@@ -15,6 +19,7 @@ import zstandard
 from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 
+from mirrorwave.annotate_clouds import MOST_BYTES, MOST_POINTS, read_cloud
 from mirrorwave.annotate_manifest import load_manifest
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.import_dca1000 import read_config
@@ -24,6 +29,7 @@ from msgs.array_files import load_arrays
 from msgs.recording import RecordingReader
 from msgs.vehicle import VehicleState
 from nodes.can_link import MAX_DBC_BYTES, load_dbc
+from nodes.can_log_file import MAX_LINE, MAX_OBJECT_BYTES, read_log
 from sim_player.meshes import load_mesh
 from sim_player.scene import MAX_BYTES, load_scene, scene_from_yaml
 
@@ -44,15 +50,73 @@ def of_size(path: Path, size: int) -> Path:
         (load_manifest, MIB + 1),
         (lambda path: read_config(path, None), MIB + 1),
         (load_dbc, MAX_DBC_BYTES + 1),
+        (lambda path: read_cloud(path.rename(path.with_suffix(".ply"))), MOST_BYTES + 1),
     ],
-    ids=["scene", "manifest", "dca1000", "dbc"],
+    ids=["scene", "manifest", "dca1000", "dbc", "cloud"],
 )
 def test_a_file_that_is_too_large_is_refused_before_it_is_parsed(
     tmp_path: Path, read: Callable[[Path], object], size: int
 ) -> None:
     path = of_size(tmp_path / "large.cfg", size)
-    with pytest.raises(ValueError, match=r"large\.cfg.*at most \d+ bytes"):
+    with pytest.raises(ValueError, match=r"large\..*at most \d+ bytes"):
         read(path)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".csv", ".trc"])
+@pytest.mark.parametrize("is_packed", [False, True], ids=["plain", "packed"])
+def test_a_line_without_end_in_a_can_log(tmp_path: Path, suffix: str, is_packed: bool) -> None:
+    """64 MiB of one line, 64 KiB of them packed."""
+    path = tmp_path / (f"endless{suffix}.gz" if is_packed else f"endless{suffix}")
+    with gzip.open(path, "wb", 1) if is_packed else path.open("wb") as file:
+        for _ in range(64):
+            file.write(b"1" * MIB)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=rf"endless.* a line must be of at most {MAX_LINE} characters"):
+            list(read_log(path))
+        assert tracemalloc.get_traced_memory()[1] < MIB
+    finally:
+        tracemalloc.stop()
+
+
+def blf(path: Path, *containers: bytes, claimed: int | None = None) -> Path:
+    """A BLF of packed containers; the object of each says to be `claimed` bytes long where that is given."""
+    whole = path.with_name("good.blf")
+    can.BLFWriter(whole).stop()
+    content = whole.read_bytes()[:144]
+    for container in containers:
+        packed = struct.pack("<H6xL4x", 2, len(container)) + zlib.compress(container)
+        size = 16 + len(packed)
+        content += struct.pack("<4sHHLL", b"LOBJ", 16, 1, claimed or size, 10) + packed + b"\0" * (size % 4)
+    path.write_bytes(content)
+    return path
+
+
+def test_an_object_of_a_blf_may_not_promise_gigabytes(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=rf"long\.blf.* an object must be of 0 to {MAX_OBJECT_BYTES} bytes, got 429"):
+        list(read_log(blf(tmp_path / "long.blf", b"", claimed=2**32 - 1)))
+
+
+def test_an_object_without_end_in_containers_of_a_blf(tmp_path: Path) -> None:
+    """Each container holds some more of an object that says to be 4 GiB long."""
+    head = struct.pack("<4sHHLL", b"LOBJ", 32, 1, 2**32 - 1, 1)
+    path = blf(tmp_path / "endless.blf", head, *[bytes(MAX_OBJECT_BYTES // 2)] * 3)
+    with pytest.raises(ValueError, match=rf"endless\.blf.* an object must be of at most {MAX_OBJECT_BYTES} bytes"):
+        list(read_log(path))
+
+
+@pytest.mark.parametrize(
+    ("suffix", "content"),
+    [
+        (".ply", b"ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n1\n"),
+        (".xyz", b"\n" * (MOST_POINTS + 1)),
+    ],
+)
+def test_a_cloud_may_not_have_any_number_of_points(tmp_path: Path, suffix: str, content: bytes) -> None:
+    path = tmp_path / f"crowd{suffix}"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=rf"crowd.*points must be at most {MOST_POINTS}, got \d+"):
+        read_cloud(path)
 
 
 def test_a_scene_may_not_repeat_itself_by_reference() -> None:
@@ -204,11 +268,11 @@ def _size(count: int) -> str:
 
 
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
-    from mirrorwave import foreign_topic, import_dca1000
+    from mirrorwave import annotate_clouds, foreign_topic, import_dca1000
     from models.perception import cards, onnx_model
     from msgs import arrays, codec, curve_exporter, curve_keys, curve_link, peer_messages, sigmf_capture, tally
     from msgs.topics import TOPICS
-    from nodes import bev_viewer, launch_file, logs
+    from nodes import bev_viewer, can_log_file, launch_file, logs
     from nodes.viewer import door, server
     from sim_player import meshes, scene
 
@@ -233,6 +297,10 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "scene": _size(scene.MAX_BYTES),
         "mesh": f"{_size(meshes.MOST_BYTES)}, {meshes.MOST_FACES:,} faces",
         "DBC": _size(MAX_DBC_BYTES),
+        "line of a CAN log; object of a BLF, packed": (
+            f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"
+        ),
+        "point cloud": f"{_size(annotate_clouds.MOST_BYTES)}, {annotate_clouds.MOST_POINTS:,} points",
         "configuration of a DCA1000 capture": _size(import_dca1000._MAX_CONFIG_BYTES),
         "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
         "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),

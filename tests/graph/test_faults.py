@@ -79,7 +79,7 @@ def launch_text(folder: Path) -> str:
             "after": ["ra_former", "dense_predictor", "geometry"],
         },
         "vehicle_can": {"module": "nodes.vehicle_can", "params": CAN_BUS},
-        "ra_former": {"module": "nodes.ra_former", "hang_timeout_s": 12.5},
+        "ra_former": {"module": "nodes.ra_former", "hang_timeout_s": 17.5},
         "dense_predictor": {"module": "nodes.dense_predictor"},
         "geometry": {"module": "nodes.geometry"},
         "bev_viewer": {"module": "nodes.bev_viewer", "params": {"port": 0}, "viewer": True},

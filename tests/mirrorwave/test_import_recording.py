@@ -82,8 +82,6 @@ def test_a_log_that_breaks_off_is_kept_and_told(drive: Path, tmp_path: Path, cap
     assert (code, 0 < found["frames"] < 300) == (3, True)
 
 
-# python-can's reader leaves its file open where it refuses it at once
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_cut_blf_is_one_line_or_whole(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     """Cut anywhere: either what is before the cut (codes 0, 3), or one line that names the file (code 2)."""
     data = write_drive(tmp_path / "drive.blf", SECONDS).read_bytes()

@@ -53,6 +53,13 @@ def test_wrong_nodes_and_params_are_refused_by_name(module: str, params: dict, m
         load_node(module, params, "toy")
 
 
+def test_a_library_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "thirsty.py").write_text("import no_such_library.part")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ValueError, match=r"^toy\.module: thirsty needs no_such_library, not installed here$"):
+        load_node("thirsty", {}, "toy")
+
+
 def test_loop_publishes_until_finished_and_says_so() -> None:
     network = LocalNetwork()
     listener = network.bus("listener")

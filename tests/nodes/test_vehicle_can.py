@@ -18,7 +18,8 @@ from msgs.diagnostics import NodeState
 from msgs.local_bus import LocalNetwork
 from msgs.vehicle import VehicleState
 from nodes import car_sim, player, vehicle_can
-from nodes.can_link import BusParams, CanLink, LogFrame, frame_stamp_ns, load_dbc, load_decoder, load_mapping, read_log
+from nodes.can_link import BusParams, CanLink, LogFrame, frame_stamp_ns, load_dbc, load_decoder, load_mapping
+from nodes.can_log_file import read_log
 from nodes.launch_file import read_launch_file
 from nodes.node import InProcessGraph, load_node
 from sim_player.car import SimulatedCar
@@ -274,8 +275,8 @@ def test_garbage_frames_are_counted_and_harmless(bus: dict) -> None:
     assert expected <= set(counts)
 
 
-@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
-def test_logs_of_three_formats_read_back_equally(tmp_path: Path, suffix: str) -> None:
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".asc.gz"])
+def test_logs_of_all_formats_read_back_equally(tmp_path: Path, suffix: str) -> None:
     """Same frames, same stamps of the epoch to 1 microsecond (what candump and ASC write; doubles hold 0.24)."""
     frames = drive()
     path = write_log(tmp_path / f"drive{suffix}", frames)
@@ -350,9 +351,7 @@ def on_channel(frame: can.Message, channel: str) -> can.Message:
     )  # fmt: skip
 
 
-# python-can leaves the file of a reader that refuses it to the garbage collector
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-@pytest.mark.parametrize("name", ["bad.log", "bad.asc", "bad.blf"])
+@pytest.mark.parametrize("name", ["bad.log", "bad.asc", "bad.blf", "bad.asc.gz", "bad.pcap"])
 @pytest.mark.parametrize("content", [b"", b"\x00\xff\xfe" * 40, b"(1.0) can0 100#GG\n", b"LOGG" + bytes(200)])
 def test_garbage_as_a_log_is_one_line(tmp_path: Path, name: str, content: bytes) -> None:
     path = tmp_path / name

@@ -17,7 +17,8 @@ from models.vehicle.end_to_end import CounterRule
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignalName
 from msgs.codec import encode_inline
 from msgs.vehicle import VehicleState
-from nodes.can_link import decode_frame, load_dbc, load_decoder, load_mapping, read_log
+from nodes.can_link import decode_frame, load_dbc, load_decoder, load_mapping
+from nodes.can_log_file import read_log
 from sim_player.car import CarFrame, SimulatedCar
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
