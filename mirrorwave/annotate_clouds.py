@@ -89,12 +89,12 @@ def _open3d_points(path: Path) -> np.ndarray:
 
 
 def _refuse_promises(path: Path) -> None:
-    """ValueError where a file has too many points, or a PLY or PCD holds fewer bytes or lines than its header promises."""
+    """ValueError for too many points, and for a PLY or PCD that holds fewer bytes or lines than its header promises."""
     end = {".ply": b"end_header", ".pcd": b"\nDATA"}.get(path.suffix.lower())
     content = path.read_bytes()
     if end is None:
-        return _require_bearable(path, content.count(b"\n"))
-    if (at := content.find(end)) < 0:
+        _require_bearable(path, content.count(b"\n"))
+    if end is None or (at := content.find(end)) < 0:
         return
     start = content.find(b"\n", at + 1) + 1
     rows = [line.split() for line in content[: start or None].decode("latin-1").splitlines() if line.split()]

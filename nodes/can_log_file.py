@@ -7,7 +7,7 @@ import io
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import can
 
@@ -51,9 +51,9 @@ def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
             raise ValueError(f"{path}: cannot be read after {count} frames: {reason}") from None
 
 
-def _reader(kind: str, content: IO[bytes]) -> Any:
+def _reader(kind: str, content: Any) -> Any:
     if kind == ".blf":
-        return _BoundedContainers(_BoundedReads(content))  # type: ignore[arg-type]
+        return _BoundedContainers(_BoundedReads(content))
     # ASC is read as seconds since the first frame unless told otherwise; all others keep the time of day
     options = {"relative_timestamp": False} if kind == ".asc" else {}
     return _KINDS[kind](_BoundedLines(content, encoding="utf-8"), **options)
@@ -70,7 +70,7 @@ def _log_stamp_ns(reader: Any, frame: can.Message, last_ns: int) -> int:
 class _BoundedLines(io.TextIOWrapper):
     """Text whose lines have at most `MAX_LINE` characters."""
 
-    def __next__(self) -> str:
+    def __next__(self) -> str:  # type: ignore[override]
         line = self.readline(MAX_LINE + 1)
         if len(line) > MAX_LINE:
             raise ValueError(f"a line must be of at most {MAX_LINE} characters")

@@ -182,9 +182,9 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
-        is_missing = f"{module_name}.".startswith(f"{error.name}.")
-        what = f"no module named {error.name!r}" if is_missing else f"{module_name} needs {error.name}, not installed here"
-        raise ValueError(f"{name}.module: {what}") from None
+        if f"{module_name}.".startswith(f"{error.name}."):
+            raise ValueError(f"{name}.module: no module named {error.name!r}") from None
+        raise ValueError(f"{name}.module: {module_name} needs {error.name}, which is not installed") from None
     if not (hasattr(module, "Params") and hasattr(module, "create")):
         raise ValueError(f"{name}.module: {module_name} is no node, it must define Params and create(params)")
     node: Node = module.create(convert_at(dict(params), module.Params, f"{name}.params"))

@@ -56,7 +56,7 @@ def test_wrong_nodes_and_params_are_refused_by_name(module: str, params: dict, m
 def test_a_library_that_is_not_installed_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "thirsty.py").write_text("import no_such_library.part")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ValueError, match=r"^toy\.module: thirsty needs no_such_library, not installed here$"):
+    with pytest.raises(ValueError, match=r"^toy\.module: thirsty needs no_such_library, which is not installed$"):
         load_node("thirsty", {}, "toy")
 
 

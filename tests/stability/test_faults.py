@@ -69,7 +69,7 @@ def test_clock_of_a_host_that_is_up_for_decades(errors: Errors) -> None:
     source="half a round trip of 4 ms and a second's drift, once for the answer and once for the offset in use",
 )
 def test_lucky_answer_of_an_hour_ago(errors: Errors) -> None:
-    """A clock 100 ppm fast: the one answer of 20 us is worth the most for seconds, and is 0.36 s wrong an hour later."""
+    """A clock 100 ppm fast: an answer of 20 us is worth the most for seconds, and 0.36 s wrong an hour later."""
     lucky_ns, usual_ns = 10_000, 2_000_000
     ways_ns = [lucky_ns, *itertools.repeat(usual_ns, 3599)]
     samples, ahead_ns = answers(iter(ways_ns), iter(ways_ns), 3600, drift=100e-6)
