@@ -36,8 +36,8 @@ demo: setup  ## a simulated corner through the whole graph: hidden objects besid
 
 test: setup-dev  ## all tests
 	@# graphs of processes want the machine to themselves; those of the documentation, which count no losses, two at a time
-	$(BIN)/python -m pytest -q -m "not graph" -n auto --dist loadfile
-	$(BIN)/python -m pytest -q -m graph -n 2 --dist load tests/docs
+	$(BIN)/python -m pytest -q -m "not graph" -n auto --dist loadfile --ignore=tests/docs
+	$(BIN)/python -m pytest -q -n 2 --dist load tests/docs
 	$(BIN)/python -m pytest -q -m graph --ignore=tests/docs
 
 lint: setup-dev  ## style, types, house laws

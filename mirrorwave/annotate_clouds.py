@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
+import re
 from pathlib import Path
 from typing import Literal
 
@@ -21,6 +24,12 @@ PLY_BYTES = {
     "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
     "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
 }  # fmt: skip
+#: Words that lines of a PLY header begin with.
+PLY_WORDS = {"ply", "format", "comment", "obj_info", "element", "property", "end_header"}
+#: open3d cuts lines of a PCD here.
+LONGEST_LINE = 1000
+_WORD = re.compile(rb"[^ \t\r]+")
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
 #: Largest numbers of a PCD header, and how much LZF can pack at most.
 PCD_MOST = {"SIZE": 8, "COUNT": 1024, "WIDTH": MOST_POINTS, "HEIGHT": MOST_POINTS, "POINTS": MOST_POINTS}
 MOST_LZF = 100
@@ -73,38 +82,61 @@ def _npy_points(path: Path) -> np.ndarray:
 
 
 def _open3d_points(path: Path) -> np.ndarray:
-    """Points as open3d reads them; what it does not understand comes back empty.
+    """Points as open3d reads them; ValueError where it does not understand the file.
 
-    Of a file that ends early it gives chance numbers, and it makes room for all that is promised: such a file is
-    refused before.
+    It makes room for all that a header promises, and what it did not read has the numbers that stood in memory:
+    promises that are not kept are refused before. What it fails to read it only prints.
     """
     _refuse_promises(path)
     o3d = import_open3d()
-    with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
+    printed = io.StringIO()
+    with (
+        contextlib.redirect_stdout(printed),
+        o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Warning),
+    ):
         try:
             cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
         except (MemoryError, RuntimeError) as error:
             raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    if said := " ".join(_COLOUR.sub("", printed.getvalue()).split()):
+        raise ValueError(f"{path}: cannot be read: {said}")
     return np.asarray(cloud.points)
 
 
 def _refuse_promises(path: Path) -> None:
     """ValueError for too many points, and for a PLY or PCD that holds fewer bytes or lines than its header promises."""
-    end = {".ply": b"end_header", ".pcd": b"\nDATA"}.get(path.suffix.lower())
-    content = path.read_bytes()
-    if end is None:
-        _require_bearable(path, content.count(b"\n"))
-    if end is None or (at := content.find(end)) < 0:
-        return
-    start = content.find(b"\n", at + 1) + 1
-    rows = [line.split() for line in content[: start or None].decode("latin-1").splitlines() if line.split()]
-    count, row_bytes = _ply_promise(rows) if path.suffix.lower() == ".ply" else _pcd_promise(rows)
+    kind, content = path.suffix.lower(), path.read_bytes()
+    if kind == ".xyz":
+        return _require_bearable(path, content.count(b"\n"))
+    end = b"\nend_header" if kind == ".ply" else b"\nDATA"
+    start = content.find(b"\n", content.find(end) + 1) + 1
+    if end not in content or not start:
+        raise ValueError(f"{path}: header must end with {end.decode().strip()}, it does not")
+    rows = [line.split() for line in content[:start].decode("latin-1").splitlines() if line.split()]
+    if kind == ".ply":
+        _refuse_odd_ply(path, rows)
+    count, row_bytes, words = _ply_promise(rows) if kind == ".ply" else _pcd_promise(rows)
     _require_bearable(path, count)
-    if path.suffix.lower() == ".pcd":
+    if kind == ".pcd":
         _refuse_large_pcd(path, rows, content[start : start + 8], len(content) - start)
-    held = len(content) - start if row_bytes else content.count(b"\n", start) + (not content.endswith(b"\n"))
-    if not start or held < count * max(row_bytes, 1):
+    held = len(content) - start if row_bytes else _lines_of(words, content[start:])
+    if held < count * max(row_bytes, 1):
         raise ValueError(f"{path}: header promises {count} points, the file ends before: it is cut off")
+    return None
+
+
+def _lines_of(words: int, text: bytes) -> int:
+    """Lines of at least so many words, as open3d finds them; it skips all others."""
+    lines = (line for line in text.split(b"\n") if len(line) <= LONGEST_LINE and b"\0" not in line)
+    return sum(len(_WORD.findall(line)) >= words for line in lines)
+
+
+def _refuse_odd_ply(path: Path, rows: list[list[str]]) -> None:
+    """ValueError where a PLY header could be read in another way: its words may stand in any lines."""
+    for row in rows:
+        is_odd = row[0] == "element" and not (len(row) == 3 and row[2].isascii() and row[2].isdecimal())
+        if is_odd or row[0] not in PLY_WORDS:
+            raise ValueError(f"{path}: no line of a PLY header: {' '.join(row)[:80]!r}")
 
 
 def _refuse_large_pcd(path: Path, rows: list[list[str]], head: bytes, held: int) -> None:
@@ -120,31 +152,39 @@ def _refuse_large_pcd(path: Path, rows: list[list[str]], head: bytes, held: int)
             raise ValueError(f"{path}: {name} must be whole numbers of at most {most}, got {' '.join(fields[name])}")
     if fields.get("DATA", [""])[0] == "binary_compressed":
         packed, unpacked = (int.from_bytes(head[at : at + 4], "little") for at in (0, 4))
-        if packed > held - 8 or unpacked > min(MOST_LZF * packed, MOST_BYTES):
+        needed = int(numbers["POINTS"][0]) * sum(_pcd_sizes(fields))
+        if packed > held - 8 or not needed <= unpacked <= min(MOST_LZF * packed, MOST_BYTES):
             raise ValueError(f"{path}: {packed} bytes that unpack to {unpacked} are promised, the file holds {held}")
 
 
-def _ply_promise(rows: list[list[str]]) -> tuple[int, int]:
-    """Points of a PLY header and the bytes of each (0: a line of text)."""
-    count = row_bytes = 0
+def _ply_promise(rows: list[list[str]]) -> tuple[int, int, int]:
+    """Points of a PLY header, and the bytes of each (0: a line of text) or its words."""
+    count = row_bytes = words = 0
     element = ""
     is_text = any(row[:2] == ["format", "ascii"] for row in rows)
     for row in rows:
-        if row[0] == "element" and len(row) == 3:
+        if row[0] == "element":
             element = row[1]
-            count = int(row[2]) if element == "vertex" and row[2].isdecimal() else count
+            count = int(row[2]) if element == "vertex" else count
         elif row[0] == "property" and element == "vertex" and len(row) == 3:
             row_bytes += PLY_BYTES.get(row[1], 0)
-    return count, 0 if is_text else row_bytes
+            words += 1
+    return count, 0 if is_text else row_bytes, words
 
 
-def _pcd_promise(rows: list[list[str]]) -> tuple[int, int]:
-    """Points of a PCD header and the bytes of each (0: a line of text); compressed points are not counted."""
+def _pcd_promise(rows: list[list[str]]) -> tuple[int, int, int]:
+    """Points of a PCD header, and the bytes of each (0: a line of text) or its words; compressed ones: none."""
     fields = {row[0]: row[1:] for row in rows if len(row) > 1}
     kind = fields.get("DATA", [""])[0]
     count = int(fields["POINTS"][0]) if fields.get("POINTS", [""])[0].isdecimal() else 0
+    if kind == "binary_compressed":
+        return 0, 0, 0
+    words = sum(int(one) for one in fields.get("COUNT", ["1"] * len(fields.get("SIZE", []))) if one.isdecimal())
+    return count, sum(_pcd_sizes(fields)) if kind == "binary" else 0, words
+
+
+def _pcd_sizes(fields: dict[str, list[str]]) -> list[int]:
+    """Bytes of each field of a PCD point."""
     sizes = [int(size) for size in fields.get("SIZE", []) if size.isdecimal()]
     counts = [int(one) for one in fields.get("COUNT", ["1"] * len(sizes)) if one.isdecimal()]
-    if kind == "binary_compressed":
-        return 0, 0
-    return count, sum(size * one for size, one in zip(sizes, counts, strict=False)) if kind == "binary" else 0
+    return [size * one for size, one in zip(sizes, counts, strict=False)]

@@ -12,12 +12,12 @@ from typing import Any
 import msgspec
 import yaml
 
+from msgs.yaml_loader import BoundedLoader
 from nodes.node import MODULE_NAME, NODE_NAME
 from nodes.validation import convert_at
 
 #: Larger files are no launch files.
 MAX_BYTES = 1 << 20
-MAX_DEPTH = 32
 #: Name under which the supervisor itself stands on the bus.
 SUPERVISOR = "supervisor"
 RECORDER = "recorder"
@@ -272,23 +272,8 @@ def _yaml_reason(error: yaml.YAMLError) -> str:
     return " ".join(f"{place}{problem or error}".split())
 
 
-class _StrictLoader(yaml.SafeLoader):
-    """`SafeLoader` that refuses what a launch file never needs and an attack or a slip would use."""
-
-    _depth = 0
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=self.peek_event().start_mark)
-        if getattr(self.peek_event(), "tag", None) is not None:
-            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
-        self._depth += 1
-        if self._depth > MAX_DEPTH:
-            raise yaml.MarkedYAMLError(problem=f"nested deeper than {MAX_DEPTH} levels")
-        try:
-            return super().compose_node(parent, index)
-        finally:
-            self._depth -= 1
+class _StrictLoader(BoundedLoader):
+    """`BoundedLoader` that refuses what a launch file never needs and a slip would use."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
         seen: set[str] = set()

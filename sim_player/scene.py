@@ -24,6 +24,7 @@ from models.physics.mirror import SHORTEST_WALL_M, crosses
 from msgs.lidar import LidarSetup, SpadParams
 from msgs.radar import PRESETS, RadarSetup
 from msgs.units import db_from_ratio
+from msgs.yaml_loader import BoundedLoader
 from sim_player.front_end import FrontEnd
 from sim_player.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
 
@@ -233,18 +234,6 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
         )
 
 
-class _SceneLoader(yaml.SafeLoader):
-    """`SafeLoader` without tags and aliases: lists of lists of these grow without end when they are read as values."""
-
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        if self.check_event(yaml.AliasEvent):
-            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=self.peek_event().start_mark)
-        if getattr(self.peek_event(), "tag", None) is not None:
-            # PyYAML raises KeyError, IndexError and others for values that are not of their tag
-            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
-        return super().compose_node(parent, index)
-
-
 def load_scene(path: Path) -> Scene:
     """Read and check a scene file; ValueError in one line that names file, field, value and rule."""
     try:
@@ -261,11 +250,9 @@ def load_scene(path: Path) -> Scene:
 def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     """A checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
     try:
-        content = yaml.load(text, Loader=_SceneLoader)
+        content = yaml.load(text, Loader=BoundedLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
-    except RecursionError:
-        raise ValueError("not YAML of a scene: nested too deep") from None
     try:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:

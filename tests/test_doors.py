@@ -126,7 +126,7 @@ def test_a_scene_may_not_repeat_itself_by_reference() -> None:
 
 
 def test_a_scene_nested_without_end_is_refused() -> None:
-    with pytest.raises(ValueError, match="nested too deep"):
+    with pytest.raises(ValueError, match="nested deeper than 32 levels"):
         scene_from_yaml("[" * 100_000)
 
 
@@ -270,7 +270,17 @@ def _size(count: int) -> str:
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from mirrorwave import annotate_clouds, foreign_topic, import_dca1000
     from models.perception import cards, onnx_model
-    from msgs import arrays, codec, curve_exporter, curve_keys, curve_link, peer_messages, sigmf_capture, tally
+    from msgs import (
+        arrays,
+        codec,
+        curve_exporter,
+        curve_keys,
+        curve_link,
+        peer_messages,
+        sigmf_capture,
+        tally,
+        yaml_loader,
+    )
     from msgs.topics import TOPICS
     from nodes import bev_viewer, can_log_file, launch_file, logs
     from nodes.viewer import door, server
@@ -292,9 +302,9 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "connections to the viewer that are no page": f"{door.MAX_VISITORS}, for {door.VISIT_S:g} s",
         "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
         "launch, parameter, profile, CAN mapping or annotation file": (
-            f"{_size(launch_file.MAX_BYTES)}, {launch_file.MAX_DEPTH} levels"
+            f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
         ),
-        "scene": _size(scene.MAX_BYTES),
+        "scene": f"{_size(scene.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels",
         "mesh": f"{_size(meshes.MOST_BYTES)}, {meshes.MOST_FACES:,} faces",
         "DBC": _size(MAX_DBC_BYTES),
         "line of a CAN log; object of a BLF, packed": (

@@ -14,6 +14,7 @@ VALUES = {
     "msgs.units",
     "msgs.arrays",
     "msgs.array_files",
+    "msgs.yaml_loader",
     "msgs.frames",
     "msgs.radar",
     "msgs.vehicle",
@@ -139,7 +140,7 @@ def open_doors(module: str, source: str) -> list[str]:
         for target in node.targets
         if isinstance(target, ast.Name)
     }
-    safe = {"SafeLoader", "CSafeLoader"}
+    safe = {"SafeLoader", "CSafeLoader", "BoundedLoader"}
     safe |= {
         node.name
         for node in ast.walk(tree)

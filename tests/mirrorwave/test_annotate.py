@@ -184,6 +184,18 @@ def test_a_cloud_that_is_cut_off_is_refused(tmp_path: Path, suffix: str, as_text
             read_cloud(path)
 
 
+PLY = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+PLY += b"0 0 0\n4 4 4\n1 2 3\n"
+PCD = b"VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 3\nHEIGHT 1\nPOINTS 3\nDATA ascii\n"
+PCD += b"0 0 0\n4 4 4\n1 2 3\n"
+
+
+def test_small_clouds_of_text_are_read(tmp_path: Path) -> None:
+    for name, content in (("a.ply", PLY), ("a.pcd", PCD)):
+        (tmp_path / name).write_bytes(content)
+        assert read_cloud(tmp_path / name)[0].tolist() == [[0, 0, 0], [4, 4, 4], [1, 2, 3]]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "said"),
     [
@@ -194,13 +206,20 @@ def test_a_cloud_that_is_cut_off_is_refused(tmp_path: Path, suffix: str, as_text
         ("a.npy", np.zeros((4, 2)), "shape"),
         ("a.npy", np.array([["a", "b", "c"]]), "numbers of shape"),
         ("a.npy", b"\x93NUMPY\x01", "readable numpy array"),
-        ("a.ply", b"", "shape"),
+        ("a.ply", b"", "header must end with end_header"),
+        # open3d would give what stood in memory, or take 24 GB
+        ("a.ply", PLY.replace(b"4 4 4", b"-inf 4 4"), "cannot be read: .*unable to read file"),
+        ("a.ply", PLY.replace(b"vertex 3", b"vertex 1000000000.0"), "no line of a PLY header: 'element vertex 1000"),
+        ("a.ply", PLY.replace(b"format", b"comment end_header\nformat").replace(b"3\n", b"9\n"), "9 points.*cut off"),
+        ("a.pcd", PCD.replace(b"4 4 4\n", b"4\n"), "3 points.*cut off"),
+        ("a.pcd", PCD.replace(b"1 2 3\n", b"1 2 \0\n"), "3 points.*cut off"),
+        ("a.pcd", PCD.replace(b"DATA ascii\n", b""), "header must end with DATA"),
         (
             "a.ply",
             b"ply\nformat binary_little_endian 1.0\nelement vertex 99\nproperty float x\nend_header\n",
             "99 points.*cut off",
         ),
-        ("a.pcd", b"not a cloud", "shape"),
+        ("a.pcd", b"not a cloud", "header must end with DATA"),
         ("a.las", b"LASF", "format must be one of"),
     ],
 )

@@ -1,0 +1,32 @@
+"""YAML of others as values: nothing that grows without end, takes long, or is no value of its tag."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import yaml
+
+#: Deeper files are none of ours, and are slow to find out about.
+MAX_DEPTH = 32
+
+
+class BoundedLoader(yaml.SafeLoader):
+    """`SafeLoader` without aliases and tags, `MAX_DEPTH` levels deep at most."""
+
+    _depth = 0
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        """A node of the tree; `yaml.MarkedYAMLError` for what is refused."""
+        if self.check_event(yaml.AliasEvent):
+            # lists of lists of these grow without end when they are read as values
+            raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=self.peek_event().start_mark)
+        if getattr(self.peek_event(), "tag", None) is not None:
+            # PyYAML raises KeyError, IndexError and others for values that are not of their tag
+            raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
+        self._depth += 1
+        if self._depth > MAX_DEPTH:
+            raise yaml.MarkedYAMLError(problem=f"nested deeper than {MAX_DEPTH} levels")
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self._depth -= 1
