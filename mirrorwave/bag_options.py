@@ -105,7 +105,8 @@ def span_ns(
     if end_s is not None and duration_s is not None:
         raise ValueError(f"--end and --duration must not be given together, got {end_s:g} and {duration_s:g}")
     end_s = start_s + duration_s if duration_s is not None else end_s
-    if end_s is not None and end_s <= start_s:
+    # two times may be one nanosecond
+    if end_s is not None and ns_from_s(end_s) <= ns_from_s(start_s):
         raise ValueError(f"--end must be after --start {start_s:g}, got {end_s:g}")
     return first_ns + ns_from_s(start_s), None if end_s is None else first_ns + ns_from_s(end_s)
 

@@ -483,12 +483,14 @@ def copy_recording(
         writer = McapFile(file, METADATA_NAME)
         for name, values in reader._walk.metadata.items():
             writer.add_metadata(name, values)
-        channels: dict[int, int] = {}
+        # a damaged file may declare one number twice, and differently
+        channels: dict[tuple[int, str], int] = {}
         said_before = [] if start_ns is None else _latched_before(reader, start_ns, topics)
         for channel, raw in itertools.chain(said_before, reader._in_order(start_ns, end_ns, topics)):
-            if channel.id not in channels:
-                channels[channel.id] = _copy_channel(writer, channel, reader._schemas, compress)
-            writer.add_message(channels[channel.id], raw.sequence, raw.log_time, raw.publish_time, raw.data)
+            key = channel.id, channel.topic
+            if key not in channels:
+                channels[key] = _copy_channel(writer, channel, reader._schemas, compress)
+            writer.add_message(channels[key], raw.sequence, raw.log_time, raw.publish_time, raw.data)
         writer.finish()
         return writer.messages, reader.loss
 

@@ -28,9 +28,8 @@ CHECKOUT = Path(__file__).resolve().parents[1]
 MAX_DBC_BYTES = 1 << 24
 #: Longest message of CAN, sent in many frames (J1939).
 MAX_MESSAGE_BYTES = 1785
-#: Twenty digits are more than enough, and `int` takes no more than some thousand.
-_DBC_MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*(\d{1,20})")
-_DBC_SIGNAL = re.compile(r":\s*(\d{1,20})\s*\|\s*(\d{1,20})\s*@")
+_DBC_MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*([-+]?\d+)")
+_DBC_SIGNAL = re.compile(r":\s*([-+]?\d+)\s*\|\s*([-+]?\d+)\s*@")
 RETRY_S, MAX_RETRY_S = 0.2, 5.0
 #: A frame that cannot be read is no broken bus; this many without a good one between them are.
 MAX_UNREADABLE = 3
@@ -253,10 +252,11 @@ def _refuse_long_messages(dbc: str) -> None:
     """Raise `ValueError` for messages that no bus carries: cantools takes memory and time for every bit of them."""
     plain = re.sub(r"//[^\n]*", "", dbc)
     lengths = [int(found[1]) for found in _DBC_MESSAGE.finditer(plain)]
-    ends = [int(found[1]) + int(found[2]) for found in _DBC_SIGNAL.finditer(plain)]
-    longest = max([*lengths, *(-(-end // 8) for end in ends)], default=0)
-    if longest > MAX_MESSAGE_BYTES:
-        raise ValueError(f"messages must be of at most {MAX_MESSAGE_BYTES} bytes, got {longest}")
+    spans = [(int(found[1]), int(found[2])) for found in _DBC_SIGNAL.finditer(plain)]
+    longest = max([*lengths, *(-(-(start + length) // 8) for start, length in spans)], default=0)
+    least = min([*lengths, *(number for span in spans for number in span)], default=0)
+    if longest > MAX_MESSAGE_BYTES or least < 0:
+        raise ValueError(f"messages must be of 0..{MAX_MESSAGE_BYTES} bytes, got {least if least < 0 else longest}")
 
 
 def load_mapping(path: Path) -> CanMapping:

@@ -191,7 +191,8 @@ def _overlap_kernel(radar: RadarParams, range_bins: int, tone_bins: int) -> np.n
 
     def cut(low: np.ndarray, high: np.ndarray) -> np.ndarray:
         away = np.maximum(np.maximum(bins - high[:, None], low[:, None] - bins), 1e-9)
-        wrapped = np.minimum(away, radar.samples_per_chirp - away - COARSE)
+        # no farther than the next tone of a spectrum that repeats; tones beyond it may fall anywhere
+        wrapped = np.maximum(np.minimum(away, radar.samples_per_chirp - away - COARSE), 1e-9)
         return np.minimum(area[:, None], height[:, None] / (np.pi * wrapped))
 
     back = radar.bandwidth_hz * radar.chirp_period_s

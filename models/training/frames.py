@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -95,13 +95,17 @@ class Frame:
     places_m: np.ndarray | None = None
 
 
+#: A number that an array holds.
+SceneIndex = Annotated[int, msgspec.Meta(ge=-(1 << 62), le=1 << 62)]
+
+
 class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Scene indices of training, validation and test, sorted, and what the test scenes are."""
 
     seed: int
-    train: list[int]
-    validation: list[int]
-    test: list[int]
+    train: list[SceneIndex]
+    validation: list[SceneIndex]
+    test: list[SceneIndex]
     #: Over profiles and truth of the test scenes, in order.
     test_sha256: str
 

@@ -251,12 +251,12 @@ def _require_range(signal: Signal, field: str) -> None:
 
 
 def _require_within(message: Message, status: Message) -> None:
-    if message.cycle_time != status.cycle_time:
+    if message.cycle_time != status.cycle_time or not isinstance(status.cycle_time, int):
         rule = f"must be that of {STATUS_MESSAGE}, {status.cycle_time} ms"
         raise ValueError(f"messages.{message.name}.GenMsgCycleTime: {rule}, got {message.cycle_time}")
     if counter_modulus(message, _COUNTER) != counter_modulus(status, _COUNTER):
         raise ValueError(f"messages.{message.name}.COUNTER: must have the bits of {STATUS_MESSAGE}.COUNTER")
-    if not _attribute(status, START_DELAY) <= (delay := _attribute(message, START_DELAY)) < (status.cycle_time or 0):
+    if not _attribute(status, START_DELAY) <= (delay := _attribute(message, START_DELAY)) < status.cycle_time:
         rule = f"must be from {STATUS_MESSAGE}'s to below the cycle time"
         raise ValueError(f"messages.{message.name}.{START_DELAY}: {rule}, got {delay} ms")
 

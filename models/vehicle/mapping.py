@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from cantools.database.can import Message
 
 
+#: A day.
+LONGEST_PERIOD_MS = 86_400_000
+
+
 class SignalName(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One signal of the DBC."""
 
@@ -92,6 +96,7 @@ def period_ns(message: Message, rule: MessageRule) -> int:
     """A message's period; `ValueError` where neither mapping nor DBC has it."""
     if rule.period_s is not None:
         return ns_from_s(rule.period_s)
-    if not message.cycle_time:
+    # a DBC whose attribute is of another kind gives text
+    if not (isinstance(message.cycle_time, int | float) and 0 < message.cycle_time <= LONGEST_PERIOD_MS):
         raise ValueError(f"messages.{message.name}.period_s: must be given, the DBC states no cycle time")
-    return 1_000_000 * message.cycle_time
+    return round(1_000_000 * message.cycle_time)

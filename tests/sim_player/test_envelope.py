@@ -8,7 +8,7 @@ import pytest
 
 from msgs.radar import RadarSetup
 from sim_player.effect_names import ALL_EFFECTS
-from sim_player.envelope import Envelope, swept_pattern
+from sim_player.envelope import Envelope, _overlap_kernel, swept_pattern
 from sim_player.front_end import NO_FAULTS
 from sim_player.paths import Paths
 from sim_player.places import random_place
@@ -64,3 +64,13 @@ def test_nothing_bounds_to_nothing() -> None:
     envelope = Envelope(SETUP, 512, 1.0)
     pattern = swept_pattern(SETUP, paths, STATIC, NO_FAULTS)
     assert not envelope.of_terms(pattern.magnitudes(), envelope.step(paths)).any()
+
+
+def test_no_bound_is_negative_beyond_the_spectrum() -> None:
+    """Tones farther than a spectrum repeats: nothing is known of where they fall, so they bound to all they may be."""
+    radar = SETUP.radar
+    kernel = _overlap_kernel(radar, 512, 3 * radar.samples_per_chirp)
+    assert np.isfinite(kernel).all()
+    assert (kernel >= 0.0).all()
+    near = _overlap_kernel(radar, 512, 512)
+    np.testing.assert_array_equal(kernel[: len(near)], near)
