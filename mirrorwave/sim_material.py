@@ -120,10 +120,11 @@ def parse_angles(text: str) -> np.ndarray:
     # comparisons with nan are false
     if not (0.0 <= first <= last <= 90.0 and 0.0 < step < math.inf):
         raise ValueError(f"--angles-deg must rise within 0..90 by a positive step, got {text!r}")
-    count = math.floor((last - first) / step + 1e-9) + 1
-    if count > MOST_ANGLES:
-        raise ValueError(f"--angles-deg must be at most {MOST_ANGLES} angles, got {count} from {text!r}")
-    return first + step * np.arange(count)
+    # may be infinite
+    steps = (last - first) / step + 1e-9
+    if steps >= MOST_ANGLES:
+        raise ValueError(f"--angles-deg must be at most {MOST_ANGLES} angles, got {steps + 1.0:.0f} from {text!r}")
+    return first + step * np.arange(math.floor(steps) + 1)
 
 
 def answer(wall: Wall, frequency_hz: float, angles_deg: np.ndarray) -> Answer:
