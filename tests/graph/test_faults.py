@@ -37,7 +37,7 @@ from mirrorwave.cli import main
 from models.perception.cards import WEIGHTS
 from models.perception.onnx_model import MAX_MODEL_BYTES
 from msgs.bus import Outgoing
-from msgs.diagnostics import NodeState
+from msgs.diagnostics import NodeState, NodeStatus
 from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame
 from msgs.radar import RadarSetup, RangeAzimuthMap
@@ -58,6 +58,7 @@ SCENE = "launch/scenes/facade_across_lane.yaml"
 CHAIN = ("player", "ra_former", "dense_predictor", "geometry")
 BESIDE = ("vehicle_can", "bev_viewer", "recorder")
 SECOND_NS = 1_000_000_000
+BEAMS_A_SCAN = 25
 #: Of the virtual clock: a clock may be set back from here.
 START_NS = 10_000 * SECOND_NS
 CAN_BUS = {
@@ -286,24 +287,37 @@ def test_garbage_on_every_topic_is_counted_and_survived(graph: LiveGraph) -> Non
 
 @pytest.mark.graph
 def test_beams_lost_on_the_way_are_said_and_views_go_on(graph: LiveGraph, note: Note) -> None:
-    """A former that stands still for 125 beams misses what its queue does not hold: counted, its torn scans left out
-    or published with `missing_beams`, and when it takes beams again the views come again."""
-    with _joined(graph, "map_reader", "radar/ra_map", "radar/beam", "sim/truth") as bus:
-        _first(bus, "radar/ra_map")
-        # in the middle of a scan: between two, whole scans could be lost and none be torn
-        while not 5 <= _first(bus, "radar/beam").message.beam_index <= 15:
-            pass
-        lost, shed = graph.lost("ra_former", "radar/beam"), _shed(graph, "ra_former", "torn")
+    """A former that stands still for 125 beams misses what its queue does not hold, whole scans and torn ones: every
+    beam is counted, no scan it lacks comes as if it were whole, none is left out unsaid, and the views come again."""
+    before, maps = graph.status["ra_former"], {}
+    with _joined(graph, "map_reader", "radar/ra_map", "sim/truth") as bus:
+
+        def hear(topic: str, count: int) -> None:
+            end_s = time.monotonic() + PATIENCE_S
+            while count > 0:
+                assert time.monotonic() < end_s, f"{count} more messages of {topic} should have come"
+                for one in bus.receive(0.1):
+                    count -= one.topic == topic
+                    if one.topic == "radar/ra_map":
+                        maps[one.message.scan_id] = one.message
+
+        hear("radar/ra_map", 1)
         pid = graph.fault(signal.SIGSTOP, ["ra_former"])["ra_former"]
-        _taken(bus, "sim/truth", 5)
+        hear("sim/truth", 5)
         os.kill(pid, signal.SIGCONT)
-        graph.await_that("lost beams to be counted", lambda: graph.lost("ra_former", "radar/beam") > lost)
-        note("beams lost", graph.lost("ra_former", "radar/beam") - lost)
-        maps = [one.message for one in _taken(bus, "radar/ra_map", 3)]
-        graph.await_that(
-            "a torn scan to be said",
-            lambda: _shed(graph, "ra_former", "torn") > shed or any(one.missing_beams for one in maps),
-        )
+        hear("radar/ra_map", 5)
+        assert next(count.lost for count in bus.counts()[0] if count.topic == "radar/ra_map") == 0
+    lost_before = sum(count.lost for count in before.received if count.topic == "radar/beam")
+    graph.await_that("lost beams to be counted", lambda: graph.lost("ra_former", "radar/beam") > lost_before)
+    lost = graph.lost("ra_former", "radar/beam") - lost_before
+    absent = max(maps) - min(maps) + 1 - len(maps)
+    flagged = sum(bool(one.missing_beams) for one in maps.values())
+    note("beams lost", lost)
+    note("scans left out", absent)
+    note("scans flagged", flagged)
+    assert absent + flagged >= lost / BEAMS_A_SCAN
+    said = _scans_left_out(before) + absent - lost // BEAMS_A_SCAN
+    graph.await_that("scans left out to be said", lambda: _scans_left_out(graph.status["ra_former"]) >= said)
     graph.await_views()
     assert graph.status["ra_former"].pid == pid
 
@@ -877,8 +891,8 @@ def _await_beams(graph: LiveGraph, count: int) -> None:
     graph.await_that(f"{count} beams", lambda: came() >= before + count)
 
 
-def _shed(graph: LiveGraph, node: str, reason: str) -> int:
-    return sum(one.count for one in graph.status[node].shed if one.reason == reason)
+def _scans_left_out(former: NodeStatus) -> int:
+    return sum(one.count for one in former.shed if one.what == "scan")
 
 
 def _require_can(car: Car) -> None:
