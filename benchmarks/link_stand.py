@@ -167,7 +167,7 @@ class Stand:
         with contextlib.ExitStack() as stack:
             self._folder = folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="mw")))
             self._make_keys(folder)
-            self.port = _free_port()
+            self.port = free_port()
             self.proxy = Proxy(self.port)
             stack.callback(self.proxy.close)
             for victim, name, params in (
@@ -311,6 +311,7 @@ class Stand:
             self._newest = int(state.speed_mps)
 
 
-def _free_port() -> int:
+def free_port() -> int:
+    """A port of this machine that nobody uses now."""
     with socket.create_server((HOST, 0)) as server:
         return int(server.getsockname()[1])

@@ -107,7 +107,8 @@ def _refuse_promises(path: Path) -> None:
     """ValueError for too many points, and for a PLY or PCD that holds fewer bytes or lines than its header promises."""
     kind, content = path.suffix.lower(), path.read_bytes()
     if kind == ".xyz":
-        return _require_bearable(path, content.count(b"\n"))
+        _require_bearable(path, content.count(b"\n"))
+        return
     end = b"\nend_header" if kind == ".ply" else b"\nDATA"
     start = content.find(b"\n", content.find(end) + 1) + 1
     if end not in content or not start:
@@ -122,7 +123,6 @@ def _refuse_promises(path: Path) -> None:
     held = len(content) - start if row_bytes else _lines_of(words, content[start:])
     if held < count * max(row_bytes, 1):
         raise ValueError(f"{path}: header promises {count} points, the file ends before: it is cut off")
-    return None
 
 
 def _lines_of(words: int, text: bytes) -> int:

@@ -182,6 +182,8 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
     try:
         module = importlib.import_module(module_name)
     except ModuleNotFoundError as error:
+        if error.name is None:
+            raise
         if f"{module_name}.".startswith(f"{error.name}."):
             raise ValueError(f"{name}.module: no module named {error.name!r}") from None
         raise ValueError(f"{name}.module: {module_name} needs {error.name}, which is not installed") from None

@@ -37,7 +37,7 @@ from mirrorwave.cli import main
 from models.perception.cards import WEIGHTS
 from models.perception.onnx_model import MAX_MODEL_BYTES
 from msgs.bus import Outgoing
-from msgs.diagnostics import NodeState, NodeStatus
+from msgs.diagnostics import NodeState
 from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame
 from msgs.radar import RadarSetup, RangeAzimuthMap
@@ -289,7 +289,8 @@ def test_garbage_on_every_topic_is_counted_and_survived(graph: LiveGraph) -> Non
 def test_beams_lost_on_the_way_are_said_and_views_go_on(graph: LiveGraph, note: Note) -> None:
     """A former that stands still for 125 beams misses what its queue does not hold, whole scans and torn ones: every
     beam is counted, no scan it lacks comes as if it were whole, none is left out unsaid, and the views come again."""
-    before, maps = graph.status["ra_former"], {}
+    lost_before, maps = graph.lost("ra_former", "radar/beam"), {}
+    left_out_before = _scans_left_out(graph)
     with _joined(graph, "map_reader", "radar/ra_map", "sim/truth") as bus:
 
         def hear(topic: str, count: int) -> None:
@@ -307,7 +308,6 @@ def test_beams_lost_on_the_way_are_said_and_views_go_on(graph: LiveGraph, note: 
         os.kill(pid, signal.SIGCONT)
         hear("radar/ra_map", 5)
         assert next(count.lost for count in bus.counts()[0] if count.topic == "radar/ra_map") == 0
-    lost_before = sum(count.lost for count in before.received if count.topic == "radar/beam")
     graph.await_that("lost beams to be counted", lambda: graph.lost("ra_former", "radar/beam") > lost_before)
     lost = graph.lost("ra_former", "radar/beam") - lost_before
     absent = max(maps) - min(maps) + 1 - len(maps)
@@ -316,8 +316,8 @@ def test_beams_lost_on_the_way_are_said_and_views_go_on(graph: LiveGraph, note: 
     note("scans left out", absent)
     note("scans flagged", flagged)
     assert absent + flagged >= lost / BEAMS_A_SCAN
-    said = _scans_left_out(before) + absent - lost // BEAMS_A_SCAN
-    graph.await_that("scans left out to be said", lambda: _scans_left_out(graph.status["ra_former"]) >= said)
+    said = left_out_before + absent - lost // BEAMS_A_SCAN
+    graph.await_that("scans left out to be said", lambda: _scans_left_out(graph) >= said)
     graph.await_views()
     assert graph.status["ra_former"].pid == pid
 
@@ -891,8 +891,8 @@ def _await_beams(graph: LiveGraph, count: int) -> None:
     graph.await_that(f"{count} beams", lambda: came() >= before + count)
 
 
-def _scans_left_out(former: NodeStatus) -> int:
-    return sum(one.count for one in former.shed if one.what == "scan")
+def _scans_left_out(graph: LiveGraph) -> int:
+    return sum(one.count for one in graph.status["ra_former"].shed if one.what == "scan")
 
 
 def _require_can(car: Car) -> None:

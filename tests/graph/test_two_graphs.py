@@ -3,24 +3,15 @@
 from __future__ import annotations
 
 import signal
-import socket
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
+from benchmarks.link_stand import free_port
 from benchmarks.two_hosts import SIDES, make_keys
 from tests.graph.fault_tools import ROOT, LiveGraph
-
-
-def _free_ports(count: int) -> list[int]:
-    with ExitStack() as stack:
-        sockets = [stack.enter_context(socket.socket()) for _ in range(count)]
-        for one in sockets:
-            one.bind(("127.0.0.1", 0))
-        return [one.getsockname()[1] for one in sockets]
 
 
 def _link_options(side: str, other: str, ports: dict[str, int], keys: Path) -> list[str]:
@@ -38,7 +29,7 @@ def _link_options(side: str, other: str, ports: dict[str, int], keys: Path) -> l
 def graphs() -> Iterator[dict[str, LiveGraph]]:
     """Both graphs, stopped in order: exit code 0."""
     with tempfile.TemporaryDirectory(prefix="mw") as name:
-        root, ports = Path(name), dict(zip(SIDES, _free_ports(2), strict=True))
+        root, ports = Path(name), {side: free_port() for side in SIDES}
         make_keys(root / "keys")
         running = {}
         try:

@@ -19,6 +19,13 @@ from tests.stability.catalogue import Errors
 #: A host's clock after 20 years of seconds, and what another one is ahead of it.
 UP_NS, AHEAD_NS = 630_720_000_123_456_789, 1_131_719_876_543_211_235
 SECOND_NS = ns_from_s(1.0)
+AGAINST_THE_MEAN = pytest.mark.hard(
+    where="msgs.peer_clock.PeerClock",
+    naive="mean of the last 64 answers",
+    bound=2 * (0.5e-3 + 1.0 * MAX_DRIFT),
+    unit="s",
+    source="half a round trip of 1 ms and a second's drift, once for the answer and once for the offset in use",
+)
 
 
 def answers(
@@ -80,13 +87,7 @@ def test_lucky_answer_of_an_hour_ago(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="msgs.peer_clock.PeerClock",
-    naive="mean of the last 64 answers",
-    bound=2 * (0.5e-3 + 1.0 * MAX_DRIFT),
-    unit="s",
-    source="half a round trip of 1 ms and a second's drift, once for the answer and once for the offset in use",
-)
+@AGAINST_THE_MEAN
 def test_one_way_full_of_maps(errors: Errors) -> None:
     """Nine of ten answers wait 0.4 s behind maps on the way back, and on that way alone: their middle is no middle."""
     back_ns = (500_000 if index % 10 == 9 else 400_000_000 for index in range(640))
@@ -97,13 +98,7 @@ def test_one_way_full_of_maps(errors: Errors) -> None:
     )
 
 
-@pytest.mark.hard(
-    where="msgs.peer_clock.PeerClock",
-    naive="mean of the last 64 answers",
-    bound=2 * (0.5e-3 + 1.0 * MAX_DRIFT),
-    unit="s",
-    source="half a round trip of 1 ms and a second's drift, once for the answer and once for the offset in use",
-)
+@AGAINST_THE_MEAN
 def test_first_answer_after_a_restart(errors: Errors) -> None:
     """The peer starts again and its clock with it: 36 years back, said by one answer against sixty-three."""
     ways_ns = itertools.repeat(500_000)
