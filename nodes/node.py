@@ -118,6 +118,8 @@ class Node:
     outputs: tuple[str, ...] = ()
     #: Its inputs come complete, also where receivers otherwise want the newest only.
     wants_all: bool = False
+    #: Publishers that it may speak for on one topic.
+    max_origins: int = 1
     #: How far the node's process gives way to the others where cores are short: Unix niceness, 0..19.
     nice: int = 0
 
@@ -403,7 +405,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
         if node is None:
             return EXIT_BAD_INPUT
         for topic in node.outputs:
-            bus.advertise(topic)
+            bus.advertise(topic, node.max_origins)
         if node.wants_all:
             bus.want_all()
         _give_way(node.nice)

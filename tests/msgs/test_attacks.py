@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import attacks_ipc, attacks_link
+from benchmarks import attacks_hangup, attacks_ipc, attacks_link
 from benchmarks.link_stand import Stand
 from benchmarks.raw_peers import scripts
 from msgs.zmq_bus import make_run_dir
@@ -32,6 +32,14 @@ def test_another_user_is_kept_out_of_the_bus() -> None:
     assert [row.attack for row in rows if row.by_design and row.accepted == row.tried] == [
         "same user: well-made message (trust boundary)"
     ]
+
+
+@pytest.mark.graph
+def test_peers_that_leave_at_once_end_no_process() -> None:
+    """A publisher of a latched topic once died of the first: it changed an option of a connection that was closing."""
+    rows = list(attacks_hangup.rows(200, seed=0))
+    assert [(row.attack, row.said) for row in rows if row.said != "goes on" or not row.serves] == []
+    assert sum(row.tried for row in rows) == 7 * 200 + 5 * 20
 
 
 def test_a_meeting_place_is_not_one_where_everybody_may_rename(tmp_path: Path) -> None:
@@ -68,6 +76,14 @@ def test_no_plain_peer_gets_in(stand: Stand) -> None:
     count, got_in, closed = attacks_link.call_all(stand, list(tried.values()))
     assert (count, got_in, closed) == (len(tried), 0, f"closed {len(tried)}")
     assert count == 15
+    assert stand.serves()
+
+
+@pytest.mark.graph
+def test_peers_that_leave_at_once_end_no_link(stand: Stand) -> None:
+    assert attacks_link.leave_raw(stand, 100)[:2] == (100, 0)
+    attacks_link.leave(stand, 5, seed=0)
+    attacks_link.cut_early(stand, 5, seed=0)
     assert stand.serves()
 
 
