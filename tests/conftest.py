@@ -1,4 +1,4 @@
-"""How a run of tests ends before its time, by a worker that died or by SIGTERM: at once, and naming what was running."""
+"""How a run of tests ends early, by a worker that died or by SIGTERM: at once, and naming what was running."""
 
 from __future__ import annotations
 

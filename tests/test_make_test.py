@@ -1,4 +1,4 @@
-"""`make test` comes to its end whatever becomes of a test: a worker that dies, a test that hangs, a run that is stopped.
+"""`make test` ends whatever becomes of a test: a worker that dies, a test that hangs, a run that is stopped.
 
 Each part of it is run with its own options on a few small files.
 """
@@ -52,7 +52,16 @@ def start(folder: Path, part: int, *options: str) -> subprocess.Popen[str]:
     """A part of `make test` on the tests of a folder."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     environment |= {"PYTHONPATH": str(ROOT), "PYTEST_XDIST_AUTO_NUM_WORKERS": "2"}
-    here = ["-c", str(ROOT / "pyproject.toml"), "--rootdir", str(folder), "-p", "tests.conftest", "-p", "no:cacheprovider"]
+    here = [
+        "-c",
+        str(ROOT / "pyproject.toml"),
+        "--rootdir",
+        str(folder),
+        "-p",
+        "tests.conftest",
+        "-p",
+        "no:cacheprovider",
+    ]
     return subprocess.Popen(
         [*parts()[part], *here, *options, "."],
         cwd=folder,

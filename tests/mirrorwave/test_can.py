@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import threading
 import time
 from pathlib import Path
@@ -16,9 +15,9 @@ from mirrorwave.cli import main
 from msgs.vehicle import VehicleState
 from nodes.can_link import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
+from tests.captures import DATA, needs
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 REAL = DATA / "can_motec_subaru"
 
 
@@ -177,7 +176,7 @@ def test_monitor_of_a_silent_bus_fails(capsys: pytest.CaptureFixture) -> None:
     assert "0 of 0 frames are of this DBC" in capsys.readouterr().out
 
 
-@pytest.mark.skipif(not REAL.is_dir(), reason="the recorded drive (can_motec_subaru) is not here")
+@needs(REAL)
 def test_decode_a_real_drive(capsys: pytest.CaptureFixture) -> None:
     code, report = run_json(
         capsys,
