@@ -16,6 +16,8 @@ from msgs.zmq_bus import make_run_dir
 TRIES = 1
 #: What the exporting process may open.
 OPEN_FILES = 128
+#: A user that is nobody here.
+STRANGER = 54_321
 
 
 def test_the_injector_is_sharp() -> None:
@@ -52,15 +54,26 @@ def test_a_meeting_place_is_not_one_where_everybody_may_rename(tmp_path: Path) -
 
 
 def test_a_meeting_place_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Root gives it away; anybody else, who cannot, becomes another."""
     make_run_dir(tmp_path / "graph")
     owner = os.geteuid()
-    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
     if owner == 0:
-        # what is root's is nobody else's
-        make_run_dir(tmp_path / "graph")
+        os.chown(tmp_path / "graph", STRANGER, -1)
     else:
-        with pytest.raises(ValueError, match="must belong to who runs the graph or to root"):
-            make_run_dir(tmp_path / "graph")
+        monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    with pytest.raises(ValueError, match="must belong to who runs the graph or to root"):
+        make_run_dir(tmp_path / "graph")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root has what is root's")
+def test_a_meeting_place_of_root_serves_everybody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_run_dir(tmp_path / "graph")
+    monkeypatch.setattr(os, "geteuid", lambda: STRANGER)
+    make_run_dir(tmp_path / "graph")
+    # but a place that is not theirs either is refused to them
+    os.chown(tmp_path / "graph", STRANGER + 1, -1)
+    with pytest.raises(ValueError, match=f"is user {STRANGER + 1}'s"):
+        make_run_dir(tmp_path / "graph")
 
 
 @pytest.fixture(scope="module")

@@ -28,7 +28,7 @@ from nodes.link import Link
 from nodes.node import Heartbeat, Stop, load_node, run_loop
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class Host:

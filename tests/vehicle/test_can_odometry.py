@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +15,12 @@ from msgs.frames import Pose2
 from msgs.perception import BevFrame, BevGrid, HiddenObject, Track
 from msgs.units import ns_from_s
 from msgs.vehicle import VehicleState
+from tests.captures import DATA, needs
 
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 REAL = DATA / "can_motec_subaru"
 PERIOD_NS = 300_000_000
 
-pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="the recorded drive (can_motec_subaru) is not here")
+pytestmark = needs(REAL)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cantools
@@ -20,6 +19,7 @@ from msgs.vehicle import VehicleState
 from nodes.can_link import decode_frame, load_dbc, load_decoder, load_mapping
 from nodes.can_log_file import read_log
 from sim_player.car import CarFrame, SimulatedCar
+from tests.captures import DATA, needs
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
 DATABASE, RULES = load_dbc(DBC), load_mapping(MAPPING)
@@ -27,7 +27,6 @@ SPEED_ID, MOTION_ID = 0x100, 0x101
 PERIOD_NS = 20_000_000
 LIMIT_NS = AGE_PERIODS * PERIOD_NS
 MOTION = VehicleState(stamp_ns=0, speed_mps=12.5, yaw_rate_rps=0.2, steering_rad=0.6)
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 REAL = DATA / "can_motec_subaru"
 
 
@@ -451,7 +450,7 @@ def test_what_is_believed_is_in_range(frames: list[tuple[int, bytes]]) -> None:
         assert state.valid == (state.reason == "")
 
 
-needs_real_log = pytest.mark.skipif(not REAL.is_dir(), reason="the recorded drive (can_motec_subaru) is not here")
+needs_real_log = needs(REAL)
 
 
 @pytest.fixture(scope="module")

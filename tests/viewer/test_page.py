@@ -34,7 +34,7 @@ FLAGS = [
     "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
     "--disable-background-networking", "--disable-component-update", "--disable-sync",
 ]  # fmt: skip
-PATIENCE_S = 15.0
+PATIENCE_S = 60.0
 SCENE = "launch/scenes/facade_across_lane.yaml"
 
 Open = Callable[..., Any]
