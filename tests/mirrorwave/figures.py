@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
@@ -28,8 +29,7 @@ def panels_of(figure: Figure) -> list[Axes]:
 
 def assert_legends_off_data(figure: Figure) -> None:
     """Every legend lies within the figure and clear of every panel, to half a pixel."""
-    figure.canvas.draw()
-    renderer = figure.canvas.get_renderer()  # type: ignore[attr-defined]
+    renderer = _renderer(figure)
     for legend in legends_of(figure):
         box = legend.get_window_extent(renderer)
         said = [text.get_text() for text in legend.get_texts()]
@@ -44,6 +44,13 @@ def assert_legends_off_data(figure: Figure) -> None:
             assert apart_x or apart_y, (axes.get_title(loc="left") or axes.get_title(), said)
 
 
+def _renderer(figure: Figure) -> RendererAgg:
+    """What measures the figure's parts, all of them in their places."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas.get_renderer()
+
+
 def texts_of(figure: Figure) -> Iterator[Text]:
     """Every text that is shown."""
     for text in figure.findobj(Text):
@@ -53,7 +60,7 @@ def texts_of(figure: Figure) -> Iterator[Text]:
 
 def assert_readable_at_page_width(figure: Figure) -> None:
     """No text is smaller than `LEAST_PT` once the figure is shrunk to a page's width."""
-    figure.canvas.draw()
+    _renderer(figure)
     shrunk = min(1.0, PAGE_INCH / figure.get_figwidth())
     small = {text.get_text(): text.get_fontsize() * shrunk for text in texts_of(figure)}
     assert {text: round(size, 2) for text, size in small.items() if size < LEAST_PT} == {}

@@ -81,7 +81,8 @@ def test_the_picture_of_paths_says_what_its_lines_mean(
         assert sum(line.get_color() == colour for line in axes.lines) == count
     others = {words for words in signs if words not in expected}
     assert {words.split(":")[0] for words in others} == {
-        "dark", "pale", "wall of brick, relay", "wall of concrete, relay", "wall of concrete, occluder", "object", "radar"
+        "dark", "pale", "wall of brick, relay", "wall of concrete, relay", "wall of concrete, occluder", "object",
+        "radar",
     }  # fmt: skip
     assert_readable_at_page_width(figure)
 
