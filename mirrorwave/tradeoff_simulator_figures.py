@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from mirrorwave.bev_picture import BLUE, GREEN, GREY, ORANGE, VERMILION
+from mirrorwave.plot_style import BLUE, GREEN, GREY, ORANGE, VERMILION, legend_below, new_figure, save
 from mirrorwave.tradeoff_simulator import SimulatorReport, SimulatorRow
 from mirrorwave.tradeoff_simulator_cases import MIRRORS, SAME_DB
 
@@ -21,9 +19,9 @@ ERRORS = ("median", "worst")
 
 def draw_simulator(report: SimulatorReport, path: Path) -> None:
     """A panel a group; one that has no sound row stays empty. Equal numbers give equal bytes."""
-    figure = Figure(figsize=(17.0, 10.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels: dict[str, Axes] = figure.subplot_mosaic([["budget", "budget", "level"], ["without", "rays", "fdtd"]])
+    figure = new_figure(10.0, 13.0)
+    names = [["budget", "budget"], ["without", "level"], ["rays", "fdtd"]]
+    panels: dict[str, Axes] = figure.subplot_mosaic(names, height_ratios=(1.15, 1.2, 1.0))
     draw: dict[str, tuple[str, Callable[[Axes, list[SimulatorRow]], None]]] = {
         "budget": ("effect budget", _draw_budget),
         "level": ("signal level", _draw_levels),
@@ -37,7 +35,7 @@ def draw_simulator(report: SimulatorReport, path: Path) -> None:
             one(panels[name], rows)
         else:
             panels[name].set_axis_off()
-    figure.savefig(path, dpi=90, metadata={"Software": None})
+    save(figure, path)
 
 
 def _draw_budget(axes: Axes, rows: list[SimulatorRow]) -> None:
@@ -58,7 +56,7 @@ def _draw_budget(axes: Axes, rows: list[SimulatorRow]) -> None:
         axes.errorbar(at[mine], median[mine], reach, color=BLUE, marker="o", lw=1.8, capsize=3)
     for where in at[~differs]:
         axes.annotate("no cell differs", (where, 0.03), xycoords=("data", "axes fraction"), rotation=90, ha="center")
-    axes.plot([least, most], [least, most], color=VERMILION, ls="--", lw=1.4)
+    axes.plot([least, most], [least, most], color=VERMILION, ls="--", lw=1.4, zorder=3)
     middle = 0.5 * (least + most)
     axes.annotate("no cell may be over the budget ", (middle, middle), color=VERMILION, ha="right", va="bottom")
     axes.set_xticks(at, [row.name for row in rows])
@@ -82,7 +80,7 @@ def _draw_times(axes: Axes, at: np.ndarray, rows: list[SimulatorRow]) -> None:
     axes.set_ylim(0.0, 1.3 * max(float((paths + np.maximum(signal, beats)).max()), 1e-3))
     handles, labels = axes.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
-    axes.legend(once.values(), once.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
+    legend_below(axes, columns=3, handles=list(once.values()))
 
 
 def _medians(rows: list[SimulatorRow], part: str) -> np.ndarray:
@@ -163,5 +161,5 @@ def _draw_resolution(axes: Axes, rows: list[SimulatorRow], measure: str, finer: 
     axes.set_xticks(at, [f"{value:g}" for value in at])
     axes.set_xlabel(finer)
     axes.set_ylabel(label, color=BLUE)
-    axes.legend(loc="upper center", frameon=False)
+    legend_below(axes, columns=2)
     axes.grid(alpha=0.25)
