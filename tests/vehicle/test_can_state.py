@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from models.vehicle.can_state import AGE_PERIODS, MAX_STAMP_NS, CanDecoder, StampMapper, StateReporter, Verdict
 from models.vehicle.end_to_end import CounterRule
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignalName
+from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignRule
 from msgs.codec import encode_inline
 from msgs.vehicle import VehicleState
 from nodes.can_link import decode_frame, load_dbc, load_decoder, load_mapping
@@ -212,8 +212,8 @@ def test_a_stamp_that_is_no_time_is_refused(stamp_ns: int) -> None:
 def own_decoder(dbc: str, **changes) -> CanDecoder:
     database = cantools.database.load_string(dbc, "dbc", strict=False)
     rules = {
-        "speed": QuantityRule(message="A", signals=("V",), low=-100.0, high=100.0),
-        "yaw_rate": QuantityRule(message="A", signals=("W",), low=-2.0, high=2.0),
+        "speed": QuantityRule(message="A", signals=("V",), unit="m/s", low=-100.0, high=100.0),
+        "yaw_rate": QuantityRule(message="A", signals=("W",), unit="rad/s", low=-2.0, high=2.0),
         "messages": {"A": MessageRule(period_s=0.02)},
         **changes,
     }
@@ -251,7 +251,7 @@ def test_units_signs_and_means() -> None:
 
 def test_a_sign_bit_of_the_same_message() -> None:
     rule = QuantityRule(
-        message="A", signals=("V",), negative_while=SignalName(message="A", signal="BACK"), low=-100.0, high=100.0
+        message="A", signals=("V",), unit="m/s", negative_while=SignRule(message="A", signal="BACK"), low=-100.0, high=100.0
     )
     decoder = own_decoder(CAR, speed=rule)
     decoder.add(16, car_data(500, 0, back=1), 0)
@@ -264,7 +264,7 @@ def test_a_sign_bit_of_the_same_message() -> None:
 
 def test_a_reverse_gear_in_another_message_must_be_known() -> None:
     rule = QuantityRule(
-        message="A", signals=("V",), negative_while=SignalName(message="B", signal="REVERSE"), low=-100.0, high=100.0
+        message="A", signals=("V",), unit="m/s", negative_while=SignRule(message="B", signal="REVERSE"), low=-100.0, high=100.0
     )
     periods = {"A": MessageRule(period_s=0.02), "B": MessageRule(period_s=1.0)}
     decoder = own_decoder(CAR, speed=rule, messages=periods)
@@ -327,7 +327,7 @@ def test_can_fd_padding_is_no_fault() -> None:
         ({"speed": {"message": "MW_SPED"}}, r"speed\.message: the DBC has no message 'MW_SPED'"),
         ({"yaw_rate": {"signals": ("YAW",)}}, r"yaw_rate\.signals: message MW_MOTION of the DBC has no signal 'YAW'"),
         (
-            {"speed": {"negative_while": SignalName(message="MW_MOTION", signal="R")}},
+            {"speed": {"negative_while": SignRule(message="MW_MOTION", signal="R")}},
             r"speed\.negative_while\.signal: message MW_MOTION of the DBC has no signal 'R'",
         ),
     ],
