@@ -58,7 +58,7 @@ def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
             for name, inner in value.items():
                 refuse_unknown(inner, typing.get_args(part)[1], f"{where}.{name}")
         elif (choices := _choices(part)) and isinstance(value, str) and value not in choices:
-            raise ValueError(f"{where}: must be one of {', '.join(map(str, choices))}, got {value!r}")
+            raise ValueError(f"{where}: unknown {value!r}; known are {', '.join(map(str, choices))}")
 
 
 def _alternatives(wanted: Any) -> tuple[Any, ...]:

@@ -64,6 +64,11 @@ class Odometry:
         """Its value; zero while none is known."""
         return self.yaw_rate_bias.rps
 
+    @property
+    def driving_bias(self) -> BiasEstimate:
+        """What driving alone has shown of the bias, good enough to be taken off or not."""
+        return self._bias.driving
+
     def add(self, state: VehicleState) -> None:
         """Take in a state; those not valid, late or repeated count for nothing."""
         if not state.valid or self._is_late(state.stamp_ns):

@@ -147,6 +147,11 @@ class YawRateBias:
             return BiasEstimate(driving.bias_rps, driving.std_rps, BiasSource.DRIVING, driven_s=self._driven_s)
         return BiasEstimate(0.0, driving.std_rps, BiasSource.NONE, self._why_not(), self._driven_s)
 
+    @property
+    def driving(self) -> BiasEstimate:
+        """What driving alone has shown, good enough to be taken off or not."""
+        return BiasEstimate(self._driving.bias_rps, self._driving.std_rps, BiasSource.DRIVING, "", self._driven_s)
+
     def _why_not(self) -> str:
         driving, limit = self._driving, math.degrees(self._params.max_driving_std_rps)
         if self._driven_s == 0.0:

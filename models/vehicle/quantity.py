@@ -60,14 +60,25 @@ class Quantity:
     def from_si(self, value: float) -> tuple[list[float], bool]:
         """Return what each signal must say for a quantity, and whether its `negative_while` must be set.
 
-        Of signals that are summed the first says all.
+        Of signals that are summed each says what it can in its own steps, and the last one what is left.
         """
         rule = self.rule
         negative = rule.negative_while is not None and value < 0.0
         combined = (rule.sign * (-value if negative else value) - rule.offset) / self.factor
         if rule.combine == "sum":
-            return [combined, *(0.0 for _ in self.signals[1:])], negative
+            return self._parts(combined), negative
         return [combined for _ in self.signals], negative
+
+    def _parts(self, combined: float) -> list[float]:
+        """Values of the signals whose sum is `combined`, as far as the bits of the last one reach."""
+        parts = []
+        for signal in self.signals[:-1]:
+            scale, offset = float(signal.scale), float(signal.offset)
+            parts.append(scale * round((combined - offset) / scale) + offset)
+            combined -= parts[-1]
+        last = self.signals[-1]
+        low, high = (-math.inf, math.inf) if last.is_float or not parts else _scaled(last, _raw_limits(last))
+        return [*parts, min(max(combined, low), high)]
 
     def _factor(self, dimension: Dimension) -> float:
         """The factor from the signals' unit to SI; `ValueError` where nobody states the unit, or two disagree."""
