@@ -21,9 +21,11 @@ from msgs.vehicle import VehicleState
 
 #: States are averaged over blocks of this length; a gap ends a block unused.
 _BLOCK_S, _MAX_STEP_S = 0.5, 0.25
-#: Blocks that the models of steering and wheels cover: forward, no racing, no wheel that spins or locks.
+#: What the models of steering and wheels cover: forward, no racing, no wheel that spins or locks.
 _MIN_SPEED_MPS, _MAX_SPEED_MPS, _MAX_YAW_RATE_RPS = 1.0, 60.0, 1.0
 _MAX_LATERAL_MPS2, _MAX_ALONG_MPS2 = 4.0, 3.0
+#: Beyond these no car steers, and no wheels differ.
+_MAX_STEERING_RAD, _MAX_WHEELS_MPS = 20.0, 10.0
 #: Errors of steering and wheels last for several blocks (camber, side wind): so many count as one.
 _BLOCKS_PER_ERROR = 4.0
 #: An error beyond this many standard deviations counts less.
@@ -40,6 +42,8 @@ _PRIOR_STD = np.array([math.radians(1.0), 1.2e-3, 0.012, 0.001, 3e-3, 0.1])
 #: Random walk of each unknown, per square root of a second. The road's camber moves the straight position of the wheel.
 _WALK = np.array([3.6e-5, 9e-5, 1e-4, 0.0, 1.7e-5, 1e-4])
 _MAX_UNDERSTEER = 0.01
+#: A longer pause counts as one of this length.
+_MAX_PAUSE_S = 600.0
 #: Of a bias learnt at rest: the steps of a gyroscope, of which noise averages out and the rest does not.
 _REST_STD_RPS = math.radians(0.03)
 
@@ -221,6 +225,7 @@ class DrivingBias:
         self._mean = _PRIOR.copy()
         self._cov = np.diag(_PRIOR_STD**2)
         self._states: list[VehicleState] = []
+        self._walked_ns: int | None = None
         self._steering = _Source(_Errors(math.radians(0.12), 0.08, 0.3, 0.0))
         self._wheels = _Source(_Errors(math.radians(0.12), 0.05, 0.1, 3e-4))
         self.has_steering = self.has_wheels = False
@@ -248,7 +253,10 @@ class DrivingBias:
         self._cov[BIAS, BIAS] = _REST_STD_RPS**2
 
     def add(self, state: VehicleState) -> None:
-        """Take in a state of a moving vehicle."""
+        """Take in a state of a moving vehicle; one beyond what the models cover ends the block unused."""
+        if not _is_covered(state):
+            self.interrupt()
+            return
         # nobody drives with the steering wheel at exactly zero: then it is not measured
         self.has_steering |= state.steering_rad != 0.0
         states = self._states
@@ -257,12 +265,18 @@ class DrivingBias:
         states.append(state)
         elapsed_s = s_from_ns(state.stamp_ns - states[0].stamp_ns)
         if elapsed_s >= _BLOCK_S:
+            self._walk(state.stamp_ns, elapsed_s)
             self._take(_block_of(states), elapsed_s)
             # the last state of a block is the first of the next one
             del states[:-1]
 
+    def _walk(self, stamp_ns: int, elapsed_s: float) -> None:
+        """Let all unknowns walk since the last block; a clock that was set back leaves the length of this one."""
+        pause_s = 0.0 if self._walked_ns is None else s_from_ns(stamp_ns - self._walked_ns)
+        self._walked_ns = stamp_ns
+        self._cov[np.diag_indices(6)] += min(max(pause_s, elapsed_s), _MAX_PAUSE_S) * _WALK**2
+
     def _take(self, block: _Block, elapsed_s: float) -> None:
-        self._cov[np.diag_indices(6)] += elapsed_s * _WALK**2
         if not _is_usable(block, elapsed_s) or not (self.has_steering or block.wheels_mps is not None):
             return
         self.used_s += elapsed_s
@@ -322,11 +336,18 @@ def _mean(values: list[float]) -> float:
     return math.fsum(values) / len(values)
 
 
-def _is_usable(block: _Block, elapsed_s: float) -> bool:
-    """Whether the vehicle drives as the models have it."""
+def _is_covered(state: VehicleState) -> bool:
     return (
-        _MIN_SPEED_MPS <= block.speed_mps <= _MAX_SPEED_MPS
-        and abs(block.yaw_rate_rps) <= _MAX_YAW_RATE_RPS
-        and abs(block.speed_mps * block.yaw_rate_rps) <= _MAX_LATERAL_MPS2
+        _MIN_SPEED_MPS <= state.speed_mps <= _MAX_SPEED_MPS
+        and abs(state.yaw_rate_rps) <= _MAX_YAW_RATE_RPS
+        and abs(state.steering_rad) <= _MAX_STEERING_RAD
+        and abs(state.wheel_speed_difference_mps or 0.0) <= _MAX_WHEELS_MPS
+    )
+
+
+def _is_usable(block: _Block, elapsed_s: float) -> bool:
+    """Whether the vehicle neither slides nor brakes hard."""
+    return (
+        abs(block.speed_mps * block.yaw_rate_rps) <= _MAX_LATERAL_MPS2
         and abs(block.speed_change_mps) <= _MAX_ALONG_MPS2 * elapsed_s
     )
