@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from models.vehicle.can_state import CanDecoder, Verdict
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignalName
+from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignRule
 from msgs.vehicle import VehicleState
 from nodes.can_link import load_dbc, load_mapping
 from sim_player.car import CarShape, SimulatedCar
@@ -64,7 +64,7 @@ BO_ 17 B: 4 X
             message="A",
             signals=("V1", "V2"),
             scale=1 / 3.6,
-            negative_while=SignalName(message="B", signal="REVERSE"),
+            negative_while=SignRule(message="B", signal="REVERSE"),
             low=-20.0,
             high=60.0,
         ),
