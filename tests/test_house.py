@@ -15,6 +15,7 @@ VALUES = {
     "msgs.arrays",
     "msgs.array_files",
     "msgs.yaml_loader",
+    "msgs.known_fields",
     "msgs.frames",
     "msgs.radar",
     "msgs.vehicle",
