@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from msgs.known_fields import with_known_fields
+from msgs.known_names import with_known_names
 
 T = TypeVar("T")
 
@@ -26,7 +26,7 @@ def convert_at(value: Any, wanted: type[T], where: str) -> T:
     try:
         return msgspec.convert(value, wanted)
     except msgspec.ValidationError as error:
-        raise ValueError(explain(with_known_fields(error, wanted), where)) from None
+        raise ValueError(explain(with_known_names(error, wanted), where)) from None
 
 
 def explain(text: str, where: str) -> str:

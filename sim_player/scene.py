@@ -21,7 +21,7 @@ import yaml
 from models.physics.curved_mirror import arc_points
 from models.physics.materials import is_volume, permittivity, wall_layers
 from models.physics.mirror import SHORTEST_WALL_M, crosses
-from msgs.known_fields import with_known_fields
+from msgs.known_names import with_known_names
 from msgs.lidar import LidarSetup, SpadParams
 from msgs.radar import PRESETS, RadarSetup
 from msgs.units import db_from_ratio
@@ -263,7 +263,7 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
     try:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:
-        raise ValueError(_field_first(with_known_fields(error, Scene))) from None
+        raise ValueError(_field_first(with_known_names(error, Scene))) from None
     things = tuple(
         msgspec.structs.replace(thing, mesh=str(folder / thing.mesh)) if thing.mesh else thing
         for thing in scene.objects

@@ -46,7 +46,7 @@ def test_written_scene_reads_back_the_same() -> None:
     [
         ("", "expected a mapping of name, radar, surfaces, objects, ego, weather, got nothing"),
         ("[1]", "expected a mapping of name, radar, surfaces, objects, ego, weather, got a list"),
-        ("name: x\nradar: {heigth_m: 1}", "radar: object contains unknown field `heigth_m`; known are preset, height_m,"),
+        ("name: x\nradar: {heigth_m: 1}", "radar: object contains unknown field `heigth_m`; known are preset, height"),
         (scene(WALL.replace("concrete", "cheese").join("[]")), "surfaces[0].material: unknown material 'cheese'"),
         (scene("[]"), "surfaces: a scene needs at least one wall or object"),
         (scene("[{role: ground, material: concrete}]"), "surfaces: a scene needs at least one wall or object"),
