@@ -44,6 +44,8 @@ from mirrorwave.console import (
     progress_bar,
     require_new_file,
 )
+from mirrorwave.running_graph import is_running, no_graph, require_graph
+from msgs.wording import counted
 
 app = typer.Typer(help="Record, inspect, replay, recover, trim and convert recordings (MCAP).", no_args_is_help=True)
 app.command()(play)
@@ -80,6 +82,8 @@ def record(
     )
     require_new_recording(out, options)
     require_seconds("--duration", duration)
+    # a recorder alone would record its own heartbeats
+    require_graph(domain)
     name = f"bag_record-{os.getpid()}"
     bus = ZmqBus(name, meeting_place)
     try:
@@ -114,7 +118,7 @@ def _report_recorded(recorder: Any) -> None:
     missing = recorder.lost + getattr(recorder, "missed", 0)
     for path in recorder.paths:
         print_line(str(path))
-    print_line(f"{recorder.messages} messages, {missing} missing")
+    print_line(f"{counted(recorder.messages, 'message')}, {missing} missing")
     if recorder.refused:
         print_line(recorder.refused)
     if missing or recorder.refused:
@@ -132,6 +136,8 @@ def snapshot(
     from nodes.snapshot_trigger import ask, find_recorders
 
     recorders = find_recorders(run_dir(domain))
+    if not recorders and not is_running(domain):
+        raise no_graph(domain)
     if not recorders:
         raise ValueError(f"domain {domain!r}: no recorder with --snapshot runs here")
     answers = [ask(path, timeout) for path in recorders]
@@ -139,7 +145,7 @@ def snapshot(
         print_json(answers)
     else:
         for answer in answers:
-            print_line(answer.error or f"{answer.path}: {answer.messages} messages, the last {answer.span_s:.1f} s")
+            print_line(answer.error or f"{answer.path}: {counted(answer.messages, 'message')}, the last {answer.span_s:.1f} s")
     if any(answer.error for answer in answers):
         raise typer.Exit(ExitCode.FAILED)
     if any(answer.lost for answer in answers):
@@ -222,7 +228,7 @@ def convert(
 
 
 def _print_conversion(found: Conversion) -> None:
-    print_line(f"{found.out}: {found.format.value}, {sum(found.converted.values())} messages converted")
+    print_line(f"{found.out}: {found.format.value}, {counted(sum(found.converted.values()), 'message')} converted")
     parts = (("converted", found.converted), ("not converted", found.not_converted), ("left out", found.left_out))
     rows = [(what, became, count) for became, counts in parts for what, count in counts.items()]
     print_table(("TOPIC", "WHAT BECAME OF IT", "MESSAGES"), rows)
@@ -231,7 +237,7 @@ def _print_conversion(found: Conversion) -> None:
 
 
 def _report_copy(out: Path, count: int, loss: str | None) -> None:
-    print_line(f"{out}: {count} messages" + (f"; the source had lost some: {loss}" if loss else ""))
+    print_line(f"{out}: {counted(count, 'message')}" + (f"; the source had lost some: {loss}" if loss else ""))
     if loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS if count else ExitCode.FAILED)
 

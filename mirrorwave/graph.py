@@ -110,6 +110,7 @@ def graph(
 def running_picture(domain: str, window_s: float, health: bool = False) -> GraphPicture:
     """The running graph of a domain; raises `ConnectionError` where none runs."""
     from mirrorwave.node import collect_heartbeats, topic_rows
+    from mirrorwave.running_graph import no_graph
     from msgs.diagnostics import NodeState
     from msgs.zmq_bus import list_publishers, run_dir
     from nodes.viewer.node_table import is_of_peer
@@ -121,7 +122,7 @@ def running_picture(domain: str, window_s: float, health: bool = False) -> Graph
     }
     rows = {name: topic_rows(beats) for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
     if not rows and not advertised:
-        raise ConnectionError(f"no graph runs in domain {domain!r}: no heartbeat in {window_s:g} s")
+        raise no_graph(domain)
     nodes = []
     for name in sorted({*rows, *(node for _, node in advertised)}):
         state, reason = (heard[name][-1].state, heard[name][-1].reason) if name in rows else ("silent", "no heartbeat")

@@ -14,6 +14,7 @@ import typer
 
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from mirrorwave.running_graph import no_heartbeat
 from msgs.diagnostics import NodeState, NodeStatus, TopicCount
 from nodes.viewer.node_table import is_of_peer
 
@@ -160,7 +161,7 @@ def _heartbeats(domain: str, window_s: float) -> Heartbeats:
     heard = collect_heartbeats(run_dir(domain), window_s)
     alive = {name: beats for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
     if not alive:
-        raise ConnectionError(f"no graph runs in domain {domain!r}: no heartbeat in {window_s:g} s")
+        raise no_heartbeat(domain, window_s)
     return alive
 
 

@@ -15,6 +15,7 @@ import typer
 
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, console_table, print_json
 from mirrorwave.node import node_row, shed_text
+from mirrorwave.running_graph import no_heartbeat, require_graph
 from msgs.bus import Bus
 from msgs.diagnostics import NodeState, NodeStatus
 from msgs.lidar import LidarSetup
@@ -99,15 +100,18 @@ def top(
     as_json: AsJson = False,
 ) -> None:
     """A running graph, live: load, stage times, losses, what is shed; age of the view, deadlines missed."""
+    is_live = not (once or as_json)
+    if is_live:
+        require_graph(domain)
     with _watching(domain, window) as (bus, watch):
-        if not (once or as_json):
+        if is_live:
             with contextlib.suppress(KeyboardInterrupt):
                 _show_live(bus, watch, domain)
             return
         _listen(bus, watch, window)
         report = {"domain": domain, **watch.report(bus.now_ns())}
     if not report["nodes"]:
-        raise ConnectionError(f"no graph runs in domain {domain!r}: no heartbeat in {window:g} s")
+        raise no_heartbeat(domain, window)
     if as_json:
         print_json(report)
     else:

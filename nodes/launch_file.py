@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 import yaml
 
-from msgs.yaml_loader import BoundedLoader
+from msgs.yaml_loader import BoundedLoader, in_words
 from nodes.node import MODULE_NAME, NODE_NAME
 from nodes.validation import convert_at
 
@@ -150,7 +150,7 @@ def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
     nodes = convert_at(fields.pop("nodes", {}), dict[str, Any], f"{where}: nodes")
     # node by node, because msgspec's path writes the key of a mapping as [...]
     entries = {name: convert_at(entry, NodeEntry, f"{where}: nodes.{name}") for name, entry in nodes.items()}
-    return convert_at({**fields, "nodes": entries}, LaunchFile, where)
+    return convert_at({**fields, "nodes": entries}, LaunchFile, f"{where}: ")
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
@@ -161,7 +161,7 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
         raise ValueError(f"{path}: a launch file holds at most {MAX_BYTES} bytes")
     value = parse_yaml(data, str(path))
     if not isinstance(value, dict):
-        raise ValueError(f"{path}: expected a mapping, got {type(value).__name__}")
+        raise ValueError(f"{path}: expected a mapping, got {in_words(value)}")
     return value
 
 
@@ -182,7 +182,7 @@ def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> La
         if name not in nodes:
             raise ValueError(f"{where}: unknown node {name!r}; known are {_names(nodes)}")
         if not isinstance(changes, dict):
-            raise ValueError(f"{where}: {name}: expected a mapping of parameters, got {type(changes).__name__}")
+            raise ValueError(f"{where}: {name}: expected a mapping of parameters, got {in_words(changes)}")
         nodes[name] = msgspec.structs.replace(nodes[name], params=merged(nodes[name].params, changes))
     return msgspec.structs.replace(launch, nodes=nodes)
 

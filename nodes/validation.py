@@ -11,6 +11,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from msgs.known_names import with_known_names
+
 T = TypeVar("T")
 
 LONGEST_REST_S = 3600.0
@@ -21,14 +23,14 @@ _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
 
 def convert_at(value: Any, wanted: type[T], where: str) -> T:
-    """`value` as `wanted`; an error reads `where.field: rule`, where `where` names the file or the node.
+    """`value` as `wanted`; an error reads `where.field: rule` for a node, `where: field: rule` where `where` ends in ": ".
 
-    Raises `ValueError` for a wrong type, an unknown field or a value its type refuses.
+    Raises `ValueError` for a wrong type, an unknown field (it lists the known) or a value its type refuses.
     """
     try:
         return msgspec.convert(value, wanted)
     except msgspec.ValidationError as error:
-        raise ValueError(explain(str(error), where)) from None
+        raise ValueError(explain(with_known_names(error, wanted), where)) from None
 
 
 def explain(text: str, where: str) -> str:
@@ -36,8 +38,10 @@ def explain(text: str, where: str) -> str:
     found = _PATH.search(text)
     path = found["path"] if found else ""
     rule = _PATH.sub("", text).replace("`", "")
+    # a file's own fields stand behind its name as those of a node stand behind the node's
+    place = f"{where}{path.lstrip('.')}".removesuffix(": ") if where.endswith(": ") else f"{where}{path}"
     # a name that the file made up may be of several lines
-    return " ".join(f"{where}{path}: {rule}".split())
+    return " ".join(f"{place}: {rule}".split())
 
 
 def refuse_unknown(value: Any, wanted: Any, where: str) -> None:

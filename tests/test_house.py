@@ -15,6 +15,8 @@ VALUES = {
     "msgs.arrays",
     "msgs.array_files",
     "msgs.yaml_loader",
+    "msgs.known_names",
+    "msgs.wording",
     "msgs.frames",
     "msgs.radar",
     "msgs.vehicle",

@@ -575,7 +575,7 @@ ALIASES = "name: x\na: &a [1, 1]\nb: &b [*a, *a]\nnodes: {}\n"
 NODE = "name: x\nnodes: {a: {module: nodes.geometry"
 MISTAKES: dict[str, tuple[str | bytes | None, str]] = {
     "missing": (None, "No such file or directory"),
-    "empty": ("", "expected a mapping, got NoneType"),
+    "empty": ("", "expected a mapping, got nothing"),
     "binary": (bytes(range(256)), "unacceptable character|can't decode|invalid"),
     "no mapping": ("- 1\n- 2\n", "expected a mapping, got list"),
     "no yaml": ("name: {", "line 1"),
