@@ -135,8 +135,9 @@ def draw_scenes(run: Run, frames: Sequence[Frame], positions: Sequence[int], ref
         _draw_column(panels[:, index], column, names.index(reference))
     for axes, label in zip(panels[:, 0], labels, strict=True):
         axes.set_ylabel(label, fontsize=11)
-    # twice the letters: the figure is some three times as wide as a page
-    legend_of_figure(figure, _signs(panels), columns=4, fontsize=20)
+    # letters grow with the figure: it may be three times as wide as a page
+    width = figure.get_figwidth()
+    legend_of_figure(figure, _signs(panels), columns=4 if width > 15.0 else 2, fontsize=max(8.0, 0.75 * width))
     _save(figure, out)
 
 

@@ -562,7 +562,7 @@ function drawStrip() {
   c.font = "11px system-ui, sans-serif";
   c.fillStyle = colours.axis;
   for (const [name, y, height] of LANES) {
-    c.fillText(name, 0, y + height - 1);
+    c.fillText(name, 0, y + height - 3);
     c.globalAlpha = 0.25;
     c.fillRect(STRIP_LEFT, y + height, byId("strip").clientWidth - STRIP_LEFT - STRIP_RIGHT, 1);
     c.globalAlpha = 1;
