@@ -8,7 +8,7 @@ hardly a turn), on which the bias cannot be told from the other constants.
 A recorded drive: all states at which it stands are taken out and a bias is put on. The truth there is its own yaw rate
 less the mean at rest, as far as that goes: errors of the gyroscope's scale are not seen.
 Heading error: that of the odometry at the end of the drive. NEES: squared error of the bias over its variance, 1 where
-the standard deviation is honest. Noticed: drives in which the bias is learnt, and after how many seconds (median).
+the standard deviation is honest. `learnt`: drives in which the bias is learnt, and after how many seconds (median).
 Usage: python -m benchmarks.yaw_bias [--seeds 20] [--duration 58] [--bias-dps -0.41] [--json]
        [--log FILE --dbc FILE --mapping FILE]
 """
@@ -196,9 +196,7 @@ def without_standstill(states: Sequence[VehicleState], bias_rps: float) -> tuple
         rates = 0.0 if last is None else 0.5 * (last.yaw_rate_rps + state.yaw_rate_rps)
         heading_rad += (rates - own_rps) * step_s if moving else 0.0
         moving.append(
-            msgspec.structs.replace(
-                state, stamp_ns=state.stamp_ns - cut_ns, yaw_rate_rps=state.yaw_rate_rps + bias_rps
-            )
+            msgspec.structs.replace(state, stamp_ns=state.stamp_ns - cut_ns, yaw_rate_rps=state.yaw_rate_rps + bias_rps)
         )
         last = state
     return Drive(moving, heading_rad), own_rps + bias_rps
@@ -241,8 +239,10 @@ def logged_rows(states: Sequence[VehicleState], name: str) -> Iterator[dict[str,
             yield {"drive": name, "sensors": sensors, "bias_dps": math.degrees(bias_rps), **summary([outcome])}
 
 
-COLUMNS = ("drive", "sensors", "bias_dps", "drives", "before_median_deg", "before_max_deg", "after_median_deg",
-           "after_max_deg", "learnt", "learnt_after_median_s", "bias_error_rms_dps", "bias_std_median_dps", "nees")  # fmt: skip
+COLUMNS = (
+    "drive", "sensors", "bias_dps", "drives", "before_median_deg", "before_max_deg", "after_median_deg",
+    "after_max_deg", "learnt", "learnt_after_median_s", "bias_error_rms_dps", "bias_std_median_dps", "nees",
+)  # fmt: skip
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -35,9 +35,7 @@ class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
         require_within("vehicle.speed_mps", -MOST_SPEED_MPS, MOST_SPEED_MPS, self.speed_mps)
         if self.wheel_speed_difference_mps is not None:
             bound_mps = 2.0 * MOST_SPEED_MPS
-            require_within(
-                "vehicle.wheel_speed_difference_mps", -bound_mps, bound_mps, self.wheel_speed_difference_mps
-            )
+            require_within("vehicle.wheel_speed_difference_mps", -bound_mps, bound_mps, self.wheel_speed_difference_mps)
         require_within("vehicle.yaw_rate_rps", -MOST_YAW_RATE_RPS, MOST_YAW_RATE_RPS, self.yaw_rate_rps)
 
 

@@ -141,7 +141,9 @@ class _Sender:
 def _rules(mapping: CanMapping) -> dict[str, QuantityRule]:
     """Rules by the name of what they give, the sides of the wheels last."""
     wheels = mapping.wheel_speeds
-    sides = {} if wheels is None else {"left wheels": wheels.side(wheels.left), "right wheels": wheels.side(wheels.right)}
+    if wheels is None:
+        return mapping.quantities
+    sides = {"left wheels": wheels.side(wheels.left), "right wheels": wheels.side(wheels.right)}
     return {**mapping.quantities, **sides}
 
 

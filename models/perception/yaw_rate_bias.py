@@ -166,8 +166,8 @@ class YawRateBias:
             most = math.degrees(self._params.max_bias_rps)
             return f"driving gives {math.degrees(driving.bias_rps):.2f} deg/s, which is beyond {most:.2f}"
         return (
-            f"the vehicle never stood, and {driving.used_s:.0f} s of driving{self._speeds()} leave a standard deviation "
-            f"of {math.degrees(driving.std_rps):.2f} deg/s, more than {limit:.2f}"
+            f"the vehicle never stood, and {driving.used_s:.0f} s of driving{self._speeds()} leave a standard "
+            f"deviation of {math.degrees(driving.std_rps):.2f} deg/s, more than {limit:.2f}"
         )
 
     def _speeds(self) -> str:

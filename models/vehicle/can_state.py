@@ -161,9 +161,7 @@ class CanDecoder:
     def _wheel_sides(self, rule: WheelSpeedsRule) -> list[_Quantity]:
         """The speed of the left side, then that of the right one."""
         sides = {"left": rule.side(rule.left), "right": rule.side(rule.right)}
-        return [
-            self._quantity(f"{name} wheels", "wheel_speeds", side, Dimension.SPEED) for name, side in sides.items()
-        ]
+        return [self._quantity(f"{name} wheels", "wheel_speeds", side, Dimension.SPEED) for name, side in sides.items()]
 
     def _watch(self, name: str, field: str) -> _Watch:
         if name not in self._by_name:

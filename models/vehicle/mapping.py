@@ -60,7 +60,7 @@ class QuantityRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     combine: Literal["mean", "sum"] = "mean"
     #: Unit of the signals, such as km/h or deg/s; None: what the DBC says.
     unit: str | None = None
-    #: Factor to SI units; None: that of the unit. One that is no calibration of the unit's own, within 10 %, is refused.
+    #: Factor to SI units, within 10 % of that of the unit; None: that of the unit.
     scale: float | None = None
     #: In SI units.
     offset: float = 0.0

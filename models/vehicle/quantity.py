@@ -1,4 +1,4 @@
-"""A mapping's quantity met with its DBC: the factor to SI, the range of each signal, and what was assumed on the way."""
+"""A mapping's quantity met with its DBC: the factor to SI units, the range of each signal, and what was assumed."""
 
 from __future__ import annotations
 

@@ -50,9 +50,7 @@ _UNITS: tuple[tuple[str, Dimension, float, tuple[str, ...]], ...] = (
     ("g", Dimension.ACCELERATION, 9.80665, ()),
 )  # fmt: skip
 _BY_SPELLING = {
-    spelling: Unit(name, dimension, to_si)
-    for name, dimension, to_si, others in _UNITS
-    for spelling in (name, *others)
+    spelling: Unit(name, dimension, to_si) for name, dimension, to_si, others in _UNITS for spelling in (name, *others)
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import threading
 import time
 from collections.abc import Callable
@@ -18,8 +19,10 @@ from msgs.vehicle import VehicleState
 from nodes.can_link import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
 from tests.captures import DATA, needs
+from tests.perception.test_yaw_rate_bias import drive, town, turns
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
+RAW_DBC, RAW_MAPPING = Path("launch/can/raw_ranges.dbc"), Path("launch/can/raw_ranges.yaml")
 REAL = DATA / "can_motec_subaru"
 
 
@@ -61,6 +64,49 @@ def test_decode_flags_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
     # the last good speed came at 0.98 s and holds for ten periods
     assert any(name == "state not valid" and at_s == 1.18 for name, at_s, _ in events)
     assert all(row["speed_mps"] == 9.0 for row in report["states"] if row["valid"])
+
+
+def write_raw_drive(path: Path) -> Path:
+    """A minute in town without a standstill, the yaw rate 0.41 deg/s too low, by the DBC with ranges in raw counts."""
+    car = SimulatedCar(load_dbc(RAW_DBC), load_mapping(RAW_MAPPING))
+    with can.Logger(path) as logger:
+        for state in drive(60.0, town, turns):
+            for frame in car.frames(state):
+                logger(
+                    can.Message(
+                        timestamp=1e-9 * state.stamp_ns + 1.7e9, arbitration_id=frame.arbitration_id, data=frame.data,
+                        channel="can0", is_extended_id=False,
+                    )
+                )  # fmt: skip
+    return path
+
+
+def test_decode_says_the_bias_and_what_of_the_dbc_was_not_taken_as_it_stands(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    log = write_raw_drive(tmp_path / "drive.log")
+    words = [str(log), "--dbc", str(RAW_DBC), "--mapping", str(RAW_MAPPING)]
+    code, report = run_json(capsys, *words)
+    assert (code, report["state_count"] - report["valid_state_count"]) == (0, 2)
+    (warning,) = report["warnings"]
+    assert "the DBC's range 0..65535 of YAW_RATE is taken as raw counts" in warning
+    bias = report["yaw_rate_bias"]
+    assert bias["source"] == "driving"
+    assert math.degrees(bias["rps"]) == pytest.approx(-0.41, abs=0.1)
+    # as the DBC has it: turns to the right are refused, and the verb says what overrules it
+    mapping = tmp_path / "car.yaml"
+    mapping.write_text(RAW_MAPPING.read_text().replace("[YAW_RATE]", "[YAW_RATE], dbc_range: physical"))
+    assert main(["can", "decode", str(log), "--dbc", str(RAW_DBC), "--mapping", str(mapping)]) == 0
+    said = capsys.readouterr().out
+    assert "is outside the DBC's 0..65535" in said
+    assert "where the DBC's range of a signal is wrong, dbc_range of the mapping overrules it" in said
+    # without steering and wheels nobody can tell the bias
+    rows = RAW_MAPPING.read_text().splitlines()
+    left_out = ("steering", "wheel_speeds", "  STEERING", "  WHEELS")
+    mapping.write_text("\n".join(row for row in rows if not row.startswith(left_out)))
+    assert main(["can", "decode", str(log), "--dbc", str(RAW_DBC), "--mapping", str(mapping)]) == 0
+    said = capsys.readouterr().out
+    assert "yaw rate bias is not observable: the vehicle never stood, and neither steering nor wheel speeds" in said
 
 
 def test_decode_prints_tables(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:

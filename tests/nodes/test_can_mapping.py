@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import get_args
 
+import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from models.vehicle.mapping import SignRule
+from models.vehicle.end_to_end import Algorithm, ChecksumRule, CounterRule
+from models.vehicle.mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
 from nodes.can_link import load_decoder, load_mapping
+from nodes.launch_file import parse_yaml
 
 GOOD = """speed: {message: MW_SPEED, signals: [SPEED], low: -80.0, high: 80.0}
 yaw_rate: {message: MW_MOTION, signals: [YAW_RATE], low: -2.0, high: 2.0}
@@ -103,6 +107,22 @@ def test_numbers_of_a_sign_signal() -> None:
     assert [gear.is_negative(value) for value in (0.0, 1.0, 2.0, 7.0, None)] == [False, False, True, True, False]
     flag = SignRule(message="GEARS", signal="REVERSE")
     assert [flag.is_negative(value) for value in (0.0, 1.0, 3.0, None)] == [False, True, True, False]
+
+
+def test_the_page_documents_the_whole_format() -> None:
+    """Every field, choice and algorithm of the mapping stands on the page, as code."""
+    page = Path("docs/can-mapping.md").read_text(encoding="utf-8")
+    parts = (CanMapping, QuantityRule, WheelSpeedsRule, MessageRule, SignRule)
+    names = {field.encode_name for part in parts for field in msgspec.structs.fields(part)}
+    names |= {f"checksum.{field.encode_name}" for field in msgspec.structs.fields(ChecksumRule)}
+    names |= {f"counter.{field.encode_name}" for field in msgspec.structs.fields(CounterRule)}
+    names |= {*DbcRange, *get_args(Algorithm), "mean", "sum"}
+    # these stand in the example of a sign signal, or are the names of whole parts
+    names -= {"signal", "values", "checksum", "counter"}
+    assert not [name for name in sorted(names) if f"`{name}`" not in page]
+    example = page.split("```yaml\n")[1].split("```")[0]
+    committed = Path("launch/can/raw_ranges.yaml").read_text(encoding="utf-8")
+    assert parse_yaml(example, "page") == parse_yaml(committed, "file")
 
 
 def test_the_verb_says_it_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 
 import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.yaw_bias import limited
 from models.perception.ra_forming import RaFormer
 from msgs.bus import Envelope, Received
 from msgs.diagnostics import NodeState
@@ -16,6 +18,7 @@ from msgs.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMa
 from msgs.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
+from tests.perception.test_yaw_rate_bias import drive, town, turns
 
 
 def received(message: msgspec.Struct, topic: str) -> Received:
@@ -75,6 +78,33 @@ def test_a_view_carries_the_vehicles_motion_at_its_scan() -> None:
     # the scan began at 7
     (view,) = node.step([received(peaks.message, "perception/peaks"), *states], 0)
     assert view.message.ego.speed_mps == 7.0
+
+
+@pytest.mark.parametrize("kept", ["nothing", "steering and wheels"])
+def test_the_log_says_once_whether_the_bias_of_the_yaw_rate_is_known(
+    kept: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """40 s in town without a standstill: from steering and wheels the bias is known, without them the log says why."""
+    detect = dense_predictor.create(dense_predictor.Params(method="cfar"))
+    (peaks,) = detect.step([received(noise_map(), "radar/ra_map")], 0)
+    node = geometry.create(geometry.Params())
+    states = drive(40.0, town, turns)
+    if kept == "nothing":
+        states = limited(states, steering=False, wheels=False)
+    with caplog.at_level(logging.INFO, logger="nodes.geometry"):
+        for scan_id in range(130):
+            stamp_ns = scan_id * 300_000_000
+            here = [state for state in states if stamp_ns - 300_000_000 < state.stamp_ns <= stamp_ns]
+            scan = msgspec.structs.replace(peaks.message, scan_id=scan_id, stamp_ns=stamp_ns)
+            inputs = [received(state, "vehicle/state") for state in here]
+            node.step([*inputs, received(scan, "perception/peaks")], stamp_ns)
+    (record,) = [one for one in caplog.records if "yaw rate bias" in one.message]
+    if kept == "nothing":
+        assert record.levelno == logging.WARNING
+        assert record.message.endswith("the vehicle never stood, and neither steering nor wheel speeds are known")
+    else:
+        assert record.levelno == logging.INFO
+        assert record.message.endswith("from driving")
 
 
 def test_maps_and_setups_that_do_not_suit_the_network_are_refused_and_said() -> None:

@@ -104,7 +104,7 @@ def test_without_sensors_it_says_so() -> None:
 
 
 def test_a_standstill_has_priority_for_ten_minutes() -> None:
-    """Driving says -0.41 deg/s, the rest after it 0.5: that of the rest is taken off, and after ten minutes driving's."""
+    """Driving says -0.41 deg/s, the rest after it 0.5: that of the rest is taken off, driving's after ten minutes."""
     driven = drive(60.0, town, turns)
     rest = drive(5.0, lambda time_s: 0.0, bias_rps=math.radians(0.5), start_s=60.0)
     bias = learnt([*driven, *rest])
@@ -121,7 +121,7 @@ def test_a_standstill_has_priority_for_ten_minutes() -> None:
 
 
 def test_a_bias_that_drifts_after_a_rest_is_followed() -> None:
-    """0.2 deg/s at rest, then 40 minutes in town at -0.41: after the ten minutes of the rest it is that of the drive."""
+    """0.2 deg/s at rest, then 40 minutes in town at -0.41: ten minutes after the rest it is that of the drive."""
     rest = drive(5.0, lambda time_s: 0.0, bias_rps=math.radians(0.2))
     part = drive(60.0, town, turns, start_s=5.0)
     bias = learnt(rest)
@@ -167,8 +167,8 @@ def test_steering_that_counts_the_other_way_does_no_harm() -> None:
 def test_heading_of_made_drives(kind: str) -> None:
     """58 s with -0.41 deg/s and no standstill, 23.8 deg before; noise, steps of 0.244 deg/s, camber, understeer.
 
-    Eight seeds; what is left is mostly the turn before the bias is known. The bound on each is its share of it: the time
-    until then and three standard deviations after.
+    Eight seeds; what is left is mostly turned before the bias is known. The bound on each is that, and three standard
+    deviations after it; none is worse than before.
     """
     drives = [made_drive(kind, seed, 58.0, BIAS_RPS) for seed in range(8)]
     outcomes = [run(one, BIAS_RPS) for one in drives]

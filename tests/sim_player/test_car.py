@@ -85,6 +85,22 @@ BO_ 17 B: 4 X
     assert state.yaw_rate_rps == pytest.approx(STATE.yaw_rate_rps, abs=math.radians(0.0025))
 
 
+def test_wheels_and_summed_angles_are_spoken() -> None:
+    """A turn to the left at 10 m/s: the right wheels are the faster ones; 33.3 deg are 33 and a fraction of 0.3."""
+    database = load_dbc(Path("launch/can/raw_ranges.dbc"))
+    car = SimulatedCar(database, load_mapping(Path("launch/can/raw_ranges.yaml")))
+    state = VehicleState(
+        stamp_ns=0, speed_mps=10.0, steering_rad=math.radians(33.3), wheel_speed_difference_mps=0.5
+    )  # fmt: skip
+    said = {
+        frame.arbitration_id: database.decode_message(frame.arbitration_id, frame.data) for frame in car.frames(state)
+    }
+    wheels = {"WHEEL_FR": 36.9, "WHEEL_FL": 35.1, "WHEEL_RR": 36.9, "WHEEL_RL": 35.1}
+    assert said[170] == pytest.approx(wheels, abs=0.01)
+    assert said[37] == pytest.approx({"ANGLE": 33.0, "ANGLE_FRACTION": 0.3})
+    assert said[180]["SPEED"] == pytest.approx(36.0)
+
+
 def test_steering_goes_with_the_turn() -> None:
     """A car on a circle of 20 m: tan(wheel angle) = wheelbase / radius; backwards the wheel points the other way."""
     shape = CarShape()

@@ -35,7 +35,7 @@ def bias_after(states: list[VehicleState]) -> float:
     source="a block that holds such a state is left out; those before and after are the same",
 )
 def test_a_steering_angle_that_overflows_in_a_product(errors: Errors) -> None:
-    """1e308 rad at 15 m/s for one state of a minute: the product is infinite, the filter would never be finite again."""
+    """1e308 rad at 15 m/s for one state of a minute: the product is infinite, and the filter stays not finite."""
     states = drive(60.0, town, turns)
     broken = list(states)
     broken[1500] = msgspec.structs.replace(states[1500], speed_mps=15.0, steering_rad=1e308)
@@ -145,7 +145,7 @@ numbers = st.one_of(st.floats(-20.0, 20.0), st.sampled_from([0.0, -0.0, 5e-324, 
             st.one_of(numbers, st.sampled_from([MOST_YAW_RATE_RPS, -MOST_YAW_RATE_RPS])),
             st.one_of(numbers, st.sampled_from([1.7e308, -1.7e308])),
             st.one_of(st.none(), numbers, st.just(2.0 * MOST_SPEED_MPS)),
-            st.sampled_from([STEP_NS, STEP_NS, STEP_NS, 240_000_000, 400_000_000, 2_000_000_000, -STEP_NS, 0, -(10**12)]),
+            st.sampled_from([*[STEP_NS] * 3, 240_000_000, 400_000_000, 2_000_000_000, -STEP_NS, 0, -(10**12)]),
             st.integers(1, 60),
         ),
         max_size=12,

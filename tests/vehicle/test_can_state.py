@@ -250,10 +250,13 @@ def test_units_signs_and_means() -> None:
 
 def test_an_angle_and_its_fraction_are_summed() -> None:
     """Coarse steps of 1.5 deg and a fraction of 0.1 deg: 16.5 - 0.7 deg; the mean would be half of it."""
-    dbc = CAR + """BO_ 18 S: 2 X
+    dbc = (
+        CAR
+        + """BO_ 18 S: 2 X
  SG_ ANGLE : 0|8@1- (1.5,0) [-150|150] "deg" X
  SG_ FRACTION : 8|4@1- (0.1,0) [-0.7|0.7] "deg" X
 """
+    )
     steering = QuantityRule(message="S", signals=("ANGLE", "FRACTION"), combine="sum", sign=-1, low=-9.0, high=9.0)
     periods = {"A": MessageRule(period_s=0.02), "S": MessageRule(period_s=0.02)}
     decoder = own_decoder(dbc, steering=steering, messages=periods)
@@ -361,7 +364,12 @@ def test_a_dbc_with_ranges_in_raw_counts_is_read_by_a_mapping_alone() -> None:
 
 def test_a_sign_bit_of_the_same_message() -> None:
     rule = QuantityRule(
-        message="A", signals=("V",), unit="m/s", negative_while=SignRule(message="A", signal="BACK"), low=-100.0, high=100.0
+        message="A",
+        signals=("V",),
+        unit="m/s",
+        negative_while=SignRule(message="A", signal="BACK"),
+        low=-99.0,
+        high=99.0,
     )
     decoder = own_decoder(CAR, speed=rule)
     decoder.add(16, car_data(500, 0, back=1), 0)
@@ -374,7 +382,12 @@ def test_a_sign_bit_of_the_same_message() -> None:
 
 def test_a_reverse_gear_in_another_message_must_be_known() -> None:
     rule = QuantityRule(
-        message="A", signals=("V",), unit="m/s", negative_while=SignRule(message="B", signal="REVERSE"), low=-100.0, high=100.0
+        message="A",
+        signals=("V",),
+        unit="m/s",
+        negative_while=SignRule(message="B", signal="REVERSE"),
+        low=-99.0,
+        high=99.0,
     )
     periods = {"A": MessageRule(period_s=0.02), "B": MessageRule(period_s=1.0)}
     decoder = own_decoder(CAR, speed=rule, messages=periods)
