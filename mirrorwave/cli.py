@@ -16,6 +16,7 @@ import typer
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from mirrorwave.console import ExitCode, error_line, exit_code_of
+from mirrorwave.ending import INTERRUPTED, ended_by_signal
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
@@ -97,13 +98,19 @@ def _load(place: str) -> Any:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss."""
+    """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss.
+
+    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/tools.md).
+    """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
         code = app(args=argv, prog_name="mirrorwave", standalone_mode=False)
+        # what typer makes of an interrupt; other versions let it through
+        if code == INTERRUPTED:
+            return ended_by_signal(argv)
         return int(code) if isinstance(code, int) else ExitCode.DONE
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted", ExitCode.FAILED)
+        return ended_by_signal(argv)
     except _USAGE_ERROR as error:
         text = error.format_message() if hasattr(error, "format_message") else str(error)
         # a group without a verb answers with its help, which is no error line

@@ -26,6 +26,7 @@ from mirrorwave.bag_options import (
 )
 from mirrorwave.completion import complete_launch_files, complete_profiles
 from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
+from mirrorwave.ending import told_by_signal
 
 _COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
 _LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red"}
@@ -123,9 +124,11 @@ def run_graph(
     graph = with_origin(graph, command_line(), run_dir(domain))
     earlier = [] if record is None else recorded_files(record)
     with LogPrinter(log_lines(list(graph.nodes))) as printer:
-        code = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer).run()
-    if record is not None and code == ExitCode.DONE:
-        code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])
+        supervisor = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer)
+        with told_by_signal(supervisor.request_stop):
+            code = supervisor.run()
+            if record is not None and code == ExitCode.DONE:
+                code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])
     return code
 
 

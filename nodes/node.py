@@ -23,6 +23,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+if __name__ == "__main__":
+    # told to end while the rest is being loaded: nothing has begun that would have to be ended
+    for _number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(_number, lambda _number, _frame: os._exit(0))
+
 import msgspec
 import psutil
 

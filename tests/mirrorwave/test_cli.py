@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any
 import pytest
 from typer.main import get_command
 
-import mirrorwave.__main__
 from mirrorwave.cli import app, main
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import error_line, exit_code_of
@@ -196,18 +194,6 @@ def test_the_shell_completes(
     with pytest.raises(SystemExit):
         main([])
     assert capsys.readouterr().out.split() == offered
-
-
-def test_whoever_interrupts_the_loading_gets_a_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    class Interrupted:
-        def __getattr__(self, name: str) -> object:
-            raise KeyboardInterrupt
-
-    monkeypatch.setitem(sys.modules, "mirrorwave.cli", Interrupted())  # type: ignore[arg-type]
-    assert mirrorwave.__main__.main() == 1
-    assert capsys.readouterr().err == "mirrorwave: interrupted\n"
 
 
 def test_nodes_are_completed_from_their_sockets(monkeypatch: pytest.MonkeyPatch) -> None:
