@@ -269,7 +269,7 @@ def _origin(metadata: dict[str, str]) -> list[str]:
     lines = [f"{key}: {metadata[key]}" for key in _ORIGIN if key in metadata]
     try:
         machine = json.loads(metadata.get("machine", ""))
-        lines.append(f"machine: {machine['processor']}, {machine['cores']} cores, {machine['kernel']}")
+        lines.append(f"machine: {machine['processor']}, {counted(machine['cores'], 'core')}, {machine['kernel']}")
     except (ValueError, KeyError, TypeError):
         pass
     if "launch" in metadata:

@@ -103,6 +103,15 @@ def scan_counter() -> Iterator[Callable[[], None]]:
         yield lambda: progress.advance(task)
 
 
+@contextmanager
+def compile_line() -> Iterator[None]:
+    """Say on stderr, once, that kernels are compiled, where the body is the first to need them."""
+    from nodes.compiling import compile_notice
+
+    with compile_notice(lambda text: typer.echo(text, err=True)):
+        yield
+
+
 def error_line(error: BaseException) -> str:
     """An error as one line that names file, field, value and rule, as far as it knows them."""
     if isinstance(error, OSError) and error.filename is not None:

@@ -27,6 +27,7 @@ from mirrorwave.bag_options import (
 from mirrorwave.completion import complete_launch_files, complete_profiles
 from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
 from mirrorwave.ending import told_by_signal
+from msgs.wording import counted
 
 _COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
 _LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red"}
@@ -141,7 +142,8 @@ def code_of_recordings(files: list[Path]) -> int:
         with RecordingReader(path) as reader:
             losses = reader.losses or Losses()
             if reader.loss or losses.ended or losses.total:
-                print_line(f"{path}: {reader.loss or losses.ended or f'{losses.total} messages are missing'}")
+                missing = counted(losses.total, "message is missing", "messages are missing")
+                print_line(f"{path}: {reader.loss or losses.ended or missing}")
                 code = ExitCode.DONE_WITH_LOSS
     return code
 
@@ -164,7 +166,7 @@ class LogPrinter:
         """Have `entry` shown; never waits."""
         try:
             if self._left_out:
-                text = f"{self._left_out} lines left out: the terminal did not take them"
+                text = f"{counted(self._left_out, 'line')} left out: the terminal did not take them"
                 self._entries.put_nowait({"node": "launch", "level": "warning", "text": text})
                 self._left_out = 0
             self._entries.put_nowait(entry)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from mirrorwave.completion import complete_profiles
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line, scan_counter
+from mirrorwave.console import AsJson, ExitCode, compile_line, print_json, print_line, scan_counter
 from msgs.wording import counted
 
 
@@ -29,7 +29,7 @@ def process(
     from mirrorwave.offline import run_capture
 
     out = Path("out") / capture.name.split(".")[0] if out is None else out
-    with scan_counter() as advance:
+    with compile_line(), scan_counter() as advance:
         results = run_capture(capture, out, profile, param, advance)
     board = results.scoreboard
     if as_json:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from msgs.perception import PathClass
+from msgs.wording import counted
 from sim_player.paths import Paths
 from sim_player.scene import Scene
 
@@ -62,5 +63,5 @@ def draw_paths(out: Path, scene: Scene, paths: Paths, ways: list[np.ndarray], po
     draw_scene(axes, scene)
     axes.set_xlabel("y, left (m)")
     axes.set_ylabel("x, ahead (m)")
-    axes.set_title(f"{scene.name}: {len(paths)} paths (blue direct, orange by mirrors)", fontsize=10)
+    axes.set_title(f"{scene.name}: {counted(len(paths), 'path')} (blue direct, orange by mirrors)", fontsize=10)
     figure.savefig(out, bbox_inches="tight")

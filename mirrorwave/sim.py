@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.completion import complete_scenes
-from mirrorwave.console import print_line, require_new_file
+from mirrorwave.console import compile_line, print_line, require_new_file
 from mirrorwave.sim_dataset import dataset, statistics
 from mirrorwave.sim_effects import Budget, Effects, effects, paths
 from mirrorwave.sim_fdtd import reflectance, wall
@@ -59,13 +59,15 @@ def run(
         effects=choice,
         budget_db=budget_db,
     )
-    source = player.scene_player(params)
+    with compile_line():
+        source = player.scene_player(params)
     total = scans * (2 * len(source.setup.beams) + 1) if isinstance(source, ScenePlayer) else None
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
         raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
     if not len(source.paths(0)):
         typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
-    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
+    bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    with compile_line(), bar as progress:
         events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)
         origin = {"scene": source.scene.name, "seed": str(seed)}
         if out.suffix == ".mcap":

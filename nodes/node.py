@@ -194,8 +194,19 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
         raise ValueError(f"{name}.module: {module_name} needs {error.name}, which is not installed") from None
     if not (hasattr(module, "Params") and hasattr(module, "create")):
         raise ValueError(f"{name}.module: {module_name} is no node, it must define Params and create(params)")
-    node: Node = module.create(convert_at(dict(params), module.Params, f"{name}.params"))
+    checked = convert_at(dict(params), module.Params, f"{name}.params")
+    with _compile_notice():
+        node: Node = module.create(checked)
     return node
+
+
+def _compile_notice() -> contextlib.AbstractContextManager[None]:
+    """Log that kernels are compiled, in nodes that have any."""
+    if "numba" not in sys.modules:
+        return contextlib.nullcontext()
+    from nodes.compiling import compile_notice
+
+    return compile_notice(_LOG.info)
 
 
 class Heartbeat:

@@ -28,10 +28,11 @@ class Hold:
     def find_spec(self, name, path=None, target=None):
         if name == held:
             Path(reached).touch()
-            time.sleep(600)
+            while not Path(released).exists():
+                time.sleep(0.02)
 
-held, reached, module = sys.argv[1:4]
-sys.argv[:] = [module, *sys.argv[4:]]
+held, reached, released, module = sys.argv[1:5]
+sys.argv[:] = [module, *sys.argv[5:]]
 sys.meta_path.insert(0, Hold())
 runpy.run_module(module, run_name="__main__", alter_sys=True)
 """
@@ -43,7 +44,7 @@ nodes:
     params: {kind: tick, period_s: 0.01}
 """
 #: A module whose import stands for a phase: the command line's own, its verbs', the verb's set-up, its work.
-PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "nodes.player"]
+PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "msgs.recording"]
 LAUNCH = ["typer", "mirrorwave.completion", "nodes.launch_file", "nodes.supervisor", "msgs.zmq_bus"]
 RECORD = ["typer", "mirrorwave.completion", "msgs.zmq_bus", "nodes.recorder"]
 NODE = ["psutil", "msgs.bus", "nodes.validation", "msgs.zmq_bus", "tests.graph.toy_nodes"]
@@ -80,9 +81,11 @@ def started(command: list[str]) -> Iterator[subprocess.Popen[str]]:
 
 def told_while_held(box: Path, held: str, number: signal.Signals, module: str, words: list[str]) -> tuple[int, str]:
     """Exit code and stderr of a module that hears a signal where it imports `held`."""
-    with started(["-c", HELD, held, str(box / "reached"), module, *words]) as process:
+    with started(["-c", HELD, held, str(box / "reached"), str(box / "released"), module, *words]) as process:
         wait_for(process, box / "reached")
         process.send_signal(number)
+        # what only takes note of a signal goes on
+        (box / "released").touch()
         _, said = process.communicate(timeout=PATIENCE_S)
     return process.returncode, said
 
