@@ -138,7 +138,7 @@ def test_a_running_graph_with_its_recorder_is_done_when_told(box: Path, numbers:
         process.communicate(timeout=PATIENCE_S)
     # whoever is in a hurry may lose messages
     assert process.returncode in ((0,) if len(numbers) == 1 else (0, 3))
-    assert info(out).complete
+    assert info(out).complete or len(numbers) > 1
 
 
 @pytest.mark.parametrize("number", CODES)
