@@ -1,18 +1,23 @@
-"""`mirrorwave`, and `python -m mirrorwave`: whoever ends it while it is still being loaded gets a line as well."""
+"""`mirrorwave`, and `python -m mirrorwave`: whoever ends it while it is still being loaded gets the same code."""
 
 from __future__ import annotations
 
 import sys
 
+from mirrorwave.ending import ended_by_signal, hear_termination, keep_code
+
 
 def main() -> int:
     """Run the command line; returns its exit code."""
     try:
+        hear_termination()
         from mirrorwave.cli import main as run
+
+        code = run()
     except KeyboardInterrupt:
-        sys.stderr.write("mirrorwave: interrupted\n")
-        return 1
-    return run()
+        code = ended_by_signal()
+    keep_code()
+    return code
 
 
 if __name__ == "__main__":

@@ -145,7 +145,8 @@ def snapshot(
         print_json(answers)
     else:
         for answer in answers:
-            print_line(answer.error or f"{answer.path}: {counted(answer.messages, 'message')}, the last {answer.span_s:.1f} s")
+            held = f"{counted(answer.messages, 'message')}, the last {answer.span_s:.1f} s"
+            print_line(answer.error or f"{answer.path}: {held}")
     if any(answer.error for answer in answers):
         raise typer.Exit(ExitCode.FAILED)
     if any(answer.lost for answer in answers):
@@ -259,12 +260,16 @@ def _print_info(found: Any) -> None:
     _print_losses(found.losses)
 
 
+#: Where a recording comes from: of a graph, or of a simulated scene.
+_ORIGIN = ("started_utc", "part", "command", "scene", "seed")
+
+
 def _origin(metadata: dict[str, str]) -> list[str]:
     """Where a recording comes from, as far as it says so; written by anybody, so nothing is taken for granted."""
-    lines = [f"{key}: {metadata[key]}" for key in ("started_utc", "part", "command") if key in metadata]
+    lines = [f"{key}: {metadata[key]}" for key in _ORIGIN if key in metadata]
     try:
         machine = json.loads(metadata.get("machine", ""))
-        lines.append(f"machine: {machine['processor']}, {machine['cores']} cores, {machine['kernel']}")
+        lines.append(f"machine: {machine['processor']}, {counted(machine['cores'], 'core')}, {machine['kernel']}")
     except (ValueError, KeyError, TypeError):
         pass
     if "launch" in metadata:

@@ -12,6 +12,8 @@ from typing import Any
 
 import msgspec
 
+from msgs.wording import counted
+
 
 class Format(StrEnum):
     """A format to convert to; each is one module, `mirrorwave.convert_NAME`."""
@@ -109,7 +111,7 @@ def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> C
 def _loss(damage: str | None, unreadable: dict[str, int], lost: dict[str, int]) -> str | None:
     reasons = [damage] if damage else []
     reasons += [f"{count} unreadable messages of {topic}" for topic, count in sorted(unreadable.items())]
-    reasons += [f"{count} messages of {reason}" for reason, count in sorted(lost.items())]
+    reasons += [f"{counted(count, 'message')} of {reason}" for reason, count in sorted(lost.items())]
     return "; ".join(reasons) or None
 
 

@@ -18,6 +18,7 @@ from mirrorwave.console import (
     require_new_file,
     require_picture,
 )
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.calibrate_drive import Solved
@@ -65,7 +66,7 @@ def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = 
         )
         print_line(
             f"noise: {quality.scan_noise_dbm:.1f} dBm per bin of a scan's beam, {quality.noise_dbm:.1f} dBm after "
-            f"{quality.scans} scans (10 log N: {quality.expected_noise_dbm:.1f} dBm)"
+            f"{counted(quality.scans, 'scan')} (10 log N: {quality.expected_noise_dbm:.1f} dBm)"
         )
         print_line(f"left out as moving: {100.0 * quality.outlier_share:.3f} % of cells")
         print_line(f"wrote {out}; use it with -p ra_former.background={out}")
@@ -202,8 +203,9 @@ def _write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
     """A file for `launch --params-file`, with what its figures rest on as comments."""
     import yaml
 
+    seen = f"{counted(one.sightings, 'sighting')} of {counted(len(one.walls), 'wall')}"
     notes = [
-        f"# {one.scans} scans, {one.sightings} sightings of {len(one.walls)} walls, rms {one.rms_m:.3f} m",
+        f"# {counted(one.scans, 'scan')}, {seen}, rms {one.rms_m:.3f} m",
         *(f"# {line}" for line in _lines(one)),
     ]
     out.write_text("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False), encoding="utf-8")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.can_signals import SignalReport
@@ -186,8 +187,8 @@ def _print_report(report: LogReport) -> None:
         print_line("")
     facts = report.as_dict()
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in facts["frames_by_verdict"].items())
-    print_line(f"{report.frames} frames in {report.duration_s:.2f} s: {verdicts}")
-    print_line(f"{report.valid_states} of {report.states} states valid")
+    print_line(f"{counted(report.frames, 'frame')} in {report.duration_s:.2f} s: {verdicts}")
+    print_line(f"{report.valid_states} of {counted(report.states, 'state')} valid")
     print_line(report.yaw_rate_bias)
     if any("outside the DBC's" in event["why"] for event in report.events):
         print_line("where the DBC's range of a signal is wrong, dbc_range of the mapping overrules it")
@@ -219,7 +220,7 @@ def _print_signals(report: SignalReport) -> None:
     columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
     print_table([name.upper() for name in columns], [_signals_row(row) for row in report.messages()])
     print_line("")
-    print_line(f"{report.known} of {report.frames} frames in {report.duration_s:.2f} s are of this DBC")
+    print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
     if report.loss:
         print_line(f"the log breaks off: {report.loss}")
 
@@ -317,11 +318,13 @@ def _ticks(every_s: float, duration_s: float | None, poll: Callable[[], None]) -
 
 def _print_signals_now(row: dict[str, Any], report: SignalReport) -> None:
     trouble = f"; {row['trouble']}" if row["trouble"] else ""
-    print_line(f"--- {row['time_s']:.1f} s: {report.known} of {row['frames']} frames are of this DBC{trouble}")
+    print_line(
+        f"--- {row['time_s']:.1f} s: {report.known} of {counted(row['frames'], 'frame')} are of this DBC{trouble}"
+    )
     for message in report.messages():
         name, frames, period_ms, _, verdicts, values = _signals_row(message)
         every = "" if period_ms is None else f" every {period_ms:g} ms"
-        print_line(f"{name}: {frames} frames{every}, {verdicts}: {values}")
+        print_line(f"{name}: {counted(frames, 'frame')}{every}, {verdicts}: {values}")
 
 
 def _live_states(node: Any, every_s: float, duration_s: float | None) -> Iterator[VehicleState]:

@@ -11,11 +11,13 @@ import sys
 from typing import Annotated, Any
 
 import typer
+import typer.core
 
 # BLAS threads cost more than they bring on matrices of this size; must be said before numpy is imported
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from mirrorwave.console import ExitCode, error_line, exit_code_of
+from mirrorwave.ending import INTERRUPTED, ended_by_signal
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
@@ -48,8 +50,26 @@ _GROUPS = {
 #: Wrong usage, as the command line parser below typer raises it; typer brings its own copy or takes the installed one.
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 
+
+class WholeHelp(typer.core.TyperGroup):
+    """A group whose help says of each verb all that the verb's own help begins with; typer's ends with an ellipsis."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names in order, each verb told to be described whole."""
+        for command in self.commands.values():
+            if command.help and not command.short_help:
+                # a short help that is given is wrapped, one that is made from the long one is cut
+                command.short_help = _first_paragraph(command.help)
+        return super().list_commands(ctx)
+
+
+def _first_paragraph(text: str) -> str:
+    return " ".join(text.strip().split("\n\n")[0].split())
+
+
 app = typer.Typer(
     name="mirrorwave",
+    cls=WholeHelp,
     help="Sees what stands behind the corner, in the mirror of a wall.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
@@ -86,7 +106,7 @@ def _register() -> None:
             app.command(name)(found)
     for name, place in _GROUPS.items():
         if (found := _load(place)) is not None:
-            app.add_typer(found, name=name)
+            app.add_typer(found, name=name, cls=WholeHelp)
 
 
 def _load(place: str) -> Any:
@@ -97,13 +117,19 @@ def _load(place: str) -> Any:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss."""
+    """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss.
+
+    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/tools.md).
+    """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     try:
         code = app(args=argv, prog_name="mirrorwave", standalone_mode=False)
+        # what typer makes of an interrupt; other versions let it through
+        if code == INTERRUPTED:
+            return ended_by_signal(argv)
         return int(code) if isinstance(code, int) else ExitCode.DONE
     except (KeyboardInterrupt, typer.Abort):
-        return _fail("interrupted", ExitCode.FAILED)
+        return ended_by_signal(argv)
     except _USAGE_ERROR as error:
         text = error.format_message() if hasattr(error, "format_message") else str(error)
         # a group without a verb answers with its help, which is no error line

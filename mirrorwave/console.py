@@ -89,6 +89,29 @@ def progress_bar(name: str, total: int) -> Iterator[Callable[[], None]]:
         yield lambda: progress.advance(task)
 
 
+@contextmanager
+def scan_counter() -> Iterator[Callable[[], None]]:
+    """Scans so far and the time they took, where stderr is a terminal; gives what advances them."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} scans"), TimeElapsedColumn())
+    # stdout is for results
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as progress:
+        task = progress.add_task("scans", total=None)
+        yield lambda: progress.advance(task)
+
+
+@contextmanager
+def compile_line() -> Iterator[None]:
+    """Say on stderr, once, that kernels are compiled, where the body is the first to need them."""
+    from nodes.compiling import compile_notice
+
+    with compile_notice(lambda text: typer.echo(text, err=True)):
+        yield
+
+
 def error_line(error: BaseException) -> str:
     """An error as one line that names file, field, value and rule, as far as it knows them."""
     if isinstance(error, OSError) and error.filename is not None:

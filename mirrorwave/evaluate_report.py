@@ -24,6 +24,7 @@ from models.perception.evaluation import (
     estimates,
     measures,
 )
+from msgs.wording import counted
 
 #: Measures of the table: heading and name.
 HEADLINES = (
@@ -224,7 +225,7 @@ def write_report(report: dict[str, Any], out: Path) -> None:
 def markdown(report: dict[str, Any]) -> str:
     """The report for people."""
     lines = [
-        f"# {report['frames']} frames, split {report['split']} of {report['data']}",
+        f"# {counted(report['frames'], 'frame')}, split {report['split']} of {report['data']}",
         "",
         f"Test set {report['test_sha256']}; {report['draws']} bootstrap draws, seed {report['seed']}; "
         f"{report['threads']} thread(s) a network on {report['cpu_count']} cores; times are medians (90th percentile) "

@@ -17,6 +17,7 @@ import typer
 from mirrorwave.completion import complete_launch_files
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, require_new_file
 from msgs.topics import TOPICS
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from nodes.launch_file import LaunchFile, NodeEntry
@@ -151,7 +152,7 @@ def launch_picture(path: Path, health: bool = False) -> GraphPicture:
 
 def text_lines(picture: GraphPicture) -> list[str]:
     """The graph for people: each node, what it reads and from whom, what it publishes and for whom."""
-    lines = [f"{picture.title}: {len(picture.nodes)} nodes, {len(picture.topics())} topics"]
+    lines = [f"{picture.title}: {counted(len(picture.nodes), 'node')}, {counted(len(picture.topics()), 'topic')}"]
     for node in picture.nodes:
         state = "" if node.state == "declared" else f" [{node.state}{': ' + node.reason if node.reason else ''}]"
         lines += ["", f"{node.node}{state}"]

@@ -16,6 +16,7 @@ from mirrorwave.completion import complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
 from mirrorwave.running_graph import no_heartbeat
 from msgs.diagnostics import NodeState, NodeStatus, TopicCount
+from msgs.wording import counted
 from nodes.viewer.node_table import is_of_peer
 
 app = typer.Typer(help="Look at the nodes of a running graph.", no_args_is_help=True)
@@ -100,8 +101,8 @@ def node_process(pid: int) -> dict[str, Any]:
 
 
 def shed_text(shed: list[dict[str, Any]]) -> str:
-    """What a node left undone, in words: "12 scan behind, 3 beam late"."""
-    return ", ".join(f"{count['count']} {count['what']} {count['reason']}" for count in shed)
+    """What a node left undone, in words: "12 scans behind, 1 beam late"."""
+    return ", ".join(f"{counted(count['count'], count['what'])} {count['reason']}" for count in shed)
 
 
 @app.command("list")

@@ -10,6 +10,7 @@ from typing import Any, TextIO
 
 from mirrorwave.bev_picture import draw_bev
 from mirrorwave.profiles import LAUNCH_DIR, with_profile
+from mirrorwave.raw_data import require_raw
 from mirrorwave.scoreboard import Scoreboard
 from models.perception.objects import bev_to_json
 from models.perception.tracking import track_to_json
@@ -37,7 +38,7 @@ class Results(Node):
         self.ra_map: RangeAzimuthMap | None = None
         self.peaks: Peaks | None = None
         self.frame: BevFrame | None = None
-        self.scans_with_loss = 0
+        self.scans = self.scans_with_loss = 0
         #: What the capture itself lacks, None where it is whole.
         self.capture_loss: str | None = None
 
@@ -47,6 +48,7 @@ class Results(Node):
             match received.message:
                 case RangeAzimuthMap() as ra_map:
                     self.ra_map = ra_map
+                    self.scans += 1
                     self.scans_with_loss += bool(ra_map.missing_beams)
                 case Peaks() as peaks:
                     self.peaks = peaks
@@ -84,8 +86,9 @@ def run_capture(
 ) -> Results:  # fmt: skip
     """Process `capture`; writes `objects.jsonl`, `tracks.jsonl`, `timing.jsonl` and `bev.png` into `out`.
 
-    Returns what was seen.
+    Returns what was seen. Raises `ValueError` where the capture is none, or holds nothing to process.
     """
+    require_raw(capture)
     launch = launch_for(capture, profile, overrides or [])
     nodes = {name: load_node(entry.module, entry.params, name) for name, entry in launch.nodes.items()}
     out.mkdir(parents=True, exist_ok=True)

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 
 from mirrorwave.plot_style import BLACK, MIRROR_IMAGE, SEEN_DIRECTLY, handles_of, legend_of_figure, new_figure, save
 from msgs.perception import PathClass
+from msgs.wording import counted
 from sim_player.effect_names import bit
 from sim_player.paths import Paths
 from sim_player.scene import Scene
@@ -98,7 +99,7 @@ def draw_paths(out: Path, scene: Scene, paths: Paths, ways: list[np.ndarray], po
         )  # fmt: skip
     draw_scene(axes, scene)
     axes.set(xlabel="y, left [m]", ylabel="x, forward [m]")
-    axes.set_title(f"{scene.name}: {len(paths)} path{'' if len(paths) == 1 else 's'} out to what returns them")
+    axes.set_title(f"{scene.name}: {counted(len(paths), 'path')} out to what returns them")
     signs = [*_kind_signs(mirrors, passages), *_level_signs(top_db)] if len(paths) else []
     legend_of_figure(figure, [*signs, *handles_of(axes)], columns=2)
     save(figure, out, dpi=130)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.completion import complete_scenes
-from mirrorwave.console import print_line, require_new_file
+from mirrorwave.console import compile_line, print_line, require_new_file
 from mirrorwave.sim_dataset import dataset, statistics
 from mirrorwave.sim_effects import Budget, Effects, effects, paths
 from mirrorwave.sim_fdtd import reflectance, wall
 from mirrorwave.sim_lidar import lidar
 from mirrorwave.sim_material import material
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from msgs.bus import Outgoing
@@ -39,6 +41,7 @@ def run(
     budget_db: Budget = -20.0,
 ) -> None:
     """Record what the radar or the LiDAR of a scene would measure, with the truth."""
+    from rich.console import Console
     from rich.progress import Progress
 
     from nodes import player
@@ -56,19 +59,22 @@ def run(
         effects=choice,
         budget_db=budget_db,
     )
-    source = player.scene_player(params)
+    with compile_line():
+        source = player.scene_player(params)
     total = scans * (2 * len(source.setup.beams) + 1) if isinstance(source, ScenePlayer) else None
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
         raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
     if not len(source.paths(0)):
         typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
-    with Progress(transient=True) as progress:
+    bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    with compile_line(), bar as progress:
         events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)
+        origin = {"scene": source.scene.name, "seed": str(seed)}
         if out.suffix == ".mcap":
-            write_recording(out, iter(events), {"scene": scene.stem, "seed": str(seed)})
+            write_recording(out, iter(events), origin)
         elif isinstance(source, ScenePlayer):
-            write_sigmf(out, source.setup, iter(events))
-    print_line(f"{out}: {scans} scans of {scene.stem}, seed {seed}")
+            write_sigmf(out, source.setup, iter(events), origin)
+    print_line(f"{out}: {counted(scans, 'scan')} of {source.scene.name}, seed {seed}")
 
 
 def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
@@ -90,8 +96,8 @@ def _sent_ns(message: Any) -> int:
     return int(message.azimuth_stamp_ns[-1] if isinstance(message, PhotonHistograms) else message.stamp_ns)
 
 
-def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing]) -> None:
-    """SigMF capture of the beams; the truth goes beside it as a recording."""
+def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
+    """SigMF capture of the beams; the truth goes beside it as a recording with `metadata`."""
     from msgs.radar import RadarBeam
     from msgs.sigmf_capture import write_capture
     from nodes.player import truth_beside
@@ -106,4 +112,4 @@ def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing]) -> No
                 truths.append(outgoing)
 
     write_capture(path, setup, beams())
-    write_recording(truth_beside(path), iter(truths), {})
+    write_recording(truth_beside(path), iter(truths), metadata)

@@ -12,6 +12,7 @@ import typer
 import yaml
 
 from mirrorwave.console import print_line, progress_bar
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from sim_player.lidar_cloud import Viewpoint
@@ -68,7 +69,7 @@ def lidar(
     plain = {name: content[name] for name in ("name", "radar_height_m", "seed", "clouds")}
     (out / "scene.yaml").write_text(yaml.safe_dump(plain, sort_keys=False))
     (out / "truth.json").write_bytes(json_lines(truth))
-    print_line(f"{out}: {len(places)} clouds of {world.name}, scene.yaml and truth.json, seed {seed}")
+    print_line(f"{out}: {counted(len(places), 'cloud')} of {world.name}, scene.yaml and truth.json, seed {seed}")
 
 
 def _write_cloud(path: Path, points_m: np.ndarray) -> None:

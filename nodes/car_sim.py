@@ -9,6 +9,7 @@ import msgspec
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.vehicle import VehicleState
+from msgs.wording import counted
 from nodes.can_link import BusParams, CanLink, bus_frame, checkout_path, load_dbc, load_mapping
 from nodes.node import Node
 from sim_player.car import CarShape, SimulatedCar
@@ -51,7 +52,7 @@ class CarSim(Node):
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while the bus takes no frames."""
         if self._link.trouble:
-            return NodeState.DEGRADED, f"{self._link.trouble}; {self.refused} frames not sent"
+            return NodeState.DEGRADED, f"{self._link.trouble}; {counted(self.refused, 'frame')} not sent"
         return NodeState.READY, ""
 
     def close(self) -> None:

@@ -187,7 +187,7 @@ class Link(Node):
             self._shed(f"{importer.name} handshake", "failed", importer.refused)
             self._shed(f"{importer.name} message", "rejected", importer.rejected)
             for topic, lost in importer.lost().items():
-                self._shed(f"{importer.name} {topic}", "lost on the link", lost)
+                self._shed(f"{importer.name} {topic} message", "lost on the link", lost)
             for round_trip_ns in importer.round_trips_ns():
                 self.stages.add(f"{importer.name} round trip", round_trip_ns)
 

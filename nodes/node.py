@@ -23,6 +23,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+if __name__ == "__main__":
+    # told to end while the rest is being loaded: nothing has begun that would have to be ended
+    for _number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(_number, lambda _number, _frame: os._exit(0))
+
 import msgspec
 import psutil
 
@@ -191,8 +196,19 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
         raise ValueError(f"{name}.module: {module_name} needs {error.name}, which is not installed") from None
     if not (hasattr(module, "Params") and hasattr(module, "create")):
         raise ValueError(f"{name}.module: {module_name} is no node, it must define Params and create(params)")
-    node: Node = module.create(convert_at(dict(params), module.Params, f"{name}.params"))
+    checked = convert_at(dict(params), module.Params, f"{name}.params")
+    with _compile_notice():
+        node: Node = module.create(checked)
     return node
+
+
+def _compile_notice() -> contextlib.AbstractContextManager[None]:
+    """Log that kernels are compiled, in nodes that have any."""
+    if "numba" not in sys.modules:
+        return contextlib.nullcontext()
+    from nodes.compiling import compile_notice
+
+    return compile_notice(_LOG.info)
 
 
 class Heartbeat:

@@ -13,6 +13,7 @@ from msgs.diagnostics import NodeState
 from msgs.recording import RAW_TOPIC, Encoded, RecordingWriter, encoded
 from msgs.topics import TOPICS, topic_facts
 from msgs.units import s_from_ns
+from msgs.wording import counted
 from nodes.node import Node
 from nodes.recording_files import (
     LatchedMessages,
@@ -128,7 +129,7 @@ class Recorder(Node):
         """DEGRADED once the disk has refused."""
         if not self.refused:
             return NodeState.READY, ""
-        return NodeState.DEGRADED, f"{self.refused}; {self.missed} messages missed"
+        return NodeState.DEGRADED, f"{self.refused}; {counted(self.missed, 'message')} missed"
 
     def close(self) -> None:
         """Write what is missing and the index, close the file."""
@@ -136,7 +137,7 @@ class Recorder(Node):
             self._close_file()
         missed = f", {self.missed} missed" if self.missed else ""
         files = f" in {len(self.paths)} files" if len(self.paths) > 1 else ""
-        _LOG.info("%s: %d messages recorded%s%s", self.paths[-1], self.messages, files, missed)
+        _LOG.info("%s: %s recorded%s%s", self.paths[-1], counted(self.messages, "message"), files, missed)
 
     def _open(self) -> None:
         """Begin a file; the counts of what was handed to it and lost before begin anew."""

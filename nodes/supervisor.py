@@ -21,6 +21,7 @@ from typing import Any, TextIO
 
 from msgs.bus import Received
 from msgs.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.wording import counted
 from nodes.child import PATIENCE_S, Child
 from nodes.launch_file import (
     RECORDER_MODULE,
@@ -193,7 +194,7 @@ class Supervisor:
             self._bus.subscribe("diagnostics/node")
             stack.callback(self._close_all)
             stack.enter_context(self._signals())
-            self._say("info", f"graph {self._launch.name}: {len(self._nodes)} nodes, log in {run_folder}")
+            self._say("info", f"graph {self._launch.name}: {counted(len(self._nodes), 'node')}, log in {run_folder}")
             self._loop()
         return self._exit_code
 
@@ -269,7 +270,9 @@ class Supervisor:
         elif not again or code == EXIT_BAD_INPUT:
             self._end_node(name, node, code)
         elif node.recent_restarts(now_s) >= restart.max_restarts:
-            self._say("error", f"{name} {_how(code)}; {restart.max_restarts} restarts in {restart.window_s:g} s")
+            self._say(
+                "error", f"{name} {_how(code)}; {counted(restart.max_restarts, 'restart')} in {restart.window_s:g} s"
+            )
             self._fail(name, node, code)
         else:
             delay_s = restart.backoff_s(len(node.restarts))
@@ -400,7 +403,11 @@ class Supervisor:
             now_s = time.monotonic()
             failed = [f"{name} FAILED{_because(node.reason)}" for name, node in self._nodes.items() if _is_failed(node)]
             failed += [_silence(name, node, now_s) for name, node in self._nodes.items() if node.is_silent(now_s)]
-            failed += [f"{self._log.lost} lines of the log are lost"] if self._log.lost else []
+            failed += (
+                [counted(self._log.lost, "line of the log is lost", "lines of the log are lost")]
+                if self._log.lost
+                else []
+            )
             is_up = all(node.was_ready or node.phase in (Phase.ENDED, Phase.FAILED) for node in self._nodes.values())
             state = NodeState.READY if is_up else NodeState.STARTING
             self._heartbeat.beat(NodeState.DEGRADED if failed else state, "; ".join(failed))

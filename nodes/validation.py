@@ -23,7 +23,7 @@ _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
 
 def convert_at(value: Any, wanted: type[T], where: str) -> T:
-    """`value` as `wanted`; an error reads `where.field: rule` for a node, `where: field: rule` where `where` ends in ": ".
+    """`value` as `wanted`; an error reads `where.field: rule`, or `where: field: rule` where `where` ends in ": ".
 
     Raises `ValueError` for a wrong type, an unknown field (it lists the known) or a value its type refuses.
     """

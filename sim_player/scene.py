@@ -280,6 +280,8 @@ def scene_to_yaml(scene: Scene) -> str:
 
 def check_scene(scene: Scene) -> None:
     """Raise ValueError, field first, where a scene cannot be simulated."""
+    if not scene.name.strip():
+        raise ValueError("name: must not be empty: recordings and pictures are named by it")
     if not scene.objects and not any(surface.role != "ground" for surface in scene.surfaces):
         raise ValueError("surfaces: a scene needs at least one wall or object, got none")
     for field, value in _numbers(msgspec.to_builtins(scene), ""):

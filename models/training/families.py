@@ -78,10 +78,11 @@ class NetworkChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     @property
     def resolved(self) -> Any:
         """The family's configuration; raises `ValueError` where a field does not fit."""
+        wanted = FAMILIES[self.family].config
         try:
-            return msgspec.convert(self.config, FAMILIES[self.family].config)
+            return msgspec.convert(self.config, wanted)
         except msgspec.ValidationError as error:
-            raise ValueError(f"network {self.family}: {with_known_names(error, FAMILIES[self.family].config)}") from None
+            raise ValueError(f"network {self.family}: {with_known_names(error, wanted)}") from None
 
     def build(self) -> nn.Module:
         """The network with fresh weights."""

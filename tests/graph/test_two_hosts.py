@@ -64,7 +64,7 @@ class Hosts:
         self.until(lambda: bool(self.came) and self.came[-1] > start)
 
     def lost(self) -> int:
-        return self.compute.counted()[f"sensor {TOPIC} lost on the link"]
+        return self.compute.counted()[f"sensor {TOPIC} message lost on the link"]
 
     def close(self) -> None:
         self.player.close()

