@@ -28,8 +28,9 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
     #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `default`: that of the committed
-    #: network; `none`: all places are kept, with the scores of their peaks. The committed one was fitted on scenes at
-    #: rest and drops what moves.
+    #: network; `none`: all places are kept, with the scores of their peaks. The committed ones were fitted on scenes
+    #: whose objects keep their positions, half of the imperfect ones with the phases of motion; they drop some of what
+    #: moves.
     confidence: str = "none"
     #: What is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()
