@@ -1,9 +1,9 @@
 """Random drives past side streets: how early a hidden road user is tracked, against the most that its street allows.
 
-Drives are those of `sim_player.side_streets`: widths, corners, walls, parked vehicles, clutter, speeds, braking and turns
-are drawn, and no drive is left out. Raw int16 beams of all effects that the simulator has (squint, ground, diffraction,
-second mirrors, faults of the front end, ...; float32 echoes), odometry from states with noise and a gyroscope's bias,
-the chain and the tracker as the graph runs them.
+Drives are those of `sim_player.side_streets`: widths, corners, walls, parked vehicles, clutter, speeds, braking and
+turns are drawn, and no drive is left out. Raw int16 beams of all effects that the simulator has (squint, ground,
+diffraction, second mirrors, faults of the front end, ...; echoes in float32), odometry from states with noise and a
+gyroscope's bias, the chain and the tracker as the graph runs them.
 
 - Direct sight: the first scan at whose start the road user has a direct path.
 - Most possible lead: from the first scan at whose start a mirror shows it with an echo over 10 dB of SNR in some beam
@@ -46,10 +46,10 @@ from models.perception.evaluation import Estimate, bootstrap_weights
 from models.perception.geometry import GeometryParams, recover_bev
 from models.perception.memory import MemoryParams, ScanMemory
 from models.perception.metrics import match_objects
-from models.perception.object_error import centre_error_m
+from models.perception.object_error import centre_error_m, object_distances
 from models.perception.ra_forming import RaFormer
 from msgs.frames import Pose2
-from msgs.perception import PathClass, Peaks, SceneTruth, Track, TruthObject
+from msgs.perception import PathClass, Peaks, SceneTruth, Track
 from msgs.radar import RadarSetup
 from msgs.units import ns_from_s, s_from_ns
 from msgs.vehicle import VehicleState
@@ -211,16 +211,11 @@ def _report(track: Track, matched: Sequence[tuple[int, int, float]], truth: Scen
 
 def _stand(track: Track, truth: SceneTruth) -> str:
     """Where a track stands that is matched to no hidden road user."""
-    near = [user for user in truth.objects if outline_distance_m(track, user) <= GATE_M]
+    away_m = object_distances([as_object(track)], truth, truth.objects).box_m[0]
+    near = [user for user, box_m in zip(truth.objects, away_m, strict=True) if box_m <= GATE_M]
     if not near:
         return "nothing"
     return "object" if any(user.hidden for user in near) else "plain sight"
-
-
-def outline_distance_m(track: Track, user: TruthObject) -> float:
-    """Return the distance [m] of a track to a true box; 0 inside."""
-    x_m, y_m = Pose2(user.x_m, user.y_m, user.yaw_rad).inverse().apply(np.array([track.x_m, track.y_m]))
-    return math.hypot(max(abs(x_m) - 0.5 * user.length_m, 0.0), max(abs(y_m) - 0.5 * user.width_m, 0.0))
 
 
 def states_of(drive: Drive, seed: Sequence[int]) -> list[VehicleState]:
@@ -477,7 +472,7 @@ def lines_of(one: Summary) -> list[str]:
     return [
         f"{one.way}: {one.drives} drives, {one.possible} with a lead possible",
         f"  tracked before direct sight {one.found}, up to it {one.kept}",
-        f"  lead {one.lead_mean_s} s, kept {one.kept_lead_mean_s} s, most possible {one.most_possible_mean_s} s (means)",
+        f"  mean lead {one.lead_mean_s} s, kept {one.kept_lead_mean_s} s, most possible {one.most_possible_mean_s} s",
         f"  share of the most possible {one.share_of_possible}, kept {one.kept_share_of_possible}",
         f"  id switches {one.id_switches}, false tracks {one.false_tracks_per_min} a minute, "
         f"on road users in plain sight {one.plain_sight_tracks_per_min} a minute",

@@ -250,7 +250,7 @@ def run(fault: str, severity: float, scene: Path, seed: int) -> Case:
         seed=seed,
         asked=len(match.matched) + len(match.missed_truths),
         errors_m=[error_m for _, _, error_m in match.matched],
-        centre_errors_m=list(match.centre_errors_m),
+        centre_errors_m=list(match.centre_m),
         missed=len(match.missed_truths),
         ghosts=len(match.unmatched_objects),
         points=[points.true_positives, points.false_positives, points.false_negatives],

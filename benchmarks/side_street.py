@@ -157,7 +157,7 @@ def said(scan: Scan, objects: Sequence[HiddenObject], car: int, tracks: Sequence
     if mine is None:
         return now
     one = next(one for one in objects if one.id == match.matched[mine][0])
-    errors = {"face_error_m": match.matched[mine][2], "centre_error_m": match.centre_errors_m[mine]}
+    errors = {"face_error_m": match.matched[mine][2], "centre_error_m": match.centre_m[mine]}
     now = msgspec.structs.replace(now, id=one.id, x_m=one.x_m, y_m=one.y_m, **errors)
     track = next((track for track in tracks if track.id == one.id), None)
     if track is None:

@@ -14,7 +14,7 @@ from typing import get_args
 import numpy as np
 from msgspec.structs import replace
 
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from sim_player.front_end import FrontEnd, Spur
 from sim_player.hiding import CLEARANCE_M, ORIGIN, WALL_CLEARANCE_M, Boxes, Walls, hidden, images, indoors
 from sim_player.layouts import Block, Layout, PlaceKind, draw_layout

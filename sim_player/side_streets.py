@@ -14,7 +14,8 @@ from typing import Literal
 import numpy as np
 from msgspec.structs import replace
 
-from models.physics.mirror import blocked, segment_distance_m
+from models.physics.mirror import blocked
+from models.physics.plane import segment_distance_m
 from msgs.frames import Pose2
 from msgs.perception import PathClass
 from sim_player.drive import Drive, DrivePlayer
@@ -54,15 +55,15 @@ DURATION_S = 9.0
 #: vehicle and a pedestrian in plain sight; share of parking bays that are taken.
 LOW_CORNER, PARKED_ASIDE, ONCOMING, WALKER, TAKEN = 0.25, 0.4, 0.3, 0.4, 0.35
 MASONRY = ("concrete", "painted", "rendered", "brick")
-#: Room between the vehicle's path and walls, and between its path and road users [m]; road users keep off walls by less.
+#: Room between the vehicle's path and walls, between its path and road users, and between road users and walls [m].
 WALL_ROOM_M, USER_ROOM_M, FOOTING_M = 1.2, 1.8, 0.3
-#: Streets drawn before a seed is given up: about one in ten suits.
+#: Streets drawn before a seed is given up: about one in three suits.
 ATTEMPTS = 2000
 
 
 @dataclass(frozen=True)
 class SideStreet:
-    """A scene in the vehicle's frame at the start, and how the vehicle drives; object `CROSSING` is the crossing one."""
+    """A scene in the vehicle's frame at the start, and how the vehicle drives; object `CROSSING` comes out."""
 
     scene: Scene
     drive: Drive
@@ -245,15 +246,16 @@ def _drive(rng: np.random.Generator, manner: Manner, speed_mps: float) -> Drive:
     """Speed and yaw rate over the drive, [s], [m/s], [rad/s]."""
     time_s = np.arange(0.0, DURATION_S + 0.05, 0.05)
     # nobody holds the wheel quite still
-    sway_rps = math.radians(rng.uniform(0.0, 1.0)) * np.sin(2.0 * np.pi * (rng.uniform(0.1, 0.4) * time_s + rng.random()))
+    sway_rps = math.radians(rng.uniform(0.0, 1.0))
+    yaw_rate_rps = sway_rps * np.sin(2.0 * np.pi * (rng.uniform(0.1, 0.4) * time_s + rng.random()))
     speeds = np.full(len(time_s), speed_mps)
     since_s = np.maximum(time_s - rng.uniform(0.0, 3.0), 0.0)
     if manner == "braking":
         speeds = np.maximum(speed_mps - rng.uniform(*BRAKING_MPS2) * since_s, rng.choice([0.0, 0.3]) * speed_mps)
     if manner == "turning":
         rate_rps = math.radians(rng.uniform(*TURN_DPS)) * rng.choice([-1.0, 1.0])
-        sway_rps = sway_rps + rate_rps * np.minimum(since_s, 1.0)
-    return Drive(time_s, speeds, sway_rps)
+        yaw_rate_rps += rate_rps * np.minimum(since_s, 1.0)
+    return Drive(time_s, speeds, yaw_rate_rps)
 
 
 def _mirrored(street: SideStreet) -> SideStreet:

@@ -1,18 +1,18 @@
-"""Position error of a reported object, at the time it was measured: two distances, one definition for all figures.
+"""Position errors of a reported object, at the time it was measured: one definition for all figures.
 
 - Face error: from the reported centre to the nearest visible face of the true box, to a visible scattering centre, or
   to the box's centre, whichever is nearest. Objects are matched by it: what a radar sees of a vehicle is a face.
-- Centre error: from the reported centre to the centre of the true box. Never less than the face error; half the box
-  more where a face is met exactly.
+- Centre error: from the reported centre to the centre of the true box. Never less than the face error.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from msgs.frames import Pose2
 from msgs.perception import HiddenObject, SceneTruth, TruthObject
 from msgs.units import s_from_ns
@@ -21,21 +21,40 @@ from msgs.units import s_from_ns
 ON_FACE_M = 0.1
 
 
+@dataclass(frozen=True)
+class ObjectDistances:
+    """Distances [R, N] in metres of R reported objects to N true ones, each moved to the time of the report."""
+
+    #: Face error.
+    error_m: np.ndarray
+    #: Centre error.
+    centre_m: np.ndarray
+    #: To the true box, zero inside.
+    box_m: np.ndarray
+
+
 def face_error_m(found: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
     """Return the distance [m] of a reported centre to the nearest visible face or the centre of a true object."""
-    faces_m = visible_faces_m(truth, scene)
-    to_faces_m = segment_distance_m(_at_truth_time(found, truth, scene)[None], faces_m[:, 0], faces_m[:, 1])
-    return min(float(to_faces_m.min(initial=np.inf)), centre_error_m(found, truth, scene))
+    return float(object_distances([found], scene, [truth]).error_m[0, 0])
 
 
 def centre_error_m(found: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
     """Return the distance [m] of a reported centre to the centre of a true object."""
-    x_m, y_m = _at_truth_time(found, truth, scene)
-    return math.hypot(x_m - truth.x_m, y_m - truth.y_m)
+    return float(object_distances([found], scene, [truth]).centre_m[0, 0])
 
 
-def visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
-    """Return the sides [N, 2 ends, 2] of a true box on which visible points lie, and those points as sides of no length."""
+def object_distances(
+    objects: Sequence[HiddenObject], truth: SceneTruth, wanted: Sequence[TruthObject]
+) -> ObjectDistances:
+    """Measure every reported object against every wanted object of the truth."""
+    shape = (len(objects), len(wanted), 3)
+    faces_m = [_visible_faces_m(one, truth) for one in wanted]
+    rows = [_distances_m(one, other, faces_m[j], truth) for one in objects for j, other in enumerate(wanted)]
+    return ObjectDistances(*np.moveaxis(np.array(rows, np.float64).reshape(shape), -1, 0))
+
+
+def _visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
+    """Sides [N, 2 ends, 2] of the box on which visible points lie, those points themselves as sides of no length."""
     points_m = scene.hidden_points_m[scene.hidden_object == scene.objects.index(truth), :2].astype(np.float64)
     half = 0.5 * np.array([truth.length_m, truth.width_m])
     corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
@@ -45,8 +64,16 @@ def visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
     return np.concatenate([sides_m[seen], np.repeat(points_m[:, None], 2, axis=1)])
 
 
-def _at_truth_time(found: HiddenObject, truth: TruthObject, scene: SceneTruth) -> np.ndarray:
-    """Reported centre [2], taken back by the true object's motion to the truth's time."""
+def _distances_m(
+    found: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth
+) -> tuple[float, float, float]:
+    """Face error, centre error and distance to the box, at the found object's time."""
     # an object without a stamp of its own was measured at the scene's
     elapsed_s = s_from_ns(found.stamp_ns - scene.stamp_ns) if found.stamp_ns else 0.0
-    return np.array([found.x_m - elapsed_s * truth.velocity_x_mps, found.y_m - elapsed_s * truth.velocity_y_mps])
+    moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])
+    at_m = np.array([[found.x_m, found.y_m]]) - moved_m
+    in_box_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).inverse().apply(at_m)[0]
+    outside_m = np.maximum(np.abs(in_box_m) - 0.5 * np.array([truth.length_m, truth.width_m]), 0.0)
+    centre_m = float(np.linalg.norm(in_box_m))
+    to_faces_m = segment_distance_m(at_m, faces_m[:, 0], faces_m[:, 1])
+    return float(min(centre_m, to_faces_m.min(initial=np.inf))), centre_m, float(np.linalg.norm(outside_m))

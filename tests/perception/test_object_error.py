@@ -71,4 +71,4 @@ def test_the_report_is_taken_back_to_the_truths_time() -> None:
 def test_matches_carry_both_errors() -> None:
     match = match_objects([found(10.0, 3.7)], scene((9.0, 4.0), (11.0, 4.0)))
     assert match.matched == ((8, 3, pytest.approx(0.3)),)
-    assert match.centre_errors_m == (pytest.approx(1.3),)
+    assert match.centre_m == (pytest.approx(1.3),)
