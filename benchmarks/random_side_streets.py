@@ -66,6 +66,8 @@ SPEED_STD_MPS, YAW_RATE_STD_RPS, MAX_BIAS_RPS = 0.03, math.radians(0.2), math.ra
 MAX_SCANS = 40
 #: Errors are looked at again this long after the first report.
 LATER_S = 1.0
+#: From the first to the third scan of a track: what confirmation takes at least.
+CONFIRMATION_S = 0.6
 DRAWS = 2000
 #: Node parameters of each way, as a launch file gives them.
 WAYS = {
@@ -305,6 +307,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     found: Estimate
     kept: Estimate
     most_possible_mean_s: Estimate
+    #: What is left of it where a track is confirmed by its third scan.
+    confirmable_mean_s: Estimate
     lead_mean_s: Estimate
     kept_lead_mean_s: Estimate
     share_of_possible: Estimate
@@ -343,6 +347,7 @@ def summary_of(way: str, results: Sequence[DriveResult], seed: int) -> Summary:
         found=mean(leads_s > 0.0),
         kept=mean(kept_s > 0.0),
         most_possible_mean_s=mean(possible_s),
+        confirmable_mean_s=mean(np.maximum(possible_s - CONFIRMATION_S, 0.0)),
         lead_mean_s=mean(leads_s),
         kept_lead_mean_s=mean(kept_s),
         share_of_possible=mean(np.minimum(leads_s, possible_s), possible_s),
@@ -472,7 +477,8 @@ def lines_of(one: Summary) -> list[str]:
     return [
         f"{one.way}: {one.drives} drives, {one.possible} with a lead possible",
         f"  tracked before direct sight {one.found}, up to it {one.kept}",
-        f"  mean lead {one.lead_mean_s} s, kept {one.kept_lead_mean_s} s, most possible {one.most_possible_mean_s} s",
+        f"  mean lead {one.lead_mean_s} s, kept {one.kept_lead_mean_s} s, most possible {one.most_possible_mean_s} s, "
+        f"of which confirmation leaves {one.confirmable_mean_s} s",
         f"  share of the most possible {one.share_of_possible}, kept {one.kept_share_of_possible}",
         f"  id switches {one.id_switches}, false tracks {one.false_tracks_per_min} a minute, "
         f"on road users in plain sight {one.plain_sight_tracks_per_min} a minute",

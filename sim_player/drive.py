@@ -24,6 +24,7 @@ from sim_player.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
 from sim_player.scene import Ego, Scene
 from sim_player.signal_effects import PLAIN
 from sim_player.signal_levels import Terms, echo_terms, record_beam, with_electronics
+from sim_player.swept_echoes import TOLERANCE
 from sim_player.truth import scene_truth
 from sim_player.world import snapshot, wall_lines
 
@@ -62,7 +63,7 @@ class DrivePlayer:
     Stamps count from `start_ns`. `effects`: "basic" (direct echoes and single mirrors), "all", or names with commas
     between them; `precision` ("float64", "float32") is that of the echoes under other than basic effects. Raises
     ValueError for a scene that moves its radar itself (`ego`), for "auto" (the planner knows no drive), and for
-    unknown effects.
+    unknown effects or precisions.
     """
 
     def __init__(
@@ -80,6 +81,8 @@ class DrivePlayer:
             raise ValueError(f"scene {scene.name!r}: ego must stand still: the drive says how the vehicle moves")
         if effects == "auto":
             raise ValueError("effects must be basic, all or names with commas between them on a drive, got 'auto'")
+        if precision not in TOLERANCE:
+            raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
         setup = scene.setup
         if chirps_per_beam is not None:
             radar = msgspec.structs.replace(setup.radar, chirps_per_beam=chirps_per_beam)
