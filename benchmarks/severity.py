@@ -418,8 +418,10 @@ def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> 
     nan = float("nan")
     means = [nan if row.error_mean_m is None else row.error_mean_m for row in rows]
     tails = [nan if row.error_p90_m is None else row.error_p90_m for row in rows]
+    centres = [nan if row.centre_error_mean_m is None else row.centre_error_mean_m for row in rows]
     errors.plot(at, means, "o-", color=_GREEN, ms=4, label="face error, mean")
-    errors.plot(at, tails, "^:", color=_GREEN, ms=4, mfc="white", label="90th percentile")
+    errors.plot(at, tails, "^:", color=_GREEN, ms=4, mfc="white", label="its 90th percentile")
+    errors.plot(at, centres, "d--", color="0.3", ms=4, label="centre error, mean")
     flagged = first_flagged(rows)
     harmless = all(row.missed + row.ghosts == 0 for row in rows)
     said = "not flagged, nothing missed or made up" if harmless else "not flagged"
@@ -433,7 +435,7 @@ def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> 
         said = f"flagged from {flagged.severity:g}: {telling.replace('_', ' ')}"
     shares.set_title(f"{fault.title}\n{said}", fontsize=9)
     shares.set(yticks=(0, 0.5, 1, 1.5), xlim=(-0.5, len(rows) - 0.5))
-    errors.set(ylim=(0, 1.05), yticks=(0, 0.5, 1), ylabel="m", xticks=at)
+    errors.set(ylim=(0, 2.5), yticks=(0, 1, 2), ylabel="m", xticks=at)
     errors.set_xticklabels(["none", *(f"{row.severity:g}" for row in rows[1:])], fontsize=8)
     errors.set_xlabel(fault.unit, fontsize=9)
     for axis in (shares, errors):
