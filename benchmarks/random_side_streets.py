@@ -40,7 +40,7 @@ from benchmarks.geometry_switches import machine
 from benchmarks.side_street import GATE_M, Said, as_object, lead_s, switches
 from mirrorwave.tradeoff_run import params_of
 from mirrorwave.tradeoff_settings import Setting
-from models.perception.confidence import PlaceConfidence
+from models.perception.confidence import Confidence
 from models.perception.detectors import Detector
 from models.perception.evaluation import Estimate, bootstrap_weights
 from models.perception.geometry import GeometryParams, recover_bev
@@ -136,7 +136,7 @@ class Way:
 
     detector: Detector
     geometry: GeometryParams
-    confidence: PlaceConfidence | None
+    confidence: Confidence | None
     memory: ScanMemory
 
     @classmethod

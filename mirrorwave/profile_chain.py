@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from mirrorwave.tradeoff_run import params_of
 from mirrorwave.tradeoff_settings import Setting, profiles
 from models.perception.chain import Chain
-from models.perception.confidence import PlaceConfidence
+from models.perception.confidence import Confidence
 from models.perception.detectors import Detector
 from models.perception.ra_forming import FormingParams
 from msgs.radar import RadarSetup
@@ -30,7 +30,7 @@ class ProfileParts:
     forming: FormingParams
     detector: Detector
     geometry: Params
-    confidence: PlaceConfidence | None
+    confidence: Confidence | None
 
     @classmethod
     def of(cls, setting: Setting, setup: RadarSetup) -> ProfileParts:

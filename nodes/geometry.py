@@ -7,8 +7,8 @@ from pathlib import Path
 
 import msgspec
 
-from models.perception.cards import learned_path
-from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
+from models.perception.cards import WEIGHTS, learned_path
+from models.perception.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.geometry import GeometryParams, recover_bev, warm
 from models.perception.memory import MemoryParams, ScanMemory
 from models.perception.recovery import Residual
@@ -27,10 +27,9 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
-    #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `default`: that of the committed
-    #: network; `none`: all places are kept, with the scores of their peaks. The committed ones were fitted on scenes
-    #: whose objects keep their positions, half of the imperfect ones with the phases of motion; they drop some of what
-    #: moves.
+    #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `auto`: of the committed ones the
+    #: one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed network;
+    #: `none`: all places are kept, with the scores of their peaks.
     confidence: str = "none"
     #: What is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()
@@ -87,11 +86,13 @@ class GeometryNode(Node):
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
 
-def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, PlaceConfidence | None]:
+def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
     """What the stage needs beside the peaks; raises `ValueError` naming a file that is missing or broken."""
     residual = None if params.residual == "none" else _learned_residual(Path(params.residual))
-    path = confidence_path(params.confidence)
-    return params, residual, None if path is None else load_confidence(path)
+    fitted = tuple(load_confidence(path) for path in confidence_paths(params.confidence))
+    if params.confidence == "auto":
+        return params, residual, FittedConfidences(fitted)
+    return params, residual, fitted[0] if fitted else None
 
 
 def _learned_residual(path: Path) -> Residual:
@@ -101,11 +102,13 @@ def _learned_residual(path: Path) -> Residual:
     return LearnedResidual(path)
 
 
-def confidence_path(confidence: str) -> Path | None:
-    """The file of a fitted model as parameters name it."""
+def confidence_paths(confidence: str) -> list[Path]:
+    """Return the files of fitted models as parameters name them."""
     if confidence == "none":
-        return None
-    return DEFAULT_CONFIDENCE if confidence == "default" else learned_path(confidence, ".json")
+        return []
+    if confidence == "auto":
+        return sorted(WEIGHTS.glob("*.confidence.json"))
+    return [DEFAULT_CONFIDENCE if confidence == "default" else learned_path(confidence, ".json")]
 
 
 def create(params: Params) -> GeometryNode:

@@ -52,13 +52,13 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
     """Fewer beams fold in less time; a network that is not there leaves a row without numbers."""
     out, report = made
     rows = {row.name: row for row in report.rows}
-    assert list(rows) == ["default", "beams: 13 of 25", "beams: 9 of 25", "beams: 7 of 25", "network: UNet"]
+    assert list(rows) == ["unfiltered", "beams: 13 of 25", "beams: 9 of 25", "beams: 7 of 25", "network: UNet"]
     failed = rows["network: UNet"]
     assert failed.failed is not None
     assert "$NETWORKS/unet.json" in failed.failed
     assert failed.end_to_end_ms is None
     assert not failed.pareto
-    default = rows["default"]
+    default = rows["unfiltered"]
     assert default.against_default["recovered_f1_1m"] == Interval(value=0.0, low=0.0, high=0.0)
     assert default.size_bytes == DEFAULT_MODEL.stat().st_size
     assert rows["beams: 7 of 25"].accuracy["dense_macro_f1"] != default.accuracy["dense_macro_f1"]
