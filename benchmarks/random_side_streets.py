@@ -31,6 +31,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -59,6 +60,9 @@ from sim_player.drive import Drive, DrivePlayer
 from sim_player.side_streets import CROSSING, SideStreet, direct_sight, random_side_street
 from sim_player.truth import labelled
 from sim_player.unthinned_truth import unthinned_paths
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 START_NS, REST_S, STATE_PERIOD_S = 10_000_000_000, 3.0, 0.02
 SPEED_STD_MPS, YAW_RATE_STD_RPS, MAX_BIAS_RPS = 0.03, math.radians(0.2), math.radians(1.0)
@@ -324,6 +328,8 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
     #: First reports whose track was gone a second later, and those after which direct sight came sooner.
     lost_later: int
     sight_before_later: int
+    #: Of each layout: drives, mean of the most possible lead and of the kept one [s].
+    layouts: dict[str, tuple[int, float, float]]
 
 
 def summary_of(way: str, results: Sequence[DriveResult], seed: int) -> Summary:
@@ -361,7 +367,21 @@ def summary_of(way: str, results: Sequence[DriveResult], seed: int) -> Summary:
         later_count=len(laters),
         lost_later=len(firsts) - len(laters) - sum(one.sight_before_later for one in tracked),
         sight_before_later=sum(one.sight_before_later for one in tracked),
+        layouts=_by_layout(way, results),
     )
+
+
+def _by_layout(way: str, results: Sequence[DriveResult]) -> dict[str, tuple[int, float, float]]:
+    """Drives, mean of the most possible lead and of the kept one, layout by layout."""
+    groups = {one.layout: [each for each in results if each.layout == one.layout] for one in results}
+    return {
+        layout: (
+            len(group),
+            float(np.mean([one.most_possible_s for one in group])),
+            float(np.mean([one.ways[way].kept_lead_s for one in group])),
+        )
+        for layout, group in sorted(groups.items())
+    }
 
 
 def _estimate(above: np.ndarray, below: np.ndarray) -> Estimate:
@@ -430,37 +450,54 @@ def _read(settings: Settings, out: Path) -> dict[int, DriveResult]:
 
 
 def draw_figure(results: Sequence[DriveResult], path: Path) -> None:
-    """Kept lead over the most possible lead of every drive, one panel a way."""
+    """Draw the kept lead over the most possible lead of every drive, one panel a way."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     names = list(results[0].ways)
-    figure, panels = pyplot.subplots(1, len(names), figsize=(4.2 * len(names), 4.6), layout="constrained", sharey=True)
-    possible_s = np.array([result.most_possible_s for result in results])
-    end_s = 1.05 * max(possible_s.max(), 1.0)
-    for axes, name in zip(np.atleast_1d(panels), names, strict=True):
-        first_s = np.array([result.ways[name].lead_s for result in results])
-        kept_s = np.array([result.ways[name].kept_lead_s for result in results])
-        found, kept = first_s > 0.0, kept_s > 0.0
-        axes.plot([0.0, end_s], [0.0, end_s], "k--", linewidth=1.0, label="the most possible")
-        axes.vlines(possible_s[found], kept_s[found], first_s[found], color="tab:blue", linewidth=0.8, alpha=0.6)
-        lost = found & ~kept
-        for which, values, style in (
-            (kept, kept_s, {"marker": "o", "color": "tab:blue", "label": "tracked up to direct sight"}),
-            (lost, first_s, {"marker": "^", "facecolors": "none", "edgecolors": "tab:blue", "label": "tracked, lost"}),
-            (~found, first_s, {"marker": "x", "color": "tab:red", "label": "not found: 0 s"}),
-        ):
-            axes.scatter(possible_s[which], values[which], s=26, zorder=3, clip_on=False, **style)
-        axes.set(title=name, xlabel="most possible lead, s", xlim=(0.0, end_s), ylim=(0.0, end_s))
-        axes.grid(alpha=0.3)
-    np.atleast_1d(panels)[0].set_ylabel("lead, s")
-    handles, labels = np.atleast_1d(panels)[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
+    figure, grid = pyplot.subplots(
+        1, len(names), figsize=(4.2 * len(names), 4.7), layout="constrained", sharey=True, squeeze=False
+    )
+    for axes, name in zip(grid[0], names, strict=True):
+        _draw_way(axes, name, results)
+    grid[0, 0].set_ylabel("lead up to direct sight, s")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
     pyplot.close(figure)
+
+
+def _draw_way(axes: Axes, name: str, results: Sequence[DriveResult]) -> None:
+    """Draw the drives of one way; leads are multiples of 0.3 s, so a marker's area says how many stand in one place."""
+    possible_s = np.array([result.most_possible_s for result in results])
+    first_s = np.array([result.ways[name].lead_s for result in results])
+    kept_s = np.array([result.ways[name].kept_lead_s for result in results])
+    end_s = 1.05 * max(possible_s.max(), 1.0)
+    found, kept = first_s > 0.0, kept_s > 0.0
+    axes.plot([0.0, end_s], [0.0, end_s], "k--", linewidth=1.0, label="the most possible")
+    for which, values, style in (
+        (kept, kept_s, {"marker": "o", "color": "tab:blue", "label": "tracked up to direct sight"}),
+        (found & ~kept, first_s, {"marker": "^", "color": "tab:orange", "label": "tracked, lost before direct sight"}),
+        (~found, first_s, {"marker": "x", "color": "tab:red", "label": "not found: 0 s"}),
+    ):
+        spots, count = _counted(possible_s[which], values[which])
+        axes.scatter(*spots.T, s=22.0 * count, zorder=3, clip_on=False, alpha=0.8, **style)
+        for (x_s, y_s), number in zip(spots, count, strict=True):
+            if number > 1:
+                axes.annotate(str(number), (x_s, y_s), (5, 5), textcoords="offset points", fontsize=8)
+    axes.set(title=name, xlabel="most possible lead, s", xlim=(0.0, end_s), ylim=(0.0, end_s))
+    axes.title.set_fontsize(10)
+    axes.grid(alpha=0.3)
+
+
+def _counted(x_s: np.ndarray, y_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct points [N, 2] to a tenth of a second, and how often each is there [N]."""
+    pairs = np.round(np.column_stack([x_s, y_s]), 1) + 0.0
+    spots, count = np.unique(pairs, axis=0, return_counts=True)
+    return spots.reshape(-1, 2), count
 
 
 def lines_of(one: Summary) -> list[str]:
@@ -485,6 +522,11 @@ def lines_of(one: Summary) -> list[str]:
         f"  at first: {errors(one.first, one.first_count)}",
         f"  1 s later: {errors(one.later, one.later_count)}; {one.lost_later} lost by then, "
         f"{one.sight_before_later} in sight by then",
+        "  "
+        + "; ".join(
+            f"{layout}: {count} drives, possible {possible_s:.2f} s, kept {kept_s:.2f} s"
+            for layout, (count, possible_s, kept_s) in one.layouts.items()
+        ),
     ]
 
 

@@ -136,6 +136,7 @@ def test_no_drive_is_left_out_of_the_sums() -> None:
     assert summary.id_switches == 6
     assert (summary.first_count, summary.later_count, summary.lost_later, summary.sight_before_later) == (3, 0, 1, 2)
     assert summary.first["centre_error_m"] == (pytest.approx(1.2), pytest.approx(1.2))
+    assert summary.layouts == {"bend": (4, pytest.approx(1.0), pytest.approx(0.35))}
     assert summary.found.low < 0.75 < summary.found.high
     assert any("face 0.40" in line and "centre 1.20" in line for line in lines_of(summary))
 
