@@ -22,7 +22,7 @@ from models.perception.association import DirectReturns, Passing, RecoveryParams
 from models.perception.cards import learned_path, read_card
 from models.perception.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.recovery import Recovered
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from msgs.frames import polar_from_xy
 from msgs.perception import Wall
 

@@ -13,15 +13,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from models.physics.mirror import segment_distance_m
-from msgs.frames import Pose2
-from msgs.perception import HiddenObject, PathClass, SceneTruth, TruthObject
-from msgs.units import s_from_ns
+from models.perception.object_error import object_distances
+from msgs.perception import HiddenObject, PathClass, SceneTruth
 
 #: Cost of a forbidden pair: larger than any sum of allowed ones.
 FORBIDDEN = 1e9
-#: A visible point this near a side of its object's box shows that side.
-ON_FACE_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -133,30 +129,19 @@ def chamfer(predicted_m: np.ndarray, truth_m: np.ndarray) -> Chamfer:
 
 
 @dataclass(frozen=True)
-class ObjectDistances:
-    """Distances [R, N] in metres of R reported objects to N true ones, each moved to the time of the report."""
-
-    #: The position error: to the nearest visible face of its box or to its centre, whichever is nearer.
-    error_m: np.ndarray
-    centre_m: np.ndarray
-    #: To its box, zero inside.
-    box_m: np.ndarray
-
-
-@dataclass(frozen=True)
 class ObjectMatch:
     """Hidden objects held against truth: pairs with errors, objects that are nothing, hidden truths not found."""
 
-    #: (id of the object, id of the truth, position error in metres).
+    #: (id of the object, id of the truth, face error in metres: `models.perception.object_error`).
     matched: tuple[tuple[int, int, float], ...]
-    #: Distance of each pair's centres in metres.
+    #: Centre error of each pair in metres.
     centre_m: tuple[float, ...]
     unmatched_objects: tuple[int, ...]
     missed_truths: tuple[int, ...]
 
 
 def match_objects(objects: Sequence[HiddenObject], truth: SceneTruth, gate_m: float = 1.0) -> ObjectMatch:
-    """Match one to one by the distance of an object's centre to the truth's centre or to a visible face of its box.
+    """Match one to one by the face error.
 
     The truth is moved with its velocity to the time the object was measured. Only hidden truths are asked for; an
     object at a truth in plain sight is unmatched.
@@ -170,39 +155,3 @@ def match_objects(objects: Sequence[HiddenObject], truth: SceneTruth, gate_m: fl
         unmatched_objects=tuple(one.id for i, one in enumerate(objects) if i not in pairs[:, 0]),
         missed_truths=tuple(one.id for j, one in enumerate(hidden) if j not in pairs[:, 1]),
     )
-
-
-def object_distances(
-    objects: Sequence[HiddenObject], truth: SceneTruth, wanted: Sequence[TruthObject]
-) -> ObjectDistances:
-    """Measure every reported object against every wanted object of the truth."""
-    shape = (len(objects), len(wanted), 3)
-    faces_m = [_visible_faces_m(one, truth) for one in wanted]
-    rows = [_distances_m(one, other, faces_m[j], truth) for one in objects for j, other in enumerate(wanted)]
-    return ObjectDistances(*np.moveaxis(np.array(rows, np.float64).reshape(shape), -1, 0))
-
-
-def _visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
-    """Sides [N, 2 ends, 2] of the box on which visible points lie, those points themselves as sides of no length."""
-    points_m = scene.hidden_points_m[scene.hidden_object == scene.objects.index(truth), :2].astype(np.float64)
-    half = 0.5 * np.array([truth.length_m, truth.width_m])
-    corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    corners_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).apply(corners)
-    sides_m = np.stack([corners_m, np.roll(corners_m, -1, axis=0)], axis=1)
-    seen = (segment_distance_m(points_m, sides_m[:, 0], sides_m[:, 1]) <= ON_FACE_M).any(axis=0)
-    return np.concatenate([sides_m[seen], np.repeat(points_m[:, None], 2, axis=1)])
-
-
-def _distances_m(
-    found: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth
-) -> tuple[float, float, float]:
-    """Position error, distance of centres and distance to the box, at the found object's time."""
-    # an object without a stamp of its own was measured at the scene's
-    elapsed_s = s_from_ns(found.stamp_ns - scene.stamp_ns) if found.stamp_ns else 0.0
-    moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])
-    at_m = np.array([[found.x_m, found.y_m]]) - moved_m
-    in_box_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).inverse().apply(at_m)[0]
-    outside_m = np.maximum(np.abs(in_box_m) - 0.5 * np.array([truth.length_m, truth.width_m]), 0.0)
-    centre_m = float(np.linalg.norm(in_box_m))
-    to_faces_m = segment_distance_m(at_m, faces_m[:, 0], faces_m[:, 1])
-    return float(min(centre_m, to_faces_m.min(initial=np.inf))), centre_m, float(np.linalg.norm(outside_m))

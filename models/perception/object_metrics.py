@@ -19,7 +19,8 @@ import msgspec
 import numpy as np
 
 from models.perception.evaluation import INTERVAL, Estimate
-from models.perception.metrics import assign_within, object_distances
+from models.perception.metrics import assign_within
+from models.perception.object_error import object_distances
 from msgs.perception import HiddenObject, SceneTruth
 
 #: Position error of a found object at most.

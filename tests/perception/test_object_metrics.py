@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from models.perception.evaluation import bootstrap_weights
-from models.perception.metrics import match_objects, object_distances
+from models.perception.metrics import match_objects
+from models.perception.object_error import object_distances
 from models.perception.object_metrics import (
     HiddenRow,
     ImageTruth,

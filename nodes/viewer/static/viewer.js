@@ -314,32 +314,15 @@ function noRow(columns, text) {
 function showObjects() {
   const { view } = state;
   const rows = view.objects.map((one) => {
-    const truth = nearestTruth(one);
+    // the viewer says which hidden true object is nearest, and both errors (models/perception/object_error.py)
+    const truth = one.nearest;
     return row(
       cell(`#${one.id}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),
-      cell(one.score.toFixed(2)), cell(truth ? truth.object.class : "–"), cell(truth ? `${truth.distance.toFixed(1)} m` : "–"),
+      cell(one.score.toFixed(2)), cell(truth ? truth.class : "–"),
+      cell(truth ? `${truth.face_error.toFixed(1)}, ${truth.centre_error.toFixed(1)} m` : "–"),
     );
   });
   byId("objects").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(6, "none seen")]));
-}
-
-// The hidden truth nearest to a recovered object, by its centre or its outline: the radar sees faces, not centres.
-function nearestTruth(one) {
-  const candidates = ((state.view.truth || {}).objects || []).filter((object) => object.hidden);
-  let best = null;
-  for (const object of candidates) {
-    const distance = distanceToTruth(one.at, object);
-    if (best === null || distance < best.distance) best = { object, distance };
-  }
-  return best;
-}
-
-function distanceToTruth([x, y], { at, size, yaw }) {
-  const [dx, dy] = [x - at[0], y - at[1]];
-  const along = Math.abs(dx * Math.cos(yaw) + dy * Math.sin(yaw)) - size[0] / 2;
-  const across = Math.abs(dy * Math.cos(yaw) - dx * Math.sin(yaw)) - size[1] / 2;
-  const outline = along < 0 && across < 0 ? Math.min(-along, -across) : Math.hypot(Math.max(along, 0), Math.max(across, 0));
-  return Math.min(outline, Math.hypot(dx, dy));
 }
 
 // --- warnings --------------------------------------------------------------------------------------------------------
