@@ -13,6 +13,7 @@ import ast
 import itertools
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -275,6 +276,7 @@ OPERATORS = (
 )  # fmt: skip
 
 
+@cache
 def field_defaults() -> dict[str, str]:
     """Plain defaults of the fields of parameter classes, by names that stand for one default alone."""
     values_of: dict[str, set[str]] = {}

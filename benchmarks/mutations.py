@@ -1,11 +1,12 @@
 """Mutation testing: plausible bugs put into a copy of the sources, one at a time, and the tests that notice.
 
 `benchmarks/mutations.yaml` lists the mutations: text of a file that stands there exactly once, what takes its place,
-and the tests that should notice. Each mutant runs those tests first, then the test file of its module, those that
-import the module, the rest of the tests that mirror its room, and `tests/stability`. It is killed by the first test
-that fails on it twice and passes on the unchanged copy; tests that start processes of the graph are left out.
-The tree itself is never written to. Mutants already judged are taken from the log unless they, their file or the tests
-that ran have changed since. Exit code 1 where a mutant survives.
+and the tests that should notice. A mutant goes through stages: those tests, the test file of its module, those that
+import the module, the rest of the tests that mirror its room, `tests/stability`; all mutants through one stage before
+any goes on to the next. It is killed by the first test that fails on it twice and passes on the unchanged copy. Tests
+that start processes of the graph are left out. The tree itself is never written to. What an earlier run has done is
+taken from the log, stage by stage, unless the mutation, its file or the tests that ran have changed since.
+Exit code 1 where a mutant survives.
 Usage: python -m benchmarks.mutations [--group reviewed] [--only NAME ...] [--jobs 2] [--limit 900] [--json]
 """
 
@@ -15,7 +16,6 @@ import argparse
 import hashlib
 import json
 import os
-import queue
 import re
 import shutil
 import signal
@@ -23,8 +23,9 @@ import subprocess
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
@@ -41,6 +42,9 @@ LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".*_cache", ".hypothesis", "r
 #: Sources of these rooms have tests that mirror them under another name.
 MIRRORED_ROOMS = {"nodes/viewer": ("tests/viewer", "tests/nodes")}
 LAST_STAGE = "tests/stability"
+
+
+Status = Literal["unknown", "killed", "survived", "timed out"]
 
 
 class Mutation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -60,14 +64,16 @@ class Mutation(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Verdict(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of a mutant: its status, the test that killed it, and the test files that ran."""
+    """What became of a mutant: its status (`unknown`: tests are left), the test that killed it, the tests that ran."""
 
     name: str
     group: str
-    status: Literal["killed", "survived", "timed out"]
+    status: Status
     killed_by: str
     seconds: float
     ran: tuple[str, ...]
+    #: Tests that fail without the mutation too, or only sometimes with it: they say nothing.
+    unfit: tuple[str, ...] = ()
     #: Of the mutation, the text of its file and of the tests that ran.
     digest: str
 
@@ -113,7 +119,7 @@ def module_of(file: str) -> str:
     return file.removesuffix(".py").replace("/", ".")
 
 
-def test_stages(root: Path, mutation: Mutation) -> list[list[str]]:
+def stages_of(root: Path, mutation: Mutation) -> list[list[str]]:
     """Tests of a mutant in the order in which they run, none twice; those of one list run together."""
     path = Path(mutation.file)
     files = sorted(str(test.relative_to(root)) for test in (root / "tests").rglob("test_*.py"))
@@ -127,7 +133,8 @@ def test_stages(root: Path, mutation: Mutation) -> list[list[str]]:
     # a test that walks through the whole tree of sources or starts whole programs says nothing of one module
     importing = [file for file in importing if not file.startswith(("tests/docs/", "tests/fuzz/"))]
     stages, taken = [], set[str]()
-    for stage in (list(mutation.tests), own, importing, room, [LAST_STAGE]):
+    last = [LAST_STAGE] if (root / LAST_STAGE).exists() else []
+    for stage in (list(mutation.tests), own, importing, room, last):
         fresh = [test for test in dict.fromkeys(stage) if test not in taken]
         taken |= set(fresh)
         stages += [fresh] if fresh else []
@@ -147,63 +154,73 @@ class Workspace:
     """A copy of the tree in which one mutant at a time lives."""
 
     def __init__(self, root: Path, folder: Path, stop: threading.Event) -> None:
-        self.root, self.folder, self._stop = root, folder / "tree", stop
+        self.folder, self._original, self._stop = folder / "tree", folder / "original", stop
         shutil.copytree(root, self.folder, ignore=LEFT_OUT)
 
-    def judge(self, mutation: Mutation, limit_s: float) -> Verdict:
-        """Run a mutant's tests until one kills it; raises `ValueError` where the mutation does not fit its file."""
-        path, start_s = self.folder / mutation.file, time.monotonic()
-        until_s = start_s + limit_s
-        mutant = mutated(path.read_text(), mutation)
-        ran: list[str] = []
-        status: Literal["killed", "survived", "timed out"] = "survived"
-        killed_by = ""
-        with TemporaryDirectory(dir=self.folder.parent) as cache:
-            path.write_text(mutant)
+    def judge(self, mutation: Mutation, before: Verdict | None, limit_s: float) -> Verdict:
+        """Run the next stage of a mutant's tests; raises `ValueError` where the mutation does not fit its file."""
+        start_s, killed_by, is_over = time.monotonic(), "", False
+        unfit = list(before.unfit) if before else []
+        ran, spent_s = (before.ran, before.seconds) if before else ((), 0.0)
+        stages = [
+            left for stage in stages_of(self.folder, mutation) if (left := [test for test in stage if test not in ran])
+        ]
+        if stages:
             try:
-                for stage in test_stages(self.root, mutation):
-                    ran += stage
-                    if killed_by := self._killer(mutation, mutant, stage, until_s, Path(cache)):
-                        status = "killed"
-                        break
+                killed_by = self._killer(mutation, stages[0], start_s + limit_s - spent_s, unfit)
+                ran = (*ran, *stages[0])
             except _OutOfTimeError:
-                status = "timed out"
-            finally:
-                shutil.copy2(self.root / mutation.file, path)
+                is_over = True
         return Verdict(
             name=mutation.name,
             group=mutation.group,
-            status=status,
+            status="timed out" if is_over else "killed" if killed_by else "unknown" if stages[1:] else "survived",
             killed_by=killed_by,
-            seconds=round(time.monotonic() - start_s, 1),
-            ran=tuple(ran),
-            digest=digest_of(self.root, mutation, ran),
+            seconds=round(spent_s + time.monotonic() - start_s, 1),
+            ran=ran,
+            unfit=tuple(unfit),
+            digest=digest_of(self.folder, mutation, ran),
         )
 
-    def _killer(self, mutation: Mutation, mutant: str, tests: list[str], until_s: float, cache: Path) -> str:
-        """The first test that fails on the mutant, twice, and passes on the unchanged copy; empty: none."""
-        path, unfit = self.folder / mutation.file, list[str]()
-        # kernels that were compiled of others inline what they call: none may outlast a change of it
-        numba_cache = cache if "numba" in mutant or "njit" in mutant else None
-        while failed := self._first_failure(tests, unfit, until_s, numba_cache):
-            fails_again = bool(self._first_failure([failed], [], until_s, numba_cache))
-            shutil.copy2(self.root / mutation.file, path)
-            passes_unchanged = not self._first_failure([failed], [], until_s, None)
-            path.write_text(mutant)
-            if fails_again and passes_unchanged:
-                return failed
-            unfit.append(failed)
-        return ""
+    def _killer(self, mutation: Mutation, tests: list[str], until_s: float, unfit: list[str]) -> str:
+        """The first test that fails on the mutant, twice, and passes on the unchanged copy; empty: none.
+
+        Others that fail are added to `unfit`. Raises `ValueError` for a file that cannot be read as tests at all.
+        """
+        path = self.folder / mutation.file
+        mutant = mutated(path.read_text(), mutation)
+        # with its time of change, by which compiled code is known to be its
+        shutil.copy2(path, self._original)
+        with TemporaryDirectory(dir=self.folder.parent) as cache:
+            # kernels that were compiled of others inline what they call: none may outlast a change of it
+            numba_cache = Path(cache) if "numba" in mutant else None
+            try:
+                while True:
+                    path.write_text(mutant)
+                    failed = self._first_failure(tests, unfit, until_s, numba_cache)
+                    if not failed or failed in unfit:
+                        return ""
+                    fails_again = bool(self._first_failure([failed], [], until_s, numba_cache))
+                    shutil.copy2(self._original, path)
+                    fails_unchanged = bool(self._first_failure([failed], [], until_s, None))
+                    if fails_again and not fails_unchanged:
+                        return failed
+                    if fails_unchanged and "::" not in failed:
+                        raise ValueError(f"{failed}: must be read as tests in an unchanged copy of the tree")
+                    unfit.append(failed)
+            finally:
+                shutil.copy2(self._original, path)
 
     def _first_failure(self, tests: list[str], without: list[str], until_s: float, numba_cache: Path | None) -> str:
         """Name of the first test that fails; empty: none. A file that cannot be read as tests counts as one."""
-        # no test of another module is put in its place by chance
         command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-m", "not graph"]
-        command += ["-n", "0", *(f"--deselect={name}" for name in without), *tests]
+        command += [*(f"--deselect={name}" for name in without), *tests]
         environment = os.environ | {"PYTHONPATH": str(self.folder), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         environment |= {"MIRRORWAVE_RUN_DIR": str(self.folder.parent / "run")}
         environment |= {} if numba_cache is None else {"NUMBA_CACHE_DIR": str(numba_cache)}
         code, output = self._run(command, environment, until_s)
+        if code == 4:
+            raise ValueError(f"tests must exist: {' '.join(output.split())}")
         if code in (0, 5):
             return ""
         names = re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
@@ -244,14 +261,6 @@ def digest_of(root: Path, mutation: Mutation, tests: Iterable[str]) -> str:
     return total.hexdigest()[:16]
 
 
-def still_holds(root: Path, mutation: Mutation, verdict: Verdict) -> bool:
-    """Whether a verdict of an earlier run is that of today: same mutation, same file, same tests."""
-    if verdict.digest != digest_of(root, mutation, verdict.ran):
-        return False
-    names = {name for stage in test_stages(root, mutation) for name in stage}
-    return verdict.status == "killed" or set(verdict.ran) == names
-
-
 def read_log(path: Path) -> dict[str, Verdict]:
     """The newest verdict of each mutant in a log; a last line that was cut counts for nothing."""
     verdicts: dict[str, Verdict] = {}
@@ -264,6 +273,65 @@ def read_log(path: Path) -> dict[str, Verdict]:
     return verdicts
 
 
+def known_verdicts(mutations: Sequence[Mutation], log: Path, root: Path, limit_s: float) -> dict[str, Verdict]:
+    """Verdicts of earlier runs that still hold; `unknown` where tests are left, or time is."""
+    logged, known = read_log(log), dict[str, Verdict]()
+    for mutation in (one for one in mutations if one.name in logged):
+        verdict = logged[mutation.name]
+        if verdict.digest != digest_of(root, mutation, verdict.ran):
+            continue
+        left = {test for stage in stages_of(root, mutation) for test in stage} - set(verdict.ran)
+        if verdict.status != "killed" and left and not (verdict.status == "timed out" and verdict.seconds >= limit_s):
+            verdict = msgspec.structs.replace(verdict, status="unknown")
+        known[mutation.name] = verdict
+    return known
+
+
+class Campaign:
+    """Mutants on their way through the stages, and what is known of each."""
+
+    def __init__(
+        self, mutations: Sequence[Mutation], known: dict[str, Verdict], log: Path, on_verdict: Callable[[Verdict], None]
+    ) -> None:
+        self.verdicts, self._log, self._on_verdict, self._lock = known, log, on_verdict, threading.Lock()
+        self.stop = threading.Event()
+        self._waiting: deque[Mutation] = deque()
+        for mutation in mutations:
+            verdict = known.get(mutation.name)
+            if verdict is None or verdict.status == "unknown":
+                self._waiting.append(mutation)
+            else:
+                on_verdict(verdict)
+        log.parent.mkdir(parents=True, exist_ok=True)
+        if log.exists() and not log.read_bytes().endswith(b"\n"):
+            # a line that was cut must not take the next one with it
+            log.write_bytes(log.read_bytes() + b"\n")
+
+    def work(self, root: Path, limit_s: float) -> None:
+        """Judge mutants in a copy of the tree until none waits."""
+        with TemporaryDirectory(prefix="mutants-") as folder:
+            workspace = Workspace(root, Path(folder), self.stop)
+            while (mutation := self._next()) is not None:
+                self._keep(mutation, workspace.judge(mutation, self.verdicts.get(mutation.name), limit_s))
+
+    def _next(self) -> Mutation | None:
+        with self._lock:
+            return self._waiting.popleft() if self._waiting and not self.stop.is_set() else None
+
+    def _keep(self, mutation: Mutation, verdict: Verdict) -> None:
+        with self._lock:
+            # what was cut short is no verdict
+            if self.stop.is_set():
+                return
+            self.verdicts[verdict.name] = verdict
+            with self._log.open("ab") as stream:
+                stream.write(msgspec.json.encode(verdict) + b"\n")
+            if verdict.status == "unknown":
+                self._waiting.append(mutation)
+            else:
+                self._on_verdict(verdict)
+
+
 def run(
     mutations: Sequence[Mutation],
     log: Path,
@@ -272,51 +340,20 @@ def run(
     limit_s: float = 900.0,
     on_verdict: Callable[[Verdict], None] = lambda verdict: None,
 ) -> list[Verdict]:
-    """Verdicts of mutations in their order, each in a copy of the tree; those that still hold come from the log."""
+    """Verdicts of mutations in their order, each in a copy of the tree; those that still hold come from the log.
+
+    Raises `ValueError` before any test is run where a mutation does not fit its file.
+    """
     for mutation in mutations:
         mutated((root / mutation.file).read_text(), mutation)
-    logged = read_log(log)
-    verdicts = {one.name: logged[one.name] for one in mutations if one.name in logged}
-    verdicts = {
-        one.name: verdicts[one.name]
-        for one in mutations
-        if one.name in verdicts and still_holds(root, one, verdicts[one.name])
-    }
-    for verdict in verdicts.values():
-        on_verdict(verdict)
-    waiting: queue.SimpleQueue[Mutation] = queue.SimpleQueue()
-    for mutation in mutations:
-        if mutation.name not in verdicts:
-            waiting.put(mutation)
-    stop, lock = threading.Event(), threading.Lock()
-    log.parent.mkdir(parents=True, exist_ok=True)
-
-    def work() -> None:
-        with TemporaryDirectory(prefix="mutants-") as folder:
-            workspace = Workspace(root, Path(folder), stop)
-            while not stop.is_set():
-                try:
-                    mutation = waiting.get_nowait()
-                except queue.Empty:
-                    return
-                verdict = workspace.judge(mutation, limit_s)
-                with lock:
-                    if stop.is_set():
-                        return
-                    verdicts[mutation.name] = verdict
-                    with log.open("ab") as stream:
-                        stream.write(msgspec.json.encode(verdict) + b"\n")
-                    on_verdict(verdict)
-
-    workers = min(jobs, waiting.qsize())
-    with ThreadPoolExecutor(max(workers, 1)) as pool:
+    campaign = Campaign(mutations, known_verdicts(mutations, log, root, limit_s), log, on_verdict)
+    with ThreadPoolExecutor(jobs) as pool:
         try:
-            done = [pool.submit(work) for _ in range(workers)]
-            for future in done:
-                future.result()
+            for done in as_completed([pool.submit(campaign.work, root, limit_s) for _ in range(jobs)]):
+                done.result()
         finally:
-            stop.set()
-    return [verdicts[mutation.name] for mutation in mutations]
+            campaign.stop.set()
+    return [campaign.verdicts[mutation.name] for mutation in mutations]
 
 
 def summary(verdicts: Sequence[Verdict]) -> dict[str, dict[str, int]]:
@@ -360,6 +397,8 @@ def main() -> int:
         if arguments.group in (None, one.group)
         and (not arguments.only or any(text in one.name for text in arguments.only))
     ]
+    # ended from outside, it ends its tests and takes its copies away too
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     if arguments.fresh:
         arguments.log.unlink(missing_ok=True)
     running = [one for one in mutations if not one.equivalent]
@@ -381,6 +420,8 @@ def main() -> int:
         for verdict in verdicts:
             if verdict.status != "killed":
                 print(f"{verdict.status}: {verdict.name}")
+        for name in sorted({name for verdict in verdicts for name in verdict.unfit}):
+            print(f"says nothing, fails in an unchanged copy of the tree or by chance: {name}")
     return int(any(verdict.status != "killed" for verdict in verdicts))
 
 
