@@ -37,8 +37,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 ROOT = Path(__file__).resolve().parents[1]
 LIST = ROOT / "benchmarks" / "mutations.yaml"
-#: What a copy of the tree does without.
-LEFT_OUT = shutil.ignore_patterns(".git", ".venv", ".*_cache", ".hypothesis", "runs", "out", "data", "build", "dist")
+#: What a copy of the tree does without, at its top.
+LEFT_OUT = (".git", ".venv", ".pytest_cache", ".mypy_cache", ".ruff_cache", ".hypothesis", "runs", "out", "data")
 #: Sources of these rooms have tests that mirror them under another name.
 MIRRORED_ROOMS = {"nodes/viewer": ("tests/viewer", "tests/nodes")}
 LAST_STAGE = "tests/stability"
@@ -155,7 +155,7 @@ class Workspace:
 
     def __init__(self, root: Path, folder: Path, stop: threading.Event) -> None:
         self.folder, self._original, self._stop = folder / "tree", folder / "original", stop
-        shutil.copytree(root, self.folder, ignore=LEFT_OUT)
+        shutil.copytree(root, self.folder, ignore=lambda path, _: LEFT_OUT if Path(path) == root else ())
 
     def judge(self, mutation: Mutation, before: Verdict | None, limit_s: float) -> Verdict:
         """Run the next stage of a mutant's tests; raises `ValueError` where the mutation does not fit its file."""
