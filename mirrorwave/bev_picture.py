@@ -71,7 +71,7 @@ def draw_bev(
     height = float(np.clip(VIEW_INCH * limits.shape + 1.0, *HEIGHTS_INCH))
     figure = new_figure(VIEW_INCH + SIDE_INCH, height)
     names = [["view", "map"], ["view", "signs"]] if ra_map is not None else [["view", "signs"]]
-    panels = figure.subplot_mosaic(names, width_ratios=(VIEW_INCH, SIDE_INCH))
+    panels: dict[str, Axes] = figure.subplot_mosaic(names, width_ratios=(VIEW_INCH, SIDE_INCH))
     limit_deg = (ra_map.grid if ra_map is not None else RangeAzimuthGrid()).azimuth_limit_deg
     _draw_view(panels["view"], frame, truth, limits, math.radians(limit_deg))
     _finish(panels["view"], limits)

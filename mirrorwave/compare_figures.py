@@ -53,16 +53,17 @@ def draw_comparison(report: Report, path: Path) -> None:
     rows = [drawn for row in asked if (drawn := [(draw, sweep) for draw, sweep in row if report.of(sweep)])]
     figure = new_figure(1.1 * PAGE_INCH, ROW_INCH * max(len(rows), 1) + 1.2)
     grid = figure.add_gridspec(max(len(rows), 1), 1)
-    for place, row in zip(grid, rows, strict=False):
+    for index, row in enumerate(rows):
         widths = [WIDE.get(sweep, 1) for _, sweep in row]
-        for cell, (draw, sweep) in zip(place.subgridspec(1, len(row), width_ratios=widths), row, strict=True):
-            draw(figure.add_subplot(cell), report, sweep)
+        cells = grid[index].subgridspec(1, len(row), width_ratios=widths)
+        for column, (draw, sweep) in enumerate(row):
+            draw(figure.add_subplot(cells[column]), report, sweep)
         _one_scale(figure.axes[-len(row) :])
     for axes in figure.axes:
         axes.tick_params(labelsize=8)
-        axes.xaxis.label.set_size(9)
-        axes.yaxis.label.set_size(9)
-        axes.title.set_size(10)
+        axes.xaxis.label.set_fontsize(9)
+        axes.yaxis.label.set_fontsize(9)
+        axes.title.set_fontsize(10)
     _legend(figure, report)
     save(figure, path, dpi=130)
 

@@ -230,12 +230,13 @@ def _draw_peaks(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
 def _draw_places(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
     """Recovered places, the true ones about them; those of objects that mirrors alone show are filled."""
     direct_m = answer.points_m[answer.path_class == PathClass.LOS]
-    for points_m, style in (
+    marks: tuple[tuple[np.ndarray, dict[str, Any]], ...] = (
         (direct_m, {"s": 6, "color": SKY, "label": "direct peak"}),
         (truth.places_m, {"s": 34, "facecolors": "none", "edgecolors": GREEN, "linewidths": 1.2, "label": TRUE_PLACE}),
         (truth.hidden_m, {"s": 34, "color": GREEN, "alpha": 0.4, "label": "of an object that mirrors alone show"}),
         (answer.recovered_m, {"s": 26, "marker": "x", "color": VERMILION, "linewidths": 1.2, "label": "recovered"}),
-    ):
+    )
+    for points_m, style in marks:
         axes.scatter(points_m[:, 1], points_m[:, 0], **style)
 
 

@@ -189,7 +189,7 @@ def draw_comparison(table: ReflectanceTable, path: Path) -> None:
     from mirrorwave.plot_style import legend_beside, new_figure, save
 
     figure = new_figure(10.0, 9.0)
-    upper, lower = figure.subfigures(2, 1)
+    upper, lower = figure.subfigures(2, 1, squeeze=False).ravel()
     for panel, band in zip(upper.subplots(1, len(table.bands_hz)), table.bands_hz, strict=True):
         _draw_band(panel, table, band)
     panel, seen = lower.subplots(), set[str]()
