@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import sys
 
+from mirrorwave.terminal import HUNG_UP, has_hung_up, hear_hangup, open_closed_streams
+
 
 def main() -> int:
     """Run the command line; returns its exit code."""
+    open_closed_streams()
     try:
+        hear_hangup()
         from mirrorwave.cli import main as run
     except KeyboardInterrupt:
+        if has_hung_up():
+            return HUNG_UP
         sys.stderr.write("mirrorwave: interrupted\n")
         return 1
     return run()

@@ -375,13 +375,20 @@ def die_with_parent(parent_pid: int) -> None:
         raise ProcessLookupError(f"parent process {parent_pid} has gone")
 
 
+def stopping_signals(*numbers: signal.Signals) -> tuple[signal.Signals, ...]:
+    """`numbers`, and SIGHUP, the end of the terminal, unless somebody has asked to outlive it, as `nohup` does."""
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return numbers if is_ignored else (*numbers, signal.SIGHUP)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Host one node as a process; returns the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
     arguments = _arguments(argv)
     if arguments.die_with is not None:
         die_with_parent(arguments.die_with)
     stop = Stop()
-    signal.signal(signal.SIGINT, lambda number, frame: stop.request())
+    for number in stopping_signals(signal.SIGINT):
+        signal.signal(number, lambda number, frame: stop.request())
     signal.signal(signal.SIGTERM, lambda number, frame: stop.request(at_once=True))
     stream = logging.StreamHandler(sys.stderr)
     if arguments.json_log:

@@ -34,7 +34,7 @@ from nodes.launch_file import (
 )
 from nodes.liveness import LATE_S, Doing, Silence, sample
 from nodes.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
-from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat
+from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, stopping_signals
 
 #: How often the output of the nodes is read; a crash wakes the supervisor at once.
 POLL_S = 0.05
@@ -459,12 +459,11 @@ class Supervisor:
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
         def ask(number: int, frame: object) -> None:
-            self.request_stop()
+            # shell and kernel both say that the terminal has gone: nobody is there to ask for haste
+            if number != signal.SIGHUP or not self._stop_requests:
+                self.request_stop()
 
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            # nohup asks to outlive the terminal
-            numbers.append(signal.SIGHUP)
+        numbers = stopping_signals(signal.SIGINT, signal.SIGTERM)
         previous = [signal.signal(number, ask) for number in numbers]
         try:
             yield
