@@ -21,6 +21,7 @@ from typing import Any, TextIO
 
 from msgs.bus import Received
 from msgs.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.whole_files import no_link
 from nodes.child import PATIENCE_S, Child
 from nodes.launch_file import (
     RECORDER_MODULE,
@@ -473,8 +474,11 @@ class Supervisor:
 
 
 def _locked_file(run_dir: Path) -> TextIO:
-    """The lock of a graph's directory, held while it is open; raises `OSError` where another graph holds it."""
-    file = (run_dir / LOCK_NAME).open("a+")
+    """The lock of a graph's directory, held while it is open.
+
+    Raises `OSError` where another graph holds it, `ValueError` where it is a symbolic link.
+    """
+    file = open(run_dir / LOCK_NAME, "a+", opener=no_link)  # noqa: SIM115
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -487,7 +491,7 @@ def _locked_file(run_dir: Path) -> TextIO:
 def read_lock(run_dir: Path) -> dict[str, Any]:
     """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
     try:
-        with (run_dir / LOCK_NAME).open("r") as file:
+        with open(run_dir / LOCK_NAME, opener=no_link) as file:
             owner = json.loads(file.read(1 << 16) or "{}")
     except (FileNotFoundError, ValueError, RecursionError):
         return {}
