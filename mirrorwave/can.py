@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table
+from mirrorwave.terminal import ends_with_reader
 from msgs.wording import counted
 
 if TYPE_CHECKING:
@@ -269,12 +270,13 @@ def monitor(
     node = create(params)
     was_valid = False
     try:
-        for state in _live_states(node, every, duration):
-            was_valid = was_valid or state.valid
-            if as_json:
-                print_json(_state_row(state))
-            else:
-                print_line(_state_line(state))
+        with ends_with_reader():
+            for state in _live_states(node, every, duration):
+                was_valid = was_valid or state.valid
+                if as_json:
+                    print_json(_state_row(state))
+                else:
+                    print_line(_state_line(state))
     finally:
         node.close()
     if not was_valid:
@@ -292,12 +294,13 @@ def _monitor_signals(params: BusParams, every_s: float, duration_s: float | None
     source = LiveSource(CanLink(params))
     start_s = time.monotonic()
     try:
-        for _ in _ticks(every_s, duration_s, lambda: report.read(source.frames(time.monotonic_ns()))):
-            row = {"time_s": time.monotonic() - start_s, "trouble": source.trouble, "frames": report.frames}
-            if as_json:
-                print_json({**row, "known_frames": report.known, "messages": report.messages()})
-            else:
-                _print_signals_now(row, report)
+        with ends_with_reader():
+            for _ in _ticks(every_s, duration_s, lambda: report.read(source.frames(time.monotonic_ns()))):
+                row = {"time_s": time.monotonic() - start_s, "trouble": source.trouble, "frames": report.frames}
+                if as_json:
+                    print_json({**row, "known_frames": report.known, "messages": report.messages()})
+                else:
+                    _print_signals_now(row, report)
     finally:
         source.close()
     if not report.known:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 #: Exit codes as a shell gives them to a program that the signal ended: 128 and its number.
-INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+INTERRUPTED, TERMINATED, HUNG_UP = 128 + signal.SIGINT, 128 + signal.SIGTERM, 128 + signal.SIGHUP
 #: Verbs that have no end of their own, and the options that give them one: told to end, they have done what was asked.
 _UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
     ("launch",): frozenset(),
@@ -20,14 +20,19 @@ _UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
     ("top",): frozenset({"--once", "--json"}),
     ("bag", "record"): frozenset(),
 }
-_ENDING = (signal.SIGINT, signal.SIGTERM)
-_terminated = False
+#: What is said of a verb that was not done; nothing where the terminal has gone.
+_SAID = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
+_heard = signal.SIGINT
 
 
-def hear_termination() -> None:
-    """Take SIGTERM for Ctrl-C, so that what a verb holds is closed as well; not where somebody has it ignored."""
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _terminate)
+def hear_endings() -> None:
+    """Take SIGTERM and SIGHUP, the end of the terminal, for Ctrl-C, so that what a verb holds is closed as well.
+
+    Not where somebody has them ignored, as `nohup` does.
+    """
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _interrupt)
 
 
 def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
@@ -35,8 +40,10 @@ def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     if is_until_told(words):
         return 0
-    sys.stderr.write(f"mirrorwave: {'terminated' if _terminated else 'interrupted'}\n")
-    return TERMINATED if _terminated else INTERRUPTED
+    code = 128 + _heard
+    if code in _SAID:
+        sys.stderr.write(f"mirrorwave: {_SAID[code]}\n")
+    return code
 
 
 def is_until_told(arguments: Sequence[str]) -> bool:
@@ -48,22 +55,37 @@ def is_until_told(arguments: Sequence[str]) -> bool:
 
 def keep_code() -> None:
     """Take no further notice of signals: what was done is done, and the exit code stands."""
-    for number in _ENDING:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def told_by_signal(tell: Callable[[], None]) -> Iterator[None]:
     """While the body runs, a signal to end is passed on to `tell`, and interrupts nothing. For the main thread."""
-    before = [signal.signal(number, lambda _number, _frame: tell()) for number in _ENDING]
+
+    def pass_on(number: int, frame: object) -> None:
+        _hear_once(number)
+        tell()
+
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = [signal.signal(number, pass_on) for number in numbers]
     try:
         yield
     finally:
-        for number, handler in zip(_ENDING, before, strict=True):
+        for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
 
 
-def _terminate(number: int, frame: object) -> None:
-    global _terminated
-    _terminated = True
+def _hear_once(number: int) -> None:
+    # shell and kernel both say that the terminal has gone: the second time is no wish for haste
+    if number == signal.SIGHUP:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupt(number: int, frame: object) -> None:
+    global _heard
+    _hear_once(number)
+    _heard = signal.Signals(number)
     raise KeyboardInterrupt

@@ -308,18 +308,23 @@ def run_dir(domain: str) -> Path:
 def make_run_dir(run_dir: Path) -> None:
     """Make a meeting place where nobody else can enter, or take in one that is there.
 
-    Raises `ValueError` where another user made it first, or could put another in its place: who meets there would be in
-    that user's hands. `OSError` where it cannot be made.
+    Raises `ValueError` where another user made it first, or could write into it or put another in its place: who meets
+    there would be in that user's hands. `OSError` where it cannot be made.
     """
-    run_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    # a parent that is made on the way takes its mode from the umask otherwise
+    run_dir.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    run_dir.mkdir(exist_ok=True, mode=0o700)
     for folder in (run_dir, run_dir.parent):
         # a link counts with what it leads to: its owner chooses that
         for found in (folder.lstat(), folder.stat()):
             if found.st_uid not in (os.geteuid(), 0):
                 raise ValueError(f"{folder}: must belong to who runs the graph or to root, is user {found.st_uid}'s")
     mode = run_dir.parent.stat().st_mode
-    if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-        raise ValueError(f"{run_dir.parent}: everybody may rename what is in it; chmod o-w, or +t")
+    if mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
+        raise ValueError(f"{run_dir.parent}: others may rename what is in it; chmod go-w, or +t")
+    # not mended in silence: what others may have left in it would stay
+    if run_dir.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise ValueError(f"{run_dir}: others may write into it; look what is in it, then chmod 700")
     run_dir.chmod(0o700)
 
 

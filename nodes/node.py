@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 if __name__ == "__main__":
     # told to end while the rest is being loaded: nothing has begun that would have to be ended
-    for _number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(_number, lambda _number, _frame: os._exit(0))
+    for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(_number) is not signal.SIG_IGN:
+            signal.signal(_number, lambda _number, _frame: os._exit(0))
 
 import msgspec
 import psutil
@@ -393,13 +394,20 @@ def die_with_parent(parent_pid: int) -> None:
         raise ProcessLookupError(f"parent process {parent_pid} has gone")
 
 
+def stopping_signals(*numbers: signal.Signals) -> tuple[signal.Signals, ...]:
+    """`numbers`, and SIGHUP, the end of the terminal, unless somebody has asked to outlive it, as `nohup` does."""
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return numbers if is_ignored else (*numbers, signal.SIGHUP)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Host one node as a process; returns the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
     arguments = _arguments(argv)
     if arguments.die_with is not None:
         die_with_parent(arguments.die_with)
     stop = Stop()
-    signal.signal(signal.SIGINT, lambda number, frame: stop.request())
+    for number in stopping_signals(signal.SIGINT):
+        signal.signal(number, lambda number, frame: stop.request())
     signal.signal(signal.SIGTERM, lambda number, frame: stop.request(at_once=True))
     stream = logging.StreamHandler(sys.stderr)
     if arguments.json_log:

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import msgspec
 
+from msgs.whole_files import no_link
 from nodes.supervisor import read_lock
 
 _LOG = logging.getLogger(__name__)
@@ -75,9 +76,8 @@ class TokenFile:
 
 def _read(path: Path) -> bytes:
     """Bytes of a regular file of ours that nobody else can read; raises `ValueError` for any other."""
-    descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
+    with open(path, "rb", opener=no_link) as file:
+        found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o077:
             raise ValueError("must be a regular file of ours, mode 0600")
         return file.read(_MAX_BYTES + 1)

@@ -90,6 +90,15 @@ def test_a_graph_ends_with_the_node_that_ends_it(run_dir: Path) -> None:
     assert (run_folder / "launch.yaml").is_file()
 
 
+def test_a_terminal_that_goes_is_one_request_to_stop(run_dir: Path) -> None:
+    """Shell and kernel both send SIGHUP; a second request would kill the recorder."""
+    supervisor = Supervisor(_launch(tick={}), run_dir)
+    with supervisor._signals():
+        for number, requests in ((signal.SIGHUP, 1), (signal.SIGHUP, 1), (signal.SIGINT, 2)):
+            signal.raise_signal(number)
+            assert supervisor._stop_requests == requests
+
+
 def test_a_killed_node_is_restarted_and_the_others_stay(run_dir: Path) -> None:
     log = _Log()
     launch = _launch(echo={"params": {"kind": "echo"}}, tick={"after": ["echo"]})

@@ -46,7 +46,7 @@ def test_peers_that_leave_at_once_end_no_process() -> None:
 
 def test_a_meeting_place_is_not_one_where_everybody_may_rename(tmp_path: Path) -> None:
     tmp_path.chmod(0o777)
-    with pytest.raises(ValueError, match=r"everybody may rename what is in it; chmod o-w, or \+t"):
+    with pytest.raises(ValueError, match=r"others may rename what is in it; chmod go-w, or \+t"):
         make_run_dir(tmp_path / "graph")
     tmp_path.chmod(0o1777)
     make_run_dir(tmp_path / "graph")
