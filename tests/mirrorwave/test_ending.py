@@ -51,6 +51,12 @@ NODE = ["psutil", "msgs.bus", "nodes.validation", "msgs.zmq_bus", "tests.graph.t
 CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED, signal.SIGHUP: HUNG_UP}
 
 
+def phases(helds: list[str]) -> list[tuple[str, signal.Signals]]:
+    """Every phase with Ctrl-C, the first and the last one with the other signals: a phase takes a second."""
+    others = [(held, number) for number in CODES if number != signal.SIGINT for held in (helds[0], helds[-1])]
+    return [*((held, signal.SIGINT) for held in helds), *others]
+
+
 @pytest.fixture
 def box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of its own, its name short enough for a graph's sockets."""
@@ -90,8 +96,7 @@ def told_while_held(box: Path, held: str, number: signal.Signals, module: str, w
     return process.returncode, said
 
 
-@pytest.mark.parametrize("number", CODES)
-@pytest.mark.parametrize("held", PROCESS)
+@pytest.mark.parametrize(("held", "number"), phases(PROCESS))
 def test_work_that_was_not_done_ends_with_128_and_the_signal(box: Path, held: str, number: signal.Signals) -> None:
     words = ["process", str(box / "none.mcap"), "--out", str(box / "out")]
     code, said = told_while_held(box, held, number, "mirrorwave", words)
@@ -105,9 +110,9 @@ def test_work_that_was_not_done_ends_with_128_and_the_signal(box: Path, held: st
     assert said == said_of[number]
 
 
-@pytest.mark.parametrize("number", CODES)
 @pytest.mark.parametrize(
-    ("held", "verb"), [*((held, "launch") for held in LAUNCH), *((held, "record") for held in RECORD)]
+    ("verb", "held", "number"),
+    [(verb, *phase) for verb, helds in (("launch", LAUNCH), ("record", RECORD)) for phase in phases(helds)],
 )
 def test_what_runs_until_told_is_done_when_told(box: Path, held: str, verb: str, number: signal.Signals) -> None:
     words = {
@@ -117,8 +122,7 @@ def test_what_runs_until_told_is_done_when_told(box: Path, held: str, verb: str,
     assert told_while_held(box, held, number, "mirrorwave", words) == (0, "")
 
 
-@pytest.mark.parametrize("number", CODES)
-@pytest.mark.parametrize("held", NODE)
+@pytest.mark.parametrize(("held", "number"), phases(NODE))
 def test_a_node_is_done_when_told(box: Path, held: str, number: signal.Signals) -> None:
     words = ["tests.graph.toy_nodes", "--name", "tick", "--run-dir", str(box / "t")]
     code, said = told_while_held(box, held, number, "nodes.node", words)

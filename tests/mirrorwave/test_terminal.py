@@ -176,10 +176,9 @@ def test_a_terminal_that_is_closed_costs_no_recording(box: Path) -> None:
 
 @pytest.mark.parametrize("verb", ["topic echo radar/ra_map", "topic hz radar/ra_map --duration 1000", "top"])
 def test_other_verbs_end_at_once_and_quietly(box: Path, verb: str) -> None:
-    with started(verb.split()) as process:
-        # it listens: its bus has made the directory
-        wait_for((box / "t").is_dir)
-        time.sleep(0.5)
+    with graph(box), started(verb.split()) as process:
+        # well within its set-up or its work
+        time.sleep(1.0)
         code, _, trouble = hang_up(process)
     # who has just been looking goes as after Ctrl-C
     assert (code, trouble) == (0 if verb == "top" else HUNG_UP, "")
@@ -284,7 +283,7 @@ def test_verbs_end_quietly_when_their_reader_has_left(verb: str) -> None:
 
 @pytest.mark.parametrize("verb", LISTENING)
 def test_listening_verbs_do_not_wait_for_their_next_line(verb: str, box: Path) -> None:
-    with started(verb.split()) as process:
+    with graph(box), started(verb.split()) as process:
         assert process.stdout is not None
         process.stdout.close()
         assert process.wait(PATIENCE_S) == READER_LEFT
