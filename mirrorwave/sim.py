@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from msgs.radar import RadarSetup
 
 app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
+#: Endings of what `sim run` writes; without one it is SigMF, two files of that name.
+_CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
 for verb in (effects, paths, material, reflectance, wall, dataset, statistics, lidar):
     app.command()(verb)
 
@@ -49,6 +51,8 @@ def run(
     from sim_player.player import ScenePlayer
 
     require_new_file(out)
+    if out.suffix not in ("", *_CAPTURES):
+        raise ValueError(f"--out {out}: a capture's name must end in {' or '.join(_CAPTURES)}, got {out.suffix!r}")
     params = player.Params(
         scene=str(scene),
         seed=seed,

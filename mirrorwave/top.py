@@ -109,12 +109,10 @@ def top(
     as_json: AsJson = False,
 ) -> None:
     """A running graph, live: load, stage times, losses, what is shed; age of the view, deadlines missed."""
-    is_live = not (once or as_json)
-    if is_live:
-        require_graph(domain)
     with _watching(domain, window) as (bus, watch):
-        if is_live:
+        if not (once or as_json):
             with contextlib.suppress(KeyboardInterrupt), ends_with_reader():
+                require_graph(domain)
                 (_show_live if sys.stdout.isatty() else _show_tables)(bus, watch, domain, window)
             return
         with ends_with_reader():

@@ -296,9 +296,13 @@ def test_wrong_scenes_are_one_line(
 
 
 def test_one_scene_through_two_radars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--scene", "launch/scenes/hidden_car_xband.yaml", "--sensor", "xband", "--sensor", "77ghz"]
+    """The picture goes by the scene's name, as far as a file may."""
+    scene = tmp_path / "file.yaml"
+    text = Path("launch/scenes/hidden_car_xband.yaml").read_text(encoding="utf-8")
+    scene.write_text(text.replace("name: hidden_car_xband", "name: a car/hidden"), encoding="utf-8")
+    words = ["--scene", str(scene), "--sensor", "xband", "--sensor", "77ghz"]
     assert cli.main(["compare", *words, "--out", str(tmp_path), "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert [one["sensor"] for one in said] == ["xband", "77ghz"]
     assert all(one["hidden"] >= 1 for one in said)
-    assert (tmp_path / "hidden_car_xband.png").stat().st_size > 10_000
+    assert (tmp_path / "a_car_hidden.png").stat().st_size > 10_000

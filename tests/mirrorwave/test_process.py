@@ -205,3 +205,23 @@ def test_a_scene_goes_by_its_name(ending: str, tmp_path: Path, capsys: pytest.Ca
     assert (found["scene"], found["seed"]) == ("bend in the road", "3")
     assert main(["bag", "info", str(recording)]) == 0
     assert "scene: bend in the road\nseed: 3\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        (["sim", "run", SCENE, "--out", "x.xyz"], "--out x.xyz: a capture's name must end in .mcap or .sigmf-meta or "),
+        (["sim", "dataset", "--out", "file", "--count", "1", "--seed", "1"], "file: File exists"),
+        (["process", "x.mcap", "-p", "dense_predictor.model=x.onnx"], "x.mcap: no such file"),
+    ],
+)
+def test_wrong_files_are_one_line(
+    words: list[str], rule: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(Path(SCENE).absolute()) if word == SCENE else word for word in words]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert rule in said.err
