@@ -102,6 +102,19 @@ def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open, scheme: str, w
         assert page.evaluate(fits)
 
 
+#: Pixels of the strip's upper lane left of its first scan, 66 px from the left, in the colour of objects.
+ORANGE_LEFT = """() => {
+  const strip = document.getElementById('strip');
+  const ratio = strip.width / strip.clientWidth;
+  const { data } = strip.getContext('2d').getImageData(0, 0, Math.floor(65 * ratio), Math.floor(12 * ratio));
+  const wanted = getComputedStyle(document.documentElement).getPropertyValue('--object').trim().slice(1);
+  const parts = wanted.match(/../g).map((part) => parseInt(part, 16));
+  let count = 0;
+  for (let i = 0; i < data.length; i += 4) count += parts.every((part, k) => Math.abs(data[i + k] - part) < 12);
+  return count;
+}"""
+
+
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [PHONE, TABLET, DESK])
 def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, scheme: str, width: int) -> None:
@@ -117,6 +130,13 @@ def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, sc
         assert strip["width"] == pytest.approx(width - 2.0 * padding, abs=0.5)
         assert strip["x"] == pytest.approx(padding, abs=0.5)
         assert seek["x"] + seek["width"] == pytest.approx(strip["x"] + strip["width"], abs=0.5)
+        # the names of the lanes have the colour of axes alone: no mark of few, wide scans is drawn over them
+        page.evaluate("mirrorwave.state.overview = {times_s: [0, 5, 10], seen: [3, 3, 3], marks: []}")
+        page.evaluate("window.dispatchEvent(new Event('resize'))")
+        page.locator("#seek").fill("0")
+        test_page.until(page, "mirrorwave.state.timeline.index === 0")
+        assert page.evaluate(ORANGE_LEFT) == 0
+        assert page.evaluate(ORANGE_LEFT.replace("65", "200")) > 0
         # buttons stand beneath, none beside it
         for button in page.locator("#timeline button:visible").all():
             assert button.bounding_box()["y"] >= seek["y"] + seek["height"] - 1.0

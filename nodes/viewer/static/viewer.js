@@ -553,7 +553,9 @@ function drawStrip() {
   c.fillStyle = colours.object;
   seen.forEach((count, i) => {
     const height = Math.min(count, 3) * 3;
-    c.fillRect(stripX(i) - step / 2, LANES[0][1] + LANES[0][2] - height, step + 0.5, height);
+    // the first and the last are half as wide: the names of the lanes stand left of them
+    const [from, to] = [Math.max(stripX(i) - step / 2, stripX(0)), Math.min(stripX(i) + step / 2, stripX(seen.length - 1))];
+    c.fillRect(from, LANES[0][1] + LANES[0][2] - height, Math.max(to - from, 1) + 0.5, height);
   });
   for (const mark of [...marks].reverse()) {
     const [, y, full] = LANES[laneOf(mark)];
