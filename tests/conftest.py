@@ -14,6 +14,14 @@ class Ending:
         self._running: dict[str, None] = {}
         self._crashed = self._lost = ""
 
+    @pytest.hookimpl(wrapper=True)
+    def pytest_runtestloop(self) -> object:
+        previous = signal.signal(signal.SIGTERM, self._end)
+        try:
+            return (yield)
+        finally:
+            signal.signal(signal.SIGTERM, previous)
+
     def pytest_runtest_logstart(self, nodeid: str) -> None:
         self._running[nodeid] = None
 
@@ -32,7 +40,7 @@ class Ending:
 
     @pytest.hookimpl(optionalhook=True)
     def pytest_testnodedown(self, error: object) -> None:
-        self._lost = str(error or "")
+        self._lost = self._lost or str(error or "")
 
     @pytest.hookimpl(wrapper=True)
     def pytest_sessionfinish(self, session: pytest.Session) -> object:
@@ -41,14 +49,12 @@ class Ending:
             session.exitstatus = pytest.ExitCode.TESTS_FAILED
         return (yield)
 
-    def end(self, number: int, frame: object) -> None:
-        """Handle a signal: end the run."""
+    def _end(self, number: int, frame: object) -> None:
         running = ", ".join(self._running) or "no test"
         pytest.exit(f"{signal.Signals(number).name} while running {running}", pytest.ExitCode.INTERRUPTED)
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    if not hasattr(config, "workerinput"):
-        ending = Ending()
-        config.pluginmanager.register(ending)
-        signal.signal(signal.SIGTERM, ending.end)
+    # who runs tests itself would hand the handler of SIGTERM on to what they fork
+    if config.getoption("dist", "no") != "no" and not hasattr(config, "workerinput"):
+        config.pluginmanager.register(Ending())

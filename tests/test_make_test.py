@@ -18,7 +18,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Nothing is measured against this: it ends a run that would not end.
-PATIENCE_S = 180.0
+PATIENCE_S = 600.0
 #: The end of a run as pytest tells it.
 LAST_LINE = re.compile(r"^(no tests ran|(\d+ (failed|passed)(, )?)+) in [\d.]+s", re.MULTILINE)
 PLAIN, DOCS, GRAPH = range(3)
@@ -41,11 +41,15 @@ def parts() -> list[list[str]]:
 def write(folder: Path, part: int, body: str, at: int) -> None:
     """Three files of three tests; the one of the second file at `at` does `body`."""
     for file in "abc":
-        lines = ["import ctypes, os, re, signal, time", "import pytest"]
-        lines += ["pytestmark = pytest.mark.graph"] if part == GRAPH else []
-        for number in range(3):
-            lines.append(f"def test_{number}(): {body if (file, number) == ('b', at) else 'pass'}")
-        (folder / f"test_{file}.py").write_text("\n".join(lines) + "\n")
+        bodies = [body if (file, number) == ("b", at) else "pass" for number in range(3)]
+        write_file(folder / f"test_{file}.py", part, bodies)
+
+
+def write_file(path: Path, part: int, bodies: list[str]) -> None:
+    lines = ["import ctypes, os, re, signal, time", "import pytest"]
+    lines += ["pytestmark = pytest.mark.graph"] if part == GRAPH else []
+    lines += [f"def test_{number}(): {body}" for number, body in enumerate(bodies)]
+    path.write_text("\n".join(lines) + "\n")
 
 
 def start(folder: Path, part: int, *options: str) -> subprocess.Popen[str]:
@@ -89,29 +93,46 @@ def end(run: subprocess.Popen[str]) -> str:
         (PLAIN, KILLED, 2),
         (DOCS, KILLED, 2),
         (GRAPH, SILENT, 2),
-        (GRAPH, STUCK, 1),
     ],
-    ids=["first killed", "middle killed", "last killed", "of docs killed", "of graphs crashed", "stuck"],
+    ids=["first killed", "middle killed", "last killed", "of docs killed", "of graphs crashed"],
 )
 def test_a_test_that_takes_its_process_with_it_ends_the_run_and_is_named(
     part: int, body: str, at: int, tmp_path: Path
 ) -> None:
-    """Killed, crashed without a word, or ended because it hangs; first, in the middle, last of its file."""
+    """Killed, or crashed without a word; first, in the middle, last of its file."""
     write(tmp_path, part, body, at)
-    run = start(tmp_path, part, "-o", f"faulthandler_timeout={2 if body == STUCK else 600}")
+    run = start(tmp_path, part)
     said = end(run)
     assert run.returncode == 1, said
     assert f"crashed while running 'test_b.py::test_{at}'" in said
     assert LAST_LINE.search(said), said
-    if body == STUCK:
-        assert "Timeout (0:00:02)!" in said
-        assert re.search(rf'test_b\.py", line \d+ in test_{at}', said), said
+
+
+@pytest.mark.parametrize("part", [PLAIN, GRAPH])
+def test_a_test_that_hangs_ends_the_run_and_is_named(part: int, tmp_path: Path) -> None:
+    write_file(tmp_path / "test_b.py", part, [STUCK])
+    run = start(tmp_path, part, "-o", "faulthandler_timeout=1")
+    said = end(run)
+    assert run.returncode == 1, said
+    assert "Timeout (0:00:01)!" in said
+    assert re.search(r'test_b\.py", line \d+ in test_0', said), said
+    assert "crashed while running 'test_b.py::test_0'" in said
+    assert LAST_LINE.search(said), said
+
+
+DIES = f"""
+import os, signal, time
+def pytest_sessionfinish(session):
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker == "gw0": {KILLED}
+    if worker == "gw1": time.sleep(1.0)
+"""
 
 
 def test_a_worker_that_dies_after_its_last_test_fails_the_run(tmp_path: Path) -> None:
+    """Also when another ends in order after it."""
     write(tmp_path, PLAIN, "pass", 0)
-    dies = f"if hasattr(session.config, 'workerinput'): {KILLED}"
-    (tmp_path / "conftest.py").write_text(f"import os, signal\ndef pytest_sessionfinish(session):\n    {dies}\n")
+    (tmp_path / "conftest.py").write_text(DIES)
     run = start(tmp_path, PLAIN)
     said = end(run)
     assert run.returncode == 1, said
