@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import sys
 
-from mirrorwave.ending import ended_by_signal, hear_termination, keep_code
+from mirrorwave.ending import ended_by_signal, hear_signals, keep_code, was_interrupted
 
 
 def main() -> int:
     """Run the command line; returns its exit code."""
     try:
-        hear_termination()
+        hear_signals()
         from mirrorwave.cli import main as run
 
         code = run()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Exception):
+        if not was_interrupted():
+            raise
         code = ended_by_signal()
     keep_code()
     return code

@@ -17,7 +17,7 @@ import typer.core
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from mirrorwave.console import ExitCode, error_line, exit_code_of
-from mirrorwave.ending import INTERRUPTED, ended_by_signal
+from mirrorwave.ending import INTERRUPTED, ended_by_signal, was_interrupted
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
@@ -139,6 +139,8 @@ def main(argv: list[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return ExitCode.FAILED
     except Exception as error:
+        if was_interrupted():
+            return ended_by_signal(argv)
         # the border of the program: whatever went wrong leaves it as one line and a code
         logging.getLogger(__name__).debug("traceback", exc_info=error)
         return _fail(error_line(error), exit_code_of(error))

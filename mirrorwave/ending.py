@@ -5,8 +5,10 @@ Loaded before all else, so it takes little from the library and nothing from els
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -20,23 +22,40 @@ _UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
     ("top",): frozenset({"--once", "--json"}),
     ("bag", "record"): frozenset(),
 }
+#: After so long a lost interrupt is sent again.
+_AGAIN_S = 0.05
 _ENDING = (signal.SIGINT, signal.SIGTERM)
-_terminated = False
+#: The last signal to end that interrupted the process.
+_heard: signal.Signals | None = None
 
 
-def hear_termination() -> None:
-    """Take SIGTERM for Ctrl-C, so that what a verb holds is closed as well; not where somebody has it ignored."""
-    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
-        signal.signal(signal.SIGTERM, _terminate)
+def hear_signals() -> None:
+    """Take SIGTERM for Ctrl-C, so that what a verb holds is closed as well; not where somebody has it ignored.
+
+    Neither is lost where it comes while a library works that can pass on no exception.
+    """
+    for number, untouched in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
+        if signal.getsignal(number) is untouched:
+            signal.signal(number, _interrupt)
+    sys.unraisablehook = _hear_again
+
+
+def was_interrupted() -> bool:
+    """Whether a signal to end has interrupted the process: a library may have made any error of it."""
+    return _heard is not None
 
 
 def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     """The exit code of a verb that was interrupted, by its command line; says so in a line where it was not done."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    # an interrupt that has passed through a library's own Python code has marked the process to end by SIGINT, whatever
+    # its exit code; the mark is taken off where other code in text is run
+    exec("")
     if is_until_told(words):
         return 0
-    sys.stderr.write(f"mirrorwave: {'terminated' if _terminated else 'interrupted'}\n")
-    return TERMINATED if _terminated else INTERRUPTED
+    is_terminated = _heard is signal.SIGTERM
+    sys.stderr.write(f"mirrorwave: {'terminated' if is_terminated else 'interrupted'}\n")
+    return TERMINATED if is_terminated else INTERRUPTED
 
 
 def is_until_told(arguments: Sequence[str]) -> bool:
@@ -63,7 +82,18 @@ def told_by_signal(tell: Callable[[], None]) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _terminate(number: int, frame: object) -> None:
-    global _terminated
-    _terminated = True
+def _hear_again(lost: sys.UnraisableHookArgs) -> None:
+    """Send the signal of an interrupt that could not be raised once more; show all else as it is shown."""
+    if lost.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(lost)
+        return
+    # from elsewhere and a little later: here it would be lost again
+    again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), _heard or signal.SIGINT))
+    again.daemon = True
+    again.start()
+
+
+def _interrupt(number: int, frame: object) -> None:
+    global _heard
+    _heard = signal.Signals(number)
     raise KeyboardInterrupt
