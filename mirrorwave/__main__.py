@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from mirrorwave.ending import ended_by_signal, hear_endings, keep_code
+from mirrorwave.ending import ended_by_signal, hear_signals, keep_code, was_interrupted
 from mirrorwave.terminal import open_closed_streams
 
 
@@ -12,11 +12,13 @@ def main() -> int:
     """Run the command line; returns its exit code."""
     open_closed_streams()
     try:
-        hear_endings()
+        hear_signals()
         from mirrorwave.cli import main as run
 
         code = run()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, Exception):
+        if not was_interrupted():
+            raise
         code = ended_by_signal()
     keep_code()
     return code

@@ -18,7 +18,7 @@ import typer.core
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from mirrorwave.console import ExitCode, error_line, exit_code_of
-from mirrorwave.ending import INTERRUPTED, ended_by_signal
+from mirrorwave.ending import INTERRUPTED, ended_by_signal, was_interrupted
 from mirrorwave.terminal import READER_LEFT
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
@@ -156,6 +156,8 @@ def _run(argv: list[str] | None) -> int:
     except BrokenPipeError:
         return _without_output(READER_LEFT)
     except Exception as error:
+        if was_interrupted():
+            return ended_by_signal(argv)
         # the border of the program: whatever went wrong leaves it as one line and a code
         logging.getLogger(__name__).debug("traceback", exc_info=error)
         return _fail(error_line(error), exit_code_of(error))

@@ -5,8 +5,10 @@ Loaded before all else, so it takes little from the library and nothing from els
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -22,25 +24,39 @@ _UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
 }
 #: What is said of a verb that was not done; nothing where the terminal has gone.
 _SAID = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
-_heard = signal.SIGINT
+#: After so long a lost interrupt is sent again.
+_AGAIN_S = 0.05
+#: The last signal to end that interrupted the process.
+_heard: signal.Signals | None = None
 
 
-def hear_endings() -> None:
+def hear_signals() -> None:
     """Take SIGTERM and SIGHUP, the end of the terminal, for Ctrl-C, so that what a verb holds is closed as well.
 
-    Not where somebody has them ignored, as `nohup` does.
+    Not where somebody has them ignored, as `nohup` does. None is lost where it comes while a library works that can
+    pass on no exception.
     """
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        if signal.getsignal(number) is signal.SIG_DFL:
+    default = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    for number, untouched in default.items():
+        if signal.getsignal(number) is untouched:
             signal.signal(number, _interrupt)
+    sys.unraisablehook = _hear_again
+
+
+def was_interrupted() -> bool:
+    """Whether a signal to end has interrupted the process: a library may have made any error of it."""
+    return _heard is not None
 
 
 def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     """The exit code of a verb that was interrupted, by its command line; says so in a line where it was not done."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    # an interrupt that has passed through a library's own Python code has marked the process to end by SIGINT, whatever
+    # its exit code; the mark is taken off where other code in text is run
+    exec("")
     if is_until_told(words):
         return 0
-    code = 128 + _heard
+    code = 128 + (_heard or signal.SIGINT)
     if code in _SAID:
         sys.stderr.write(f"mirrorwave: {_SAID[code]}\n")
     return code
@@ -76,6 +92,19 @@ def told_by_signal(tell: Callable[[], None]) -> Iterator[None]:
     finally:
         for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
+
+
+def _hear_again(lost: sys.UnraisableHookArgs) -> None:
+    """Send the signal of an interrupt that could not be raised once more; show all else as it is shown."""
+    if lost.exc_type is not KeyboardInterrupt:
+        sys.__unraisablehook__(lost)
+        return
+    number = _heard or signal.SIGINT
+    signal.signal(number, _interrupt)
+    # from elsewhere and a little later: here it would be lost again
+    again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number))
+    again.daemon = True
+    again.start()
 
 
 def _hear_once(number: int) -> None:

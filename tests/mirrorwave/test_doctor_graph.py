@@ -170,7 +170,7 @@ def test_a_graph_that_ended_for_want_of_a_model(tmp_path: Path, monkeypatch: pyt
         assert done.returncode == 2
         monkeypatch.chdir(tmp_path)
         findings = {finding.check: finding for finding in check_graph(Path(root) / "default")}
-    assert findings["graph"].detail == "none runs in this domain"
+    assert findings["graph"].detail == "none runs in this domain; `mirrorwave launch FILE` starts one"
     assert findings["last run"].status is Status.WARNING
     assert "runs/x-1: a FAILED" in findings["last run"].detail
     assert f"{root}/gone" in findings["last run"].detail

@@ -24,15 +24,35 @@ HELD = """
 import runpy, sys, time
 from pathlib import Path
 
+class Gone:
+    def __del__(self):
+        hold()
+
+def hold():
+    Path(reached).touch()
+    while not Path(released).exists():
+        time.sleep(0.02)
+
 class Hold:
     def find_spec(self, name, path=None, target=None):
-        if name == held:
-            Path(reached).touch()
-            while not Path(released).exists():
-                time.sleep(0.02)
+        if name != held:
+            return
+        if way == "lost":
+            # as in a library that cannot pass an error on
+            Gone()
+            time.sleep(600)
+        elif way == "text":
+            exec("hold()", globals())
+        elif way == "other error":
+            try:
+                hold()
+            except KeyboardInterrupt:
+                raise SyntaxError("made of it") from None
+        else:
+            hold()
 
-held, reached, released, module = sys.argv[1:5]
-sys.argv[:] = [module, *sys.argv[5:]]
+held, way, reached, released, module = sys.argv[1:6]
+sys.argv[:] = [module, *sys.argv[6:]]
 sys.meta_path.insert(0, Hold())
 runpy.run_module(module, run_name="__main__", alter_sys=True)
 """
@@ -85,9 +105,11 @@ def started(command: list[str]) -> Iterator[subprocess.Popen[str]]:
             process.kill()
 
 
-def told_while_held(box: Path, held: str, number: signal.Signals, module: str, words: list[str]) -> tuple[int, str]:
+def told_while_held(
+    box: Path, held: str, number: signal.Signals, module: str, words: list[str], way: str = "plain"
+) -> tuple[int, str]:
     """Exit code and stderr of a module that hears a signal where it imports `held`."""
-    with started(["-c", HELD, held, str(box / "reached"), str(box / "released"), module, *words]) as process:
+    with started(["-c", HELD, held, way, str(box / "reached"), str(box / "released"), module, *words]) as process:
         wait_for(process, box / "reached")
         process.send_signal(number)
         # what only takes note of a signal goes on
@@ -108,6 +130,16 @@ def test_work_that_was_not_done_ends_with_128_and_the_signal(box: Path, held: st
         signal.SIGHUP: "",
     }
     assert said == said_of[number]
+
+
+@pytest.mark.parametrize("number", CODES)
+@pytest.mark.parametrize("way", ["lost", "text", "other error"])
+def test_what_a_library_makes_of_an_interrupt_changes_nothing(box: Path, way: str, number: signal.Signals) -> None:
+    """Some lose it, some make another error of it, some mark the process to end by SIGINT whatever comes."""
+    words = ["process", str(box / "none.mcap"), "--out", str(box / "out")]
+    code, said = told_while_held(box, "mirrorwave.offline", number, "mirrorwave", words, way)
+    assert code == CODES[number]
+    assert said.count("\n") == (number != signal.SIGHUP)
 
 
 @pytest.mark.parametrize(
