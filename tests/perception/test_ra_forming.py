@@ -138,15 +138,15 @@ def test_a_target_on_the_grid_keeps_place_power_and_phase() -> None:
 def test_noise_power_is_that_of_empty_cells() -> None:
     """Empty cells (512 x ~13 independent, window-correlated over 1.9 bins: 1.7 % rms) against the figure; 4 sigma."""
     formed = _form(_scan(SETUP, (500.0, 0.0), level_dbm=-300.0, noise_power_mw=RADAR.noise_power_mw))
-    assert np.mean(np.abs(formed.values) ** 2) == pytest.approx(formed.noise_power_mw, rel=0.07)
+    assert np.mean(np.abs(formed.values) ** 2) == pytest.approx(formed.noise_power_mw, rel=0.07, abs=0.0)
     expected_mw = RADAR.noise_power_mw * 1.5 / (2048 * 16) * 0.583
-    assert formed.noise_power_mw == pytest.approx(expected_mw, rel=0.03)
+    assert formed.noise_power_mw == pytest.approx(expected_mw, rel=0.03, abs=0.0)
     assert formed.incoherent.sum() <= 2
 
 
 def test_strong_target_leaves_the_noise_figure_alone() -> None:
     formed = _form(_scan(SETUP, (30.0, 0.0), level_dbm=-30.0, noise_power_mw=RADAR.noise_power_mw))
-    assert formed.noise_power_mw == pytest.approx(RADAR.noise_power_mw * 1.5 / (2048 * 16) * 0.583, rel=0.03)
+    assert formed.noise_power_mw == pytest.approx(RADAR.noise_power_mw * 1.5 / (2048 * 16) * 0.583, rel=0.03, abs=0.0)
 
 
 @pytest.mark.parametrize("speed_mps", [0.0, 5.0, -10.0, 15.0, 21.4, -30.0, 40.0])
@@ -304,8 +304,8 @@ def test_welch_power_of_a_static_target() -> None:
     assert 20.0 * np.log10(abs(formed.values[row, column])) == pytest.approx(-40.0, abs=0.3)
     assert (formed.values.imag == 0.0).all()
     assert formed.incoherent.all()
-    assert formed.noise_power_mw == pytest.approx(RADAR.noise_power_mw * 1.5 / 2048, rel=0.03)
-    assert np.mean(formed.values[300:].real ** 2) == pytest.approx(formed.noise_power_mw, rel=0.05)
+    assert formed.noise_power_mw == pytest.approx(RADAR.noise_power_mw * 1.5 / 2048, rel=0.03, abs=0.0)
+    assert np.mean(formed.values[300:].real ** 2) == pytest.approx(formed.noise_power_mw, rel=0.05, abs=0.0)
 
 
 def test_welch_survives_flicker_that_cancels_the_mean() -> None:
@@ -414,7 +414,7 @@ def test_sums_of_neighbouring_samples_keep_the_noise() -> None:
     """White noise stays white: its power holds near the radar; medians of 25 beams of 512 bins, 3 %."""
     beams = _scan(SETUP, (20.0, 4.0), level_dbm=-200.0, noise_power_mw=1e-6)
     whole, summed = _form(beams), _form(beams, decimation=2)
-    assert summed.noise_power_mw == pytest.approx(whole.noise_power_mw, rel=0.1)
+    assert summed.noise_power_mw == pytest.approx(whole.noise_power_mw, rel=0.1, abs=0.0)
     near = np.median(np.abs(summed.values[2:60]) ** 2) / np.median(np.abs(whole.values[2:60]) ** 2)
     assert near == pytest.approx(1.0, rel=0.1)
 

@@ -100,7 +100,7 @@ def test_worked_example_of_the_module() -> None:
     """The docstring's numbers by hand; (a / r)^2 stands for a^2 / (r^2 + a^2), 4e-7 less."""
     spad = SpadParams()
     photon_j = 6.626_070_15e-34 * 299_792_458.0 / 850e-9
-    assert photon_j == pytest.approx(2.33700e-19, rel=1e-5)
+    assert photon_j == pytest.approx(2.33700e-19, rel=1e-5, abs=0.0)
     assert 1.6e-3 / 15e6 / photon_j == pytest.approx(4.56427e8, rel=2e-6)
     sent = 1.6e-3 / 15e6 / photon_j * 0.6 * 0.6 * 0.28
     assert photons_per_pulse(spad) == pytest.approx(sent, rel=1e-14)

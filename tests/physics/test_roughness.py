@@ -78,7 +78,7 @@ def test_coherent_and_diffuse_share_the_power() -> None:
     heights = np.linspace(0.0, 10e-3, 50)
     total = coherent_power(heights, 0.7, WAVELENGTH_M) + diffuse_share(heights, 0.7, WAVELENGTH_M)
     np.testing.assert_allclose(total, 1.0, atol=1e-15)
-    assert diffuse_share(roughness_of(1e-8), 1.0, WAVELENGTH_M) == pytest.approx(1e-16, rel=1e-9)
+    assert diffuse_share(roughness_of(1e-8), 1.0, WAVELENGTH_M) == pytest.approx(1e-16, rel=1e-9, abs=0.0)
 
 
 def test_specular_gain_is_a_power_ratio() -> None:

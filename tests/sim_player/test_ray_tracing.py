@@ -54,7 +54,9 @@ def objects_seen(paths: Paths) -> set[int]:
 def test_radar_equation(range_m: float) -> None:
     """1 m^2 without antenna: P lambda^2 / ((4 pi)^3 R^4), in mW; tolerance: rounding."""
     power_mw = 1.6 * RADAR.wavelength_m**2 / ((4.0 * math.pi) ** 3 * range_m**4)
-    assert echo_amplitude(RADAR, np.array([1.0]), np.array([range_m]))[0] ** 2 == pytest.approx(power_mw, rel=1e-12)
+    assert echo_amplitude(RADAR, np.array([1.0]), np.array([range_m]))[0] ** 2 == pytest.approx(
+        power_mw, rel=1e-12, abs=0.0
+    )
 
 
 @pytest.mark.parametrize("range_m", [10.0, 20.0, 50.0, 100.0])
@@ -80,7 +82,7 @@ def test_flash_of_a_metal_wall_is_the_image_of_the_radar(distance_m: float) -> N
     paths = paths_of(wall((distance_m, -5.0), (distance_m, 5.0)))
     flash = paths.take(np.abs(paths.amplitude) == np.abs(paths.amplitude).max())
     power_mw = 1.6 * (RADAR.wavelength_m / (4.0 * math.pi * 2.0 * distance_m)) ** 2
-    assert np.abs(flash.amplitude[0]) ** 2 == pytest.approx(power_mw, rel=1e-3)
+    assert np.abs(flash.amplitude[0]) ** 2 == pytest.approx(power_mw, rel=1e-3, abs=0.0)
     assert flash.length_m[0] == pytest.approx(2.0 * distance_m)
     assert flash.azimuth_rad[0] == pytest.approx(0.0)
     # the image of an ideal mirror is the radar, phase turned: r = -1

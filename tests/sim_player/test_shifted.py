@@ -111,7 +111,7 @@ def test_echoes_weaken_and_noise_does_not() -> None:
     assert not found[:, 7].any()
     alive = found[:, ~dead]
     assert alive.mean() / echo == pytest.approx(gain[0], rel=0.02)
-    assert np.mean(np.abs(alive - gain[0] * echo) ** 2) == pytest.approx(noise_mw, rel=0.03)
+    assert np.mean(np.abs(alive - gain[0] * echo) ** 2) == pytest.approx(noise_mw, rel=0.03, abs=0.0)
 
 
 def test_shards_say_which_beams_are_missing(hard: Path) -> None:
