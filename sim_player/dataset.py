@@ -94,6 +94,9 @@ def write_dataset(
     out_dir = out_dir.resolve()
     out_dir.mkdir(parents=True, exist_ok=True)
     _claim(out_dir, recipe.described(seed))
+    for part in out_dir.glob("*shard-*.part"):
+        # of a run that was killed
+        part.unlink(missing_ok=True)
     manifest = _Manifest(out_dir / "manifest.jsonl")
     jobs = _jobs(out_dir, count, seed, recipe)
     _refuse_to_shrink(out_dir, jobs, manifest)
