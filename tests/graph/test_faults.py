@@ -63,6 +63,7 @@ SECOND_NS = 1_000_000_000
 BEAMS_A_SCAN = 25
 #: A user of no rights.
 NOBODY = 65_534
+ENTER = stat.S_IXGRP | stat.S_IXOTH
 #: Of the virtual clock: a clock may be set back from here.
 START_NS = 10_000 * SECOND_NS
 CAN_BUS = {
@@ -631,16 +632,19 @@ def _as_anybody(folder: Path) -> Iterator[None]:
     if os.geteuid() != 0:
         yield
         return
-    ways = [one for one in (folder, *folder.parents) if not one.stat().st_mode & stat.S_IXOTH]
-    for way in ways:
-        way.chmod(way.stat().st_mode | stat.S_IXOTH)
+    ways = {way: way.stat().st_mode for way in (folder, *folder.parents)}
+    for way, mode in ways.items():
+        # root's group is kept: it may need its own permission
+        if mode & ENTER != ENTER:
+            way.chmod(mode | ENTER)
     try:
         os.seteuid(NOBODY)
         yield
     finally:
         os.seteuid(0)
-        for way in ways:
-            way.chmod(way.stat().st_mode & ~stat.S_IXOTH)
+        for way, mode in ways.items():
+            if mode & ENTER != ENTER:
+                way.chmod(stat.S_IMODE(mode))
 
 
 def _is_refused(path: Path, rule: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
