@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from benchmarks.six_scenes import SCENES
+from mirrorwave.plot_style import handles_of, legend_of_figure, new_figure, save
 from models.perception.chain import Chain
 from models.perception.detectors import NetworkDetector
 from models.perception.metrics import Counts, match_objects, recovered_counts
@@ -378,16 +379,11 @@ _BOARDS = "measured_gains"
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Small multiples: one pair of panels a fault, found share over face error, flagged severities shaded."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
     of_fault = {name: [row for row in rows if row.fault == name] for name in FAULTS}
     names = [name for name, mine in of_fault.items() if mine and name not in ("none", _BOARDS)]
-    across = min(4, len(names))
+    across = min(3, len(names))
     down = -(-len(names) // across)
-    figure = plt.figure(figsize=(3.6 * across, 3.7 * down + 0.7), layout="constrained")
+    figure = new_figure(max(3.3 * across, 7.0), 3.5 * down + 1.0)
     blocks = figure.subfigures(down, across, squeeze=False)
     for name, block in zip(names, blocks.ravel(), strict=False):
         shares, errors = block.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -395,19 +391,11 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         shares.set_ylim(-0.05, 1.1 * max(1.0, *(row.ghosts / row.scans for row in rows)))
         if name == "gain_errors":
             _draw_boards(shares, errors, of_fault[_BOARDS])
-    lines, labels = blocks[0, 0].axes[0].get_legend_handles_labels()
-    more_lines, more_labels = blocks[0, 0].axes[1].get_legend_handles_labels()
     scans = min(row.scans for row in rows)
-    figure.legend(
-        [*lines, *more_lines],
-        [*labels, *more_labels],
-        loc="outside upper center",
-        ncols=6,
-        title=f"Hidden vehicles in six scenes under hardware faults the chain is not told of, {scans} scans a point",
-    )
+    title = f"Hidden vehicles in six scenes under hardware faults that the chain does not know, {scans} scans a point"
+    legend_of_figure(figure, handles_of(*figure.axes), columns=3, loc="outside upper center", title=title)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path)
 
 
 def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> None:
@@ -434,8 +422,8 @@ def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> 
         telling = max(flagged.flags, key=lambda flag: (flagged.flags[flag], flag != "missing_beams"))
         said = f"flagged from {flagged.severity:g}: {telling.replace('_', ' ')}"
     shares.set_title(f"{fault.title}\n{said}", fontsize=9)
-    shares.set(yticks=(0, 0.5, 1, 1.5), xlim=(-0.5, len(rows) - 0.5))
-    errors.set(ylim=(0, 2.5), yticks=(0, 1, 2), ylabel="m", xticks=at)
+    shares.set(ylabel="share", yticks=(0, 0.5, 1, 1.5), xlim=(-0.5, len(rows) - 0.5))
+    errors.set(ylim=(0, 2.5), yticks=(0, 1, 2), ylabel="error [m]", xticks=at)
     errors.set_xticklabels(["none", *(f"{row.severity:g}" for row in rows[1:])], fontsize=8)
     errors.set_xlabel(fault.unit, fontsize=9)
     for axis in (shares, errors):
@@ -451,7 +439,7 @@ def _draw_boards(shares: Any, errors: Any, rows: Sequence[Row]) -> None:
         shares.plot(at, row.found_share, "*", color="black", ms=9)
         errors.plot(at, row.error_mean_m, "*", color="black", ms=9)
         errors.annotate(f"board {row.severity:g}", (at, row.error_mean_m), (0, -12), textcoords="offset points",
-                        ha="center", fontsize=7)  # fmt: skip
+                        ha="center", fontsize=8)  # fmt: skip
 
 
 def main() -> None:

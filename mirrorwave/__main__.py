@@ -1,18 +1,25 @@
-"""`mirrorwave`, and `python -m mirrorwave`: whoever ends it while it is still being loaded gets a line as well."""
+"""`mirrorwave`, and `python -m mirrorwave`: whoever ends it while it is still being loaded gets the same code."""
 
 from __future__ import annotations
 
 import sys
 
+from mirrorwave.ending import ended_by_signal, hear_endings, keep_code
+from mirrorwave.terminal import open_closed_streams
+
 
 def main() -> int:
     """Run the command line; returns its exit code."""
+    open_closed_streams()
     try:
+        hear_endings()
         from mirrorwave.cli import main as run
+
+        code = run()
     except KeyboardInterrupt:
-        sys.stderr.write("mirrorwave: interrupted\n")
-        return 1
-    return run()
+        code = ended_by_signal()
+    keep_code()
+    return code
 
 
 if __name__ == "__main__":

@@ -17,6 +17,7 @@ from mirrorwave.console import (
     progress_bar,
     require_picture,
 )
+from msgs.wording import counted
 
 
 class KindOption(StrEnum):
@@ -70,5 +71,5 @@ def annotate(
         columns = ("file", "points", "start", "fitness", "rmse_m", "hold", "conflict")
         print_table(columns, [[one.get(name) for name in columns] for one in done.report["clouds"]])
         counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in done.report["points"].items())
-        print_line(f"{out / manifest.name / frame}: {len(done.labels.walls_m)} walls; points: {counts}")
+        print_line(f"{out / manifest.name / frame}: {counted(len(done.labels.walls_m), 'wall')}; points: {counts}")
     return ExitCode.DONE_WITH_LOSS if done.refused else ExitCode.DONE

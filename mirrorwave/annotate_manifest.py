@@ -12,6 +12,7 @@ import numpy as np
 from models.perception.registration import RegistrationParams
 from models.perception.slice_labels import SliceParams, WallRules
 from nodes.launch_file import read_yaml_mapping
+from nodes.validation import convert_at
 
 
 class Pose(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -86,9 +87,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 def load_manifest(path: Path) -> Manifest:
     """Read and check a manifest; ValueError in one line that names file, field, value and rule."""
-    content = read_yaml_mapping(path)
+    manifest = convert_at(read_yaml_mapping(path), Manifest, f"{path}: ")
     try:
-        manifest = msgspec.convert(content, Manifest)
         _require_finite(msgspec.to_builtins(manifest), "")
         return manifest
     except ValueError as error:

@@ -19,16 +19,16 @@ import msgspec
 import numpy as np
 
 from mirrorwave.profiles import LAUNCH_DIR, with_profile
+from mirrorwave.raw_data import require_raw
 from msgs.bus import Outgoing, Received
 from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame, Peaks, SceneTruth
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
-from msgs.topics import SENSOR_TOPICS
 from msgs.units import ns_from_s
 from msgs.vehicle import VehicleState
 from nodes.launch_file import read_launch_file, with_overrides
 from nodes.node import InProcessGraph, Node, load_node
-from nodes.player import Event, capture_events
+from nodes.player import capture_events
 
 
 class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -111,13 +111,14 @@ class Perception:
 def views(capture: str | PathLike[str], profile: str = "default", overrides: Sequence[str] = ()) -> Iterator[View]:
     """The view of every scan of a capture, MCAP or SigMF: what `mirrorwave process` writes, as values.
 
-    Raises `ValueError` naming the file where it is no capture, holds no set-up or no beam.
+    Raises `ValueError` naming the file where it is no capture, holds no set-up, no beam, or beams of one direction.
     """
     perception = Perception(None, profile, overrides)
     truth: dict[int, SceneTruth] = {}
     waiting: list[View] = []
     # truth stands behind the beams it belongs to: a view goes out when the next one comes
-    for event in _events_of(Path(capture)):
+    require_raw(Path(capture))
+    for event in capture_events(Path(capture)):
         message = event.outgoing.message
         if isinstance(message, SceneTruth):
             truth[message.scan_id] = message
@@ -151,19 +152,6 @@ def scan_beams(
         )
         for index, (azimuth_rad, codes) in enumerate(zip(setup.beams.azimuth_rad, samples, strict=True))
     ]
-
-
-def _events_of(capture: Path) -> Iterator[Event]:
-    """Events of a capture; a set-up, if there is one, stands before all beams."""
-    seen: set[str] = set()
-    for event in capture_events(capture):
-        seen.add(event.outgoing.topic)
-        for setup, raw in SENSOR_TOPICS:
-            if raw in seen and setup not in seen:
-                raise ValueError(f"{capture}: holds no {setup}")
-        yield event
-    if not any(raw in seen for _, raw in SENSOR_TOPICS):
-        raise ValueError(f"{capture}: holds no radar/beam and no lidar/histograms")
 
 
 class _Outlet(Node):

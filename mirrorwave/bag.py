@@ -44,6 +44,8 @@ from mirrorwave.console import (
     progress_bar,
     require_new_file,
 )
+from mirrorwave.running_graph import is_running, no_graph, require_graph
+from msgs.wording import counted
 
 app = typer.Typer(help="Record, inspect, replay, recover, trim and convert recordings (MCAP).", no_args_is_help=True)
 app.command()(play)
@@ -80,6 +82,8 @@ def record(
     )
     require_new_recording(out, options)
     require_seconds("--duration", duration)
+    # a recorder alone would record its own heartbeats
+    require_graph(domain)
     name = f"bag_record-{os.getpid()}"
     bus = ZmqBus(name, meeting_place)
     try:
@@ -114,7 +118,7 @@ def _report_recorded(recorder: Any) -> None:
     missing = recorder.lost + getattr(recorder, "missed", 0)
     for path in recorder.paths:
         print_line(str(path))
-    print_line(f"{recorder.messages} messages, {missing} missing")
+    print_line(f"{counted(recorder.messages, 'message')}, {missing} missing")
     if recorder.refused:
         print_line(recorder.refused)
     if missing or recorder.refused:
@@ -132,6 +136,8 @@ def snapshot(
     from nodes.snapshot_trigger import ask, find_recorders
 
     recorders = find_recorders(run_dir(domain))
+    if not recorders and not is_running(domain):
+        raise no_graph(domain)
     if not recorders:
         raise ValueError(f"domain {domain!r}: no recorder with --snapshot runs here")
     answers = [ask(path, timeout) for path in recorders]
@@ -139,7 +145,8 @@ def snapshot(
         print_json(answers)
     else:
         for answer in answers:
-            print_line(answer.error or f"{answer.path}: {answer.messages} messages, the last {answer.span_s:.1f} s")
+            held = f"{counted(answer.messages, 'message')}, the last {answer.span_s:.1f} s"
+            print_line(answer.error or f"{answer.path}: {held}")
     if any(answer.error for answer in answers):
         raise typer.Exit(ExitCode.FAILED)
     if any(answer.lost for answer in answers):
@@ -222,7 +229,7 @@ def convert(
 
 
 def _print_conversion(found: Conversion) -> None:
-    print_line(f"{found.out}: {found.format.value}, {sum(found.converted.values())} messages converted")
+    print_line(f"{found.out}: {found.format.value}, {counted(sum(found.converted.values()), 'message')} converted")
     parts = (("converted", found.converted), ("not converted", found.not_converted), ("left out", found.left_out))
     rows = [(what, became, count) for became, counts in parts for what, count in counts.items()]
     print_table(("TOPIC", "WHAT BECAME OF IT", "MESSAGES"), rows)
@@ -231,7 +238,7 @@ def _print_conversion(found: Conversion) -> None:
 
 
 def _report_copy(out: Path, count: int, loss: str | None) -> None:
-    print_line(f"{out}: {count} messages" + (f"; the source had lost some: {loss}" if loss else ""))
+    print_line(f"{out}: {counted(count, 'message')}" + (f"; the source had lost some: {loss}" if loss else ""))
     if loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS if count else ExitCode.FAILED)
 
@@ -253,12 +260,16 @@ def _print_info(found: Any) -> None:
     _print_losses(found.losses)
 
 
+#: Where a recording comes from: of a graph, or of a simulated scene.
+_ORIGIN = ("started_utc", "part", "command", "scene", "seed")
+
+
 def _origin(metadata: dict[str, str]) -> list[str]:
     """Where a recording comes from, as far as it says so; written by anybody, so nothing is taken for granted."""
-    lines = [f"{key}: {metadata[key]}" for key in ("started_utc", "part", "command") if key in metadata]
+    lines = [f"{key}: {metadata[key]}" for key in _ORIGIN if key in metadata]
     try:
         machine = json.loads(metadata.get("machine", ""))
-        lines.append(f"machine: {machine['processor']}, {machine['cores']} cores, {machine['kernel']}")
+        lines.append(f"machine: {machine['processor']}, {counted(machine['cores'], 'core')}, {machine['kernel']}")
     except (ValueError, KeyError, TypeError):
         pass
     if "launch" in metadata:

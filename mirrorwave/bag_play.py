@@ -12,6 +12,7 @@ import typer
 from mirrorwave.bag_options import EndS, File, StartS, Topics, span_ns, split_topics, stop_by_signal
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line
 from msgs.topics import TOPICS
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.replay import Position, ReplayParams, Summary
@@ -164,10 +165,12 @@ def _played(
 
 def _print_summary(found: Summary) -> None:
     rate = "" if found.achieved_rate is None else f", rate {found.achieved_rate:.2f}"
-    print_line(f"{found.path}: {sum(found.messages.values())} messages played in {found.elapsed_s:.2f} s{rate}")
+    print_line(
+        f"{found.path}: {counted(sum(found.messages.values()), 'message')} played in {found.elapsed_s:.2f} s{rate}"
+    )
     if found.answered_on and found.unanswered is not None:
         answered = found.scans - found.unanswered
-        print_line(f"{answered} of {found.scans} scans answered on {found.answered_on}")
+        print_line(f"{answered} of {counted(found.scans, 'scan')} answered on {found.answered_on}")
     elif not found.nodes:
         print_line("no node was there to take them")
     for loss in found.lost:
@@ -196,4 +199,4 @@ def _shown(name: str, total_s: float, has_keys: bool) -> Iterator[Callable[[Posi
 def _where(position: Position, total_s: float) -> str:
     pace = "as fast as it goes" if position.rate == 0.0 else f"rate {position.rate:g}"
     state = "paused" if position.paused else pace
-    return f"{position.time_s:.1f} of {total_s:.1f} s  {state}  {position.messages} messages"
+    return f"{position.time_s:.1f} of {total_s:.1f} s  {state}  {counted(position.messages, 'message')}"

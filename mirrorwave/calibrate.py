@@ -18,6 +18,7 @@ from mirrorwave.console import (
     require_new_file,
     require_picture,
 )
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.calibrate_drive import Solved
@@ -47,13 +48,15 @@ def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = 
 
     from mirrorwave.calibrate_capture import Capture
     from mirrorwave.calibrate_radar import draw_background, measure_background
+    from msgs.whole_files import whole
 
     _require_suffix(out, ".npy")
     _require_new(out, plot)
     source = Capture(capture)
     with progress_bar("scans", min(scans, source.scan_count())) as advance:
         values, quality = measure_background(source, scans, advance)
-    np.save(out, values)
+    with whole(out) as part, part.open("wb") as file:
+        np.save(file, values)
     if plot is not None:
         draw_background(values, source, plot)
     if as_json:
@@ -65,7 +68,7 @@ def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = 
         )
         print_line(
             f"noise: {quality.scan_noise_dbm:.1f} dBm per bin of a scan's beam, {quality.noise_dbm:.1f} dBm after "
-            f"{quality.scans} scans (10 log N: {quality.expected_noise_dbm:.1f} dBm)"
+            f"{counted(quality.scans, 'scan')} (10 log N: {quality.expected_noise_dbm:.1f} dBm)"
         )
         print_line(f"left out as moving: {100.0 * quality.outlier_share:.3f} % of cells")
         print_line(f"wrote {out}; use it with -p ra_former.background={out}")
@@ -88,6 +91,7 @@ def noise(
 
     from mirrorwave.calibrate_capture import Capture
     from mirrorwave.calibrate_radar import draw_noise, measure_noise, receiver_of, scene_with_receiver
+    from msgs.whole_files import write_whole
 
     _require_new(out, plot)
     source = Capture(capture)
@@ -98,7 +102,7 @@ def noise(
         if scene is None
         else scene_with_receiver(scene, floor)
     )
-    out.write_text(text, encoding="utf-8")
+    write_whole(out, text.encode())
     if plot is not None:
         draw_noise(floor, plot)
     if as_json:
@@ -202,11 +206,14 @@ def _write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
     """A file for `launch --params-file`, with what its figures rest on as comments."""
     import yaml
 
+    from msgs.whole_files import write_whole
+
+    seen = f"{counted(one.sightings, 'sighting')} of {counted(len(one.walls), 'wall')}"
     notes = [
-        f"# {one.scans} scans, {one.sightings} sightings of {len(one.walls)} walls, rms {one.rms_m:.3f} m",
+        f"# {counted(one.scans, 'scan')}, {seen}, rms {one.rms_m:.3f} m",
         *(f"# {line}" for line in _lines(one)),
     ]
-    out.write_text("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False), encoding="utf-8")
+    write_whole(out, ("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False)).encode())
 
 
 def _lines(one: Mounting) -> list[str]:

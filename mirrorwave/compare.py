@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -96,7 +97,8 @@ def _one_scene(scene: Path, sensors: list[str] | None, equal: str, seed: int, ou
     with progress_bar("sensors", len(chosen)) as tick:
         views = scene_through(loaded, chosen, what, seed, tick)
     out.mkdir(parents=True, exist_ok=True)
-    picture = out / f"{scene.stem}.png"
+    # a name may hold what a file's must not
+    picture = out / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', loaded.name)}.png"
     draw_scene_through(loaded, views, what, picture)
     found = [view.summary() for view in views]
     if as_json:

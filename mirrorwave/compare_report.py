@@ -17,6 +17,7 @@ from models.physics.link_budget import half_range, map_noise_gain, radar_thresho
 from models.physics.roughness import coherent_power
 from models.training.files import json_lines, write_whole
 from msgs.units import db_from_ratio
+from msgs.wording import counted
 
 DRAWS = 1000
 #: Measures of a row over which a sensor's reach is asked for.
@@ -454,7 +455,7 @@ def cells(row: Row) -> list[str]:
         return [str(row.value), row.sensor, "failed", *[""] * (len(COLUMNS) - 2)]
     return [
         f"{row.value:g}" if isinstance(row.value, float) else row.value,
-        row.sensor if row.failed is None else f"{row.sensor} ({row.scans} scans)",
+        row.sensor if row.failed is None else f"{row.sensor} ({counted(row.scans, 'scan')})",
         *(_with_interval(one) for one in (row.f1_1m, row.f1_2m, row.found)),
         *(_one_digit(value) for value in (row.false_points, row.false_objects, row.snr_db, row.predicted_snr_db)),
         _one_digit(row.loss_db),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import threading
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -46,12 +47,16 @@ def demo(
     domain = "demo"
     watcher = Watcher(run_dir(domain))
     watcher.start()
+    start_s = time.monotonic()
     try:
         code = run_graph(graph, domain, duration, headless=headless)
     finally:
         watcher.stop()
     if code != ExitCode.DONE:
         raise typer.Exit(code)
+    if watcher.frame is None and time.monotonic() - start_s < duration:
+        # told to end before there was anything to see
+        return
     watcher.board.print_table()
     if watcher.frame is None:
         raise RuntimeError("the graph ran but published no view")

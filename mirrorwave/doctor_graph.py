@@ -70,7 +70,7 @@ def graph_findings(run_dir: Path, window_s: float = WINDOW_S) -> Iterator[Findin
     from nodes.supervisor import read_lock
 
     if not read_lock(run_dir) and not list_publishers(run_dir):
-        yield Finding("graph", Status.OK, "none runs in this domain")
+        yield Finding("graph", Status.OK, "none runs in this domain; `mirrorwave launch FILE` starts one")
         yield from _last_run(Path("runs"))
         return
     graph = _look(run_dir, window_s)

@@ -14,6 +14,7 @@ import typer
 
 from mirrorwave.completion import complete_object_sets, complete_profiles
 from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.evaluate_methods import Method
@@ -234,7 +235,7 @@ def _show(report: dict[str, Any], out: Path | None, as_json: bool) -> None:
     if as_json:
         print_json({key: value for key, value in report.items() if key != "per_frame"})
         return
-    print_line(f"{report['frames']} frames of {report['split']}; test set {report['test_sha256']}")
+    print_line(f"{counted(report['frames'], 'frame')} of {report['split']}; test set {report['test_sha256']}")
     for truth in report["methods"][0]["measures"]:
         print_line(f"against {truth} truth:")
         print_table(headline_columns(), headline_rows(report, truth))

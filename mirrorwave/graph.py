@@ -17,6 +17,7 @@ import typer
 from mirrorwave.completion import complete_launch_files
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, require_new_file
 from msgs.topics import TOPICS
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from nodes.launch_file import LaunchFile, NodeEntry
@@ -110,6 +111,7 @@ def graph(
 def running_picture(domain: str, window_s: float, health: bool = False) -> GraphPicture:
     """The running graph of a domain; raises `ConnectionError` where none runs."""
     from mirrorwave.node import collect_heartbeats, topic_rows
+    from mirrorwave.running_graph import no_graph
     from msgs.diagnostics import NodeState
     from msgs.zmq_bus import list_publishers, run_dir
     from nodes.viewer.node_table import is_of_peer
@@ -121,7 +123,7 @@ def running_picture(domain: str, window_s: float, health: bool = False) -> Graph
     }
     rows = {name: topic_rows(beats) for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
     if not rows and not advertised:
-        raise ConnectionError(f"no graph runs in domain {domain!r}: no heartbeat in {window_s:g} s")
+        raise no_graph(domain)
     nodes = []
     for name in sorted({*rows, *(node for _, node in advertised)}):
         state, reason = (heard[name][-1].state, heard[name][-1].reason) if name in rows else ("silent", "no heartbeat")
@@ -150,7 +152,7 @@ def launch_picture(path: Path, health: bool = False) -> GraphPicture:
 
 def text_lines(picture: GraphPicture) -> list[str]:
     """The graph for people: each node, what it reads and from whom, what it publishes and for whom."""
-    lines = [f"{picture.title}: {len(picture.nodes)} nodes, {len(picture.topics())} topics"]
+    lines = [f"{picture.title}: {counted(len(picture.nodes), 'node')}, {counted(len(picture.topics()), 'topic')}"]
     for node in picture.nodes:
         state = "" if node.state == "declared" else f" [{node.state}{': ' + node.reason if node.reason else ''}]"
         lines += ["", f"{node.node}{state}"]

@@ -17,6 +17,8 @@ _COLUMN_GAP, _ROW_GAP, _MARGIN = 56, 20, 28
 _HEIGHT = 46
 _CHARACTER = 8.0
 _SWEEPS = 8
+#: A drawing is shown up to this many times its own size.
+_MOST_SCALE = 1.5
 #: What XML does not allow in any form: a node's reason may hold anything, and one such character spoils the drawing.
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -85,7 +87,8 @@ def svg_text(picture: GraphPicture) -> str:
     places, width, height = _places(layout, boxes)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
-        f'width="{width:.0f}" height="{height:.0f}" role="img">',
+        # as wide as where it stands, no wider than is easily read
+        f'width="100%" style="max-width: {_MOST_SCALE * width:.0f}px; height: auto" role="img">',
         f"<title>{escape(picture.title)}</title><style>{_STYLE}</style>",
         '<defs><marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerUnits="userSpaceOnUse" '
         'markerWidth="10" markerHeight="10" orient="auto-start-reverse">'

@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_new_file
+from msgs.wording import counted
 
 app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others in.")
 
@@ -74,8 +75,9 @@ def xradarnlos(
         print_json({"folder": str(out), "kind": kind.value, **vars(summary)})
     else:
         print_line(
-            f"{out}: {summary.frames} frames, {summary.los_points} LOS and {summary.mirrored_points} mirrored points, "
-            f"{summary.negative_cells} cells below zero, {len(summary.broken)} captures left out"
+            f"{out}: {counted(summary.frames, 'frame')}, {summary.los_points} LOS and "
+            f"{counted(summary.mirrored_points, 'mirrored point')}, "
+            f"{counted(summary.negative_cells, 'cell')} below zero, {counted(len(summary.broken), 'capture')} left out"
         )
     return ExitCode.DONE_WITH_LOSS if summary.broken else ExitCode.DONE
 
@@ -117,7 +119,7 @@ def dca1000(
                 for one in each["returns"]
             ],
         )
-        print_line(f"{out}: {found.whole} maps, ra_map.png and summary.json")
+        print_line(f"{out}: {counted(found.whole, 'map')}, ra_map.png and summary.json")
     return ExitCode.DONE_WITH_LOSS if found.loss else ExitCode.DONE
 
 
@@ -154,8 +156,8 @@ def can(
         print_json({"recording": str(out), **found})
     else:
         verdicts = ", ".join(f"{count} {verdict}" for verdict, count in found["frames_by_verdict"].items())
-        print_line(f"{out}: {found['states']} states, {found['valid_states']} valid")
-        print_line(f"{found['frames']} frames: {verdicts}")
+        print_line(f"{out}: {counted(found['states'], 'state')}, {found['valid_states']} valid")
+        print_line(f"{counted(found['frames'], 'frame')}: {verdicts}")
     return ExitCode.DONE_WITH_LOSS if found["loss"] else ExitCode.DONE
 
 
@@ -175,5 +177,5 @@ def sigmf(
     if as_json:
         print_json({"recording": str(out), **found})
     else:
-        print_line(f"{out}: {found['beams']} beams, {found['truth']} truths")
+        print_line(f"{out}: {counted(found['beams'], 'beam')}, {counted(found['truth'], 'truth')}")
     return ExitCode.DONE

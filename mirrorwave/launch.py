@@ -26,6 +26,8 @@ from mirrorwave.bag_options import (
 )
 from mirrorwave.completion import complete_launch_files, complete_profiles
 from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
+from mirrorwave.ending import told_by_signal
+from msgs.wording import counted
 
 _COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
 _LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red"}
@@ -122,9 +124,11 @@ def run_graph(
     graph = with_origin(graph, command_line(), run_dir(domain))
     earlier = [] if record is None else recorded_files(record)
     with LogPrinter(log_lines(list(graph.nodes))) as printer:
-        code = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer).run()
-    if record is not None and code == ExitCode.DONE:
-        code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])
+        supervisor = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer)
+        with told_by_signal(supervisor.request_stop):
+            code = supervisor.run()
+            if record is not None and code == ExitCode.DONE:
+                code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])
     return code
 
 
@@ -137,7 +141,8 @@ def code_of_recordings(files: list[Path]) -> int:
         with RecordingReader(path) as reader:
             losses = reader.losses or Losses()
             if reader.loss or losses.ended or losses.total:
-                print_line(f"{path}: {reader.loss or losses.ended or f'{losses.total} messages are missing'}")
+                missing = counted(losses.total, "message is missing", "messages are missing")
+                print_line(f"{path}: {reader.loss or losses.ended or missing}")
                 code = ExitCode.DONE_WITH_LOSS
     return code
 
@@ -160,7 +165,7 @@ class LogPrinter:
         """Have `entry` shown; never waits."""
         try:
             if self._left_out:
-                text = f"{self._left_out} lines left out: the terminal did not take them"
+                text = f"{counted(self._left_out, 'line')} left out: the terminal did not take them"
                 self._entries.put_nowait({"node": "launch", "level": "warning", "text": text})
                 self._left_out = 0
             self._entries.put_nowait(entry)

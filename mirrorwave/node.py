@@ -14,7 +14,10 @@ import typer
 
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from mirrorwave.running_graph import no_heartbeat
+from mirrorwave.terminal import ends_with_reader
 from msgs.diagnostics import NodeState, NodeStatus, TopicCount
+from msgs.wording import counted
 from nodes.viewer.node_table import is_of_peer
 
 app = typer.Typer(help="Look at the nodes of a running graph.", no_args_is_help=True)
@@ -36,10 +39,11 @@ def collect_heartbeats(run_dir: Path, window_s: float = WINDOW_S) -> Heartbeats:
     try:
         bus.subscribe("diagnostics/node")
         deadline_s = time.monotonic() + window_s
-        while (remaining_s := deadline_s - time.monotonic()) > 0.0:
-            for received in bus.receive(min(remaining_s, 0.1)):
-                if isinstance(received.message, NodeStatus):
-                    beats.setdefault(received.message.node, []).append(received.message)
+        with ends_with_reader():
+            while (remaining_s := deadline_s - time.monotonic()) > 0.0:
+                for received in bus.receive(min(remaining_s, 0.1)):
+                    if isinstance(received.message, NodeStatus):
+                        beats.setdefault(received.message.node, []).append(received.message)
     finally:
         bus.close()
     return {name: beats[name] for name in sorted(beats)}
@@ -99,8 +103,8 @@ def node_process(pid: int) -> dict[str, Any]:
 
 
 def shed_text(shed: list[dict[str, Any]]) -> str:
-    """What a node left undone, in words: "12 scan behind, 3 beam late"."""
-    return ", ".join(f"{count['count']} {count['what']} {count['reason']}" for count in shed)
+    """What a node left undone, in words: "12 scans behind, 1 beam late"."""
+    return ", ".join(f"{counted(count['count'], count['what'])} {count['reason']}" for count in shed)
 
 
 @app.command("list")
@@ -160,7 +164,7 @@ def _heartbeats(domain: str, window_s: float) -> Heartbeats:
     heard = collect_heartbeats(run_dir(domain), window_s)
     alive = {name: beats for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
     if not alive:
-        raise ConnectionError(f"no graph runs in domain {domain!r}: no heartbeat in {window_s:g} s")
+        raise no_heartbeat(domain, window_s)
     return alive
 
 

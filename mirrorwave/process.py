@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 from mirrorwave.completion import complete_profiles
-from mirrorwave.console import AsJson, ExitCode, print_json, print_line
+from mirrorwave.console import AsJson, ExitCode, compile_line, print_json, print_line, scan_counter
+from msgs.wording import counted
 
 
 def process(
@@ -25,15 +26,11 @@ def process(
     as_json: AsJson = False,
 ) -> None:
     """Hidden objects of a capture, scan by scan, beside the truth where the capture holds it."""
-    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-
     from mirrorwave.offline import run_capture
 
     out = Path("out") / capture.name.split(".")[0] if out is None else out
-    columns = (SpinnerColumn(), TextColumn("{task.completed:.0f} scans"), TimeElapsedColumn())
-    with Progress(*columns, transient=True) as progress:
-        task = progress.add_task("scans", total=None)
-        results = run_capture(capture, out, profile, param, lambda: progress.advance(task))
+    with compile_line(), scan_counter() as advance:
+        results = run_capture(capture, out, profile, param, advance)
     board = results.scoreboard
     if as_json:
         loss = {"scans_with_loss": results.scans_with_loss, "capture_loss": results.capture_loss}
@@ -41,6 +38,8 @@ def process(
     else:
         board.print_table()
         print_line(f"wrote objects.jsonl, tracks.jsonl, timing.jsonl and bev.png into {out}")
+        if results.scans_with_loss:
+            print_line(f"beams are missing or silent in {results.scans_with_loss} of {counted(results.scans, 'scan')}")
         if results.capture_loss:
             print_line(f"{capture}: {results.capture_loss}")
     if results.scans_with_loss or results.capture_loss:

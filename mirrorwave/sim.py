@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -9,18 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.completion import complete_scenes
-from mirrorwave.console import print_line, require_new_file
+from mirrorwave.console import compile_line, print_line, require_new_file
 from mirrorwave.sim_dataset import dataset, statistics
 from mirrorwave.sim_effects import Budget, Effects, effects, paths
 from mirrorwave.sim_fdtd import reflectance, wall
 from mirrorwave.sim_lidar import lidar
 from mirrorwave.sim_material import material
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from msgs.bus import Outgoing
     from msgs.radar import RadarSetup
 
 app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
+#: Endings of what `sim run` writes; without one it is SigMF, two files of that name.
+_CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
 for verb in (effects, paths, material, reflectance, wall, dataset, statistics, lidar):
     app.command()(verb)
 
@@ -39,12 +43,16 @@ def run(
     budget_db: Budget = -20.0,
 ) -> None:
     """Record what the radar or the LiDAR of a scene would measure, with the truth."""
+    from rich.console import Console
     from rich.progress import Progress
 
+    from msgs.whole_files import require_room
     from nodes import player
     from sim_player.player import ScenePlayer
 
     require_new_file(out)
+    if out.suffix not in ("", *_CAPTURES):
+        raise ValueError(f"--out {out}: a capture's name must end in {' or '.join(_CAPTURES)}, got {out.suffix!r}")
     params = player.Params(
         scene=str(scene),
         seed=seed,
@@ -56,27 +64,32 @@ def run(
         effects=choice,
         budget_db=budget_db,
     )
-    source = player.scene_player(params)
+    with compile_line():
+        source = player.scene_player(params)
     total = scans * (2 * len(source.setup.beams) + 1) if isinstance(source, ScenePlayer) else None
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
         raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
+    if isinstance(source, ScenePlayer):
+        require_room(out, scans * source.setup.scan_bytes)
     if not len(source.paths(0)):
         typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
-    with Progress(transient=True) as progress:
+    bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    with compile_line(), bar as progress:
         events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)
+        origin = {"scene": source.scene.name, "seed": str(seed)}
         if out.suffix == ".mcap":
-            write_recording(out, iter(events), {"scene": scene.stem, "seed": str(seed)})
+            write_recording(out, iter(events), origin)
         elif isinstance(source, ScenePlayer):
-            write_sigmf(out, source.setup, iter(events))
-    print_line(f"{out}: {scans} scans of {scene.stem}, seed {seed}")
+            write_sigmf(out, source.setup, iter(events), origin)
+    print_line(f"{out}: {counted(scans, 'scan')} of {source.scene.name}, seed {seed}")
 
 
 def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
     """MCAP recording of messages at the times their stamps say, as if `player` had sent them."""
-    from msgs.recording import RecordingWriter
+    from msgs.recording import whole_recording
 
     sequences: dict[str, int] = {}
-    with RecordingWriter(path, metadata) as writer:
+    with whole_recording(path, metadata) as writer:
         for topic, message in events:
             sequence = sequences.get(topic, 0)
             sequences[topic] = sequence + 1
@@ -90,8 +103,8 @@ def _sent_ns(message: Any) -> int:
     return int(message.azimuth_stamp_ns[-1] if isinstance(message, PhotonHistograms) else message.stamp_ns)
 
 
-def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing]) -> None:
-    """SigMF capture of the beams; the truth goes beside it as a recording."""
+def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
+    """SigMF capture of the beams; the truth goes beside it as a recording with `metadata`."""
     from msgs.radar import RadarBeam
     from msgs.sigmf_capture import write_capture
     from nodes.player import truth_beside
@@ -105,5 +118,10 @@ def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing]) -> No
             elif outgoing.topic == "sim/truth":
                 truths.append(outgoing)
 
-    write_capture(path, setup, beams())
-    write_recording(truth_beside(path), iter(truths), {})
+    meta_path, data_path = write_capture(path, setup, beams())
+    try:
+        write_recording(truth_beside(path), iter(truths), metadata)
+    except BaseException:
+        meta_path.unlink()
+        data_path.unlink()
+        raise

@@ -11,6 +11,7 @@ import typer
 
 from mirrorwave.completion import complete_scenes
 from mirrorwave.console import AsJson, print_json, print_line, print_table
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from sim_player.planner import Plan
@@ -84,9 +85,8 @@ def _print_plan(plan: Plan, name: str) -> None:
     print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
     if not len(plan.echoes):
         typer.echo(f"{name}: no echo reaches the radar, its map holds noise alone", err=True)
-    used = (
-        f"{sum(e.used for e in plan.effects)} of {len(plan.effects)} effects, {len(plan.echoes)} of {plan.traced} paths"
-    )
+    effects = f"{sum(e.used for e in plan.effects)} of {counted(len(plan.effects), 'effect')}"
+    used = f"{effects}, {len(plan.echoes)} of {counted(plan.traced, 'path')}"
     if math.isinf(plan.budget_db):
         print_line(f"{name}: {used}; chosen by hand, nothing bounded")
         return
@@ -137,7 +137,7 @@ def paths(
     rows = [_path_line(found, index, float(power_mw[index])) for index in range(min(len(found), 40))]
     print_table(("kind", "order", "length m", "azimuth deg", "dBm", "object", "wall", "by way of"), rows)
     more = f", the strongest {len(rows)} shown" if len(found) > len(rows) else ""
-    print_line(f"{loaded.name}: {len(found)} paths{more}{'' if plot is None else f'; picture: {plot}'}")
+    print_line(f"{loaded.name}: {counted(len(found), 'path')}{more}{'' if plot is None else f'; picture: {plot}'}")
 
 
 def _path_row(found: Any, index: int, way: Any) -> dict[str, Any]:

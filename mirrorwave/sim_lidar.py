@@ -12,6 +12,7 @@ import typer
 import yaml
 
 from mirrorwave.console import print_line, progress_bar
+from msgs.wording import counted
 
 if TYPE_CHECKING:
     from sim_player.lidar_cloud import Viewpoint
@@ -39,7 +40,7 @@ def lidar(
     The first viewpoint's pose counts as calibrated; give the radar's own place first.
     """
     from mirrorwave.annotate_manifest import Cloud, Manifest, Pose
-    from models.training.files import json_lines
+    from models.training.files import json_lines, write_whole
     from sim_player.lidar_cloud import LidarParams, choose_viewpoints, lidar_cloud, rigid
     from sim_player.scene import load_scene
 
@@ -66,9 +67,9 @@ def lidar(
     manifest = Manifest(name=world.name, radar_height_m=world.radar.height_m, clouds=tuple(clouds), seed=seed)
     content = msgspec.to_builtins(manifest)
     plain = {name: content[name] for name in ("name", "radar_height_m", "seed", "clouds")}
-    (out / "scene.yaml").write_text(yaml.safe_dump(plain, sort_keys=False))
-    (out / "truth.json").write_bytes(json_lines(truth))
-    print_line(f"{out}: {len(places)} clouds of {world.name}, scene.yaml and truth.json, seed {seed}")
+    write_whole(out / "scene.yaml", yaml.safe_dump(plain, sort_keys=False).encode())
+    write_whole(out / "truth.json", json_lines(truth))
+    print_line(f"{out}: {counted(len(places), 'cloud')} of {world.name}, scene.yaml and truth.json, seed {seed}")
 
 
 def _write_cloud(path: Path, points_m: np.ndarray) -> None:

@@ -14,13 +14,16 @@ import numpy as np
 import typer
 
 from mirrorwave.completion import complete_topics
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, ExitCode, print_json, print_line, print_table
+from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
+from mirrorwave.running_graph import FIND_S, is_running, no_graph, publishes, silence
+from mirrorwave.terminal import ends_with_reader
 from mirrorwave.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from msgs.bus import Bus, Received
 from msgs.codec import to_builtins
 from msgs.lidar import LidarSetup
 from msgs.radar import RadarSetup
 from msgs.topics import TOPICS, topic_facts
+from msgs.wording import counted
 
 app = typer.Typer(help="Look at the topics of a running graph.", no_args_is_help=True)
 
@@ -58,6 +61,7 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
         return
     table = [(row["topic"], row["type"], row["rate_hz"] or None, ", ".join(row["publishers"]) or None) for row in rows]
     print_table(("TOPIC", "TYPE", "NOMINAL HZ", "PUBLISHERS"), table)
+    _say_where_no_graph(domain)
 
 
 @app.command()
@@ -82,6 +86,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
     print_table(
         ("", *(name.upper() for name in columns)), [(way, *(row[name] for name in columns)) for way, row in ends]
     )
+    _say_where_no_graph(domain)
 
 
 @app.command()
@@ -120,14 +125,18 @@ def echo(
     deadline_s = None if timeout is None else time.monotonic() + timeout
     seen = 0
     try:
-        for received in _messages(bus, deadline_s):
-            seen += show.message(received)
-            if seen == wanted:
-                return
+        with ends_with_reader():
+            for received in _awaited(bus, domain, topic, deadline_s):
+                seen += show.message(received)
+                if seen == wanted:
+                    return
     finally:
         bus.close()
-    if seen == 0 or wanted is not None:
-        raise TimeoutError(f"{topic}: {seen} messages in {timeout:g} s")
+    if timeout is not None and not (seen or show.refused):
+        raise silence(domain, [topic], timeout)
+    if timeout is not None and (seen == 0 or wanted is not None):
+        refused = f", {show.refused} did not pass --where" if show.refused else ""
+        raise TimeoutError(f"{topic}: {counted(seen, 'message')} in {timeout:g} s{refused}")
 
 
 class _Show:
@@ -152,6 +161,8 @@ class _Show:
         self._field, self._conditions, self._npy = field, conditions, npy
         self._as_json, self._full = as_json, full
         self._csv = CsvLines() if as_csv else None
+        #: Messages that did not pass.
+        self.refused = 0
 
     def message(self, received: Received) -> bool:
         """Print a message; False where it does not pass."""
@@ -159,6 +170,7 @@ class _Show:
         body = to_builtins(received.message, "full" if self._full else "summary")
         body = body if received.topic in TOPICS else body["body"]
         if not all(condition.holds(body) for condition in self._conditions):
+            self.refused += 1
             return False
         part = body if self._field is None else field_of(body, self._field)
         head = {"publisher": envelope.publisher, "sequence": envelope.sequence, "sent_ns": envelope.sent_ns}
@@ -187,24 +199,26 @@ class _Show:
 def hz(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     """Rate of each publisher, from sequence numbers and sending times: messages lost on the way count too."""
     rates, _ = _measure(topics, duration, domain)
+    _require_graph_heard(bool(rates), domain)
     if as_json:
         print_json(rates)
     else:
         columns = ("topic", "publisher", "messages", "rate_hz", "mean_ms", "std_ms", "max_ms", "lost")
         print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in rates])
-    _require_heard(topics, {row["topic"] for row in rates}, duration)
+    _require_heard(topics, {row["topic"] for row in rates}, duration, domain)
 
 
 @app.command()
 def bw(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     """Bytes per second of each topic, header and arrays together."""
     _, volumes = _measure(topics, duration, domain)
+    _require_graph_heard(any(row["messages"] for row in volumes), domain)
     if as_json:
         print_json(volumes)
     else:
         columns = ("topic", "messages", "bytes_per_s", "mean_bytes", "lost", "rejected")
         print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in volumes])
-    _require_heard(topics, {row["topic"] for row in volumes if row["messages"]}, duration)
+    _require_heard(topics, {row["topic"] for row in volumes if row["messages"]}, duration, domain)
 
 
 @app.command()
@@ -225,20 +239,22 @@ def delay(
     bus = _listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup"])))
     try:
         watch = DelayWatch(bus.now_ns())
-        for received in _messages(bus, time.monotonic() + duration):
-            if isinstance(received.message, RadarSetup | LidarSetup):
-                watch.set_up(received.message)
-            if received.topic in wanted:
-                watch.take(received, bus.now_ns())
+        with ends_with_reader():
+            for received in _messages(bus, time.monotonic() + duration):
+                if isinstance(received.message, RadarSetup | LidarSetup):
+                    watch.set_up(received.message)
+                if received.topic in wanted:
+                    watch.take(received, bus.now_ns())
     finally:
         bus.close()
     rows = watch.rows()
+    _require_graph_heard(bool(rows), domain)
     if as_json:
         print_json(rows)
     elif rows:
         print_table([name.upper() for name in rows[0]], [[value or None for value in row.values()] for row in rows])
     if topics or not rows:
-        _require_heard(wanted, {row["topic"] for row in rows}, duration)
+        _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
 
 
 def _listen(domain: str, topics: list[str]) -> Bus:
@@ -273,6 +289,25 @@ def _messages(bus: Bus, deadline_s: float | None) -> Iterator[Received]:
         yield from bus.receive(0.1)
 
 
+def _awaited(bus: Bus, domain: str, topic: str, deadline_s: float | None) -> Iterator[Received]:
+    """Messages as they come; one who would wait for ever hears of it.
+
+    Raises `ConnectionError` where no time was set and no graph has come within `FIND_S`.
+    """
+    first = next(_messages(bus, _earlier(deadline_s, time.monotonic() + FIND_S)), None)
+    if first is not None:
+        yield first
+    elif deadline_s is None and not is_running(domain):
+        raise no_graph(domain)
+    elif deadline_s is None and not publishes(domain, topic):
+        typer.echo(f"nobody publishes {topic} yet: waiting until Ctrl-C", err=True)
+    yield from _messages(bus, deadline_s)
+
+
+def _earlier(deadline_s: float | None, other_s: float) -> float:
+    return other_s if deadline_s is None else min(deadline_s, other_s)
+
+
 def _ends(topic: str, window_s: float, domain: str) -> dict[str, list[dict[str, Any]]]:
     """Publishers and readers of a topic, as sockets and heartbeats tell."""
     from mirrorwave.node import collect_heartbeats, topic_rows
@@ -300,13 +335,14 @@ def _measure(topics: list[str], duration_s: float, domain: str) -> tuple[list[di
     try:
         # a publisher that is slower than it takes to find it is measured from when it must have been found
         start_s = time.monotonic() + _FIND_S
-        for received in _messages(bus, start_s + duration_s):
-            if not marks:
-                start_s = min(start_s, time.monotonic())
-            key = (received.topic, received.envelope.publisher)
-            marks.setdefault(key, []).append((received.envelope.sequence, received.envelope.sent_ns))
-            if time.monotonic() - start_s > duration_s:
-                break
+        with ends_with_reader():
+            for received in _messages(bus, start_s + duration_s):
+                if not marks:
+                    start_s = min(start_s, time.monotonic())
+                key = (received.topic, received.envelope.publisher)
+                marks.setdefault(key, []).append((received.envelope.sequence, received.envelope.sent_ns))
+                if time.monotonic() - start_s > duration_s:
+                    break
         elapsed_s = min(max(time.monotonic() - start_s, 0.0), duration_s)
         counts = {count.topic: count for count in bus.counts()[0]}
     finally:
@@ -340,8 +376,19 @@ def _rate_row(topic: str, publisher: str, seen: list[tuple[int, int]]) -> dict[s
     return row
 
 
-def _require_heard(topics: list[str], heard: set[str], duration_s: float) -> None:
+def _require_heard(topics: list[str], heard: set[str], duration_s: float, domain: str) -> None:
+    """Raise `OSError` naming the topics on which nothing came."""
     silent = [topic for topic in topics if topic not in heard]
     if silent:
-        print_line(f"nothing came on {', '.join(silent)} in {duration_s:g} s")
-        raise typer.Exit(ExitCode.FAILED)
+        raise silence(domain, silent, duration_s)
+
+
+def _require_graph_heard(heard: bool, domain: str) -> None:
+    """Raise `ConnectionError`, before an empty table is shown, where no graph runs."""
+    if not heard and not is_running(domain):
+        raise no_graph(domain)
+
+
+def _say_where_no_graph(domain: str) -> None:
+    if not is_running(domain):
+        print_line(str(no_graph(domain)))

@@ -14,6 +14,8 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
+from msgs.wording import counted
+
 _OPERATORS: dict[str, Callable[[Any, Any], bool]] = {
     "==": operator.eq,
     "!=": operator.ne,
@@ -102,7 +104,7 @@ def text_lines(value: Any, indent: str = "") -> Iterator[str]:
             yield f"{indent}{name}:"
             yield from text_lines(item, indent + "  ")
         elif isinstance(item, list | tuple) and item and isinstance(item[0], dict):
-            yield f"{indent}{name}: {len(item)} items"
+            yield f"{indent}{name}: {counted(len(item), 'item')}"
             for entry in item[:_SHOWN_ITEMS]:
                 yield from text_lines(entry, indent + "  - ")
         else:

@@ -55,7 +55,7 @@ def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -
 
     Raises `ValueError` naming the file and the row where two rows share a name or one sets what no node has.
     """
-    rows = [*profiles(), *convert_at(read_yaml_mapping(path), _SettingsFile, str(path)).rows]
+    rows = [*profiles(), *convert_at(read_yaml_mapping(path), _SettingsFile, f"{path}: ").rows]
     names = [row.name for row in rows]
     for name in names:
         if names.count(name) > 1:

@@ -37,6 +37,7 @@ def confidence(
 ) -> None:
     """Fit the probability that a folded place is true, to what a detector finds and the geometry stage makes of it."""
     import msgspec
+    from rich.console import Console
     from rich.progress import Progress
 
     from models.perception.detectors import NetworkDetector, detector_name
@@ -56,7 +57,7 @@ def confidence(
     scenes, splits = DataSet(data), fixed_splits(data)
     detector = NetworkDetector(scenes.setup, path, 1, PeakParams(threshold=at), refine=refine, flip_test=flip_test)
     places = {}
-    with Progress(disable=json) as progress:
+    with Progress(console=Console(stderr=True), disable=json) as progress:
         for split in ("train", "validation"):
             frames = scenes.frames(splits.of(split))
             if not clean:

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from mirrorwave.console import print_line
+from msgs.wording import counted
 
 
 def view(
@@ -32,7 +33,7 @@ def view(
             ViewerServer(board, title=recording.name, port=port, commands=playback.commands.put) as server,
             contextlib.suppress(KeyboardInterrupt),
         ):
-            print_line(f"{recording}: {playback.count} scans; open {server.url} (Ctrl-C ends it)")
+            print_line(f"{recording}: {counted(playback.count, 'scan')}; open {server.url} (Ctrl-C ends it)")
             if not no_browser:
                 webbrowser.open(server.url)
             playback.run()

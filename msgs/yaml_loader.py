@@ -10,6 +10,14 @@ import yaml
 MAX_DEPTH = 32
 
 
+_WORDS = {type(None): "nothing", bool: "true or false", int: "a number", float: "a number", str: "text", list: "a list"}
+
+
+def in_words(value: object) -> str:
+    """What a value of YAML is, for people; an empty file has none."""
+    return _WORDS.get(type(value), type(value).__name__)
+
+
 class BoundedLoader(yaml.SafeLoader):
     """`SafeLoader` without aliases and tags, `MAX_DEPTH` levels deep at most."""
 

@@ -12,6 +12,7 @@ from typing import Any
 import can
 
 from msgs.units import ns_from_s
+from msgs.wording import counted
 from nodes.can_link import LogFrame, frame_stamp_ns
 
 #: Characters of a line; one with a frame of CAN FD has some hundred.
@@ -48,7 +49,7 @@ def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
                     yield LogFrame(frame, stamp_ns)
         except Exception as error:  # noqa: BLE001 - readers of foreign formats fail in whatever way the damage makes them
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            raise ValueError(f"{path}: cannot be read after {count} frames: {reason}") from None
+            raise ValueError(f"{path}: cannot be read after {counted(count, 'frame')}: {reason}") from None
 
 
 def _reader(kind: str, content: Any) -> Any:

@@ -15,6 +15,7 @@ from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.perception import BevFrame
 from msgs.units import ns_from_s
+from msgs.wording import counted
 from nodes.can_link import MAX_RETRY_S, RETRY_S, BusParams, CanLink, bus_frame, checkout_path, load_dbc
 from nodes.node import Node
 
@@ -124,7 +125,7 @@ class CanOut(Node):
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while the bus takes no frames."""
         if self.outlet.trouble:
-            return NodeState.DEGRADED, f"{self.outlet.trouble}; {self.outlet.refused} frames not sent"
+            return NodeState.DEGRADED, f"{self.outlet.trouble}; {counted(self.outlet.refused, 'frame')} not sent"
         return NodeState.READY, ""
 
     def close(self) -> None:

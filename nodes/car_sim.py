@@ -9,6 +9,7 @@ import msgspec
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.vehicle import VehicleState
+from msgs.wording import counted
 from nodes.can_link import BusParams, CanLink, bus_frame, checkout_path, load_dbc, load_mapping
 from nodes.node import Node
 from sim_player.car import CarShape, SimulatedCar
@@ -51,7 +52,7 @@ class CarSim(Node):
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while the bus takes no frames."""
         if self._link.trouble:
-            return NodeState.DEGRADED, f"{self._link.trouble}; {self.refused} frames not sent"
+            return NodeState.DEGRADED, f"{self._link.trouble}; {counted(self.refused, 'frame')} not sent"
         return NodeState.READY, ""
 
     def close(self) -> None:
@@ -71,7 +72,10 @@ def motion_of(params: Params) -> VehicleState:
         yaw_rate_rps = math.radians(ego.yaw_rate_dps) if yaw_rate_rps is None else yaw_rate_rps
     speed_mps, yaw_rate_rps = speed_mps or 0.0, yaw_rate_rps or 0.0
     steering_rad = params.shape.steering_rad(speed_mps, yaw_rate_rps)
-    return VehicleState(stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, steering_rad=steering_rad)
+    return VehicleState(
+        stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, steering_rad=steering_rad,
+        wheel_speed_difference_mps=params.shape.track_m * yaw_rate_rps,
+    )  # fmt: skip
 
 
 def create(params: Params) -> CarSim:

@@ -12,6 +12,7 @@ from models.perception.confidence import DEFAULT_CONFIDENCE, Confidence, FittedC
 from models.perception.geometry import GeometryParams, recover_bev, warm
 from models.perception.memory import MemoryParams, ScanMemory
 from models.perception.recovery import Residual
+from models.perception.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.perception import BevFrame, Peaks
@@ -20,6 +21,9 @@ from nodes.node import Node
 from nodes.state_history import StateHistory
 
 _LOG = logging.getLogger(__name__)
+
+#: After so much driving without a bias of the yaw rate the node says why there is none.
+BIAS_OVERDUE_S = 30.0
 
 
 class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -49,6 +53,7 @@ class GeometryNode(Node):
         self._states = StateHistory()
         self._memory = ScanMemory(params.memory)
         self._trouble = ""
+        self._bias_source: BiasSource | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One view per set of peaks; what the stage cannot take is refused, counted and said."""
@@ -83,7 +88,16 @@ class GeometryNode(Node):
             view = recover_bev(peaks, *self._parts, self._memory.walls_at(peaks))
         with self.stages("tracking"):
             view = self._memory.tracked(view, peaks.vehicle_from_radar)
+        self._note(self._memory.yaw_rate_bias)
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
+
+    def _note(self, bias: BiasEstimate) -> None:
+        """Log what the bias of the yaw rate is learnt from, whenever that changes."""
+        is_unknown = bias.source is BiasSource.NONE
+        if bias.source == self._bias_source or (is_unknown and bias.driven_s < BIAS_OVERDUE_S):
+            return
+        self._bias_source = bias.source
+        _LOG.log(logging.WARNING if is_unknown else logging.INFO, "%s", bias)
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:

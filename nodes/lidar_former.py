@@ -10,6 +10,7 @@ from models.perception.photon_map import photon_map
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.lidar import LidarSetup, PhotonHistograms
+from msgs.wording import counted
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
@@ -62,7 +63,7 @@ class LidarFormerNode(Node):
         self._refused += 1
         self.shed.add("scan", "refused")
         if trouble != self._trouble:
-            _LOG.warning("%s (%d scans refused so far)", trouble, self._refused)
+            _LOG.warning("%s (%s refused so far)", trouble, counted(self._refused, "scan"))
         self._trouble = trouble
 
 

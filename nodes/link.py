@@ -17,6 +17,7 @@ from msgs.curve_exporter import Exporter
 from msgs.curve_importer import Importer, Server
 from msgs.curve_keys import KeyPair, is_loopback, load_allowed, load_own, load_public
 from msgs.diagnostics import NodeState
+from msgs.tally import MAX_LATCHED
 from msgs.topics import topic_facts
 from nodes.node import NODE_NAME, Node
 
@@ -99,6 +100,7 @@ class Link(Node):
 
     #: A peer counts what is left out as lost.
     wants_all = True
+    max_origins = MAX_LATCHED
 
     def __init__(self, params: Params) -> None:
         super().__init__()
@@ -185,7 +187,7 @@ class Link(Node):
             self._shed(f"{importer.name} handshake", "failed", importer.refused)
             self._shed(f"{importer.name} message", "rejected", importer.rejected)
             for topic, lost in importer.lost().items():
-                self._shed(f"{importer.name} {topic}", "lost on the link", lost)
+                self._shed(f"{importer.name} {topic} message", "lost on the link", lost)
             for round_trip_ns in importer.round_trips_ns():
                 self.stages.add(f"{importer.name} round trip", round_trip_ns)
 

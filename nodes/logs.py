@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from msgs.diagnostics import LogRecord
+from msgs.wording import counted
 
 #: First character of a line that is a JSON record (RFC 7464); all other lines of a child are plain text.
 RECORD_SEPARATOR = "\x1e"
@@ -167,7 +168,7 @@ class LineSplitter:
 
     def _say_left_out(self) -> list[str]:
         count, self._left_out = self._left_out, 0
-        return [f"({count} lines left out: more than {LINES_PER_S} a second)"] if count else []
+        return [f"({counted(count, 'line')} left out: more than {LINES_PER_S} a second)"] if count else []
 
 
 def _tells_state(line: bytes) -> bool:

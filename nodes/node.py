@@ -23,6 +23,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+if __name__ == "__main__":
+    # told to end while the rest is being loaded: nothing has begun that would have to be ended
+    for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(_number) is not signal.SIG_IGN:
+            signal.signal(_number, lambda _number, _frame: os._exit(0))
+
 import msgspec
 import psutil
 
@@ -118,6 +124,8 @@ class Node:
     outputs: tuple[str, ...] = ()
     #: Its inputs come complete, also where receivers otherwise want the newest only.
     wants_all: bool = False
+    #: Publishers that it may speak for on one topic.
+    max_origins: int = 1
     #: How far the node's process gives way to the others where cores are short: Unix niceness, 0..19.
     nice: int = 0
 
@@ -189,8 +197,19 @@ def load_node(module_name: str, params: Mapping[str, Any], name: str | None = No
         raise ValueError(f"{name}.module: {module_name} needs {error.name}, which is not installed") from None
     if not (hasattr(module, "Params") and hasattr(module, "create")):
         raise ValueError(f"{name}.module: {module_name} is no node, it must define Params and create(params)")
-    node: Node = module.create(convert_at(dict(params), module.Params, f"{name}.params"))
+    checked = convert_at(dict(params), module.Params, f"{name}.params")
+    with _compile_notice():
+        node: Node = module.create(checked)
     return node
+
+
+def _compile_notice() -> contextlib.AbstractContextManager[None]:
+    """Log that kernels are compiled, in nodes that have any."""
+    if "numba" not in sys.modules:
+        return contextlib.nullcontext()
+    from nodes.compiling import compile_notice
+
+    return compile_notice(_LOG.info)
 
 
 class Heartbeat:
@@ -375,13 +394,20 @@ def die_with_parent(parent_pid: int) -> None:
         raise ProcessLookupError(f"parent process {parent_pid} has gone")
 
 
+def stopping_signals(*numbers: signal.Signals) -> tuple[signal.Signals, ...]:
+    """`numbers`, and SIGHUP, the end of the terminal, unless somebody has asked to outlive it, as `nohup` does."""
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return numbers if is_ignored else (*numbers, signal.SIGHUP)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Host one node as a process; returns the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
     arguments = _arguments(argv)
     if arguments.die_with is not None:
         die_with_parent(arguments.die_with)
     stop = Stop()
-    signal.signal(signal.SIGINT, lambda number, frame: stop.request())
+    for number in stopping_signals(signal.SIGINT):
+        signal.signal(number, lambda number, frame: stop.request())
     signal.signal(signal.SIGTERM, lambda number, frame: stop.request(at_once=True))
     stream = logging.StreamHandler(sys.stderr)
     if arguments.json_log:
@@ -403,7 +429,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
         if node is None:
             return EXIT_BAD_INPUT
         for topic in node.outputs:
-            bus.advertise(topic)
+            bus.advertise(topic, node.max_origins)
         if node.wants_all:
             bus.want_all()
         _give_way(node.nice)

@@ -297,7 +297,8 @@ def scene_of(params: Params) -> Scene:
     from sim_player.scene import check_scene, load_scene
 
     path = Path(params.scene or "")
-    scene = load_scene(path if path.exists() else CHECKOUT / path)
+    in_checkout = CHECKOUT / path
+    scene = load_scene(in_checkout if in_checkout.exists() and not path.exists() else path)
     if params.object_speed_mps is not None:
         things = tuple(msgspec.structs.replace(thing, speed_mps=params.object_speed_mps) for thing in scene.objects)
         scene = msgspec.structs.replace(scene, objects=things)

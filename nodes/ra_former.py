@@ -21,6 +21,7 @@ from msgs.diagnostics import NodeState
 from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
+from msgs.wording import counted
 from nodes.beam_queue import BeamQueue
 from nodes.node import Node
 from nodes.state_history import StateHistory
@@ -153,7 +154,7 @@ class RaFormerNode(Node):
     def _leave_out(self, reason: str) -> None:
         self.shed.add("scan", reason)
         left_out = sum(count.count for count in self.shed.counts() if count.what == "scan")
-        self._behind = f"{reason}: {left_out} scans left out so far"
+        self._behind = f"{reason}: {counted(left_out, 'scan')} left out so far"
 
     def _is_sound(self, ra_map: RangeAzimuthMap) -> bool:
         """Whether a map is to be published: not one that the bus tore too many beams out of."""
@@ -219,7 +220,7 @@ class RaFormerNode(Node):
         self._refused += what == "beam"
         self.shed.add(what, "refused")
         if trouble != self._trouble:
-            _LOG.warning("%s (%d beams refused so far)", trouble, self._refused)
+            _LOG.warning("%s (%s refused so far)", trouble, counted(self._refused, "beam"))
         self._trouble = trouble
 
 

@@ -21,6 +21,8 @@ from typing import Any, TextIO
 
 from msgs.bus import Received
 from msgs.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.whole_files import no_link
+from msgs.wording import counted
 from nodes.child import PATIENCE_S, Child
 from nodes.launch_file import (
     RECORDER_MODULE,
@@ -34,7 +36,7 @@ from nodes.launch_file import (
 )
 from nodes.liveness import LATE_S, Doing, Silence, sample
 from nodes.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
-from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat
+from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, stopping_signals
 
 #: How often the output of the nodes is read; a crash wakes the supervisor at once.
 POLL_S = 0.05
@@ -193,7 +195,7 @@ class Supervisor:
             self._bus.subscribe("diagnostics/node")
             stack.callback(self._close_all)
             stack.enter_context(self._signals())
-            self._say("info", f"graph {self._launch.name}: {len(self._nodes)} nodes, log in {run_folder}")
+            self._say("info", f"graph {self._launch.name}: {counted(len(self._nodes), 'node')}, log in {run_folder}")
             self._loop()
         return self._exit_code
 
@@ -269,7 +271,9 @@ class Supervisor:
         elif not again or code == EXIT_BAD_INPUT:
             self._end_node(name, node, code)
         elif node.recent_restarts(now_s) >= restart.max_restarts:
-            self._say("error", f"{name} {_how(code)}; {restart.max_restarts} restarts in {restart.window_s:g} s")
+            self._say(
+                "error", f"{name} {_how(code)}; {counted(restart.max_restarts, 'restart')} in {restart.window_s:g} s"
+            )
             self._fail(name, node, code)
         else:
             delay_s = restart.backoff_s(len(node.restarts))
@@ -400,7 +404,11 @@ class Supervisor:
             now_s = time.monotonic()
             failed = [f"{name} FAILED{_because(node.reason)}" for name, node in self._nodes.items() if _is_failed(node)]
             failed += [_silence(name, node, now_s) for name, node in self._nodes.items() if node.is_silent(now_s)]
-            failed += [f"{self._log.lost} lines of the log are lost"] if self._log.lost else []
+            failed += (
+                [counted(self._log.lost, "line of the log is lost", "lines of the log are lost")]
+                if self._log.lost
+                else []
+            )
             is_up = all(node.was_ready or node.phase in (Phase.ENDED, Phase.FAILED) for node in self._nodes.values())
             state = NodeState.READY if is_up else NodeState.STARTING
             self._heartbeat.beat(NodeState.DEGRADED if failed else state, "; ".join(failed))
@@ -459,12 +467,11 @@ class Supervisor:
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
         def ask(number: int, frame: object) -> None:
-            self.request_stop()
+            # shell and kernel both say that the terminal has gone: nobody is there to ask for haste
+            if number != signal.SIGHUP or not self._stop_requests:
+                self.request_stop()
 
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            # nohup asks to outlive the terminal
-            numbers.append(signal.SIGHUP)
+        numbers = stopping_signals(signal.SIGINT, signal.SIGTERM)
         previous = [signal.signal(number, ask) for number in numbers]
         try:
             yield
@@ -474,8 +481,11 @@ class Supervisor:
 
 
 def _locked_file(run_dir: Path) -> TextIO:
-    """The lock of a graph's directory, held while it is open; raises `OSError` where another graph holds it."""
-    file = (run_dir / LOCK_NAME).open("a+")
+    """The lock of a graph's directory, held while it is open.
+
+    Raises `OSError` where another graph holds it, `ValueError` where it is a symbolic link.
+    """
+    file = open(run_dir / LOCK_NAME, "a+", opener=no_link)  # noqa: SIM115
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -488,7 +498,7 @@ def _locked_file(run_dir: Path) -> TextIO:
 def read_lock(run_dir: Path) -> dict[str, Any]:
     """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
     try:
-        with (run_dir / LOCK_NAME).open("r") as file:
+        with open(run_dir / LOCK_NAME, opener=no_link) as file:
             owner = json.loads(file.read(1 << 16) or "{}")
     except (FileNotFoundError, ValueError, RecursionError):
         return {}

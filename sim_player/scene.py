@@ -21,10 +21,11 @@ import yaml
 from models.physics.curved_mirror import arc_points
 from models.physics.materials import is_volume, permittivity, wall_layers
 from models.physics.mirror import SHORTEST_WALL_M, crosses
+from msgs.known_names import with_known_names
 from msgs.lidar import LidarSetup, SpadParams
 from msgs.radar import PRESETS, RadarSetup
 from msgs.units import db_from_ratio
-from msgs.yaml_loader import BoundedLoader
+from msgs.yaml_loader import BoundedLoader, in_words
 from sim_player.front_end import FrontEnd
 from sim_player.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
 
@@ -243,7 +244,11 @@ def load_scene(path: Path) -> Scene:
         return scene_from_yaml(path.read_text(encoding="utf-8"), path.parent)
     except FileNotFoundError:
         raise ValueError(f"{path}: no such scene file") from None
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: must be text in UTF-8, its byte {error.start} is none") from None
+    except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
 
 
@@ -253,10 +258,12 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
         content = yaml.load(text, Loader=BoundedLoader)
     except yaml.YAMLError as error:
         raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"expected a mapping of {', '.join(Scene.__struct_fields__)}, got {in_words(content)}")
     try:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:
-        raise ValueError(_field_first(str(error))) from None
+        raise ValueError(_field_first(with_known_names(error, Scene))) from None
     things = tuple(
         msgspec.structs.replace(thing, mesh=str(folder / thing.mesh)) if thing.mesh else thing
         for thing in scene.objects
@@ -273,6 +280,8 @@ def scene_to_yaml(scene: Scene) -> str:
 
 def check_scene(scene: Scene) -> None:
     """Raise ValueError, field first, where a scene cannot be simulated."""
+    if not scene.name.strip():
+        raise ValueError("name: must not be empty: recordings and pictures are named by it")
     if not scene.objects and not any(surface.role != "ground" for surface in scene.surfaces):
         raise ValueError("surfaces: a scene needs at least one wall or object, got none")
     for field, value in _numbers(msgspec.to_builtins(scene), ""):

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
+
+from msgs.known_names import with_known_names
 
 Card = TypeVar("Card")
 
@@ -26,11 +28,30 @@ def card_path(model_path: Path) -> Path:
 
 
 def read_card(path: Path, kind: type[Card]) -> Card:
-    """A card of a type; raises `ValueError` naming the file and the field that is wrong."""
+    """A card of a type; raises `ValueError` naming the file and all fields that are missing or wrong."""
+    text = read_learned(path, MAX_CARD_BYTES)
     try:
-        return msgspec.json.decode(read_learned(path, MAX_CARD_BYTES), type=kind)
+        return msgspec.json.decode(text, type=kind)
+    except msgspec.ValidationError as error:
+        raise ValueError(f"{path}: {'; '.join(_wrong_fields(text, kind)) or error}") from None
     except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
         raise ValueError(f"{path}: {error}") from None
+
+
+def _wrong_fields(text: bytes, kind: Any) -> list[str]:
+    """What is wrong with a card, field by field: msgspec ends with the first."""
+    values = msgspec.json.decode(text)
+    if not isinstance(values, dict):
+        return []
+    fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
+    missing = [name for name, field in fields.items() if field.required and name not in values]
+    wrong = [f"lacks {', '.join(missing)}"] if missing else []
+    for name in (name for name in fields if name in values):
+        try:
+            msgspec.convert(values[name], fields[name].type)
+        except msgspec.ValidationError as error:
+            wrong.append(f"{name}: {with_known_names(error, fields[name].type)}")
+    return wrong
 
 
 def read_learned(path: Path, limit_bytes: int) -> bytes:
@@ -41,6 +62,6 @@ def read_learned(path: Path, limit_bytes: int) -> bytes:
         if is_file and size <= limit_bytes:
             return path.read_bytes()
     except OSError as error:
-        raise ValueError(f"{path}: {error}") from None
+        raise ValueError(f"{path}: {error.strerror or error}") from None
     found = f"{size} bytes" if is_file else "none"
     raise ValueError(f"{path} must be a file of at most {limit_bytes} bytes, got {found}")

@@ -18,6 +18,7 @@ import numpy as np
 
 from models.perception.digital_array import DigitalArrayParams
 from msgs.arrays import require_array, require_positive
+from msgs.known_names import with_known_names
 from msgs.radar import RangeAzimuthGrid
 from msgs.units import SPEED_OF_LIGHT_MPS
 
@@ -396,7 +397,7 @@ def _configured(fields: dict[str, Any], name: str, device: DeviceName | None) ->
     try:
         return msgspec.convert({**fields, "device": named}, Dca1000Config)
     except msgspec.ValidationError as error:
-        raise ValueError(f"{name}: {error}{_value_at(fields, str(error))}") from None
+        raise ValueError(f"{name}: {with_known_names(error, Dca1000Config)}{_value_at(fields, str(error))}") from None
 
 
 def _value_at(fields: dict[str, Any], message: str) -> str:

@@ -26,6 +26,8 @@ _NO_NETWORK = tuple(
 )
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
+#: Where a network comes from that has all it needs.
+GUIDE = "`mirrorwave export` writes a network with its card: docs/train-on-my-captures.md"
 #: The network in use unless another is named.
 DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
 
@@ -132,11 +134,10 @@ class DensePredictor:
         if threads < 1:
             raise ValueError(f"threads must be at least 1, got {threads}")
         model_path = Path(model_path)
-        self.card, self._flip_test = load_card(model_path), flip_test
+        self.card, self._session = _open_with_card(model_path, threads)
+        self._flip_test = flip_test
         if flip_test and self.card.head != "heatmap":
             raise ValueError(f"{model_path}: flip_test must go with a heatmap, the network answers at {self.card.head}")
-        self._session = open_session(model_path, self.card.sha256, threads)
-        _check_session(model_path, self.card, self._session)
         self._input = self._session.get_inputs()[0].name
         self.infer(np.zeros(self.card.input_shape[1:], np.float32))
 
@@ -180,12 +181,44 @@ def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_d
     return heatmap_points(answer, threshold, min_distance)
 
 
+def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxruntime.InferenceSession]:
+    """A network and its card; raises one `ValueError` with all that is wrong with either, and the guide."""
+    card: ModelCard | None = None
+    session: onnxruntime.InferenceSession | None = None
+    wrong: list[str] = []
+    try:
+        card = load_card(model_path)
+    except ValueError as error:
+        wrong.append(str(error))
+    try:
+        model = read_learned(model_path, MAX_MODEL_BYTES)
+        wrong += _wrong_checksum(model_path, model, card.sha256) if card else []
+        session = _session(model_path, model, threads)
+    except ValueError as error:
+        wrong.append(str(error))
+    if card is not None:
+        wrong += _wrong_card(model_path, card)
+    if session is not None:
+        wrong += _wrong_session(model_path, card, session)
+    if wrong or card is None or session is None:
+        raise ValueError(f"{'; '.join(wrong)} ({GUIDE})")
+    return card, session
+
+
 def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
     """A session for a file with this checksum; raises `ValueError` naming the file."""
     model = read_learned(model_path, MAX_MODEL_BYTES)
+    if wrong := _wrong_checksum(model_path, model, sha256):
+        raise ValueError(wrong[0])
+    return _session(model_path, model, threads)
+
+
+def _wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
     found = hashlib.sha256(model).hexdigest()
-    if found != sha256:
-        raise ValueError(f"{model_path}: sha256 must be {sha256} as its card says, got {found}")
+    return [] if found == sha256 else [f"{model_path}: sha256 must be {sha256} as its card says, got {found}"]
+
+
+def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
@@ -197,18 +230,29 @@ def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.Inf
         raise ValueError(f"{model_path} must be a whole ONNX file: {' '.join(str(error).split())}") from None
 
 
-def _check_session(model_path: Path, card: ModelCard, session: onnxruntime.InferenceSession) -> None:
-    """Raise `ValueError` unless file, card and encoding agree on type and every shape."""
-    card_file = card_path(model_path)
-    entries = {"input": session.get_inputs(), "output": session.get_outputs()}
+def _wrong_card(model_path: Path, card: ModelCard) -> list[str]:
+    """Shapes of a card that its own encoding and grid do not give."""
+    wanted = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
     shapes = {"input": card.input_shape, "output": card.output_shape}
+    return [
+        f"{card_path(model_path)}: card.{end}_shape must be {shape}, got {shapes[end]}"
+        for end, shape in wanted.items()
+        if shapes[end] != shape
+    ]
+
+
+def _wrong_session(model_path: Path, card: ModelCard | None, session: onnxruntime.InferenceSession) -> list[str]:
+    """Types of a network that are not ours, and shapes that are not its card's."""
+    wrong = []
+    entries = {"input": session.get_inputs(), "output": session.get_outputs()}
     for end, found in entries.items():
         if len(found) != 1 or found[0].type != "tensor(float)":
-            raise ValueError(f"{model_path}: {end} must be one float32 array, got {[one.type for one in found]}")
+            wrong.append(f"{model_path}: {end} must be one float32 array, got {[one.type for one in found]}")
+            continue
         shape = tuple(found[0].shape)
-        if shape != shapes[end]:
-            raise ValueError(f"{model_path}: {end} must be {shapes[end]} as its card says, got {shape}")
-    wanted = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
-    for end, shape in wanted.items():
-        if shapes[end] != shape:
-            raise ValueError(f"{card_file}: card.{end}_shape must be {shape}, got {shapes[end]}")
+        said = None if card is None else (card.input_shape if end == "input" else card.output_shape)
+        if said is not None and shape != said:
+            wrong.append(f"{model_path}: {end} must be {said} as its card says, got {shape}")
+        elif card is None:
+            wrong.append(f"{model_path}: its {end} is {shape}")
+    return wrong

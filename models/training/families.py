@@ -11,6 +11,7 @@ from torch import nn
 from models.networks import compact_unet, further_than_cfar, radar_tensor_network, swin_unet, unet
 from models.perception.encoding import BOTH, CHANNELS, COMPLEX, LOG_MAGNITUDE, Encoding
 from models.training.objectives import ObjectiveConfig
+from msgs.known_names import with_known_names
 
 #: Input channels by name: those of the specification, of the released code, of both, and ours.
 INPUTS: dict[str, tuple[str, ...]] = {
@@ -77,10 +78,11 @@ class NetworkChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     @property
     def resolved(self) -> Any:
         """The family's configuration; raises `ValueError` where a field does not fit."""
+        wanted = FAMILIES[self.family].config
         try:
-            return msgspec.convert(self.config, FAMILIES[self.family].config)
+            return msgspec.convert(self.config, wanted)
         except msgspec.ValidationError as error:
-            raise ValueError(f"network {self.family}: {error}") from None
+            raise ValueError(f"network {self.family}: {with_known_names(error, wanted)}") from None
 
     def build(self) -> nn.Module:
         """The network with fresh weights."""

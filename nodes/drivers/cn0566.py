@@ -67,7 +67,7 @@ def load_library() -> Any:
 
 def load_calibration(path: Path) -> PhaserCalibration:
     """What was measured on one board. Raises `ValueError` that names file, field, value and rule."""
-    return convert_at(read_yaml_mapping(path), PhaserCalibration, str(path))
+    return convert_at(read_yaml_mapping(path), PhaserCalibration, f"{path}: ")
 
 
 class Cn0566:

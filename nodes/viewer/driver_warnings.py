@@ -21,6 +21,7 @@ from msgs.frames import Pose2
 from msgs.perception import BevFrame, Track, Visibility
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
+from msgs.wording import counted
 from nodes.live_timing import ViewFigures, on_one_clock
 
 
@@ -521,7 +522,7 @@ def nodes(facts: Facts, params: WarningParams) -> Iterable[Finding]:
             detail = node.reason or "it gives no reason"
             yield Finding(f"node/{node.node}", Level.CAUTION, f"{node.node} is {node.state}", detail)
         if node.lost > 0:
-            detail = f"{node.lost} messages did not reach it lately"
+            detail = f"{counted(node.lost, 'message')} did not reach it lately"
             yield Finding(f"lost/{node.node}", Level.CAUTION, f"{node.node} loses messages", detail)
 
 

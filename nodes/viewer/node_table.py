@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from msgs.diagnostics import NodeState, NodeStatus, StageTime
 from msgs.topics import TOPICS
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
+from msgs.wording import counted
 
 #: Rates are taken over this: two heartbeats a second against 3.3 scans would make them jump.
 WINDOW_NS = 10 * NANOSECONDS_PER_SECOND
@@ -74,7 +75,7 @@ class NodeTable:
             "lost": sum(count.lost for count in status.received),
             "rejected": sum(count.rejected for count in status.received),
             "lost_lately": _gone(status) - _gone(first.status),
-            "shed": [f"{count.count} {count.what} {count.reason}" for count in status.shed[:MAX_ENTRIES]],
+            "shed": [f"{counted(count.count, count.what)} {count.reason}" for count in status.shed[:MAX_ENTRIES]],
             "stages": [
                 {"name": one.name, "mean_ms": round(one.mean_ms, 1), "max_ms": round(one.max_ms, 1)}
                 for one in self._stages.get(name, ())[:MAX_ENTRIES]

@@ -19,6 +19,7 @@ from msgs.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, Tr
 from msgs.radar import RadarSetup, RangeAzimuthMap
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
+from msgs.wording import counted
 from nodes.live_timing import Setup, last_beam_ns, scan_period_s
 from nodes.viewer.trails import Past, trail_m
 
@@ -110,7 +111,7 @@ def sensor_text(setup: Setup) -> str:
     name = f"X-band radar, {carrier_ghz:.3g} GHz" if 8.0 <= carrier_ghz <= 12.0 else f"{carrier_ghz:.3g} GHz radar"
     if setup.array.digital:
         return f"{name}, {setup.array.columns * setup.array.rows} channels, digital"
-    return f"{name}, {len(setup.beams)} beams"
+    return f"{name}, {counted(len(setup.beams), 'beam')}"
 
 
 def summary_text(frame: BevFrame) -> str:

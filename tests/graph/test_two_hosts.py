@@ -17,7 +17,7 @@ from msgs.vehicle import VehicleState
 from msgs.zmq_bus import ZmqBus
 
 TOPIC = "vehicle/state"
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 PERIOD_S = 0.02
 
 pytestmark = [
@@ -64,7 +64,7 @@ class Hosts:
         self.until(lambda: bool(self.came) and self.came[-1] > start)
 
     def lost(self) -> int:
-        return self.compute.counted()[f"sensor {TOPIC} lost on the link"]
+        return self.compute.counted()[f"sensor {TOPIC} message lost on the link"]
 
     def close(self) -> None:
         self.player.close()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,9 +11,9 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from typer import Context
 from typer.main import get_command
 
-import mirrorwave.__main__
 from mirrorwave.cli import app, main
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import error_line, exit_code_of
@@ -46,7 +45,7 @@ def recording(tmp_path: Path) -> Path:
         (["launch"], 2, "Missing argument"),
         (["launch", "nope.yaml"], 2, "nope.yaml: No such file"),
         (["topic", "hz", "nope"], 2, "unknown topic 'nope'"),
-        (["topic", "echo", "log", "--timeout", "0.1"], 1, "log: 0 messages in 0.1 s"),
+        (["topic", "echo", "log", "--timeout", "0.1"], 1, "no graph runs in domain"),
         (["node", "list", "--window", "0.2"], 1, "no graph runs in domain"),
         (["bag", "info", "nope.mcap"], 2, "nope.mcap: no such file"),
         (["topic", "list", "--domain", "../x"], 2, "domain must be"),
@@ -162,6 +161,38 @@ def verbs() -> dict[str, Any]:
     return dict(walk(get_command(app), ()))
 
 
+def helps(width: int) -> Iterator[tuple[str, str, list[str]]]:
+    """Words, help and the texts it is to hold, of every verb and group, in a terminal of a width."""
+
+    def walk(command: Any, words: tuple[str, ...]) -> Iterator[tuple[str, str, list[str]]]:
+        context = Context(command, info_name=" ".join(("mirrorwave", *words)), terminal_width=width)
+        parts = getattr(command, "commands", {})
+        wanted = [parameter.help for parameter in command.params if getattr(parameter, "help", None)]
+        wanted += [part.help.split("\n\n")[0] for part in parts.values()]
+        yield " ".join(words), command.get_help(context), [*wanted, command.help]
+        for name, part in parts.items():
+            yield from walk(part, (*words, name))
+
+    return walk(get_command(app), ())
+
+
+def unwrapped(text: str) -> str:
+    """A text as it is before lines are broken."""
+    return "".join(text.split())
+
+
+@pytest.mark.parametrize("width", [60, 66, 72, 80, 90, 100, 120])
+def test_no_help_is_cut(width: int) -> None:
+    """All that is said of verbs, arguments and options stands in the help."""
+    seen = 0
+    for words, text, wanted in helps(width):
+        assert "\N{HORIZONTAL ELLIPSIS}" not in text
+        for one in wanted:
+            assert unwrapped(one) in unwrapped(text), (words, one)
+        seen += len(wanted)
+    assert seen > 300
+
+
 def test_every_inspecting_verb_has_json() -> None:
     without = {
         words for words, verb in verbs().items() if not any("--json" in parameter.opts for parameter in verb.params)
@@ -196,18 +227,6 @@ def test_the_shell_completes(
     with pytest.raises(SystemExit):
         main([])
     assert capsys.readouterr().out.split() == offered
-
-
-def test_whoever_interrupts_the_loading_gets_a_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    class Interrupted:
-        def __getattr__(self, name: str) -> object:
-            raise KeyboardInterrupt
-
-    monkeypatch.setitem(sys.modules, "mirrorwave.cli", Interrupted())  # type: ignore[arg-type]
-    assert mirrorwave.__main__.main() == 1
-    assert capsys.readouterr().err == "mirrorwave: interrupted\n"
 
 
 def test_nodes_are_completed_from_their_sockets(monkeypatch: pytest.MonkeyPatch) -> None:

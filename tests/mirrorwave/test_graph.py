@@ -111,11 +111,14 @@ def test_the_drawing_is_xml_and_its_boxes_lie_apart() -> None:
     assert {"domain <&>", "player", "radar/ra_map", "no publisher"} <= set(texts)
     assert len([path for path in root.iter(f"{SVG}path") if "lossy" in path.get("class", "")]) == 2
     assert "prefers-color-scheme: dark" in svg_text(CHAIN)
+    # it takes the width of where it stands, and keeps its shape
+    assert (root.get("width"), root.get("height")) == ("100%", None)
+    assert "height: auto" in (root.get("style") or "")
     boxes = [
         tuple(float(rect.get(name, "nan")) for name in ("x", "y", "width", "height"))
         for rect in root.iter(f"{SVG}rect")
     ]
-    width, height = float(root.get("width", "0")), float(root.get("height", "0"))
+    width, height = (float(side) for side in root.get("viewBox", "0 0 0 0").split()[2:])
     for at, (x, y, wide, tall) in enumerate(boxes):
         assert x >= 0
         assert y >= 0

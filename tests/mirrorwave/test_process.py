@@ -4,16 +4,22 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
+from mirrorwave.api import views
 from mirrorwave.cli import main
 from models.perception.chain import Chain
 from models.perception.detectors import CfarDetector
 from models.perception.objects import bev_to_json
 from models.perception.tracking import track_to_json
-from nodes.player import Params, scene_player
+from msgs.radar import BeamGrid
+from msgs.recording import RecordingWriter, info
+from msgs.vehicle import VehicleState
+from nodes.player import Params, scene_player, truth_beside
 
 SCENE = "launch/scenes/corner.yaml"
 CHIRPS = 4
@@ -133,3 +139,89 @@ def test_bad_input_is_one_line_and_exit_code_2(
     error = capsys.readouterr().err
     assert words in error
     assert len(error.strip().splitlines()) == 1
+
+
+def recording_of(path: Path, messages: list[tuple[str, Any]]) -> Path:
+    with RecordingWriter(path, {}) as writer:
+        for number, (topic, message) in enumerate(messages):
+            writer.write(topic, message, publisher="player", sequence=number, sent_ns=message.stamp_ns)
+    return path
+
+
+def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
+    capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """One line each, and nothing is written; results of a graph are for `view`."""
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
+    setup, beams = player.setup, [player.beam(0, index) for index in range(3)]
+    one = msgspec.structs.replace(setup, beams=BeamGrid(azimuth_deg=(0.0,)))
+    view = next(iter(views(capture, "cfar"))).frame
+    other = tmp_path / "capture.bin"
+    other.write_bytes(capture.read_bytes()[:100])
+    wrong = {
+        recording_of(tmp_path / "view.mcap", [("radar/setup", setup), ("perception/hidden_objects", view)]): (
+            "holds no radar/beam and no lidar/histograms to process; it holds perception/hidden_objects, radar/setup: "
+            f"`mirrorwave view {tmp_path / 'view.mcap'}` shows it. Raw data are recorded with --raw"
+        ),
+        recording_of(tmp_path / "car.mcap", [("vehicle/state", VehicleState(stamp_ns=0))]): (
+            "it holds vehicle/state. Raw data are recorded with --raw"
+        ),
+        recording_of(tmp_path / "alone.mcap", [("radar/beam", beam) for beam in beams]): (
+            "holds no radar/setup, which says how to read its radar/beam"
+        ),
+        recording_of(tmp_path / "one.mcap", [("radar/setup", one), ("radar/beam", beams[0])]): (
+            "a scan must have 2 beams or more to tell directions apart, its radar has 1"
+        ),
+        other: "must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta",
+    }
+    for path, rule in wrong.items():
+        assert main(["process", str(path), "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert said.err.startswith(f"mirrorwave: {path}: ")
+        assert said.err.endswith(f"{rule}\n")
+        assert said.err.count("\n") == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_beams_that_are_missing_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Exit code 3 has its reason; a scan of which one beam came is still looked at."""
+    player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
+    path = recording_of(tmp_path / "first.mcap", [("radar/setup", player.setup), ("radar/beam", player.beam(0, 0))])
+    assert main(["process", str(path), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 3
+    assert "beams are missing or silent in 1 of 1 scan\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("ending", ["mcap", "sigmf-meta"])
+def test_a_scene_goes_by_its_name(ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """On the terminal and in the recording, or in the truth beside a capture; not by the name of its file."""
+    scene, out = tmp_path / "file.yaml", tmp_path / f"capture.{ending}"
+    scene.write_text(Path(SCENE).read_text(encoding="utf-8").replace("name: corner", "name: bend in the road"))
+    command = ["sim", "run", str(scene), "--out", str(out), "--seed", "3", "--chirps-per-beam", "1"]
+    assert main([*command, "--effects", "basic"]) == 0
+    assert capsys.readouterr().out == f"{out}: 1 scan of bend in the road, seed 3\n"
+    recording = out if ending == "mcap" else truth_beside(out)
+    found = info(recording).metadata
+    assert (found["scene"], found["seed"]) == ("bend in the road", "3")
+    assert main(["bag", "info", str(recording)]) == 0
+    assert "scene: bend in the road\nseed: 3\n" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "rule"),
+    [
+        (["sim", "run", SCENE, "--out", "x.xyz"], "--out x.xyz: a capture's name must end in .mcap or .sigmf-meta or "),
+        (["sim", "dataset", "--out", "file", "--count", "1", "--seed", "1"], "file: File exists"),
+        (["process", "x.mcap", "-p", "dense_predictor.model=x.onnx"], "x.mcap: no such file"),
+    ],
+)
+def test_wrong_files_are_one_line(
+    words: list[str], rule: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [str(Path(SCENE).absolute()) if word == SCENE else word for word in words]
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").touch()
+    assert main(words) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert rule in said.err

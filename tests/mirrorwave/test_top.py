@@ -101,7 +101,14 @@ def test_the_table_shows_it_all() -> None:
     out = io.StringIO()
     Console(file=out, width=400).print(_picture({"domain": "default", **watched().report(10 * S)}))
     text = out.getvalue()
-    for part in ("domain default: view", "views/s", "deadline 0.3 s missed", "12x in 10 s", "29 scan behind", "P99 MS"):
+    for part in (
+        "domain default: view",
+        "views/s",
+        "deadline 0.3 s missed",
+        "12x in 10 s",
+        "29 scans behind",
+        "P99 MS",
+    ):
         assert part in text
 
 

@@ -9,6 +9,7 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -395,8 +396,62 @@ def test_a_foreign_message_that_is_none_is_refused(body: object) -> None:
         decode_foreign("t", [memoryview(b"t\0"), memoryview(head), memoryview(bytes(8))])
 
 
-def test_silence_is_exit_code_1(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["topic", "delay", "vehicle/state", "--duration", "0.2"]) == 1
-    assert "nothing came on vehicle/state" in capsys.readouterr().out
+NO_GRAPH = "mirrorwave: no graph runs in domain 'default': start one with `mirrorwave launch FILE` or `mirrorwave demo`"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["topic", "echo", "vehicle/state", "--timeout", "0.2"],
+        ["topic", "echo", "vehicle/state", "--json", "--once", "--timeout", "0.2"],
+        # without a limit it waits for a graph to come, and no longer
+        ["topic", "echo", "vehicle/state"],
+        ["topic", "hz", "vehicle/state", "--duration", "0.2"],
+        ["topic", "hz", "vehicle/state", "--duration", "0.2", "--json"],
+        ["topic", "bw", "vehicle/state", "--duration", "0.2"],
+        ["topic", "delay", "--duration", "0.2"],
+        ["topic", "delay", "vehicle/state", "--duration", "0.2"],
+        ["node", "list", "--window", "0.2"],
+        ["node", "info", "player", "--window", "0.2"],
+        ["graph", "--window", "0.6"],
+        ["top"],
+        ["top", "--once", "--window", "0.5"],
+        ["bag", "snapshot"],
+        ["bag", "record", "x.mcap", "--duration", "0.2"],
+    ],
+)
+def test_without_a_graph_one_line_says_so(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("mirrorwave.running_graph.FIND_S", 0.2)
+    monkeypatch.setattr("mirrorwave.topic.FIND_S", 0.2)
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 1
+    said = capsys.readouterr()
+    assert (said.out, said.err) == ("", f"{NO_GRAPH}\n")
+    assert not list(tmp_path.iterdir())
+
+
+def test_tables_of_the_contract_stand_without_a_graph(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["topic", "info", "vehicle/state", "--duration", "0.2"]) == 0
-    assert "speed_mps" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "speed_mps" in said
+    assert NO_GRAPH.removeprefix("mirrorwave: ") in said
+
+
+@pytest.mark.graph
+def test_silence_on_a_running_graph_says_whose_it_is(
+    speaker: Callable[[Any], None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    speaker(lambda count, now_ns: {"vehicle/state": VehicleState(stamp_ns=now_ns)})
+    assert main(["topic", "echo", "vehicle/state", "--once"]) == 0
+    capsys.readouterr()
+    nobody = "nothing came on radar/beam in 0.2 s; nobody publishes radar/beam"
+    for words in (["hz", "radar/beam", "--duration", "0.2"], ["echo", "radar/beam", "--timeout", "0.2"]):
+        assert main(["topic", *words, "--json"]) == 1
+        assert capsys.readouterr().err == f"mirrorwave: {nobody}\n"
+    assert main(["topic", "hz", "vehicle/state", "--duration", "0.2", "--domain", "nobody_is_here"]) == 1
+    assert "one runs in --domain " in capsys.readouterr().err
+    assert main(["topic", "echo", "vehicle/state", "--where", "speed_mps<-1", "--timeout", "2"]) == 1
+    assert "vehicle/state: 0 messages in 2 s, " in (error := capsys.readouterr().err)
+    assert error.endswith(" did not pass --where\n")

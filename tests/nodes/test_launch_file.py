@@ -35,7 +35,10 @@ def _launch(**nodes: dict) -> LaunchFile:
     ("fields", "message"),
     [
         ({"nodes": {"a": {"module": 3}}}, r"corner\.yaml: nodes\.a\.module: Expected str, got int"),
-        ({"nodes": {"a": {"module": "nodes.a", "parms": {}}}}, r"corner\.yaml: nodes\.a: .*unknown field parms"),
+        (
+            {"nodes": {"a": {"module": "nodes.a", "parms": {}}}},
+            r"corner\.yaml: nodes\.a: .*field parms; known are module, params",
+        ),
         ({"nodes": {"a": {"module": "../a"}}}, r"nodes\.a: module must be a dotted module name, got '\.\./a'"),
         ({"nodes": {"A b": {"module": "nodes.a"}}}, r"nodes\.A b: a node's name must be of a-z, 0-9 and _"),
         ({"nodes": {"supervisor": {"module": "nodes.a"}}}, "belongs to the supervisor"),
@@ -47,7 +50,8 @@ def _launch(**nodes: dict) -> LaunchFile:
         ({"nodes": {}}, "nodes must name at least one node"),
         ({"nodes": []}, r"corner\.yaml: nodes: Expected object, got array"),
         ({"nodes": {"a": {"module": "nodes.a"}}, "name": "../x"}, "name must be of a-z"),
-        ({"nodes": {"a": {"module": "nodes.a"}}, "colour": 1}, "unknown field colour"),
+        ({"nodes": {"a": {"module": "nodes.a"}}, "name": 3}, r"^corner\.yaml: name: Expected str, got int$"),
+        ({"nodes": {"a": {"module": "nodes.a"}}, "colour": 1}, r"^corner\.yaml: .*colour; known are name, nodes$"),
     ],
 )
 def test_errors_name_the_field_and_the_rule(fields: dict, message: str) -> None:

@@ -41,7 +41,7 @@ class _StopAfter(toy_nodes.Echo):
     ("module", "params", "message"),
     [
         (TOY, {"ticks": "many"}, r"^toy\.params\.ticks: Expected int, got str$"),
-        (TOY, {"tocks": 1}, r"^toy\.params: .*unknown field tocks$"),
+        (TOY, {"tocks": 1}, r"^toy\.params: .*unknown field tocks; known are kind, period_s, ticks, "),
         (TOY, {"kind": "nonsense"}, "toy.kind must be one of"),
         ("nodes.no_such_node", {}, "no module named 'nodes.no_such_node'"),
         ("nodes.logs", {}, r"is no node, it must define Params and create"),

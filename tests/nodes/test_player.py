@@ -65,7 +65,7 @@ def test_a_capture_says_the_same_as_the_scene(tmp_path: Path, name: str) -> None
     if name.endswith(".mcap"):
         write_recording(path, events, {})
     else:
-        write_sigmf(path, source.setup, events)
+        write_sigmf(path, source.setup, events, {})
     messages, _ = played(Params(capture=str(path)))
     beams = [message for message in messages if isinstance(message, RadarBeam)]
     assert [beam.stamp_ns for beam in beams] == [source.stamp_ns(0, index) for index in range(25)]

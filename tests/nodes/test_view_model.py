@@ -360,7 +360,7 @@ def test_stages_stay_until_the_next_are_known() -> None:
 def test_what_a_node_left_undone_is_said_in_words() -> None:
     table = NodeTable()
     table.add(status(shed=(ShedCount(what="scan", reason="behind", count=12),)), 0)
-    assert table.rows(0)[0]["shed"] == ["12 scan behind"]
+    assert table.rows(0)[0]["shed"] == ["12 scans behind"]
 
 
 def test_a_node_that_says_nothing_is_silent_unless_it_ended() -> None:

@@ -115,15 +115,47 @@ def test_file_that_is_not_the_cards_is_refused(model: Path) -> None:
         ({"grid": {"range_bins": 48, "azimuth_bins": 128}}, r"net\.json: card\.output_shape must be \(1, 2, 32, 128\)"),
         ({"head": "anchors"}, r"net\.json: card\.output_shape must be \(1, 5, 32, 64\), got \(1, 2, 32, 64\)"),
         ({"anchor_stride": 0}, r"net\.json: card\.anchor_stride must be at least 1, got 0"),
-        ({"precision": "fp8"}, r"net\.json: Invalid enum value 'fp8' - at `\$\.precision`"),
+        ({"precision": "fp8"}, r"net\.json: precision: Invalid enum value 'fp8'; known are fp16, fp32, int8"),
         ({"calibration": [[0.5, 0.2], [0.4, 0.9]]}, r"net\.json: card\.calibration must be empty or rise"),
-        ({"sha256": 3}, r"net\.json: Expected `str`, got `int` - at `\$\.sha256`"),
+        ({"sha256": 3}, r"net\.json: sha256: Expected `str`, got `int`"),
     ],
 )
 def test_card_that_does_not_fit_is_refused(model: Path, changes: dict[str, object], message: str) -> None:
     change_card(model, **changes)
     with pytest.raises(ValueError, match=message):
         DensePredictor(model)
+
+
+def test_all_that_is_wrong_is_said_at_once(model: Path) -> None:
+    """Checksum, shapes and card in one message, each once, and where it says how to make them."""
+    model.write_bytes(model.read_bytes() + b"\0\0")
+    change_card(model, input_shape=[1, 5, 32, 16], output_shape=[1, 3, 32, 64])
+    with pytest.raises(ValueError) as caught:
+        DensePredictor(model)
+    said = str(caught.value)
+    for part in (
+        "net.onnx: sha256 must be ",
+        "net.json: card.input_shape must be (1, 5, 32, 8), got (1, 5, 32, 16)",
+        "net.json: card.output_shape must be (1, 2, 32, 64), got (1, 3, 32, 64)",
+        "docs/train-on-my-captures.md",
+    ):
+        assert said.count(part) == 1
+    assert "\n" not in said
+
+
+def test_a_network_without_a_card_is_told_what_one_holds(model: Path) -> None:
+    """Of a network from elsewhere its shapes are said: they are what the card must name."""
+    card_path(model).unlink()
+    with pytest.raises(ValueError) as caught:
+        DensePredictor(model)
+    for part in ("net.json: No such file", "input is (1, 5, 32, 8)", "output is (1, 2, 32, 64)", "docs/train-on"):
+        assert part in str(caught.value)
+    card_path(model).write_text('{"name": "mine", "threshold": "high", "precision": "fp8"}')
+    with pytest.raises(ValueError) as caught:
+        DensePredictor(model)
+    lacks = "lacks sha256, parameters, encoding, grid, input_shape, output_shape, scores, data, training"
+    for part in (lacks, "threshold: Expected `float`, got `str`", "precision: Invalid enum value 'fp8'"):
+        assert part in str(caught.value)
 
 
 def test_older_card_with_fields_of_its_own_loads(model: Path) -> None:

@@ -44,6 +44,9 @@ def test_written_scene_reads_back_the_same() -> None:
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
+        ("", "expected a mapping of name, radar, surfaces, objects, ego, weather, got nothing"),
+        ("[1]", "expected a mapping of name, radar, surfaces, objects, ego, weather, got a list"),
+        ("name: x\nradar: {heigth_m: 1}", "radar: object contains unknown field `heigth_m`; known are preset, height"),
         (scene(WALL.replace("concrete", "cheese").join("[]")), "surfaces[0].material: unknown material 'cheese'"),
         (scene("[]"), "surfaces: a scene needs at least one wall or object"),
         (scene("[{role: ground, material: concrete}]"), "surfaces: a scene needs at least one wall or object"),
@@ -120,7 +123,7 @@ def test_written_scene_reads_back_the_same() -> None:
         (scene(more="radar: {height_m: 0}"), "radar.height_m: must be positive"),
         (scene(WALL.replace("concrete", "brick").join("[]"), more="radar: {preset: 77ghz}"), "got 77 GHz"),
         ("name: [", "not YAML: "),
-        ("just words", "expected `object`, got `str`"),
+        ("just words", "weather, got text"),
     ],
 )
 def test_bad_scenes_are_refused_in_one_line(text: str, complaint: str, tmp_path: Path) -> None:
@@ -139,8 +142,10 @@ def test_missing_and_binary_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"none\.yaml: no such scene file"):
         load_scene(tmp_path / "none.yaml")
     (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(ValueError, match=r"binary\.yaml: "):
+    with pytest.raises(ValueError, match=r"binary\.yaml: must be text in UTF-8, its byte 0 is none$"):
         load_scene(tmp_path / "binary.yaml")
+    with pytest.raises(ValueError, match=r": Is a directory$"):
+        load_scene(tmp_path)
 
 
 def test_wall_that_swallows_a_wall_end_is_refused() -> None:

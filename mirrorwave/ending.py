@@ -1,0 +1,91 @@
+"""The exit codes of verbs that a signal ends, the same while they are loaded, set up, run and stop.
+
+Loaded before all else, so it takes little from the library and nothing from elsewhere.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+#: Exit codes as a shell gives them to a program that the signal ended: 128 and its number.
+INTERRUPTED, TERMINATED, HUNG_UP = 128 + signal.SIGINT, 128 + signal.SIGTERM, 128 + signal.SIGHUP
+#: Verbs that have no end of their own, and the options that give them one: told to end, they have done what was asked.
+_UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
+    ("launch",): frozenset(),
+    ("demo",): frozenset(),
+    ("view",): frozenset(),
+    ("top",): frozenset({"--once", "--json"}),
+    ("bag", "record"): frozenset(),
+}
+#: What is said of a verb that was not done; nothing where the terminal has gone.
+_SAID = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
+_heard = signal.SIGINT
+
+
+def hear_endings() -> None:
+    """Take SIGTERM and SIGHUP, the end of the terminal, for Ctrl-C, so that what a verb holds is closed as well.
+
+    Not where somebody has them ignored, as `nohup` does.
+    """
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, _interrupt)
+
+
+def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
+    """The exit code of a verb that was interrupted, by its command line; says so in a line where it was not done."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if is_until_told(words):
+        return 0
+    code = 128 + _heard
+    if code in _SAID:
+        sys.stderr.write(f"mirrorwave: {_SAID[code]}\n")
+    return code
+
+
+def is_until_told(arguments: Sequence[str]) -> bool:
+    """Whether a command line is that of a verb that runs until it is told to end."""
+    return any(
+        tuple(arguments[: len(verb)]) == verb and not ends & set(arguments) for verb, ends in _UNTIL_TOLD.items()
+    )
+
+
+def keep_code() -> None:
+    """Take no further notice of signals: what was done is done, and the exit code stands."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def told_by_signal(tell: Callable[[], None]) -> Iterator[None]:
+    """While the body runs, a signal to end is passed on to `tell`, and interrupts nothing. For the main thread."""
+
+    def pass_on(number: int, frame: object) -> None:
+        _hear_once(number)
+        tell()
+
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = [signal.signal(number, pass_on) for number in numbers]
+    try:
+        yield
+    finally:
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
+
+
+def _hear_once(number: int) -> None:
+    # shell and kernel both say that the terminal has gone: the second time is no wish for haste
+    if number == signal.SIGHUP:
+        signal.signal(number, signal.SIG_IGN)
+
+
+def _interrupt(number: int, frame: object) -> None:
+    global _heard
+    _hear_once(number)
+    _heard = signal.Signals(number)
+    raise KeyboardInterrupt

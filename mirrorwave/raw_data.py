@@ -1,0 +1,51 @@
+"""Whether a file holds raw data that the graph can begin with, and if not, what it holds and which verb takes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from msgs.radar import RadarSetup
+from msgs.recording import RecordingReader
+from msgs.sigmf_capture import SigmfCapture
+from msgs.topics import SENSOR_TOPICS
+
+
+def require_raw(capture: Path) -> None:
+    """Raise `ValueError`, saying what a file holds and which verb takes it, unless raw data can be processed."""
+    if capture.suffix != ".mcap":
+        _require_capture_name(capture)
+        _require_bearings(capture, SigmfCapture.open(capture, verify=False).setup)
+        return
+    with RecordingReader(capture) as reader:
+        held = reader.types
+        loss = f" ({reader.loss})" if reader.loss else ""
+        first = next((one.message for one in reader.messages(("radar/setup",))), None)
+    for setup, raw in SENSOR_TOPICS:
+        if raw in held and setup not in held:
+            raise ValueError(f"{capture}: holds no {setup}, which says how to read its {raw}")
+    if not any(raw in held for _, raw in SENSOR_TOPICS):
+        what = "holds no radar/beam and no lidar/histograms to process"
+        raise ValueError(f"{capture}: {what}; {_use_of(capture, held)}{loss}")
+    if "radar/beam" in held and isinstance(first, RadarSetup):
+        _require_bearings(capture, first)
+
+
+def _require_bearings(capture: Path, setup: RadarSetup) -> None:
+    """Raise `ValueError` for a radar of one beam: nothing tells from where its echoes come."""
+    if len(setup.beams) < 2:
+        raise ValueError(f"{capture}: a scan must have 2 beams or more to tell directions apart, its radar has 1")
+
+
+def _require_capture_name(path: Path) -> None:
+    """Raise `ValueError` for a file that is there and belongs to no capture."""
+    is_sigmf = path.suffix in (".sigmf-meta", ".sigmf-data") or Path(f"{path}.sigmf-meta").is_file()
+    if path.is_file() and not is_sigmf:
+        raise ValueError(f"{path}: must be a recording NAME.mcap or a SigMF capture NAME.sigmf-meta")
+
+
+def _use_of(recording: Path, held: Iterable[str]) -> str:
+    """What a recording without raw data holds, and what can be done with it."""
+    what = ", ".join(sorted(held)) or "nothing"
+    use = f": `mirrorwave view {recording}` shows it" if "perception/hidden_objects" in held else ""
+    return f"it holds {what}{use}. Raw data are recorded with --raw"

@@ -1,0 +1,185 @@
+"""Verbs and nodes that a signal ends: one exit code each, whatever they were at when it came."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from mirrorwave.ending import HUNG_UP, INTERRUPTED, TERMINATED, is_until_told
+from msgs.recording import info
+
+pytestmark = pytest.mark.graph
+
+PATIENCE_S = 120.0
+#: Runs a module as `python -m` does, and stands still where it would import another one; the file says that it does.
+HELD = """
+import runpy, sys, time
+from pathlib import Path
+
+class Hold:
+    def find_spec(self, name, path=None, target=None):
+        if name == held:
+            Path(reached).touch()
+            while not Path(released).exists():
+                time.sleep(0.02)
+
+held, reached, released, module = sys.argv[1:5]
+sys.argv[:] = [module, *sys.argv[5:]]
+sys.meta_path.insert(0, Hold())
+runpy.run_module(module, run_name="__main__", alter_sys=True)
+"""
+TICKING = """
+name: ticking
+nodes:
+  tick:
+    module: tests.graph.toy_nodes
+    params: {kind: tick, period_s: 0.01}
+"""
+#: A module whose import stands for a phase: the command line's own, its verbs', the verb's set-up, its work.
+PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "msgs.recording"]
+LAUNCH = ["typer", "mirrorwave.completion", "nodes.launch_file", "nodes.supervisor", "msgs.zmq_bus"]
+RECORD = ["typer", "mirrorwave.completion", "msgs.zmq_bus", "nodes.recorder"]
+NODE = ["psutil", "msgs.bus", "nodes.validation", "msgs.zmq_bus", "tests.graph.toy_nodes"]
+CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED, signal.SIGHUP: HUNG_UP}
+
+
+def phases(helds: list[str]) -> list[tuple[str, signal.Signals]]:
+    """Every phase with Ctrl-C, the first and the last one with the other signals: a phase takes a second."""
+    others = [(held, number) for number in CODES if number != signal.SIGINT for held in (helds[0], helds[-1])]
+    return [*((held, signal.SIGINT) for held in helds), *others]
+
+
+@pytest.fixture
+def box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder of its own, its name short enough for a graph's sockets."""
+    with tempfile.TemporaryDirectory(prefix="mw-") as name:
+        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", name)
+        monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
+        (Path(name) / "t.yaml").write_text(TICKING)
+        yield Path(name)
+
+
+def wait_for(process: subprocess.Popen[str], path: Path) -> None:
+    deadline_s = time.monotonic() + PATIENCE_S
+    while not path.exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline_s, f"{path} never came"
+        time.sleep(0.02)
+
+
+@contextmanager
+def started(command: list[str]) -> Iterator[subprocess.Popen[str]]:
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, *command], text=True, **pipes) as process:  # type: ignore[call-overload]
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def told_while_held(box: Path, held: str, number: signal.Signals, module: str, words: list[str]) -> tuple[int, str]:
+    """Exit code and stderr of a module that hears a signal where it imports `held`."""
+    with started(["-c", HELD, held, str(box / "reached"), str(box / "released"), module, *words]) as process:
+        wait_for(process, box / "reached")
+        process.send_signal(number)
+        # what only takes note of a signal goes on
+        (box / "released").touch()
+        _, said = process.communicate(timeout=PATIENCE_S)
+    return process.returncode, said
+
+
+@pytest.mark.parametrize(("held", "number"), phases(PROCESS))
+def test_work_that_was_not_done_ends_with_128_and_the_signal(box: Path, held: str, number: signal.Signals) -> None:
+    words = ["process", str(box / "none.mcap"), "--out", str(box / "out")]
+    code, said = told_while_held(box, held, number, "mirrorwave", words)
+    assert code == CODES[number] == 128 + number
+    # nobody reads what is said where the terminal has gone
+    said_of = {
+        signal.SIGINT: "mirrorwave: interrupted\n",
+        signal.SIGTERM: "mirrorwave: terminated\n",
+        signal.SIGHUP: "",
+    }
+    assert said == said_of[number]
+
+
+@pytest.mark.parametrize(
+    ("verb", "held", "number"),
+    [(verb, *phase) for verb, helds in (("launch", LAUNCH), ("record", RECORD)) for phase in phases(helds)],
+)
+def test_what_runs_until_told_is_done_when_told(box: Path, held: str, verb: str, number: signal.Signals) -> None:
+    words = {
+        "launch": ["launch", str(box / "t.yaml"), "--runs-dir", str(box / "runs")],
+        "record": ["bag", "record", str(box / "a.mcap")],
+    }[verb]
+    assert told_while_held(box, held, number, "mirrorwave", words) == (0, "")
+
+
+@pytest.mark.parametrize(("held", "number"), phases(NODE))
+def test_a_node_is_done_when_told(box: Path, held: str, number: signal.Signals) -> None:
+    words = ["tests.graph.toy_nodes", "--name", "tick", "--run-dir", str(box / "t")]
+    code, said = told_while_held(box, held, number, "nodes.node", words)
+    assert code == 0
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize("numbers", [[signal.SIGINT], [signal.SIGTERM], [signal.SIGTERM, signal.SIGINT]])
+def test_a_running_graph_with_its_recorder_is_done_when_told(box: Path, numbers: list[signal.Signals]) -> None:
+    """Also where the second signal meets it while it stops."""
+    out = box / "a.mcap"
+    words = ["-m", "mirrorwave", "launch", str(box / "t.yaml"), "--runs-dir", str(box / "runs"), "--record", str(out)]
+    with started(words) as process:
+        wait_for(process, box / "t" / "vehicle.state@tick")
+        for number in numbers[:1]:
+            process.send_signal(number)
+        for line in process.stdout or ():
+            if "stopping" in line:
+                break
+        for number in numbers[1:]:
+            process.send_signal(number)
+        process.communicate(timeout=PATIENCE_S)
+    # whoever is in a hurry may lose messages
+    assert process.returncode in ((0,) if len(numbers) == 1 else (0, 3))
+    assert info(out).complete or len(numbers) > 1
+
+
+@pytest.mark.parametrize("number", CODES)
+@pytest.mark.parametrize(
+    "verb", ["topic hz vehicle/state --duration 500", "topic echo vehicle/state", "node list --window 500"]
+)
+def test_who_listens_is_ended_as_a_shell_would_have_it(box: Path, verb: str, number: signal.Signals) -> None:
+    launched = ["-m", "mirrorwave", "launch", str(box / "t.yaml"), "--runs-dir", str(box / "runs")]
+    with started(launched) as graph, started(["-m", "mirrorwave", *verb.split()]) as process:
+        wait_for(graph, box / "t" / "vehicle.state@tick")
+        # well within its set-up or its work
+        time.sleep(1.0)
+        process.send_signal(number)
+        process.communicate(timeout=PATIENCE_S)
+        graph.send_signal(signal.SIGINT)
+        graph.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, graph.returncode) == (CODES[number], 0)
+
+
+@pytest.mark.parametrize(
+    ("line", "until_told"),
+    [
+        ("launch a.yaml --duration 5", True),
+        ("top", True),
+        ("top --once", False),
+        ("top --json --window 1", False),
+        ("bag record a.mcap", True),
+        ("bag info a.mcap", False),
+        ("bag", False),
+        ("process launch", False),
+        ("", False),
+    ],
+)
+def test_verbs_that_run_until_told(line: str, until_told: bool) -> None:
+    assert is_until_told(line.split()) is until_told

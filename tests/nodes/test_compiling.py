@@ -1,0 +1,28 @@
+"""The word on kernels that are compiled."""
+
+from __future__ import annotations
+
+from numba import njit
+
+from nodes.compiling import NOTICE, compile_notice
+
+
+def test_compiling_is_said_once_and_what_is_there_is_silent() -> None:
+    @njit
+    def twice(value):  # type: ignore[no-untyped-def]
+        return 2 * value
+
+    @njit
+    def outer(value):  # type: ignore[no-untyped-def]
+        return twice(value) + 1
+
+    said: list[str] = []
+    with compile_notice(said.append):
+        assert said == []
+        assert outer(3) == 7
+        assert said == [NOTICE]
+    with compile_notice(said.append):
+        assert outer(4) == 9
+    assert said == [NOTICE]
+    assert outer(1.5) == 4.0
+    assert said == [NOTICE]
