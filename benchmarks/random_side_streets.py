@@ -484,10 +484,13 @@ def _draw_way(axes: Axes, name: str, results: Sequence[DriveResult]) -> None:
         (~found, first_s, {"marker": "x", "color": "tab:red", "label": "not found: 0 s"}),
     ):
         spots, count = _counted(possible_s[which], values[which])
+        label = style.pop("label")
         axes.scatter(*spots.T, s=22.0 * count, zorder=3, clip_on=False, alpha=0.8, **style)
+        # for the legend, in one size
+        axes.scatter([], [], s=40.0, label=label, **style)
         for (x_s, y_s), number in zip(spots, count, strict=True):
             if number > 1:
-                axes.annotate(str(number), (x_s, y_s), (5, 5), textcoords="offset points", fontsize=8)
+                axes.annotate(str(number), (x_s, y_s), (0, 8), textcoords="offset points", fontsize=8, ha="center")
     axes.set(title=name, xlabel="most possible lead, s", xlim=(0.0, end_s), ylim=(0.0, end_s))
     axes.title.set_fontsize(10)
     axes.grid(alpha=0.3)
