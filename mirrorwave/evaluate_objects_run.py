@@ -30,7 +30,7 @@ from sim_player.scene import scene_to_yaml
 from sim_player.truth import object_images
 
 #: Committed sets, and what their choices minimise.
-SETS = LAUNCH_DIR / "object_sets.yaml"
+SETS = LAUNCH_DIR / "evaluation" / "object_sets.yaml"
 
 
 class ObjectSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
