@@ -99,8 +99,8 @@ def run_capture(
     file is in the way that was not written so, `ValueError` for a symbolic link and where the capture is none, or holds
     nothing to process, `OSError` with the name of what a full disk does not take.
     """
-    require_raw(capture)
     require_own_results(out)
+    require_raw(capture)
     launch = launch_for(capture, profile, overrides or [])
     nodes = {name: load_node(entry.module, entry.params, name) for name, entry in launch.nodes.items()}
     out.mkdir(parents=True, exist_ok=True)

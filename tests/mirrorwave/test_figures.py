@@ -122,7 +122,8 @@ def severity_rows() -> list[severity.Row]:
     return [
         severity.Row(
             fault=name, severity=level, scans=18, asked=18, found=17, missed=1, ghosts=1, error_mean_m=0.4,
-            error_p90_m=0.8, points_f1=0.9, flagged=float(index > 1), flags={"silent_beams": 1.0}, silent=0,
+            error_p90_m=0.8, centre_error_mean_m=1.2, centre_error_p90_m=2.0, points_f1=0.9, flagged=float(index > 1),
+            flags={"silent_beams": 1.0}, silent=0,
         )
         for name, values in levels.items()
         for index, level in enumerate(values)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -26,8 +25,8 @@ from msgs.radar import RadarSetup
 from nodes.geometry import Params, parts_of
 from nodes.launch_file import LaunchFile, read_launch_file
 from sim_player.labelled_beams import LabelledPlace
+from tests.captures import DATA, needs
 
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 ALLEY = DATA / "sigmf_alley"
 
 
@@ -114,7 +113,7 @@ def test_unfiltered_keeps_every_place_of_the_same_network() -> None:
     assert "unfiltered" in profile_names()
 
 
-@pytest.mark.skipif(not ALLEY.exists(), reason="capture sigmf_alley is absent")
+@needs(ALLEY)
 def test_one_object_within_15_cm_in_the_alley_of_another_simulator(tmp_path: Path) -> None:
     """The outside capture: one hidden car; the report lies within 0.15 m of its visible face, and is the only one."""
     assert main(["process", str(ALLEY / "alley.sigmf-meta"), "--out", str(tmp_path)]) == 0

@@ -14,10 +14,10 @@ from models.physics.mirror import (
     crosses,
     crossing_parameters,
     reflect,
-    segment_distance_m,
     specular_points,
     wall_from_ends,
 )
+from models.physics.plane import segment_distance_m
 from tests.stability.catalogue import Errors
 
 WAVELENGTH_M = 299_792_458.0 / 10e9
