@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -48,9 +49,9 @@ def was_interrupted() -> bool:
 def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     """The exit code of a verb that was interrupted, by its command line; says so in a line where it was not done."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    # an interrupt that has passed through a library's own Python code has marked the process to end by SIGINT, whatever
-    # its exit code; the mark is taken off where other code in text is run
-    exec("")
+    # an interrupt that passed through code that a library runs from text has marked the process to end by SIGINT,
+    # whatever its exit code; the interpreter takes the mark off where it runs such code again, as this does
+    namedtuple("Unmarked", ())
     if is_until_told(words):
         return 0
     is_terminated = _heard is signal.SIGTERM

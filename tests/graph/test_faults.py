@@ -570,7 +570,7 @@ MISTAKES: dict[str, tuple[str | bytes | None, str]] = {
     "missing": (None, "No such file or directory"),
     "empty": ("", "expected a mapping, got nothing"),
     "binary": (bytes(range(256)), "unacceptable character|can't decode|invalid"),
-    "no mapping": ("- 1\n- 2\n", "expected a mapping, got list"),
+    "no mapping": ("- 1\n- 2\n", "expected a mapping, got a list"),
     "no yaml": ("name: {", "line 1"),
     "no nodes": ("name: x\n", "nodes must name at least one node"),
     "unknown key": (NODE + "}}\ncolour: red\n", "unknown field colour"),
