@@ -34,11 +34,16 @@ setup-dev: $(VENV)/.installed-dev  ## the same with training, tests and linters
 demo: setup  ## a simulated corner through the whole graph: hidden objects beside truth, and a picture
 	$(BIN)/mirrorwave demo
 
+# each of the three parts of the tests is ended when it takes longer; pyproject.toml has the limit of a single test
+TEST_LIMIT_S ?= 5400
+PYTEST := timeout --foreground --verbose --kill-after 300 $(TEST_LIMIT_S) $(BIN)/python -m pytest -q
+
 test: setup-dev  ## all tests
-	@# graphs of processes want the machine to themselves; those of the documentation, which count no losses, two at a time
-	$(BIN)/python -m pytest -q -m "not graph" -n auto --dist loadfile --ignore=tests/docs
-	$(BIN)/python -m pytest -q -n 2 --dist load tests/docs
-	$(BIN)/python -m pytest -q -m graph --ignore=tests/docs
+	@# graphs of processes want the machine to themselves; those of the documentation, which count no losses, two at a
+	@# time. Every part runs in workers: what a worker dies of, pytest outlives and names.
+	$(PYTEST) -m "not graph" -n auto --dist loadfile --ignore=tests/docs
+	$(PYTEST) -n 2 --dist load tests/docs
+	$(PYTEST) -m graph -n 1 --ignore=tests/docs
 
 lint: setup-dev  ## style, types, house laws
 	$(BIN)/ruff check .

@@ -19,7 +19,8 @@ import numpy as np
 
 from models.perception.registration import PlacedCloud, RegistrationParams, moved, pose_error, register, rounded_pose
 from models.perception.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
-from models.physics.mirror import blocked, reflect, segment_distance_m, wall_from_ends
+from models.physics.mirror import blocked, reflect, wall_from_ends
+from models.physics.plane import segment_distance_m
 from nodes import player
 from sim_player.hiding import Boxes, chords
 from sim_player.lidar_cloud import LidarCloud, LidarParams, choose_viewpoints, lidar_cloud, rigid

@@ -19,7 +19,7 @@ import zmq
 from zmq.utils.monitor import recv_monitor_message
 
 from benchmarks.link_stand import SECRET_TOPIC, Keys, Stand
-from benchmarks.net import HOST, Row, Script, Talk, answer, call, frames_v1, greeting
+from benchmarks.net import HOST, Row, Script, Talk, answer, call, command, frames_v1, greeting, ready
 from benchmarks.raw_peers import MESSAGE, TOPIC, drip, injected, scripts, v1
 from msgs.codec import topic_frame
 from msgs.topics import MIB, TOPICS
@@ -30,17 +30,29 @@ PATIENCE_S = 0.6
 GROWTH_LIMIT_BYTES = 64 * MIB
 #: A handshake that has not ended by then is the end of its connection (libzmq's own default is 30 s).
 HANDSHAKE_LIMIT_S = 10.0
+#: Longest life of a peer that leaves at once.
+LIFE_S = 0.05
+_BEGINNINGS = (
+    b"",
+    b"\xff",
+    frames_v1([b""]) + frames_v1([b"\x01"]),
+    greeting("NULL") + ready("SUB"),
+    greeting("CURVE")[:40],
+    greeting("CURVE"),
+    greeting("CURVE") + command("HELLO", bytes(194)),
+)
 Connected = Callable[[zmq.Socket[bytes]], None]
 Outcome = tuple[int, int, str]
 _REFUSED = zmq.Event.HANDSHAKE_FAILED_PROTOCOL
 
 
-def rows(tries: int, seed: int, flood: int, subscriptions: int) -> Iterator[Row]:
+def rows(tries: int, seed: int, flood: int, subscriptions: int, hangups: int) -> Iterator[Row]:
     """The controls, then all attacks on one link."""
     yield from _controls(tries)
     with Stand() as stand:
         yield from _on_exporter(stand, tries, seed)
         yield from _on_importer(stand, tries, seed)
+        yield from _leaving(stand, hangups, seed)
         yield from _on_the_wire(stand, tries, seed)
         yield from _by_allowed_importer(stand, tries, seed, subscriptions)
         yield from _by_allowed_exporter(stand, tries)
@@ -300,6 +312,50 @@ def _served(prepare: Connected) -> Iterator[_Impostor]:
             thread.join()
 
 
+# ------------------------------------------------------------------------------------------------ leaving at once
+
+
+def _leaving(stand: Stand, count: int, seed: int) -> Iterator[Row]:
+    few = max(1, count // 50)
+    yield _row(stand, "export", "peers that leave at once: raw", lambda: leave_raw(stand, count))
+    yield _row(
+        stand, "export", "peers that leave at once: on the list, after 0 to 50 ms", lambda: leave(stand, few, seed)
+    )
+    yield _row(stand, "import", "the exporter's connection cut after 0 to 50 ms", lambda: cut_early(stand, few, seed))
+
+
+def leave_raw(stand: Stand, count: int) -> Outcome:
+    """Say a beginning and reset the connection, which the exporter then finds in the middle of a handshake."""
+    heard = 0
+    for index in range(count):
+        with call(stand.port) as talk:
+            talk.say(_BEGINNINGS[index % len(_BEGINNINGS)])
+            talk.reset()
+            heard += _is_in(talk)
+        # who is not served all the while would not be noticed afterwards
+        stand.turn(0.0)
+    return count, heard, ""
+
+
+def leave(stand: Stand, count: int, seed: int) -> Outcome:
+    """Subscribe with a good key and go."""
+    for life_s in np.random.default_rng(seed).uniform(0.0, LIFE_S, count):
+        with _client(zmq.SUB, stand.port, lambda peer: stand.server.connect(peer, stand.greedy)) as peer:
+            peer.subscribe(b"")
+            stand.turn(life_s)
+    return count, 0, ""
+
+
+def cut_early(stand: Stand, count: int, seed: int) -> Outcome:
+    """Cut the importer's connection as soon as it has come back, or a little later."""
+    for life_s in np.random.default_rng(seed).uniform(0.0, LIFE_S, count):
+        known = len(stand.proxy.passages)
+        stand.proxy.cut()
+        stand.wait(lambda known=known: len(stand.proxy.passages) > known, "the importer did not come back")
+        stand.turn(life_s)
+    return count, 0, ""
+
+
 # -------------------------------------------------------------------------------------------------------- on the wire
 
 
@@ -411,10 +467,14 @@ def ask(stand: Stand, wanted: Sequence[bytes]) -> Outcome:
 
 def upward(stand: Stand, messages: Iterable[bytes], key: Keys | None = None) -> Outcome:
     """Accepted is what makes the exporter grow beyond its limit."""
-    before, sent = stand.resident("export"), 0
-    with _client(zmq.XSUB, stand.port, lambda peer: stand.server.connect(peer, key or stand.evil)) as peer:
+
+    def prepare(peer: zmq.Socket[bytes]) -> None:
+        stand.server.connect(peer, key or stand.evil)
         peer.set(zmq.SNDTIMEO, 2000)
         peer.set(zmq.SNDHWM, 1000)
+
+    before, sent = stand.resident("export"), 0
+    with _client(zmq.XSUB, stand.port, prepare) as peer:
         largest = before
         for message in messages:
             with contextlib.suppress(zmq.Again):

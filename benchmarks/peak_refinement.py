@@ -32,6 +32,7 @@ import scipy
 from rich.console import Console
 from rich.progress import track
 
+from mirrorwave.plot_style import legend_below, new_figure, save
 from models.perception.coarray import AzimuthInterpolator
 from models.perception.detectors import NetworkDetector, Refine
 from models.perception.geometry import GeometryParams, fold_scan
@@ -335,15 +336,12 @@ def _text_row(row: dict[str, Any], key: str) -> str:
 
 
 def draw(report: dict[str, Any], path: Path) -> None:
-    """Four panels: range, azimuth, array errors, two points; every line named at its end."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
+    """Four panels: range, azimuth, array errors, two points; signs below each."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    figure, axes = plt.subplots(2, 2, figsize=(12.0, 9.0), sharex=True, layout="constrained")
-    figure.suptitle("Peak refinement on the complex map against the Cramer-Rao bound", fontsize=15)
+    figure = new_figure(10.0, 10.0)
+    axes = figure.subplots(2, 2)
+    figure.suptitle("Peak refinement on the complex map against the Cramer-Rao bound", fontsize=12)
     one, errors = report["one_point"], report["model_errors"]
     _panel(axes[0, 0], one, "range_m", 1e3, "Range RMSE [mm]", "One echo: range")
     _panel(axes[0, 1], one, "azimuth_deg", 1.0, "Azimuth RMSE [deg]", "One echo: azimuth")
@@ -362,9 +360,9 @@ def draw(report: dict[str, Any], path: Path) -> None:
         axis.set_axisbelow(True)
         axis.set_xlim(SNR_DB[0], SNR_DB[-1])
         axis.spines[["top", "right"]].set_visible(False)
-    for axis in axes[1]:
         axis.set_xlabel("SNR of the map's cell [dB]")
-    figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
+        legend_below(axis, columns=2)
+    save(figure, path)
 
 
 def _panel(axis: Any, rows: list[dict[str, Any]], key: str, scale: float, label: str, title: str) -> None:
@@ -381,8 +379,8 @@ def _panel(axis: Any, rows: list[dict[str, Any]], key: str, scale: float, label:
     ):
         values = scale * np.array([row[f"{way}_{key}"] for row in rows])
         axis.plot(snr_db, values, color=colour, marker=marker, ms=5, lw=1.8, label=name)
-    axis.set(title=title, ylabel=label)
-    axis.legend(frameon=False, fontsize=9)
+    axis.set_title(title, fontsize=11)
+    axis.set_ylabel(label)
 
 
 def _pair_panel(axis: Any, rows: list[dict[str, Any]]) -> None:
@@ -400,8 +398,8 @@ def _pair_panel(axis: Any, rows: list[dict[str, Any]]) -> None:
     axis.plot([], [], color="0.3", marker="o", ms=5, label="likelihood")
     axis.plot([], [], color="0.3", ls="--", label="bound of the pair")
     axis.plot([], [], color="0.3", ls=":", label="parabola on the ridge")
-    axis.set(title="Two equal echoes at one range: azimuth", ylabel="Median azimuth error [deg]")
-    axis.legend(frameon=False, fontsize=9, ncols=2)
+    axis.set_title("Two equal echoes at one range: azimuth", fontsize=11)
+    axis.set_ylabel("Median azimuth error [deg]")
 
 
 if __name__ == "__main__":

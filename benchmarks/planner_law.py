@@ -149,11 +149,12 @@ def beat_row(seed: int, index: int, preset: str) -> tuple[float, float]:
 
 def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, count: int = 10) -> None:
     """The scenes nearest to their budget of -20 dB: map of all, and where the planned one is off."""
-    from matplotlib.figure import Figure
+    from mirrorwave.plot_style import handles_of, legend_of_figure, new_figure, save
+    from mirrorwave.scene_picture import draw_scene
 
     rank = sorted(range(len(rows)), key=lambda index: -rows[index]["budgets"][1]["actual_db"])[:count]
-    figure = Figure(figsize=(15.0, 3.0 * len(rank)), dpi=70)
-    axes = figure.subplots(len(rank), 3, squeeze=False)
+    figure = new_figure(10.0, 2.3 * len(rank) + 0.8)
+    axes = figure.subplots(len(rank), 3, squeeze=False, width_ratios=(1.0, 1.2, 1.2))
     for (first, second, third), index in zip(axes, rank, strict=True):
         scene = random_place(seed, index, preset)
         setup, world = scene.setup, prepare(scene, index)
@@ -165,24 +166,26 @@ def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, co
         )
         ratio = cells_of(setup).off(reference, noisy_profiles(plan, setup, index), rms)[len(setup.beams) :]
         grid = cells_of(setup).values(reference)[len(setup.beams) :]
-        from mirrorwave.scene_picture import draw_scene
-
         draw_scene(first, scene)
-        first.set_title(f"{scene.name}: {rows[index]['budgets'][1]['actual_db']:.1f} dB off", fontsize=9)
+        first.set_title(f"{scene.name}: {rows[index]['budgets'][1]['actual_db']:.1f} dB off", fontsize=8)
+        first.set_xlabel("y, left [m]", fontsize=8)
+        first.set_ylabel("x, forward [m]", fontsize=8)
         extent = (0.0, 512 * setup.radar.range_bin_m, -60.0, 60.0)
         level_db = 20.0 * np.log10(np.maximum(np.abs(grid) / rms, 1e-3))
         for axis, image, limits, name in (
-            (second, level_db, (0.0, 80.0), "all effects, dB over noise"),
-            (third, 20.0 * np.log10(np.maximum(ratio, 1e-6)), (-80.0, -20.0), "off, dB (budget -20)"),
+            (second, level_db, (0.0, 80.0), "all effects: level over noise [dB]"),
+            (third, 20.0 * np.log10(np.maximum(ratio, 1e-6)), (-80.0, -20.0), "off by [dB], budget -20 dB"),
         ):
             shown = axis.imshow(image, aspect="auto", extent=extent, origin="lower", vmin=limits[0], vmax=limits[1])
-            figure.colorbar(shown, ax=axis)
+            figure.colorbar(shown, ax=axis).ax.tick_params(labelsize=8)
             axis.set_title(name, fontsize=9)
-            axis.set_xlabel("range (m)", fontsize=7)
-            axis.set_ylabel("azimuth (deg)", fontsize=7)
-    figure.tight_layout()
+            axis.set_xlabel("range [m]", fontsize=8)
+            axis.set_ylabel("azimuth [deg]", fontsize=8)
+    for axis in axes.ravel():
+        axis.tick_params(labelsize=8)
+    legend_of_figure(figure, handles_of(*axes[:, 0]), columns=3)
     out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / "planner_worst.png")
+    save(figure, out / "planner_worst.png")
 
 
 def report(found: dict[str, Any]) -> None:

@@ -26,6 +26,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from benchmarks.six_scenes import SCENES
+from mirrorwave.plot_style import handles_of, legend_of_figure, new_figure, save
 from models.perception.chain import Chain
 from models.perception.detectors import NetworkDetector
 from models.perception.metrics import Counts, match_objects, recovered_counts
@@ -206,7 +207,9 @@ class Case(msgspec.Struct, kw_only=True):
     scene: str
     seed: int
     asked: int = 0
+    #: Face and centre errors (`models.perception.object_error`) of the found.
     errors_m: list[float] = []
+    centre_errors_m: list[float] = []
     missed: int = 0
     ghosts: int = 0
     points: list[int] = []
@@ -248,6 +251,7 @@ def run(fault: str, severity: float, scene: Path, seed: int) -> Case:
         seed=seed,
         asked=len(match.matched) + len(match.missed_truths),
         errors_m=[error_m for _, _, error_m in match.matched],
+        centre_errors_m=list(match.centre_m),
         missed=len(match.missed_truths),
         ghosts=len(match.unmatched_objects),
         points=[points.true_positives, points.false_positives, points.false_negatives],
@@ -265,8 +269,11 @@ class Row(msgspec.Struct, kw_only=True):
     found: int
     missed: int
     ghosts: int
+    #: Face error, and centre error.
     error_mean_m: float | None
     error_p90_m: float | None
+    centre_error_mean_m: float | None
+    centre_error_p90_m: float | None
     points_f1: float
     #: Share of scans that say something unfaulted scans do not, and the share that raises each flag.
     flagged: float
@@ -282,6 +289,7 @@ class Row(msgspec.Struct, kw_only=True):
 def summarise(cases: Sequence[Case]) -> Row:
     """All cases of one fault at one severity."""
     errors_m = [error_m for case in cases for error_m in case.errors_m]
+    centre_m = [error_m for case in cases for error_m in case.centre_errors_m]
     counts = sum((Counts(*case.points) for case in cases), Counts())
     raised = Counter(flag for case in cases for flag in case.flags)
     return Row(
@@ -294,6 +302,8 @@ def summarise(cases: Sequence[Case]) -> Row:
         ghosts=sum(case.ghosts for case in cases),
         error_mean_m=float(np.mean(errors_m)) if errors_m else None,
         error_p90_m=float(np.quantile(errors_m, 0.9)) if errors_m else None,
+        centre_error_mean_m=float(np.mean(centre_m)) if centre_m else None,
+        centre_error_p90_m=float(np.quantile(centre_m, 0.9)) if centre_m else None,
         points_f1=counts.f1,
         flagged=sum(bool(case.flags) for case in cases) / len(cases),
         flags={flag: count / len(cases) for flag, count in sorted(raised.items())},
@@ -345,16 +355,18 @@ def rows_of(cases: Sequence[Case]) -> list[Row]:
 def table(rows: Sequence[Row]) -> str:
     """Markdown table of all rows."""
     lines = [
-        "| fault | severity | found / asked | made up | error mean, p90 [m] | points F1 | flagged | flags | silent |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        "| fault | severity | found / asked | made up | face error mean, p90 [m] | centre error mean, p90 [m] "
+        "| points F1 | flagged | flags | silent |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in rows:
         fault = FAULTS[row.fault]
         errors = "-" if row.error_mean_m is None else f"{row.error_mean_m:.2f}, {row.error_p90_m:.2f}"
+        centres = "-" if row.error_mean_m is None else f"{row.centre_error_mean_m:.2f}, {row.centre_error_p90_m:.2f}"
         flags = ", ".join(f"{flag} {share:.0%}" for flag, share in row.flags.items())
         lines.append(
             f"| {fault.title} | {row.severity:g} {fault.unit} | {row.found} / {row.asked} | {row.ghosts} | {errors} "
-            f"| {row.points_f1:.2f} | {row.flagged:.0%} | {flags or '-'} | {row.silent} |"
+            f"| {centres} | {row.points_f1:.2f} | {row.flagged:.0%} | {flags or '-'} | {row.silent} |"
         )
     return "\n".join(lines) + "\n"
 
@@ -366,17 +378,12 @@ _BOARDS = "measured_gains"
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Small multiples: one pair of panels a fault, found share over position error, flagged severities shaded."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
+    """Small multiples: one pair of panels a fault, found share over face error, flagged severities shaded."""
     of_fault = {name: [row for row in rows if row.fault == name] for name in FAULTS}
     names = [name for name, mine in of_fault.items() if mine and name not in ("none", _BOARDS)]
-    across = min(4, len(names))
+    across = min(3, len(names))
     down = -(-len(names) // across)
-    figure = plt.figure(figsize=(3.6 * across, 3.7 * down + 0.7), layout="constrained")
+    figure = new_figure(max(3.3 * across, 7.0), 3.5 * down + 1.0)
     blocks = figure.subfigures(down, across, squeeze=False)
     for name, block in zip(names, blocks.ravel(), strict=False):
         shares, errors = block.subplots(2, 1, sharex=True, height_ratios=(3, 2))
@@ -384,19 +391,11 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         shares.set_ylim(-0.05, 1.1 * max(1.0, *(row.ghosts / row.scans for row in rows)))
         if name == "gain_errors":
             _draw_boards(shares, errors, of_fault[_BOARDS])
-    lines, labels = blocks[0, 0].axes[0].get_legend_handles_labels()
-    more_lines, more_labels = blocks[0, 0].axes[1].get_legend_handles_labels()
     scans = min(row.scans for row in rows)
-    figure.legend(
-        [*lines, *more_lines],
-        [*labels, *more_labels],
-        loc="outside upper center",
-        ncols=6,
-        title=f"Hidden vehicles in six scenes under hardware faults the chain is not told of, {scans} scans a point",
-    )
+    title = f"Hidden vehicles in six scenes under hardware faults that the chain does not know, {scans} scans a point"
+    legend_of_figure(figure, handles_of(*figure.axes), columns=3, loc="outside upper center", title=title)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
-    plt.close(figure)
+    save(figure, path)
 
 
 def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> None:
@@ -407,8 +406,10 @@ def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> 
     nan = float("nan")
     means = [nan if row.error_mean_m is None else row.error_mean_m for row in rows]
     tails = [nan if row.error_p90_m is None else row.error_p90_m for row in rows]
-    errors.plot(at, means, "o-", color=_GREEN, ms=4, label="position error, mean")
-    errors.plot(at, tails, "^:", color=_GREEN, ms=4, mfc="white", label="90th percentile")
+    centres = [nan if row.centre_error_mean_m is None else row.centre_error_mean_m for row in rows]
+    errors.plot(at, means, "o-", color=_GREEN, ms=4, label="face error, mean")
+    errors.plot(at, tails, "^:", color=_GREEN, ms=4, mfc="white", label="its 90th percentile")
+    errors.plot(at, centres, "d--", color="0.3", ms=4, label="centre error, mean")
     flagged = first_flagged(rows)
     harmless = all(row.missed + row.ghosts == 0 for row in rows)
     said = "not flagged, nothing missed or made up" if harmless else "not flagged"
@@ -421,8 +422,8 @@ def _draw_fault(shares: Any, errors: Any, fault: Fault, rows: Sequence[Row]) -> 
         telling = max(flagged.flags, key=lambda flag: (flagged.flags[flag], flag != "missing_beams"))
         said = f"flagged from {flagged.severity:g}: {telling.replace('_', ' ')}"
     shares.set_title(f"{fault.title}\n{said}", fontsize=9)
-    shares.set(yticks=(0, 0.5, 1, 1.5), xlim=(-0.5, len(rows) - 0.5))
-    errors.set(ylim=(0, 1.05), yticks=(0, 0.5, 1), ylabel="m", xticks=at)
+    shares.set(ylabel="share", yticks=(0, 0.5, 1, 1.5), xlim=(-0.5, len(rows) - 0.5))
+    errors.set(ylim=(0, 2.5), yticks=(0, 1, 2), ylabel="error [m]", xticks=at)
     errors.set_xticklabels(["none", *(f"{row.severity:g}" for row in rows[1:])], fontsize=8)
     errors.set_xlabel(fault.unit, fontsize=9)
     for axis in (shares, errors):
@@ -438,7 +439,7 @@ def _draw_boards(shares: Any, errors: Any, rows: Sequence[Row]) -> None:
         shares.plot(at, row.found_share, "*", color="black", ms=9)
         errors.plot(at, row.error_mean_m, "*", color="black", ms=9)
         errors.annotate(f"board {row.severity:g}", (at, row.error_mean_m), (0, -12), textcoords="offset points",
-                        ha="center", fontsize=7)  # fmt: skip
+                        ha="center", fontsize=8)  # fmt: skip
 
 
 def main() -> None:

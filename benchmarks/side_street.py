@@ -4,8 +4,9 @@ The radar drives along a street that bends to the left, a car comes down the sid
 there; the wall across the junction mirrors both. Beams are simulated and go through the whole chain once a seed; the
 ways differ only in what follows it. Speed and yaw rate come as 50 states a second with noise and a gyroscope's bias,
 which the odometry learns in 3 s of rest before.
-An object or track is a car where it lies within 2 m of its centre or of its seen faces (the place at the time of
-measurement, the track at the scan's stamp). Velocity is that over ground, against the true one. Of the moving car
+An object or track is a car where its face error (to the nearest visible face or the centre) is within 2 m; the error of
+its centre stands beside it (`models.perception.object_error`; the position is that at the time of measurement, of a
+track at the scan's stamp). Velocity is that over ground, against the true one. Of the moving car
 alone: lead, from the scan that first says it and keeps its id while the car is hidden to the scan in which it first is
 in direct sight; and foretold, the tracks' time to appear against what it was. The last line is what tracking costs a
 scan: taking in its vehicle states, and odometry and tracker.
@@ -61,7 +62,8 @@ class Said(msgspec.Struct, kw_only=True):
     id: int | None = None
     x_m: float = math.nan
     y_m: float = math.nan
-    error_m: float = math.nan
+    face_error_m: float = math.nan
+    centre_error_m: float = math.nan
     velocity_error_mps: float = math.nan
     time_to_appear_s: float | None = None
     #: Objects or tracks of the scan that are no hidden car.
@@ -84,7 +86,9 @@ class Row(msgspec.Struct, kw_only=True):
     #: Scans times cars hidden in them.
     hidden: int
     found_share: float
-    rmse_m: float | None
+    #: Root mean squares of the errors of what was found.
+    face_rmse_m: float | None
+    centre_rmse_m: float | None
     velocity_rmse_mps: float | None
     id_switches: int
     others_per_scan: float
@@ -148,12 +152,13 @@ def as_object(track: Track) -> HiddenObject:
 def said(scan: Scan, objects: Sequence[HiddenObject], car: int, tracks: Sequence[Track] = ()) -> Said:
     """Which of the objects is a car, and how far off."""
     match = match_objects(objects, scan.truth, GATE_M)
-    mine = next((pair for pair in match.matched if pair[1] == car), None)
     now = Said(time_s=scan.time_s, others=len(match.unmatched_objects))
+    mine = next((index for index, pair in enumerate(match.matched) if pair[1] == car), None)
     if mine is None:
         return now
-    one = next(one for one in objects if one.id == mine[0])
-    now = msgspec.structs.replace(now, id=one.id, x_m=one.x_m, y_m=one.y_m, error_m=mine[2])
+    one = next(one for one in objects if one.id == match.matched[mine][0])
+    errors = {"face_error_m": match.matched[mine][2], "centre_error_m": match.centre_m[mine]}
+    now = msgspec.structs.replace(now, id=one.id, x_m=one.x_m, y_m=one.y_m, **errors)
     track = next((track for track in tracks if track.id == one.id), None)
     if track is None:
         return now
@@ -219,7 +224,7 @@ def row(way: str, told: Sequence[Told], sight_s: Sequence[float]) -> Row:
     both = [values for one in told for values in one[way]]
     moving = [(one[way][CAR], sight) for one, sight in zip(told, sight_s, strict=True)]
     all_said = [one for values in both for one in values]
-    errors_m = [one.error_m for one in all_said if one.id is not None]
+    found = [one for one in all_said if one.id is not None]
     wrong_s = [
         one.time_to_appear_s - (sight - one.time_s)
         for values, sight in moving
@@ -229,8 +234,9 @@ def row(way: str, told: Sequence[Told], sight_s: Sequence[float]) -> Row:
     return Row(
         way=way,
         hidden=len(all_said),
-        found_share=len(errors_m) / len(all_said),
-        rmse_m=_rms(errors_m),
+        found_share=len(found) / len(all_said),
+        face_rmse_m=_rms([one.face_error_m for one in found]),
+        centre_rmse_m=_rms([one.centre_error_m for one in found]),
         velocity_rmse_mps=_rms([one.velocity_error_mps for one in all_said if math.isfinite(one.velocity_error_mps)]),
         id_switches=sum(switches(values) for values in both),
         others_per_scan=float(np.mean([one.others for one in all_said])),
@@ -265,39 +271,87 @@ def _start_from_radar(scans: Sequence[Scan], scan: Scan) -> Pose2:
 
 
 def draw_figure(course: Course, scans: Sequence[Scan], told: Told, path: Path) -> None:
-    """One drive: the plan, the moving car's error and its time to appear over time; of a log, what its bus says."""
+    """Draw one drive: the plan; of the moving car what is reported under which id, errors, time to direct sight."""
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    rows, columns = (2, 2) if course.stretch else (1, 3)
-    size = (6.0 * columns, 4.3 * rows) if course.stretch else (15.0, 5.2)
-    figure, grid = pyplot.subplots(rows, columns, figsize=size, layout="constrained")
-    plan, error, appear, *more = panels = grid.ravel()
-    colours = dict(zip(told, ("0.55", "tab:orange", "tab:blue"), strict=True))
-    _draw_world(plan, course, scans)
-    for way, (moving, parked) in told.items():
-        style = {"color": colours[way], "label": way}
-        times = [one.time_s for one in moving]
-        plan.plot(*_in_start(scans, moving).T, "o" if way == SCAN_BY_SCAN else ".-", markersize=5, **style)
-        plan.plot(*_in_start(scans, parked).T, "o" if way == SCAN_BY_SCAN else ".", markersize=4, color=colours[way])
-        error.plot(times, [one.error_m for one in moving], "o-", markersize=4, **style)
-        if way != SCAN_BY_SCAN:
-            foretold = [math.nan if one.time_to_appear_s is None else one.time_to_appear_s for one in moving]
-            appear.plot(times, foretold, "o-", markersize=4, **style)
-    appear.plot([0.0, sight_s(scans)], [sight_s(scans), 0.0], "k--", label="as it was")
-    plan.set(xlabel="x, m", ylabel="y, m", title="By odometry, from the first scan", aspect="equal", xlim=(-2.0, 68.0))
-    error.set(xlabel="time, s", ylabel="distance, m", title="Moving car: error of the place", ylim=(0.0, 2.0))
-    appear.set(xlabel="time, s", ylabel="time, s", title="Moving car: time to direct sight", ylim=(0.0, None))
-    for axes in more:
-        _draw_motion(axes, course, scans)
+    rows = 3 if course.stretch else 2
+    figure = pyplot.figure(figsize=(16.5, 4.1 * rows + 0.5), layout="constrained")
+    grid = figure.add_gridspec(rows, 3, width_ratios=(1.15, 1.0, 1.0))
+    plan = figure.add_subplot(grid[:2, 0])
+    reports, error, velocity, appear = (figure.add_subplot(grid[place]) for place in ((0, 1), (0, 2), (1, 1), (1, 2)))
+    _draw_plan(plan, course, scans, told)
+    _draw_reports(reports, scans, told)
+    _draw_errors(error, velocity, told)
+    _draw_time_to_sight(appear, scans, told)
+    panels = [reports, error, velocity, appear]
     for axes in panels:
+        axes.axvline(sight_s(scans), color="k", linewidth=1.0, linestyle=":")
+        axes.set(xlabel="time, s", xlim=(-0.2, sight_s(scans) + 0.3))
+    if course.stretch:
+        panels.append(figure.add_subplot(grid[2, :]))
+        _draw_motion(panels[-1], course, scans)
+    for axes in [plan, *panels]:
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
+        if axes is not reports:
+            axes.legend(fontsize=8)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
     pyplot.close(figure)
+
+
+#: Colour of each way.
+COLOURS = {SCAN_BY_SCAN: "0.55", STANDING: "tab:orange", TRACKED: "tab:blue"}
+
+
+def _draw_plan(plan: Axes, course: Course, scans: Sequence[Scan], told: Told) -> None:
+    """Draw the street from above, and where each way has both cars."""
+    _draw_world(plan, course, scans)
+    for way, (moving, parked) in told.items():
+        marker = "o" if way == SCAN_BY_SCAN else "."
+        plan.plot(*_in_start(scans, moving).T, marker, markersize=5, color=COLOURS[way], label=way)
+        plan.plot(*_in_start(scans, parked).T, marker, markersize=4, color=COLOURS[way])
+    plan.set(xlabel="x, m", ylabel="y, m", title="From above, by odometry from the first scan", aspect="equal")
+
+
+def _draw_reports(axes: Axes, scans: Sequence[Scan], told: Told) -> None:
+    """Draw a row of scans for each way: a dot where the car is reported, a line as long as one id stays on it."""
+    for row, (way, (moving, _)) in enumerate(told.items()):
+        for before, now in pairwise(moving):
+            if now.id is not None and now.id == before.id:
+                axes.plot((before.time_s, now.time_s), (-row, -row), color=COLOURS[way], linewidth=4)
+        reported = [one.time_s for one in moving if one.id is not None]
+        axes.plot(reported, [-row] * len(reported), "o", color=COLOURS[way], markersize=6)
+        lead = lead_s(moving, sight_s(scans))
+        text = f"{way}: lead {'none' if lead is None else f'{lead:.1f} s'}, {switches(moving)} id switches"
+        axes.text(0.0, 0.25 - row, text, fontsize=9)
+    axes.text(sight_s(scans) - 0.05, -2.65, "direct sight", fontsize=8, ha="right")
+    axes.set(title="Moving car: reported; a line where the id stays", yticks=(), ylim=(-2.8, 0.7))
+
+
+def _draw_errors(error: Axes, velocity: Axes, told: Told) -> None:
+    """Draw the errors of position, to the face and to the centre, and of velocity."""
+    for way, (moving, _) in told.items():
+        times = [one.time_s for one in moving]
+        style = {"color": COLOURS[way], "markersize": 4}
+        error.plot(times, [one.face_error_m for one in moving], "o-", label=f"face, {way}", **style)
+        error.plot(times, [one.centre_error_m for one in moving], "s:", label=f"centre, {way}", **style)
+        if way != SCAN_BY_SCAN:
+            velocity.plot(times, [one.velocity_error_mps for one in moving], "o-", label=way, **style)
+    error.set(ylabel="m", title="Moving car: face error and centre error", ylim=(0.0, 4.0))
+    velocity.set(ylabel="m/s", title="Moving car: error of the velocity over ground", ylim=(0.0, None))
+
+
+def _draw_time_to_sight(appear: Axes, scans: Sequence[Scan], told: Told) -> None:
+    """Draw the time to direct sight as tracks foretell it and as it was."""
+    for way in (STANDING, TRACKED):
+        moving = told[way][CAR]
+        foretold = [math.nan if one.time_to_appear_s is None else one.time_to_appear_s for one in moving]
+        appear.plot([one.time_s for one in moving], foretold, "o-", markersize=4, color=COLOURS[way], label=way)
+    appear.plot([0.0, sight_s(scans)], [sight_s(scans), 0.0], "k--", label="as it was")
+    appear.set(ylabel="s", title="Moving car: time to direct sight", ylim=(0.0, None))
 
 
 def _draw_world(plan: Axes, course: Course, scans: Sequence[Scan]) -> None:
@@ -310,7 +364,10 @@ def _draw_world(plan: Axes, course: Course, scans: Sequence[Scan]) -> None:
     way_m = car.speed_mps * np.array([scan.time_s for scan in scans])
     yaw_rad = math.radians(car.yaw_deg)
     plan.plot(car.x_m + way_m * math.cos(yaw_rad), car.y_m + way_m * math.sin(yaw_rad), "k:", label="car, true centre")
-    plan.plot(parked.x_m, parked.y_m, "k+", label="parked car, true centre")
+    for one, end_s in ((car, scans[-1].time_s), (parked, 0.0)):
+        outline_m = one.corners_m() + end_s * one.speed_mps * np.array([math.cos(yaw_rad), math.sin(yaw_rad)])
+        label = "cars' outlines at direct sight" if one is car else None
+        plan.fill(*outline_m.T, fill=False, edgecolor="k", linewidth=1.0, label=label)
 
 
 def _draw_motion(axes: Axes, course: Course, scans: Sequence[Scan]) -> None:
@@ -336,7 +393,9 @@ def _in_start(scans: Sequence[Scan], values: Sequence[Said]) -> np.ndarray:
 
 def line(one: Row) -> str:
     leads = ", ".join("none" if lead is None else f"{lead:.1f}" for lead in one.lead_s)
-    rmse = "none" if one.rmse_m is None else f"{one.rmse_m:.2f} m"
+    rmse = "none"
+    if one.face_rmse_m is not None:
+        rmse = f"face {one.face_rmse_m:.2f} m, centre {one.centre_rmse_m:.2f} m"
     foretold = "" if one.foretold_rms_s is None else f"  foretold {one.foretold}, rms {one.foretold_rms_s:.2f} s"
     velocity = "" if one.velocity_rmse_mps is None else f"  velocity {one.velocity_rmse_mps:.2f} m/s"
     return (

@@ -34,6 +34,7 @@ from scipy.stats import theilslopes
 from benchmarks.faults import hear_ctrl_c, processes_of
 from benchmarks.live_graph import quantiles, shed_of
 from benchmarks.viewer_load import Pages
+from mirrorwave.plot_style import legend_beside, new_figure, save
 from msgs.diagnostics import LogRecord, NodeState, NodeStatus
 from msgs.perception import BevFrame
 from msgs.zmq_bus import ZmqBus, run_dir
@@ -376,11 +377,10 @@ def write(out: Path, result: dict[str, Any]) -> None:
 
 def draw(result: dict[str, Any], path: Path) -> None:
     """Latency and memory over the minutes, kills as ticks."""
-    from matplotlib import pyplot as plt
-
     minutes = result["minutes"]
     at_min = [one["at_s"] / 60.0 for one in minutes]
-    figure, (upper, lower) = plt.subplots(2, 1, figsize=(9.0, 6.0), sharex=True, layout="constrained")
+    figure = new_figure(9.0, 6.0)
+    upper, lower = figure.subplots(2, 1, sharex=True)
     for name in ("p50", "p99", "max"):
         upper.plot(at_min, [one["latency_ms"][name] if one["latency_ms"] else np.nan for one in minutes], label=name)
     upper.axhline(1e3 * DEADLINE_S, color="0.6", linestyle=":", label="deadline")
@@ -392,8 +392,8 @@ def draw(result: dict[str, Any], path: Path) -> None:
         in_kills = [minute for minute, one in zip(at_min, minutes, strict=True) if one["phase"] == "kills"]
         if in_kills:
             axes.axvspan(in_kills[0] - 1.0, in_kills[-1], color="tab:red", alpha=0.08, label="kills")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=8)
-    figure.savefig(path, dpi=110)
+        legend_beside(axes)
+    save(figure, path)
 
 
 def main() -> None:

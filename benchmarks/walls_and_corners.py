@@ -19,6 +19,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.geometry_switches import DEFAULT, labelled_peaks, machine, switched
+from mirrorwave.plot_style import legend_below, new_figure, save
 from models.perception.geometry import GeometryParams, fold_scan
 from models.perception.recovery import Residual
 from models.perception.residual_model import LearnedResidual
@@ -120,12 +121,8 @@ def _row(scene: str, at: float, way: str, order: int, error_m: np.ndarray) -> Ro
 
 def draw_figure(rows: list[Row], path: Path) -> None:
     """Two panels: error against curvature, and share of double images within a metre against the corner's distance."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(11.0, 4.2), layout="constrained")
+    figure = new_figure(10.0, 5.0)
+    left, right = figure.subplots(1, 2)
     for way in dict.fromkeys(row.way for row in rows if row.scene == "curved"):
         own = [row for row in rows if row.scene == "curved" and row.order == 1 and row.way == way]
         left.plot(
@@ -135,8 +132,8 @@ def draw_figure(rows: list[Row], path: Path) -> None:
             label=way,
         )
     left.set(
-        xlabel="curvature of the wall, 1/m (bulging  -  |  +  hollow towards the radar)",
-        ylabel="median error of the recovered place, m",
+        xlabel="curvature of the wall [1/m]\n(bulging  -  |  +  hollow towards the radar)",
+        ylabel="median error of the recovered position [m]",
         title="Images in a curved wall",
         ylim=(0.0, None),
     )
@@ -151,17 +148,16 @@ def draw_figure(rows: list[Row], path: Path) -> None:
                 label=f"image in {mirrors}, {way}",
             )
     right.set(
-        xlabel="distance to the corner, m",
+        xlabel="distance to the corner [m]",
         ylabel="share recovered within 1 m",
         title="Images at a right-angle corner",
         ylim=(0.0, 1.05),
     )
     for axes in (left, right):
         axes.grid(alpha=0.3)
-        axes.legend(fontsize=8)
+        legend_below(axes, columns=2 if axes is left else 1, borderpad=1.4)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
-    pyplot.close(figure)
+    save(figure, path)
 
 
 def line(row: Row) -> str:

@@ -61,6 +61,8 @@ def _fuzzed(name: str, options: argparse.Namespace) -> list[dict[str, Any]]:
     command = [
         *(sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--hypothesis-show-statistics"),
         *(f"--hypothesis-seed={options.seed}", f"--junitxml={report}", "-o", "junit_family=xunit1"),
+        # any number of examples may be asked for
+        *("-o", "faulthandler_timeout=0"),
         *(f"{TESTS}::{test}[{name}]" for test in KINDS),
     ]
     environment = {"OPENBLAS_NUM_THREADS": "1", "MIRRORWAVE_FUZZ_EXAMPLES": str(options.examples)}

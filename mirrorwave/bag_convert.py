@@ -85,6 +85,7 @@ def convert(source: Path, out: Path, target: Format, bar: Bar) -> Conversion:
 
 def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> Conversion:
     from mirrorwave.convert_shapes import Account
+    from msgs.whole_files import named, require_room
 
     summary = reader.info()
     held = {topic.topic: topic.messages for topic in summary.topics}
@@ -93,7 +94,10 @@ def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> C
         takes, holds = ", ".join(module.TOPICS), ", ".join(held) or "no message"
         raise ValueError(f"{reader.path}: holds nothing for {target.value}, which takes {takes}; it holds {holds}")
     account = Account()
-    with bar(reader.path.name, sum(held[topic] for topic in topics)) as advance:
+    if target in (Format.SIGMF, Format.NUMPY):
+        # written as they are, not compressed
+        require_room(out, sum(topic.bytes for topic in summary.topics if topic.topic in topics))
+    with named(out), bar(reader.path.name, sum(held[topic] for topic in topics)) as advance:
         module.write(reader, out, topics, account, advance)
     if not +account.written:
         raise ValueError(f"{reader.path}: holds no readable message for {target.value}")

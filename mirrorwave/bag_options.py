@@ -118,8 +118,10 @@ def require_seconds(option: str, value_s: float | None) -> None:
 
 
 def stop_by_signal(stop: Any, duration_s: float | None) -> Any:
-    """Have SIGINT, SIGTERM and, after `duration_s`, the alarm clock ask for the end."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
+    """Have SIGINT, SIGTERM, SIGHUP unless it is ignored and, after `duration_s`, the alarm clock ask for the end."""
+    from nodes.node import stopping_signals
+
+    for number in stopping_signals(signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
         # at once: publishers go on, so what waits would never end
         signal.signal(number, lambda _number, _frame: stop.request(at_once=True))
     if duration_s is not None:

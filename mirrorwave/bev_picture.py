@@ -1,32 +1,66 @@
-"""A picture of one scan: the range-azimuth map on the left, the bird's-eye view of what is hidden on the right.
+"""A picture of one scan: the bird's-eye view large, beside it the radar's map and what every sign means.
 
-Colours are from the Okabe-Ito set, safe for colour-blind readers, and every kind of mark has its own shape.
+One colour for each meaning (`plot_style`), in map and view: blue was seen directly, orange is a mirror image, vermilion
+was recovered, green is the truth. Where the truth is known, the areas end at the true walls.
 """
 
 from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import ListedColormap
-from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Polygon
 
+from mirrorwave.plot_style import (
+    DIRECT_AREA,
+    FOLLOWED,
+    MIRROR_AREA,
+    MIRROR_IMAGE,
+    RECOVERED,
+    SEEN_DIRECTLY,
+    TRUTH,
+    WALL,
+    new_figure,
+    save,
+)
+from mirrorwave.true_sight import direct_sight, mirror_sight, true_segments
 from msgs.frames import xy_from_polar
 from msgs.perception import BevFrame, HiddenObject, SceneTruth, TruthObject, Visibility
-from msgs.radar import RangeAzimuthMap
+from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from nodes.viewer.driver_warnings import FLAG_WORDS
 
-BLUE, SKY, GREEN, ORANGE, VERMILION, GREY = "#0072B2", "#56B4E9", "#009E73", "#E69F00", "#D55E00", "#555555"
-#: Direct sight, seen in a mirror: light enough to draw upon.
-SHADES = {Visibility.DIRECT: "#E3F1FA", Visibility.MIRRORED: "#FBE9C6"}
 #: What the map shows below its strongest cell.
 DYNAMIC_RANGE_DB = 55.0
 #: An ellipse of two sigma holds 86 % of a plane's normal distribution.
-ELLIPSE_SIGMAS = 2.0
+ELLIPSE_SIGMAS, ELLIPSE_SHARE = 2.0, 0.86
+#: Width of the bird's-eye view and of the column beside it, and the least and largest height, in inches.
+VIEW_INCH, SIDE_INCH, HEIGHTS_INCH = 6.4, 3.2, (6.6, 9.6)
+#: Share of the echoes that the picture holds: a single far one must not shrink everything else.
+SHOWN_SHARE = 0.98
+MARGIN_M, LEAST_FORWARD_M, LEAST_SIDE_M = 2.0, 15.0, 6.0
+
+
+class Limits(NamedTuple):
+    """Ends of what is drawn [m]: least and largest x, least and largest y."""
+
+    back: float
+    front: float
+    right: float
+    left: float
+
+    @property
+    def shape(self) -> float:
+        """Height over width as drawn, x upwards."""
+        return (self.front - self.back) / (self.left - self.right)
+
+    @property
+    def reach_m(self) -> float:
+        """Distance beyond all corners from the radar."""
+        return abs(self.back) + self.front + abs(self.right) + abs(self.left)
 
 
 def draw_bev(
@@ -34,66 +68,62 @@ def draw_bev(
 ) -> None:
     """Write the picture (format by the suffix of `out_path`); without a map, the bird's-eye view alone."""
     limits = _limits(frame, truth)
-    columns = 1 if ra_map is None else 2
-    figure = Figure(figsize=_size_inch(limits, columns), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(1, columns, squeeze=False)[0]
+    height = float(np.clip(VIEW_INCH * limits.shape + 1.0, *HEIGHTS_INCH))
+    figure = new_figure(VIEW_INCH + SIDE_INCH, height)
+    names = [["view", "map"], ["view", "signs"]] if ra_map is not None else [["view", "signs"]]
+    panels: dict[str, Axes] = figure.subplot_mosaic(names, width_ratios=(VIEW_INCH, SIDE_INCH))
+    limit_deg = (ra_map.grid if ra_map is not None else RangeAzimuthGrid()).azimuth_limit_deg
+    _draw_view(panels["view"], frame, truth, limits, math.radians(limit_deg))
+    _finish(panels["view"], limits)
     if ra_map is not None:
-        _draw_map(panels[0], frame, ra_map)
-        _finish(panels[0], limits)
-    _draw_view(panels[-1], frame, truth)
-    _finish(panels[-1], limits)
-    panels[-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False, fontsize=9)
-    figure.suptitle(_title(frame), fontsize=13)
-    # without a date or version in the file, equal frames give equal bytes
-    figure.savefig(out_path, dpi=120, metadata={"Software": None} if Path(out_path).suffix == ".png" else None)
-
-
-def _size_inch(limits: tuple[float, float, float], columns: int) -> tuple[float, float]:
-    """Figure size that the equal scales of the panels fill, with room for legend and colour bar."""
-    forward, left, right = limits
-    panel_width = 6.8
-    height = panel_width * (forward + 2.0) / (left + right) + 1.4
-    return columns * panel_width + 2.2 + (columns - 1) * 1.2, float(np.clip(height, 5.0, 14.0))
-
-
-def _title(frame: BevFrame) -> str:
-    """Scan, counts and conditions."""
-    counts = ", ".join(
-        f"{count} {name}{'' if count == 1 else 's'}"
-        for count, name in (
-            (len(frame.objects), "hidden object"),
-            (len(frame.points), "hidden point"),
-            (len(frame.walls), "wall"),
-        )
+        _draw_map(panels["map"], frame, ra_map)
+        _finish(panels["map"], limits)
+    panels["signs"].set_axis_off()
+    panels["signs"].legend(
+        *panels["view"].get_legend_handles_labels(), loc="upper left", borderaxespad=0.0, frameon=False, fontsize=10
     )
-    conditions = f"  [{', '.join(frame.flags)}]" if frame.flags else ""
-    return f"scan {frame.scan_id} at {frame.stamp_ns * 1e-9:.3f} s: {counts}{conditions}"
+    figure.suptitle(_title(frame, truth), fontsize=13)
+    save(figure, Path(out_path), dpi=130)
 
 
-def _limits(frame: BevFrame, truth: SceneTruth | None) -> tuple[float, float, float]:
-    """Forward reach, and left and right reach [m], that show all there is with a margin, in steps of 5 m."""
-    points = [np.zeros((1, 2)), np.asarray(frame.los_points_m, np.float64)]
-    points += [np.array([[p.x_m, p.y_m], [p.image_x_m, p.image_y_m]]) for p in frame.points]
-    points += [np.array(wall.ends_m) for wall in frame.walls]
+def _title(frame: BevFrame, truth: SceneTruth | None) -> str:
+    """Scan, how many hidden objects were found and are there, conditions in words."""
+    count = len(frame.objects)
+    line = f"Scan {frame.scan_id} at {frame.stamp_ns * 1e-9:.3f} s: {count} hidden object{'' if count == 1 else 's'}"
     if truth is not None:
-        points += [np.array([[one.x_m, one.y_m]]) for one in truth.objects]
-        points += [np.array(surface.polyline_m) for surface in truth.surfaces]
-    every = np.concatenate(points)
-    # a single far return must not shrink everything else
-    reach_x, reach_y = np.quantile(every[:, 0], 0.98), np.quantile(np.abs(every[:, 1]), 0.98)
-    forward = 5.0 * math.ceil((max(float(reach_x), 15.0) + 3.0) / 5.0)
-    side = max(5.0 * math.ceil((float(reach_y) + 2.0) / 5.0), 0.5 * forward)
-    return forward, side, side
+        line += f" found, {sum(one.hidden for one in truth.objects)} really there"
+    conditions = [FLAG_WORDS[flag][0] if flag in FLAG_WORDS else flag.replace("_", " ") for flag in frame.flags]
+    return "\n".join([line, ". ".join(conditions)]) if conditions else line
 
 
-def _finish(axes: Axes, limits: tuple[float, float, float]) -> None:
+def _limits(frame: BevFrame, truth: SceneTruth | None) -> Limits:
+    """Ends that hold radar, objects and nearly all echoes, images and walls."""
+    objects: list[HiddenObject | TruthObject] = list(frame.objects)
+    if truth is not None:
+        objects += [one for one in truth.objects if one.hidden]
+    held = [np.zeros((1, 2)), *(box_corners_m(one) for one in objects)]
+    held += [np.array([[one.x_m, one.y_m]]) for one in frame.tracks]
+    others = [np.zeros((1, 2)), np.asarray(frame.los_points_m, np.float64)]
+    others += [np.array([[p.x_m, p.y_m], [p.image_x_m, p.image_y_m]]) for p in frame.points]
+    others += [np.array(wall.ends_m) for wall in frame.walls]
+    every = np.concatenate(others)
+    low = np.minimum(np.quantile(every, 1.0 - SHOWN_SHARE, axis=0), np.concatenate(held).min(axis=0)) - MARGIN_M
+    high = np.maximum(np.quantile(every, SHOWN_SHARE, axis=0), np.concatenate(held).max(axis=0)) + MARGIN_M
+    back, front = max(float(low[0]), -MARGIN_M), max(float(high[0]), LEAST_FORWARD_M)
+    return Limits(back, front, min(float(low[1]), -LEAST_SIDE_M), max(float(high[1]), LEAST_SIDE_M))
+
+
+def _finish(axes: Axes, limits: Limits) -> None:
     """Forward up, left to the left: the horizontal axis is y and runs backwards."""
-    forward, left, right = limits
-    axes.set(xlim=(left, -right), ylim=(-2.0, forward), xlabel="y, left [m]", ylabel="x, forward [m]")
-    axes.set_aspect("equal")
+    axes.set(
+        xlim=(limits.left, limits.right),
+        ylim=(limits.back, limits.front),
+        xlabel="y, left [m]",
+        ylabel="x, forward [m]",
+    )
+    axes.set_aspect("equal", anchor="N")
     axes.plot(0.0, 0.0, marker="^", markersize=13, color="black", markeredgecolor="white", zorder=10)
-    axes.annotate("radar", (0.0, 0.0), (8, -4), textcoords="offset points", fontsize=9, zorder=10)
+    axes.annotate("radar", (0.0, 0.0), (9, -4), textcoords="offset points", fontsize=9, zorder=10)
 
 
 def _draw_map(axes: Axes, frame: BevFrame, ra_map: RangeAzimuthMap) -> None:
@@ -103,23 +133,18 @@ def _draw_map(axes: Axes, frame: BevFrame, ra_map: RangeAzimuthMap) -> None:
     level_db = 10.0 * np.log10(np.maximum(power, 1e-30) / max(ra_map.noise_power_mw, 1e-30))
     corners = xy_from_polar(*np.meshgrid(_edges(grid.range_m), _edges(grid.azimuth_rad), indexing="ij"))
     top = float(level_db.max())
-    axes.set_facecolor("black")
+    axes.set_facecolor("lightgrey")
     mesh = axes.pcolormesh(
-        corners[..., 1],
-        corners[..., 0],
-        level_db,
-        cmap="cividis",
-        vmin=top - DYNAMIC_RANGE_DB,
-        vmax=top,
+        corners[..., 1], corners[..., 0], level_db, cmap="Greys_r", vmin=top - DYNAMIC_RANGE_DB, vmax=top,
         rasterized=True,
-    )
-    axes.figure.colorbar(mesh, ax=axes, label="level over noise [dB]", shrink=0.9, fraction=0.05)
-    axes.scatter(
-        frame.los_points_m[:, 1], frame.los_points_m[:, 0], s=26, facecolors="none", edgecolors=SKY, linewidths=1.2
-    )
+    )  # fmt: skip
+    assert axes.figure is not None
+    axes.figure.colorbar(mesh, ax=axes, label="level over noise [dB]", location="bottom", shrink=0.9, aspect=30)
+    los_m = frame.los_points_m
+    axes.scatter(los_m[:, 1], los_m[:, 0], s=22, facecolors="none", edgecolors=SEEN_DIRECTLY, linewidths=1.2)
     images = np.array([[point.image_x_m, point.image_y_m] for point in frame.points]).reshape(-1, 2)
-    axes.scatter(images[:, 1], images[:, 0], s=34, marker="D", facecolors="none", edgecolors=ORANGE, linewidths=1.4)
-    axes.set_title("range-azimuth map: direct returns (circles), mirror images (diamonds)", fontsize=11)
+    axes.scatter(images[:, 1], images[:, 0], s=26, marker="D", facecolors="none", edgecolors=MIRROR_IMAGE)
+    axes.set_title("what the radar measures", fontsize=11)
 
 
 def _edges(centres: np.ndarray) -> np.ndarray:
@@ -128,25 +153,25 @@ def _edges(centres: np.ndarray) -> np.ndarray:
     return np.append(centres - half, centres[-1] + half)
 
 
-def _draw_view(axes: Axes, frame: BevFrame, truth: SceneTruth | None) -> None:
-    """Mask, truth, walls, returns, images and objects, from below to above."""
-    _draw_visibility(axes, frame)
-    if truth is not None:
-        _draw_truth(axes, truth)
+def _draw_view(axes: Axes, frame: BevFrame, truth: SceneTruth | None, limits: Limits, limit_rad: float) -> None:
+    """Areas, walls, echoes, images and objects, from below to above; the truth's outlines over what was found."""
+    axes.set_title("bird's-eye view", fontsize=11)
+    segments = None if truth is None else true_segments(truth)
+    _draw_areas(axes, frame, segments, limits.reach_m, limit_rad)
     for index, wall in enumerate(frame.walls):
         ends = np.array(wall.ends_m)
-        axes.plot(
-            ends[:, 1], ends[:, 0], color=BLUE, linewidth=4, solid_capstyle="round", zorder=4, **_once("wall", index)
-        )
+        label = _once("wall, found by the radar", index)
+        axes.plot(ends[:, 1], ends[:, 0], color=WALL, linewidth=4.5, solid_capstyle="butt", zorder=4, **label)
     axes.scatter(
-        frame.los_points_m[:, 1], frame.los_points_m[:, 0], s=14, color=SKY, edgecolors=BLUE, linewidths=0.5, zorder=5,
-        label="direct return",
+        frame.los_points_m[:, 1], frame.los_points_m[:, 0], s=20, color="white", edgecolors=SEEN_DIRECTLY,
+        linewidths=1.3, zorder=5, label="echo seen directly",
     )  # fmt: skip
     _draw_points(axes, frame)
     for index, one in enumerate(frame.objects):
         _draw_object(axes, one, index)
+    if truth is not None:
+        _draw_truth(axes, truth)
     _draw_tracks(axes, frame)
-    axes.set_title("bird's-eye view", fontsize=11)
 
 
 def _once(label: str, index: int) -> dict[str, Any]:
@@ -154,18 +179,34 @@ def _once(label: str, index: int) -> dict[str, Any]:
     return {"label": label} if index == 0 else {}
 
 
-def _draw_visibility(axes: Axes, frame: BevFrame) -> None:
-    """Shade the cells in direct sight and those a mirror shows; what stays white is unknown."""
-    grid = frame.grid
+def _draw_areas(
+    axes: Axes, frame: BevFrame, segments: tuple[np.ndarray, np.ndarray] | None, reach_m: float, limit_rad: float
+) -> None:
+    """Shade what is seen directly and what mirrors show; what stays white is unknown.
+
+    With true walls (`segments`) both areas end at them; without, they are as the view has them.
+    """
+    grid, mask = frame.grid, frame.visibility
+    shown = [Visibility.MIRRORED] if segments is not None else [Visibility.DIRECT, Visibility.MIRRORED]
+    if segments is not None:
+        cells = np.argwhere(mask == Visibility.MIRRORED)
+        seen = mirror_sight(grid.cell_centres_m()[cells[:, 0], cells[:, 1]], frame.walls, *segments)
+        mask = mask.copy()
+        mask[tuple(cells[~seen].T)] = Visibility.UNKNOWN
+        polygon = direct_sight(*segments, reach_m, limit_rad)
+        axes.add_patch(Polygon(polygon[:, ::-1], facecolor=DIRECT_AREA, edgecolor="none", zorder=1))
     y = grid.y_min_m + grid.cell_m * np.arange(grid.rows + 1)
     x = grid.x_min_m + grid.cell_m * np.arange(grid.columns + 1)
-    colours = ListedColormap(["white", *(SHADES[kind] for kind in (Visibility.DIRECT, Visibility.MIRRORED))])
-    axes.pcolormesh(y, x, frame.visibility.T, cmap=colours, vmin=-0.5, vmax=2.5, rasterized=True, zorder=0)
-    axes.fill([], [], color=SHADES[Visibility.DIRECT], label="in direct sight")
-    axes.fill(
-        [], [], color=SHADES[Visibility.MIRRORED], label=f"{frame.visibility_rcs_dbsm:g} dBsm seen in a mirror"
-    )  # fmt: skip
-    axes.fill([], [], facecolor="white", edgecolor="lightgrey", label="unknown")
+    colours = ListedColormap([DIRECT_AREA, MIRROR_AREA])
+    hidden = np.ma.masked_array(mask.T, mask=~np.isin(mask.T, shown))
+    axes.pcolormesh(y, x, hidden, cmap=colours, vmin=0.5, vmax=2.5, rasterized=True, zorder=0)
+    square_m = 10.0 ** (frame.visibility_rcs_dbsm / 10.0)
+    for colour, edge, label in (
+        (DIRECT_AREA, SEEN_DIRECTLY, "area seen directly"),
+        (MIRROR_AREA, MIRROR_IMAGE, f"area a mirror shows\n(echoes of {square_m:.3g} m² or more)"),
+        ("white", "lightgrey", "not seen: unknown"),
+    ):
+        axes.fill([], [], facecolor=colour, edgecolor=edge, linewidth=0.6, label=label)
 
 
 def _draw_points(axes: Axes, frame: BevFrame) -> None:
@@ -174,12 +215,21 @@ def _draw_points(axes: Axes, frame: BevFrame) -> None:
         return
     place = np.array([[point.x_m, point.y_m] for point in frame.points])
     image = np.array([[point.image_x_m, point.image_y_m] for point in frame.points])
-    axes.plot([image[:, 1], place[:, 1]], [image[:, 0], place[:, 0]], color=ORANGE, linewidth=0.7, alpha=0.7, zorder=3)
+    lines = [image[:, 1], place[:, 1]], [image[:, 0], place[:, 0]]
+    axes.plot(*lines, color=MIRROR_IMAGE, linewidth=0.9, linestyle=":", zorder=3)
     axes.scatter(
-        image[:, 1], image[:, 0], s=30, marker="D", facecolors="white", edgecolors=ORANGE, linewidths=1.3, zorder=6,
-        label="mirror image",
+        image[:, 1], image[:, 0], s=34, marker="D", facecolors="white", edgecolors=MIRROR_IMAGE, linewidths=1.4,
+        zorder=6, label="mirror image",
     )  # fmt: skip
-    axes.scatter(place[:, 1], place[:, 0], s=34, marker="x", color=VERMILION, zorder=7, label="folded back, Eq. (19)")
+    axes.scatter(
+        place[:, 1],
+        place[:, 0],
+        s=36,
+        marker="x",
+        color=RECOVERED,
+        zorder=7,
+        label="echo of a hidden object,\nrecovered",
+    )
 
 
 def box_corners_m(one: HiddenObject | TruthObject) -> np.ndarray:
@@ -191,57 +241,50 @@ def box_corners_m(one: HiddenObject | TruthObject) -> np.ndarray:
 
 def _draw_object(axes: Axes, one: HiddenObject, index: int) -> None:
     """Box, two-sigma ellipse of its centre, identity and score."""
-    axes.add_patch(
-        Polygon(box_corners_m(one)[:, ::-1], facecolor=VERMILION, alpha=0.25, edgecolor="none", zorder=7)
-    )  # fmt: skip
-    axes.add_patch(
-        Polygon(
-            box_corners_m(one)[:, ::-1], fill=False, edgecolor=VERMILION, linewidth=2.2, zorder=8,
-            **_once("hidden object", index),
-        )
-    )  # fmt: skip
+    corners = box_corners_m(one)[:, ::-1]
+    axes.add_patch(Polygon(corners, facecolor=RECOVERED, alpha=0.25, edgecolor="none", zorder=7))
+    label = _once("hidden object (recovered)", index)
+    axes.add_patch(Polygon(corners, fill=False, edgecolor=RECOVERED, linewidth=2.4, zorder=8, **label))
     variances, vectors = np.linalg.eigh(np.array(one.cov_m2))
     width_m, height_m = 2.0 * ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances[::-1], 0.0))
     # the axes show (y, x): the angle of the major axis in that plane
     angle_deg = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))
     axes.add_patch(
         Ellipse(
-            (one.y_m, one.x_m), width_m, height_m, angle=angle_deg, fill=False, edgecolor="black", linestyle="--",
-            linewidth=1.2, zorder=9, **_once(f"{ELLIPSE_SIGMAS:g} sigma of its centre", index),
+            (one.y_m, one.x_m), width_m, height_m, angle=angle_deg, fill=False, edgecolor=RECOVERED, linestyle="--",
+            linewidth=1.3, zorder=9, **_once(f"its centre, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
         )
     )  # fmt: skip
     axes.annotate(
-        f"#{one.id}  {one.score:.2f}", (one.y_m, one.x_m), (12, 12), textcoords="offset points", fontsize=10, zorder=11,
-        bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": VERMILION, "alpha": 0.9},
+        f"#{one.id}, score {one.score:.2f}", (one.y_m, one.x_m), (14, 14), textcoords="offset points", fontsize=10,
+        zorder=11, bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": RECOVERED, "alpha": 0.9},
     )  # fmt: skip
 
 
 def _draw_tracks(axes: Axes, frame: BevFrame) -> None:
     """Where each track is, how far it comes in a second, and when it comes into sight."""
     for index, one in enumerate(frame.tracks):
-        axes.plot(
-            one.y_m, one.x_m, "s", markersize=9, fillstyle="none", color="black", zorder=10, **_once("track", index)
-        )
+        label = _once("followed object;\narrow: its way in 1 s", index)
+        axes.plot(one.y_m, one.x_m, "s", markersize=9, fillstyle="none", color=FOLLOWED, zorder=10, **label)
         axes.annotate(
             "", (one.y_m + one.velocity_y_mps, one.x_m + one.velocity_x_mps), (one.y_m, one.x_m), zorder=10,
-            arrowprops={"arrowstyle": "->", "linewidth": 1.8},
+            arrowprops={"arrowstyle": "->", "linewidth": 1.8, "color": FOLLOWED},
         )  # fmt: skip
         sight = "" if one.time_to_appear_s is None else f", in sight in {one.time_to_appear_s:.1f} s"
         axes.annotate(
-            f"track {one.id}{sight}", (one.y_m, one.x_m), (12, -18), textcoords="offset points", fontsize=9, zorder=11
-        )
+            f"track {one.id}{sight}", (one.y_m, one.x_m), (14, -20), textcoords="offset points", fontsize=9, zorder=11,
+            color=FOLLOWED,
+        )  # fmt: skip
 
 
 def _draw_truth(axes: Axes, truth: SceneTruth) -> None:
-    """True surfaces and objects as grey and green outlines."""
+    """True walls and objects as outlines; what is in sight is dotted."""
     for index, surface in enumerate(truth.surfaces):
         line = np.array(surface.polyline_m)
-        axes.plot(line[:, 1], line[:, 0], color=GREY, linewidth=1.5, zorder=2, **_once("true surface", index))
-    for hidden, colour, label in ((True, GREEN, "true hidden object"), (False, GREY, "true visible object")):
+        axes.plot(line[:, 1], line[:, 0], color=TRUTH, linewidth=1.6, zorder=4.5, **_once("true wall", index))
+    for hidden, style, label in ((True, "-", "hidden object (truth)"), (False, ":", "other object (truth)")):
         for index, one in enumerate(other for other in truth.objects if other.hidden == hidden):
-            axes.add_patch(
-                Polygon(
-                    box_corners_m(one)[:, ::-1], fill=False, edgecolor=colour, linewidth=1.8, zorder=6,
-                    **_once(label, index),
-                )
-            )  # fmt: skip
+            corners = box_corners_m(one)[:, ::-1]
+            shape = Polygon(corners, fill=False, edgecolor=TRUTH, linewidth=1.8, linestyle=style, zorder=8.5)
+            shape.set_label(label if index == 0 else "")
+            axes.add_patch(shape)

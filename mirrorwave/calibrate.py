@@ -48,13 +48,15 @@ def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = 
 
     from mirrorwave.calibrate_capture import Capture
     from mirrorwave.calibrate_radar import draw_background, measure_background
+    from msgs.whole_files import whole
 
     _require_suffix(out, ".npy")
     _require_new(out, plot)
     source = Capture(capture)
     with progress_bar("scans", min(scans, source.scan_count())) as advance:
         values, quality = measure_background(source, scans, advance)
-    np.save(out, values)
+    with whole(out) as part, part.open("wb") as file:
+        np.save(file, values)
     if plot is not None:
         draw_background(values, source, plot)
     if as_json:
@@ -89,6 +91,7 @@ def noise(
 
     from mirrorwave.calibrate_capture import Capture
     from mirrorwave.calibrate_radar import draw_noise, measure_noise, receiver_of, scene_with_receiver
+    from msgs.whole_files import write_whole
 
     _require_new(out, plot)
     source = Capture(capture)
@@ -99,7 +102,7 @@ def noise(
         if scene is None
         else scene_with_receiver(scene, floor)
     )
-    out.write_text(text, encoding="utf-8")
+    write_whole(out, text.encode())
     if plot is not None:
         draw_noise(floor, plot)
     if as_json:
@@ -203,12 +206,14 @@ def _write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
     """A file for `launch --params-file`, with what its figures rest on as comments."""
     import yaml
 
+    from msgs.whole_files import write_whole
+
     seen = f"{counted(one.sightings, 'sighting')} of {counted(len(one.walls), 'wall')}"
     notes = [
         f"# {counted(one.scans, 'scan')}, {seen}, rms {one.rms_m:.3f} m",
         *(f"# {line}" for line in _lines(one)),
     ]
-    out.write_text("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False), encoding="utf-8")
+    write_whole(out, ("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False)).encode())
 
 
 def _lines(one: Mounting) -> list[str]:

@@ -163,23 +163,21 @@ def _only(peaks: Peaks, kept: np.ndarray) -> Peaks:
 
 def draw_drive(solved: Solved, states: list[VehicleState], path: Path, title: str) -> None:
     """The walls' returns and the vehicle's way in the odometry frame, as calibrated."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from mirrorwave.plot_style import legend_below, new_figure, save
 
     one, motion = solved.mounting, Motion(states)
-    figure, axes = pyplot.subplots(figsize=(9.0, 7.0), layout="constrained")
+    figure = new_figure(9.0, 7.6)
+    axes = figure.subplots()
     stamps = np.array([sighting.stamp_ns for sighting in solved.sightings], np.int64)
     poses = motion.poses(motion.seconds(stamps) - one.solved_clock_s, one.yaw_rate_bias_rps, one.speed_scale)
+    axes.plot([], [], ".", color="0.6", label="returns of walls")
     for pose, sighting in zip(poses.tolist(), solved.sightings, strict=True):
         placed = (Pose2(*pose) @ one.solved_pose).apply(sighting.points_m)
         axes.plot(*placed.T, ".", color="0.6", markersize=3)
     axes.plot(*poses[:, :2].T, "g.-", label="vehicle")
     for index, wall in enumerate(one.walls):
         axes.plot(*np.array(wall.ends_m).T, "k-", linewidth=1.5, label=None if index else "walls")
-    axes.set(xlabel="x, m", ylabel="y, m", title=title, aspect="equal")
-    axes.legend()
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=title, aspect="equal")
+    legend_below(axes, columns=3)
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
+    save(figure, path)

@@ -95,44 +95,37 @@ def scene_with_receiver(path: Path, floor: NoiseFloor) -> str:
 
 def draw_background(background: np.ndarray, capture: Capture, path: Path) -> None:
     """Power of the background against range and beam."""
-    pyplot = _pyplot()
+    from mirrorwave.plot_style import new_figure, save
+
     radar = capture.setup.radar
     spectra = np.fft.fft(background, axis=1) / radar.samples_per_chirp
     if capture.setup.beat_sign < 0:
         spectra = np.roll(spectra[:, ::-1], 1, axis=1)
     power = np.abs(spectra[:, : min(512, radar.samples_per_chirp // 2)]) ** 2
     power_dbm = 10.0 * np.log10(np.maximum(power, 1e-30)) + db_from_ratio(capture.setup.milliwatt_per_code_squared)
-    figure, axes = pyplot.subplots(figsize=(9.0, 5.0), layout="constrained")
+    figure = new_figure(9.0, 5.0)
+    axes = figure.subplots()
     range_m = radar.range_bin_m * np.arange(power.shape[1])
     azimuth_deg = np.array(capture.setup.beams.azimuth_deg)
     image = axes.pcolormesh(range_m, azimuth_deg, power_dbm, shading="nearest")
     figure.colorbar(image, label="dBm per bin")
-    axes.set(xlabel="range, m", ylabel="beam, deg", title="Open-field background")
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
+    axes.set(xlabel="range [m]", ylabel="beam azimuth [deg]", title="Open-field background")
+    save(figure, path)
 
 
 def draw_noise(floor: NoiseFloor, path: Path) -> None:
     """Floor against range, measured and modelled, and the level of each beam."""
-    pyplot = _pyplot()
-    figure, (against_range, beams) = pyplot.subplots(1, 2, figsize=(12.0, 5.0), layout="constrained")
+    from mirrorwave.plot_style import legend_below, new_figure, save
+
+    figure = new_figure(10.0, 4.6)
+    against_range, beams = figure.subplots(1, 2)
     range_m = [band.range_m for band in floor.bands]
     against_range.semilogx(range_m, [band.measured_dbm for band in floor.bands], "o", label="measured")
     against_range.semilogx(range_m, [band.modelled_dbm for band in floor.bands], "-", label="model")
-    against_range.set(xlabel="range, m", ylabel="dBm per bin of a beam", title="Noise floor")
-    against_range.legend()
+    against_range.set(xlabel="range [m]", ylabel="level of a bin of a beam [dBm]", title="Noise floor")
+    legend_below(against_range, columns=2)
     beams.plot(floor.beam_power_dbm, "o")
-    beams.set(xlabel="beam", ylabel="white noise, dBm over the band", title="Beams")
+    beams.set(xlabel="beam", ylabel="white noise over the band [dBm]", title="Beams")
     for axes in (against_range, beams):
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
-    pyplot.close(figure)
-
-
-def _pyplot() -> Any:
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    return pyplot
+    save(figure, path)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table
+from mirrorwave.terminal import ends_with_reader
 from msgs.wording import counted
 
 if TYPE_CHECKING:
@@ -36,6 +37,9 @@ class LogReport:
     """What a log says: states, sampled, and events: runs of frames that do not count, spans that are not valid."""
 
     def __init__(self, decoder: CanDecoder, every_s: float) -> None:
+        # here: other verbs of this module need no numpy
+        from models.perception.odometry import Odometry
+
         self._decoder, self._every_s = decoder, every_s
         self.samples: list[dict[str, Any]] = []
         self.events: list[dict[str, Any]] = []
@@ -45,6 +49,7 @@ class LogReport:
         self.loss = ""
         self._slot = -1
         self._invalid: dict[str, Any] | None = None
+        self._odometry = Odometry()
 
     def read(self, frames: Iterable[LogFrame]) -> None:
         """Take in a log; one that cannot be read on leaves its reason in `loss`."""
@@ -70,8 +75,15 @@ class LogReport:
             "valid_state_count": self.valid_states,
             "states": self.samples,
             "events": self.events,
+            "yaw_rate_bias": self._odometry.yaw_rate_bias._asdict(),
+            "warnings": list(self._decoder.warnings),
             "loss": self.loss or None,
         }
+
+    @property
+    def yaw_rate_bias(self) -> str:
+        """What the drive shows of the gyroscope's bias."""
+        return str(self._odometry.yaw_rate_bias)
 
     def _time_s(self, stamp_ns: int) -> float:
         return 1e-9 * (stamp_ns - (self.start_ns or 0))
@@ -93,6 +105,7 @@ class LogReport:
         time_s = self._time_s(state.stamp_ns)
         self.states += 1
         self.valid_states += state.valid
+        self._odometry.add(state)
         # the first state of each interval; without intervals, every one
         slot = int(time_s / self._every_s) if self._every_s else self.states
         if slot != self._slot:
@@ -177,6 +190,9 @@ def _print_report(report: LogReport) -> None:
     verdicts = ", ".join(f"{count} {verdict}" for verdict, count in facts["frames_by_verdict"].items())
     print_line(f"{counted(report.frames, 'frame')} in {report.duration_s:.2f} s: {verdicts}")
     print_line(f"{report.valid_states} of {counted(report.states, 'state')} valid")
+    print_line(report.yaw_rate_bias)
+    if any("outside the DBC's" in event["why"] for event in report.events):
+        print_line("where the DBC's range of a signal is wrong, dbc_range of the mapping overrules it")
     if report.loss:
         print_line(f"the log breaks off: {report.loss}")
 
@@ -254,12 +270,13 @@ def monitor(
     node = create(params)
     was_valid = False
     try:
-        for state in _live_states(node, every, duration):
-            was_valid = was_valid or state.valid
-            if as_json:
-                print_json(_state_row(state))
-            else:
-                print_line(_state_line(state))
+        with ends_with_reader():
+            for state in _live_states(node, every, duration):
+                was_valid = was_valid or state.valid
+                if as_json:
+                    print_json(_state_row(state))
+                else:
+                    print_line(_state_line(state))
     finally:
         node.close()
     if not was_valid:
@@ -277,12 +294,13 @@ def _monitor_signals(params: BusParams, every_s: float, duration_s: float | None
     source = LiveSource(CanLink(params))
     start_s = time.monotonic()
     try:
-        for _ in _ticks(every_s, duration_s, lambda: report.read(source.frames(time.monotonic_ns()))):
-            row = {"time_s": time.monotonic() - start_s, "trouble": source.trouble, "frames": report.frames}
-            if as_json:
-                print_json({**row, "known_frames": report.known, "messages": report.messages()})
-            else:
-                _print_signals_now(row, report)
+        with ends_with_reader():
+            for _ in _ticks(every_s, duration_s, lambda: report.read(source.frames(time.monotonic_ns()))):
+                row = {"time_s": time.monotonic() - start_s, "trouble": source.trouble, "frames": report.frames}
+                if as_json:
+                    print_json({**row, "known_frames": report.known, "messages": report.messages()})
+                else:
+                    _print_signals_now(row, report)
     finally:
         source.close()
     if not report.known:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import importlib.metadata
 import importlib.util
@@ -18,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from mirrorwave.console import ExitCode, error_line, exit_code_of
 from mirrorwave.ending import INTERRUPTED, ended_by_signal, was_interrupted
+from mirrorwave.terminal import READER_LEFT
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
@@ -119,9 +121,21 @@ def _load(place: str) -> Any:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss.
 
-    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/tools.md).
+    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/tools.md); 141 where the reader
+    of its output has left.
     """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
+    code = _run(argv)
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        code = _without_output(READER_LEFT)
+    except OSError as error:
+        code = _without_output(_fail(f"standard output: {error.strerror}", ExitCode.FAILED))
+    return code
+
+
+def _run(argv: list[str] | None) -> int:
     try:
         code = app(args=argv, prog_name="mirrorwave", standalone_mode=False)
         # what typer makes of an interrupt; other versions let it through
@@ -134,10 +148,13 @@ def main(argv: list[str] | None = None) -> int:
         text = error.format_message() if hasattr(error, "format_message") else str(error)
         # a group without a verb answers with its help, which is no error line
         return _fail(text, ExitCode.BAD_INPUT, prefix="" if "\n" in text else "mirrorwave: ")
+    except SystemExit as end:
+        # what typer, and rich, make of a pipe that nobody reads any more
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+        return _without_output(READER_LEFT)
     except BrokenPipeError:
-        # the reader of a pipe has seen enough; the interpreter must not find out again while it exits
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return ExitCode.FAILED
+        return _without_output(READER_LEFT)
     except Exception as error:
         if was_interrupted():
             return ended_by_signal(argv)
@@ -146,8 +163,23 @@ def main(argv: list[str] | None = None) -> int:
         return _fail(error_line(error), exit_code_of(error))
 
 
+def _without_output(code: int) -> int:
+    """Give what was not printed to nobody: the interpreter must not find out again while it exits."""
+    # not sys.stdout: typer and rich put something in its place
+    for stream in filter(None, (sys.__stdout__, sys.__stderr__)):
+        try:
+            stream.flush()
+        except OSError:
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), stream.fileno())
+    return code
+
+
 def _fail(line: str, code: ExitCode, prefix: str = "mirrorwave: ") -> int:
-    sys.stderr.write(f"{prefix}{line}\n")
+    # where stderr has gone too, the code says it all
+    with contextlib.suppress(OSError):
+        sys.stderr.write(f"{prefix}{line}\n")
+        sys.stderr.flush()
     return code
 
 

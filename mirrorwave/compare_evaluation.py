@@ -21,7 +21,8 @@ from models.perception.recovery import RecoveryParams, recover
 from models.perception.rejection import hidden_mask
 from models.perception.ridges import find_ridges
 from models.physics.materials import is_volume
-from models.physics.mirror import segment_distance_m, wall_from_ends
+from models.physics.mirror import wall_from_ends
+from models.physics.plane import segment_distance_m
 from msgs.frames import polar_from_xy, xy_from_polar
 from msgs.perception import PathClass, Peaks, Wall
 from msgs.units import db_from_ratio

@@ -11,15 +11,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 from scipy.ndimage import maximum_filter
 
-from mirrorwave.bev_picture import GREEN, ORANGE, SKY, VERMILION
 from mirrorwave.compare_evaluation import found_peaks, recovered_places, score
 from mirrorwave.compare_sensors import GRID, SENSORS, Equal, Sensor, Sight, SpadSensor
 from mirrorwave.console import error_line
+from mirrorwave.plot_style import MIRROR_IMAGE, RECOVERED, TRUTH, handles_of, legend_of_figure, new_figure, save
 from models.perception.metrics import Counts
 from models.perception.peaks import echo_power
 from msgs.frames import xy_from_polar
@@ -39,7 +37,7 @@ HEADS: dict[Equal, str] = {
     "power": "1.6 mW each, for its own time",
     "energy": "1.6 mW each, as much energy a scan as X-band",
 }
-MARGIN_M, PANEL_INCH = 4.0, 5.2
+MARGIN_M, PANEL_INCH = 4.0, 3.3
 
 
 @dataclass(frozen=True)
@@ -120,10 +118,7 @@ def draw_scene_through(scene: Scene, views: Sequence[View], equal: Equal, path: 
     limits = _limits(scene, views)
     width, height = limits[1] - limits[0], limits[3] - limits[2]
     panel = PANEL_INCH * height / width
-    figure = Figure(
-        figsize=(PANEL_INCH * len(views) + 1.3, float(np.clip(panel, 3.5, 9.0)) + 1.3), layout="constrained"
-    )
-    FigureCanvasAgg(figure)
+    figure = new_figure(PANEL_INCH * len(views) + 0.9, float(np.clip(panel, 2.6, 6.0)) + 1.6)
     panels = figure.subplots(1, len(views), squeeze=False, sharey=True)[0]
     mesh = None
     for axes, view in zip(panels, views, strict=True):
@@ -134,8 +129,8 @@ def draw_scene_through(scene: Scene, views: Sequence[View], equal: Equal, path: 
     figure.suptitle(f"{scene.name}: {HEADS[equal]}; known walls, one detector")
     if mesh is not None:
         figure.colorbar(mesh, ax=panels.tolist(), label="level over noise [dB]", fraction=0.03, pad=0.01)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)
-    figure.savefig(path, dpi=110, metadata={"Software": None})
+    legend_of_figure(figure, handles_of(*panels), columns=6)
+    save(figure, path, dpi=150)
 
 
 def _limits(scene: Scene, views: Sequence[View]) -> tuple[float, float, float, float]:
@@ -164,7 +159,7 @@ def _draw_view(axes: Axes, scene: Scene, view: View) -> Any:
         hidden = index in view.truth.hidden
         first = index == next(one for one in range(len(scene.objects)) if (one in view.truth.hidden) == hidden)
         label = ("hidden object" if hidden else "other object") if first else "_object"
-        colour = GREEN if hidden else "#bbbbbb"
+        colour = TRUTH if hidden else "#bbbbbb"
         axes.fill(corners[:, 1], corners[:, 0], fill=False, edgecolor=colour, lw=2.0, zorder=5, label=label)
     image_m, places_m = view.truth.image_m, view.places_m
     axes.scatter(
@@ -173,14 +168,14 @@ def _draw_view(axes: Axes, scene: Scene, view: View) -> Any:
         s=26,
         marker="D",
         fc="none",
-        ec=ORANGE,
+        ec=MIRROR_IMAGE,
         lw=1.2,
         zorder=6,
         label="its image in the wall",
     )
-    axes.scatter(places_m[:, 1], places_m[:, 0], s=42, marker="x", color=VERMILION, lw=1.8, zorder=7, label="recovered")
-    axes.plot(0.0, 0.0, marker="^", ms=11, color=SKY, mec="white", ls="none", zorder=8, label="sensor")
-    axes.set_title(_title(view), fontsize=11, loc="left")
+    axes.scatter(places_m[:, 1], places_m[:, 0], s=42, marker="x", color=RECOVERED, lw=1.8, zorder=7, label="recovered")
+    axes.plot(0.0, 0.0, marker="^", ms=11, color="black", mec="white", ls="none", zorder=8, label="sensor")
+    axes.set_title(_title(view), fontsize=10, loc="left")
     if view.sight is None:
         reason = textwrap.fill(str(view.figures["failed"]), 36)
         axes.text(0.5, 0.5, reason, transform=axes.transAxes, ha="center", va="center", fontsize=10, zorder=9)

@@ -15,6 +15,7 @@ import msgspec
 import typer
 
 if TYPE_CHECKING:
+    from rich.console import Console, RenderableType
     from rich.table import Table
 
 
@@ -40,8 +41,10 @@ _WRONG_PATH = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirect
 
 def print_json(value: Any) -> None:
     """One JSON document on one line of stdout; numbers that JSON lacks become null."""
-    sys.stdout.write(json.dumps(_plain(value), allow_nan=False) + "\n")
-    sys.stdout.flush()
+    text = json.dumps(_plain(value), allow_nan=False)
+    with _printing():
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
 
 
 def printable(text: str) -> str:
@@ -51,16 +54,38 @@ def printable(text: str) -> str:
 
 def print_line(text: str) -> None:
     """One line on stdout."""
-    sys.stdout.write(printable(text) + "\n")
-    sys.stdout.flush()
+    with _printing():
+        sys.stdout.write(printable(text) + "\n")
+        sys.stdout.flush()
 
 
 def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
     """A table on stdout; columns of numbers are aligned right. Lines are never cut where stdout is no terminal."""
+    print_picture(console_table(columns, rows))
+
+
+def print_picture(picture: RenderableType) -> None:
+    """What rich can draw, on stdout."""
+    with _printing():
+        stdout_console().print(picture)
+
+
+def stdout_console() -> Console:
+    """Stdout for rich; where nobody's eyes set the width, nothing is cut."""
     from rich.console import Console
 
-    # where nobody's eyes set the width, nothing is cut
-    Console(width=None if sys.stdout.isatty() else 1000).print(console_table(columns, rows))
+    return Console(width=None if sys.stdout.isatty() else 1000)
+
+
+@contextmanager
+def _printing() -> Iterator[None]:
+    """Have an error of the file system name what it is about."""
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, "standard output") from None
 
 
 def console_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Table:

@@ -7,6 +7,7 @@ of numbers or texts) stands in the index.
 
 from __future__ import annotations
 
+import contextlib
 import zipfile
 from collections.abc import Callable
 from enum import Enum
@@ -36,9 +37,12 @@ def write(
         for recorded in counted(reader, topics, account, advance):
             archives[recorded.topic].add(recorded)
         entries = {topic: archive.finish() for topic, archive in archives.items()}
-    finally:
         for archive in archives.values():
             archive.close()
+    except BaseException:
+        for archive in archives.values():
+            archive.abandon()
+        raise
     index = {"version": INDEX_VERSION, "source": reader.path.name, "metadata": reader.metadata, "topics": entries}
     (out / INDEX_NAME).write_bytes(msgspec.json.format(msgspec.json.encode(index), indent=1) + b"\n")
 
@@ -95,6 +99,13 @@ class _Archive:
     def close(self) -> None:
         """Close the file."""
         self._zip.close()
+
+    def abandon(self) -> None:
+        """Let go of a file that cannot be finished; the library would try again, and say so, when it is collected."""
+        file, self._zip.fp = self._zip.fp, None
+        if file is not None:
+            with contextlib.suppress(OSError):
+                file.close()
 
     def _write(self, name: str, array: np.ndarray) -> None:
         # a fixed date: the same recording gives the same bytes

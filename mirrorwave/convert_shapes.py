@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from models.perception.yaw_rate_bias import YawRateBias
 from models.physics.curved_mirror import arc_points
 from msgs.frames import Pose2
 from msgs.perception import Wall
@@ -65,7 +66,10 @@ def counted(
 
 
 class Odometry:
-    """The vehicle's pose since its first valid state, integrated from speed and yaw rate alone: it drifts."""
+    """The vehicle's pose since its first valid state, integrated from speed and yaw rate alone: it drifts.
+
+    The bias of the yaw rate is taken off once it is known, as the perception does.
+    """
 
     #: Why a state brings no pose.
     REFUSED = "not valid, or not newer than the one before"
@@ -73,6 +77,8 @@ class Odometry:
     def __init__(self) -> None:
         self.odom_from_vehicle = Pose2()
         self._last: VehicleState | None = None
+        self._bias = YawRateBias()
+        self._yaw_rate_rps = 0.0
 
     def advance(self, state: VehicleState) -> Pose2 | None:
         """Pose at a state, by the exact arc of the mean of two states; None where the state is not valid or not newer.
@@ -82,12 +88,15 @@ class Odometry:
         if not state.valid or (self._last is not None and state.stamp_ns <= self._last.stamp_ns):
             return None
         last, self._last = self._last, state
-        if last is not None:
-            elapsed_s = s_from_ns(state.stamp_ns - last.stamp_ns)
-            if elapsed_s <= MAX_STATE_GAP_S:
-                speed_mps = 0.5 * (last.speed_mps + state.speed_mps)
-                yaw_rate_rps = 0.5 * (last.yaw_rate_rps + state.yaw_rate_rps)
-                self.odom_from_vehicle = self.odom_from_vehicle @ ego_motion(speed_mps, yaw_rate_rps, elapsed_s)
+        elapsed_s = 0.0 if last is None else s_from_ns(state.stamp_ns - last.stamp_ns)
+        is_gap = elapsed_s > MAX_STATE_GAP_S
+        if is_gap:
+            self._bias.interrupt()
+        self._bias.add(state, 0.0 if is_gap else elapsed_s)
+        before_rps, self._yaw_rate_rps = self._yaw_rate_rps, self._bias.corrected(state)
+        if last is not None and not is_gap:
+            speed_mps, yaw_rate_rps = 0.5 * (last.speed_mps + state.speed_mps), 0.5 * (before_rps + self._yaw_rate_rps)
+            self.odom_from_vehicle = self.odom_from_vehicle @ ego_motion(speed_mps, yaw_rate_rps, elapsed_s)
         return self.odom_from_vehicle
 
 

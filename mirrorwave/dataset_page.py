@@ -19,6 +19,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from mirrorwave.plot_style import legend_below
 from models.perception.coarray import AzimuthInterpolator
 from msgs.perception import PathClass
 from msgs.radar import PRESETS, RangeAzimuthGrid
@@ -227,7 +228,7 @@ def _object_bars(found: Statistics) -> str:
         axes.invert_yaxis()
         axes.tick_params(left=False)
         axes.spines[["top", "right", "left"]].set_visible(False)
-        axes.legend(frameon=False, fontsize=9, loc="upper center", bbox_to_anchor=(0.5, 1.18), ncols=3)
+        legend_below(axes, columns=3)
 
     return _svg(draw, 2.4)
 
@@ -261,7 +262,7 @@ def _histogram(found: Histogram, label: str, even: bool = False) -> str:
         axes.set_xlabel(label)
         axes.spines[["top", "right"]].set_visible(False)
         if len(found.counts) > 1:
-            axes.legend(frameon=False, fontsize=9)
+            legend_below(axes, columns=len(found.counts))
 
     return _svg(draw, 2.5)
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
 #: Exit codes as a shell gives them to a program that the signal ended: 128 and its number.
-INTERRUPTED, TERMINATED = 128 + signal.SIGINT, 128 + signal.SIGTERM
+INTERRUPTED, TERMINATED, HUNG_UP = 128 + signal.SIGINT, 128 + signal.SIGTERM, 128 + signal.SIGHUP
 #: Verbs that have no end of their own, and the options that give them one: told to end, they have done what was asked.
 _UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
     ("launch",): frozenset(),
@@ -23,19 +23,26 @@ _UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
     ("top",): frozenset({"--once", "--json"}),
     ("bag", "record"): frozenset(),
 }
+#: What is said of a verb that was not done; nothing where the terminal has gone.
+_SAID = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 #: After so long a lost interrupt is sent again.
 _AGAIN_S = 0.05
-_ENDING = (signal.SIGINT, signal.SIGTERM)
 #: The last signal to end that interrupted the process.
 _heard: signal.Signals | None = None
 
 
-def hear_signals() -> None:
-    """Take SIGTERM for Ctrl-C, so that what a verb holds is closed as well; not where somebody has it ignored.
+def hear_endings() -> None:
+    """Take SIGTERM and SIGHUP, the end of the terminal, for Ctrl-C, so that what a verb holds is closed as well.
 
-    Neither is lost where it comes while a library works that can pass on no exception.
+    Not where somebody has them ignored, as `nohup` does. None is lost where it comes while a library works that can
+    pass on no exception.
     """
-    for number, untouched in ((signal.SIGINT, signal.default_int_handler), (signal.SIGTERM, signal.SIG_DFL)):
+    handlers = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    for number, untouched in handlers.items():
         if signal.getsignal(number) is untouched:
             signal.signal(number, _interrupt)
     sys.unraisablehook = _hear_again
@@ -54,9 +61,10 @@ def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     namedtuple("Unmarked", ())
     if is_until_told(words):
         return 0
-    is_terminated = _heard is signal.SIGTERM
-    sys.stderr.write(f"mirrorwave: {'terminated' if is_terminated else 'interrupted'}\n")
-    return TERMINATED if is_terminated else INTERRUPTED
+    code = 128 + (_heard or signal.SIGINT)
+    if code in _SAID:
+        sys.stderr.write(f"mirrorwave: {_SAID[code]}\n")
+    return code
 
 
 def is_until_told(arguments: Sequence[str]) -> bool:
@@ -68,18 +76,26 @@ def is_until_told(arguments: Sequence[str]) -> bool:
 
 def keep_code() -> None:
     """Take no further notice of signals: what was done is done, and the exit code stands."""
-    for number in _ENDING:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def told_by_signal(tell: Callable[[], None]) -> Iterator[None]:
     """While the body runs, a signal to end is passed on to `tell`, and interrupts nothing. For the main thread."""
-    before = [signal.signal(number, lambda _number, _frame: tell()) for number in _ENDING]
+
+    def pass_on(number: int, frame: object) -> None:
+        _hear_once(number)
+        tell()
+
+    numbers = [signal.SIGINT, signal.SIGTERM]
+    if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
+        numbers.append(signal.SIGHUP)
+    before = [signal.signal(number, pass_on) for number in numbers]
     try:
         yield
     finally:
-        for number, handler in zip(_ENDING, before, strict=True):
+        for number, handler in zip(numbers, before, strict=True):
             signal.signal(number, handler)
 
 
@@ -88,13 +104,23 @@ def _hear_again(lost: sys.UnraisableHookArgs) -> None:
     if lost.exc_type is not KeyboardInterrupt:
         sys.__unraisablehook__(lost)
         return
+    number = _heard or signal.SIGINT
+    if number == signal.SIGHUP:
+        signal.signal(number, _interrupt)
     # from elsewhere and a little later: here it would be lost again
-    again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), _heard or signal.SIGINT))
+    again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number))
     again.daemon = True
     again.start()
 
 
+def _hear_once(number: int) -> None:
+    # shell and kernel both say that the terminal has gone: the second time is no wish for haste
+    if number == signal.SIGHUP:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def _interrupt(number: int, frame: object) -> None:
     global _heard
+    _hear_once(number)
     _heard = signal.Signals(number)
     raise KeyboardInterrupt

@@ -1,4 +1,7 @@
-"""`mirrorwave eval`: every method on the same frames, with the same back ends, in one table with intervals."""
+"""`mirrorwave eval`: every method on the same frames, with the same back ends, in one table with intervals.
+
+With `--objects`: every profile on the same random places, object by object.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from mirrorwave.completion import complete_object_sets, complete_profiles
 from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
 from msgs.wording import counted
 
@@ -39,7 +43,49 @@ class TruthOption(StrEnum):
 
 
 def evaluate(
-    data: Annotated[Path, typer.Option(metavar="DIR", help="Data set of `sim dataset` or `import xradarnlos`.")],
+    data: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Data set of `sim dataset` or `import xradarnlos`.")
+    ] = None,
+    objects: Annotated[
+        bool, typer.Option("--objects", help="Profiles on random places, object by object, in place of --data.")
+    ] = False,
+    profile: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="With --objects; default `default`. May be given again.",
+            autocompletion=complete_profiles,
+            show_default=False,
+        ),
+    ] = None,
+    sets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="NAME",
+            help="With --objects: a committed set of places. May be given again.",
+            autocompletion=complete_object_sets,
+            show_default=False,
+        ),
+    ] = None,
+    places: Annotated[
+        int | None, typer.Option(min=1, help="With --objects and no --set: places of the series --seed [100].")
+    ] = None,
+    moving: Annotated[
+        bool, typer.Option("--moving", help="With --objects and no --set: radar and road users move.")
+    ] = False,
+    effects: Annotated[
+        str, typer.Option(metavar="all|auto|basic|LIST", help="With --objects and no --set: simulated effects.")
+    ] = "all",
+    workers: Annotated[int, typer.Option(min=1, help="With --objects: places measured at a time.")] = 1,
+    false_cost: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0,
+            help="With --objects: missed objects that a false report costs [that of the sets].",
+            show_default=False,
+        ),
+    ] = None,
     method: Annotated[
         list[str] | None,
         typer.Option(
@@ -61,16 +107,36 @@ def evaluate(
         str | None, typer.Option(metavar="NAME", help="Method the others are compared with; default the last.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="results.json, results.md, pr.png, scenes.png, qualitative.png.")
+        Path | None,
+        typer.Option(
+            metavar="DIR",
+            help="results.json, results.md, pr.png, scenes.png, qualitative.png; "
+            "with --objects also a file a place: the same command goes on where it stopped.",
+        ),
     ] = None,
     sweep: Annotated[int, typer.Option(min=0, help="Thresholds of the precision-recall curves; 0: none.")] = 8,
     draws: Annotated[int, typer.Option(min=1, help="Bootstrap draws of the intervals.")] = 1000,
     limit: Annotated[int | None, typer.Option(min=1, help="Only the first N frames of the split.")] = None,
     threads: Annotated[int, typer.Option(min=1, help="CPU threads of each network.")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the bootstrap, and of the places drawn for --objects.")] = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Score methods on a data set: dense and recovered F1, Chamfer, curves, groups, times; no frame is skipped."""
+    """Score methods on a data set, or profiles on random places object by object; no frame is skipped."""
+    if objects:
+        _refuse("--objects", {"--data": data, "--method": method, "--limit": limit, "--reference": reference})
+        from mirrorwave.evaluate_objects import ObjectRequest, evaluate_objects
+
+        evaluate_objects(
+            ObjectRequest(
+                sets=sets or [], profiles=profile or ["default"], places=places, moving=moving, effects=effects,
+                seed=seed, draws=draws, workers=workers, false_cost=false_cost, out=out,
+            ),
+            as_json,
+        )  # fmt: skip
+        return
+    _refuse("--data", {"--profile": profile, "--set": sets, "--places": places, "--moving": moving or None})
+    if data is None:
+        raise ValueError("--data must name a data set, or --objects ask for random places")
     from mirrorwave.evaluate_report import Context, make_report, write_report
     from models.training.frames import DataSet, fixed_splits
 
@@ -88,6 +154,13 @@ def evaluate(
         write_report(report, out)
         _draw(report, run, dataset, context, out)
     _show(report, out, as_json)
+
+
+def _refuse(word: str, others: dict[str, object]) -> None:
+    """Raise `ValueError` where options were given that say nothing beside `word`."""
+    given = [name for name, value in others.items() if value is not None]
+    if given:
+        raise ValueError(f"{given[0]} must not be given with {word}")
 
 
 def _default_methods() -> list[str]:

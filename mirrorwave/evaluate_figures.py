@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mirrorwave.bev_picture import BLUE, DYNAMIC_RANGE_DB, GREEN, GREY, ORANGE, SKY, VERMILION
+from mirrorwave.bev_picture import DYNAMIC_RANGE_DB
 from mirrorwave.evaluate_report import CURVES, GROUPED
 from mirrorwave.evaluate_run import Run
+from mirrorwave.plot_style import (
+    BLUE,
+    GREEN,
+    GREY,
+    ORANGE,
+    SKY,
+    VERMILION,
+    handles_of,
+    legend_of_figure,
+    new_figure,
+    save,
+)
 from models.perception.evaluation import FrameAnswer, FrameTruth
 from models.training.frames import Frame
 from msgs.frames import xy_from_polar
@@ -33,14 +46,19 @@ TITLES = {
     "hidden_1m_f1": "hidden objects alone, F1, 1 m",
     "recovered_chamfer_capped_m": "recovered Chamfer, capped [m]",
 }
+TRUE_PLACE = "true position of a mirror image"
+#: Width of a figure that is read at the width of a page, and columns of its legend.
+PAGE_FIGURE_INCH, LEGEND_COLUMNS = 10.0, 3
 #: Scenes of the qualitative figure.
 SHOWN = 8
 
 
 def draw_curves(report: dict[str, Any], out: Path) -> None:
     """Precision against recall over the threshold; a mark where each method works, its interval not shown."""
-    figure, panels = _figure((19.0, 5.2), 1, len(CURVES))
-    for axes, curve in zip(panels[0], CURVES, strict=True):
+    columns = min(2, len(CURVES))
+    rows, legend_rows = -(-len(CURVES) // columns), -(-len(report["methods"]) // LEGEND_COLUMNS)
+    figure, panels = _figure((PAGE_FIGURE_INCH, 3.9 * rows + 0.2 * legend_rows + 0.4), rows, columns)
+    for axes, curve in zip(panels.ravel(), CURVES, strict=True):
         for index, method in enumerate(report["methods"]):
             line = [(point[curve]["recall"], point[curve]["precision"]) for point in method["sweep"]]
             colour, mark = _style(index)
@@ -56,7 +74,7 @@ def draw_curves(report: dict[str, Any], out: Path) -> None:
             )
         axes.set(xlim=(0.0, 1.0), ylim=(0.0, 1.02), xlabel="recall", ylabel="precision", title=TITLES[curve])
         axes.grid(alpha=0.3)
-    panels[0][-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
+    legend_of_figure(figure, handles_of(panels[0, 0]), columns=LEGEND_COLUMNS)
     _save(figure, out)
 
 
@@ -65,7 +83,7 @@ def draw_groups(report: dict[str, Any], out: Path) -> None:
     groups = report["methods"][0]["groups"]
     names = [f"{one['group']}: {one['value']} ({one['frames']})" for one in groups]
     height = 0.13 * len(groups) * (len(report["methods"]) + 1.5) + 1.5
-    figure, panels = _figure((19.0, min(max(height, 4.0), 60.0)), 1, len(GROUPED))
+    figure, panels = _figure((PAGE_FIGURE_INCH, min(max(height, 4.0), 60.0)), 1, len(GROUPED))
     for axes, measure in zip(panels[0], GROUPED, strict=True):
         for index, method in enumerate(report["methods"]):
             value, low, high = np.array([one[measure] for one in method["groups"]], float).reshape(-1, 3).T
@@ -76,10 +94,13 @@ def draw_groups(report: dict[str, Any], out: Path) -> None:
             axes.errorbar(
                 value, at, xerr=reach, color=colour, marker=mark, linestyle="", markersize=4, label=method["name"]
             )
-        axes.set(title=TITLES[measure], ylim=(len(groups) - 0.5, -0.5))
+        axes.set(ylim=(len(groups) - 0.5, -0.5))
+        axes.set_title(textwrap.fill(TITLES[measure], 20), fontsize=10)
+        axes.tick_params(labelsize=8)
         axes.set_yticks(range(len(groups)), names if axes is panels[0][0] else [""] * len(groups))
         axes.grid(alpha=0.3)
-    panels[0][-1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False, fontsize=9)
+    # above: the figure may be longer than a screen
+    legend_of_figure(figure, handles_of(panels[0][-1]), columns=LEGEND_COLUMNS, loc="outside upper center")
     _save(figure, out)
 
 
@@ -114,7 +135,15 @@ def draw_scenes(run: Run, frames: Sequence[Frame], positions: Sequence[int], ref
         _draw_column(panels[:, index], column, names.index(reference))
     for axes, label in zip(panels[:, 0], labels, strict=True):
         axes.set_ylabel(label, fontsize=11)
+    # letters grow with the figure: it may be three times as wide as a page
+    width = figure.get_figwidth()
+    legend_of_figure(figure, _signs(panels), columns=4 if width > 15.0 else 2, fontsize=max(8.0, 0.75 * width))
     _save(figure, out)
+
+
+def _signs(panels: np.ndarray) -> list[Artist]:
+    """A sign for each kind of mark, whatever panel it is in; the walls of the scenes among them."""
+    return handles_of(*panels[2:].ravel(), *panels[0])
 
 
 def _draw_column(panels: np.ndarray, column: _Column, reference: int) -> None:
@@ -139,14 +168,28 @@ def _draw_scene(axes: Axes, column: _Column) -> None:
         draw_scene(axes, scene_from_yaml(column.frame.scene_yaml))
     _draw_truth(axes, column.truth)
     places_m = column.truth.places_m
-    axes.scatter(places_m[:, 1], places_m[:, 0], s=22, facecolors="none", edgecolors=GREEN, linewidths=1.0, zorder=6)
+    axes.scatter(
+        places_m[:, 1],
+        places_m[:, 0],
+        s=22,
+        facecolors="none",
+        edgecolors=GREEN,
+        linewidths=1.0,
+        zorder=6,
+        label=TRUE_PLACE,
+    )
 
 
 def _draw_truth(axes: Axes, truth: FrameTruth) -> None:
     """Truth points as they appear: dots and crosses in grey."""
-    for path_class, mark in ((PathClass.LOS, "."), (PathClass.MIRRORED, "x")):
+    for path_class, mark, label in (
+        (PathClass.LOS, ".", "true direct"),
+        (PathClass.MIRRORED, "x", "true mirror image"),
+    ):
         points_m = truth.points_m[truth.path_class == path_class]
-        axes.scatter(points_m[:, 1], points_m[:, 0], s=9, marker=mark, color=GREY, linewidths=0.6, alpha=0.7)
+        axes.scatter(
+            points_m[:, 1], points_m[:, 0], s=9, marker=mark, color=GREY, linewidths=0.6, alpha=0.7, label=label
+        )
 
 
 def _draw_map(axes: Axes, column: _Column) -> None:
@@ -173,20 +216,28 @@ def _draw_map(axes: Axes, column: _Column) -> None:
 
 def _draw_peaks(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
     _draw_truth(axes, truth)
-    for path_class, colour, mark in ((PathClass.LOS, BLUE, "o"), (PathClass.MIRRORED, ORANGE, "D")):
+    for path_class, colour, mark, label in (
+        (PathClass.LOS, BLUE, "o", "peak taken as direct"),
+        (PathClass.MIRRORED, ORANGE, "D", "peak taken as mirror image"),
+    ):
         points_m = answer.points_m[answer.path_class == path_class]
         axes.scatter(
-            points_m[:, 1], points_m[:, 0], s=16, marker=mark, facecolors="none", edgecolors=colour, linewidths=1.0
-        )
+            points_m[:, 1], points_m[:, 0], s=16, marker=mark, facecolors="none", edgecolors=colour, linewidths=1.0,
+            label=label,
+        )  # fmt: skip
 
 
 def _draw_places(axes: Axes, truth: FrameTruth, answer: FrameAnswer) -> None:
     """Recovered places, the true ones about them; those of objects that mirrors alone show are filled."""
     direct_m = answer.points_m[answer.path_class == PathClass.LOS]
-    axes.scatter(direct_m[:, 1], direct_m[:, 0], s=6, color=SKY)
-    axes.scatter(truth.places_m[:, 1], truth.places_m[:, 0], s=34, facecolors="none", edgecolors=GREEN, linewidths=1.2)
-    axes.scatter(truth.hidden_m[:, 1], truth.hidden_m[:, 0], s=34, facecolors=GREEN, edgecolors=GREEN, alpha=0.4)
-    axes.scatter(answer.recovered_m[:, 1], answer.recovered_m[:, 0], s=26, marker="x", color=VERMILION, linewidths=1.2)
+    marks: tuple[tuple[np.ndarray, dict[str, Any]], ...] = (
+        (direct_m, {"s": 6, "color": SKY, "label": "direct peak"}),
+        (truth.places_m, {"s": 34, "facecolors": "none", "edgecolors": GREEN, "linewidths": 1.2, "label": TRUE_PLACE}),
+        (truth.hidden_m, {"s": 34, "color": GREEN, "alpha": 0.4, "label": "of an object that mirrors alone show"}),
+        (answer.recovered_m, {"s": 26, "marker": "x", "color": VERMILION, "linewidths": 1.2, "label": "recovered"}),
+    )
+    for points_m, style in marks:
+        axes.scatter(points_m[:, 1], points_m[:, 0], **style)
 
 
 def _limits_m(truth: FrameTruth) -> tuple[float, float]:
@@ -201,11 +252,9 @@ def _style(index: int) -> tuple[str, str]:
 
 
 def _figure(size_inch: tuple[float, float], rows: int, columns: int) -> tuple[Figure, np.ndarray]:
-    figure = Figure(figsize=size_inch, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(*size_inch)
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
 def _save(figure: Figure, out: Path) -> None:
-    # without a version in the file, equal numbers give equal bytes
-    figure.savefig(out, dpi=90, metadata={"Software": None})
+    save(figure, out, dpi=100)

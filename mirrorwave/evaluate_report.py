@@ -24,6 +24,7 @@ from models.perception.evaluation import (
     estimates,
     measures,
 )
+from msgs.whole_files import write_whole
 from msgs.wording import counted
 
 #: Measures of the table: heading and name.
@@ -218,8 +219,8 @@ def interval_text(triple: Sequence[float]) -> str:
 
 def write_report(report: dict[str, Any], out: Path) -> None:
     """results.json and results.md in a folder."""
-    (out / "results.json").write_bytes(msgspec.json.encode(report))
-    (out / "results.md").write_text(markdown(report), encoding="utf-8")
+    write_whole(out / "results.json", msgspec.json.encode(report))
+    write_whole(out / "results.md", markdown(report).encode())
 
 
 def markdown(report: dict[str, Any]) -> str:

@@ -6,7 +6,6 @@ the recording's times mean. A recording that could not be finished is removed.
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import msgspec
 
 from models.training.files import file_sha256
-from msgs.recording import RecordingReader, RecordingWriter
+from msgs.recording import RecordingReader, RecordingWriter, whole_recording
 from msgs.units import ns_from_s
 
 
@@ -48,7 +47,7 @@ def import_can(source: CanSource, out: Path) -> dict[str, Any]:
     frames = _Shifted(read_log(source.log, source.channel), source.start_ns)
     found = {"states": 0, "valid_states": 0}
     reason = ""
-    with _new_recording(out, _can_provenance(source)) as writer:
+    with whole_recording(out, _can_provenance(source)) as writer:
         for step in log_states(decoder, frames):
             for state in step.states:
                 writer.write(
@@ -100,7 +99,7 @@ def import_sigmf(path: Path, out: Path, advance: Callable[[], None]) -> dict[str
     capture = SigmfCapture.open(path)
     meta, data = capture_paths(path)
     found = {"beams": 0, "truth": 0}
-    with _new_recording(out, _sigmf_provenance(meta, data)) as writer:
+    with whole_recording(out, _sigmf_provenance(meta, data)) as writer:
         for beam in capture.beams():
             if not found["beams"]:
                 writer.write("radar/setup", capture.setup, publisher="import", sequence=0, sent_ns=beam.stamp_ns)
@@ -122,18 +121,6 @@ def _copy_truth(writer: RecordingWriter, path: Path) -> int:
             writer.write(each.topic, each.message, publisher="import", sequence=count, sent_ns=max(0, stamp_ns))
             count += 1
     return count
-
-
-@contextlib.contextmanager
-def _new_recording(out: Path, metadata: dict[str, str]) -> Iterator[RecordingWriter]:
-    """A recording that is removed again if what is written into it fails."""
-    writer = RecordingWriter(out, metadata)
-    try:
-        with writer:
-            yield writer
-    except BaseException:
-        out.unlink(missing_ok=True)
-        raise
 
 
 def _can_provenance(source: CanSource) -> dict[str, str]:

@@ -66,7 +66,7 @@ def launch(
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
     """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages."""
-    from mirrorwave.profiles import with_profile
+    from mirrorwave.profiles import over_default, with_profile
     from nodes.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params
 
     graph = read_launch_file(file)
@@ -74,8 +74,7 @@ def launch(
         raise ValueError("--profile and --latency-budget-ms must not be given together: a budget picks the profile")
     if latency_budget_ms is not None:
         profile = _profile_within(latency_budget_ms, measure)
-    if profile is not None:
-        graph = with_profile(graph, profile)
+    graph = over_default(graph) if profile is None else with_profile(graph, profile)
     if params_file is not None:
         graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
     graph = with_overrides(graph, param or ())

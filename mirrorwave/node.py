@@ -15,6 +15,7 @@ import typer
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
 from mirrorwave.running_graph import no_heartbeat
+from mirrorwave.terminal import ends_with_reader
 from msgs.diagnostics import NodeState, NodeStatus, TopicCount
 from msgs.wording import counted
 from nodes.viewer.node_table import is_of_peer
@@ -38,10 +39,11 @@ def collect_heartbeats(run_dir: Path, window_s: float = WINDOW_S) -> Heartbeats:
     try:
         bus.subscribe("diagnostics/node")
         deadline_s = time.monotonic() + window_s
-        while (remaining_s := deadline_s - time.monotonic()) > 0.0:
-            for received in bus.receive(min(remaining_s, 0.1)):
-                if isinstance(received.message, NodeStatus):
-                    beats.setdefault(received.message.node, []).append(received.message)
+        with ends_with_reader():
+            while (remaining_s := deadline_s - time.monotonic()) > 0.0:
+                for received in bus.receive(min(remaining_s, 0.1)):
+                    if isinstance(received.message, NodeStatus):
+                        beats.setdefault(received.message.node, []).append(received.message)
     finally:
         bus.close()
     return {name: beats[name] for name in sorted(beats)}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, Self
 
 from mirrorwave.bev_picture import draw_bev
 from mirrorwave.profiles import LAUNCH_DIR, with_profile
@@ -19,8 +19,19 @@ from msgs.local_bus import LocalNetwork
 from msgs.perception import BevFrame, Peaks, SceneTruth
 from msgs.radar import RangeAzimuthMap
 from msgs.recording import RecordingReader
+from msgs.whole_files import named, whole
 from nodes.launch_file import LaunchFile, read_launch_file, with_overrides, with_params
 from nodes.node import InProcessGraph, Node, load_node
+
+#: What a run writes, and the keys by which the first line of a file tells that it is one.
+LINES = {
+    "objects": {"scan_id", "stamp_ns", "frame", "objects"},
+    "tracks": {"scan_id", "stamp_ns", "frame", "tracks"},
+    "timing": {"scan_id", "stages"},
+}
+PICTURE = "bev.png"
+#: The first line of a file of ours is shorter.
+_MOST_LINE_BYTES = 1 << 26
 
 
 class Results(Node):
@@ -28,11 +39,9 @@ class Results(Node):
 
     inputs = ("radar/ra_map", "perception/peaks", "perception/hidden_objects", "sim/truth")
 
-    def __init__(
-        self, objects: TextIO, tracks: TextIO, timing: TextIO, timed: Mapping[str, Node], on_scan: Callable[[], None]
-    ) -> None:
+    def __init__(self, files: Sequence[_LineFile], timed: Mapping[str, Node], on_scan: Callable[[], None]) -> None:
         super().__init__()
-        self._objects, self._tracks, self._timing = objects, tracks, timing
+        self._objects, self._tracks, self._timing = files
         self._timed, self._on_scan = timed, on_scan
         self.scoreboard = Scoreboard()
         self.ra_map: RangeAzimuthMap | None = None
@@ -86,29 +95,80 @@ def run_capture(
 ) -> Results:  # fmt: skip
     """Process `capture`; writes `objects.jsonl`, `tracks.jsonl`, `timing.jsonl` and `bev.png` into `out`.
 
-    Returns what was seen. Raises `ValueError` where the capture is none, or holds nothing to process.
+    All four are there afterwards, or what was there before. Returns what was seen. Raises `FileExistsError` where a
+    file is in the way that was not written so, `ValueError` for a symbolic link and where the capture is none, or holds
+    nothing to process, `OSError` with the name of what a full disk does not take.
     """
     require_raw(capture)
+    require_own_results(out)
     launch = launch_for(capture, profile, overrides or [])
     nodes = {name: load_node(entry.module, entry.params, name) for name, entry in launch.nodes.items()}
     out.mkdir(parents=True, exist_ok=True)
-    with ExitStack() as files:
-        objects, tracks, timing = (
-            files.enter_context((out / f"{name}.jsonl").open("w", encoding="utf-8"))
-            for name in ("objects", "tracks", "timing")
-        )
-        results = Results(objects, tracks, timing, nodes, on_scan)
+    with ExitStack() as stack:
+        paths = [out / f"{name}.jsonl" for name in LINES]
+        # all are closed before the first of them takes its name
+        parts = [stack.enter_context(whole(path)) for path in paths]
+        picture = stack.enter_context(whole(out / PICTURE, ".png"))
+        files = [stack.enter_context(_LineFile(path, part)) for path, part in zip(paths, parts, strict=True)]
+        results = Results(files, nodes, on_scan)
         graph = InProcessGraph(LocalNetwork(), {**nodes, "results": results})
         try:
             graph.run()
         finally:
             graph.close()
-    results.capture_loss = _loss_of(capture)
-    if results.frame is None:
-        raise ValueError(f"{capture}: holds no complete scan")
-    truth = results.scoreboard.truth_of(results.frame.scan_id)
-    draw_bev(results.frame, out / "bev.png", truth=truth, ra_map=results.ra_map)
+        results.capture_loss = _loss_of(capture)
+        if results.frame is None:
+            raise ValueError(f"{capture}: holds no complete scan")
+        truth = results.scoreboard.truth_of(results.frame.scan_id)
+        with named(out / PICTURE):
+            draw_bev(results.frame, picture, truth=truth, ra_map=results.ra_map)
     return results
+
+
+def require_own_results(out: Path) -> None:
+    """Raise rather than write over what `run_capture` did not write; errors as that says."""
+    files = {out / f"{name}.jsonl": keys for name, keys in LINES.items()}
+    for path in (out, *files, out / PICTURE):
+        if path.is_symlink():
+            raise ValueError(f"{path}: must not be a symbolic link; name what it leads to with --out")
+    strange = [path for path, keys in files.items() if path.exists() and not _is_ours(path, keys)]
+    if (out / PICTURE).exists() and not any(path.exists() for path in files):
+        strange.append(out / PICTURE)
+    if strange:
+        raise FileExistsError(17, "was not written by `mirrorwave process`; choose another --out", str(strange[0]))
+
+
+def _is_ours(path: Path, keys: set[str]) -> bool:
+    """Whether a file's first line is one of a run's; one without a line is nobody's loss."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        line = file.readline(_MOST_LINE_BYTES)
+    try:
+        found = json.loads(line) if line else dict.fromkeys(keys)
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(found, dict) and keys <= found.keys()
+
+
+class _LineFile:
+    """Lines for a file that has not its name yet; what the disk does not take is said of that name."""
+
+    def __init__(self, path: Path, part: Path) -> None:
+        self._path = path
+        self._file = part.open("x", encoding="utf-8")
+
+    def write(self, line: str) -> None:
+        """Append a line."""
+        with named(self._path):
+            self._file.write(line)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        with named(self._path):
+            self._file.close()
 
 
 def _loss_of(capture: Path) -> str | None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from nodes.launch_file import LaunchFile, read_yaml_mapping, with_params
+from msgspec.structs import replace
+
+from nodes.launch_file import LaunchFile, merged, read_yaml_mapping, with_params
 
 LAUNCH_DIR = Path(__file__).resolve().parents[1] / "launch"
 PROFILES = LAUNCH_DIR / "profiles"
-#: The one that says nothing: parameters as the modules give them.
+#: The one that runs where none is named.
 DEFAULT = "default"
 
 
@@ -30,3 +32,13 @@ def read_profile(name: str) -> dict[str, dict[str, Any]]:
 def with_profile(launch: LaunchFile, name: str) -> LaunchFile:
     """`launch` with a profile's parameters; raises `ValueError` where it lacks one of the nodes."""
     return with_params(launch, read_profile(name), str(PROFILES / f"{name}.yaml"))
+
+
+def over_default(launch: LaunchFile) -> LaunchFile:
+    """`launch` laid over the default profile: what the file says itself holds, and it need not have every node."""
+    profile = read_profile(DEFAULT)
+    nodes = {
+        name: replace(entry, params=merged(profile.get(entry.module.removeprefix("nodes."), {}), entry.params))
+        for name, entry in launch.nodes.items()
+    }
+    return replace(launch, nodes=nodes)

@@ -88,7 +88,7 @@ def check_zeromq() -> Iterator[Risk]:
 def check_run_dir(folder: Path) -> Iterator[Risk]:
     """The meeting place belongs to us alone and nobody can put another in its place."""
     check = "run directory"
-    found = [risk for parent in _parents(folder) if (risk := _check_parent(parent))]
+    found = [risk for parent in _parents(folder) if (risk := _check_parent(parent, parent == folder.absolute().parent))]
     if not os.path.lexists(folder):
         yield from found or [Risk(check, Grade.OK, f"{folder} is not there yet")]
         return
@@ -181,7 +181,7 @@ def _parents(folder: Path) -> Iterator[Path]:
                 return
 
 
-def _check_parent(folder: Path) -> Risk | None:
+def _check_parent(folder: Path, is_next: bool) -> Risk | None:
     """A directory over the meeting place: who may write to it may replace what is below."""
     facts = folder.stat()
     mode, sticky = stat.S_IMODE(facts.st_mode), bool(facts.st_mode & stat.S_ISVTX)
@@ -194,7 +194,9 @@ def _check_parent(folder: Path) -> Risk | None:
             "run directory", Grade.PROBLEM, f"all may write to {folder}, mode {mode:04o}", f"chmod o-w {folder}"
         )
     if mode & 0o020 and not sticky:
-        return Risk("run directory", Grade.WARNING, f"a group may write to {folder}", f"chmod g-w {folder}")
+        # no graph starts in one that is open to a group; what is above it is not looked at
+        grade = Grade.PROBLEM if is_next else Grade.WARNING
+        return Risk("run directory", grade, f"a group may write to {folder}", f"chmod g-w {folder}")
     return None
 
 

@@ -46,6 +46,7 @@ def run(
     from rich.console import Console
     from rich.progress import Progress
 
+    from msgs.whole_files import require_room
     from nodes import player
     from sim_player.player import ScenePlayer
 
@@ -68,6 +69,8 @@ def run(
     total = scans * (2 * len(source.setup.beams) + 1) if isinstance(source, ScenePlayer) else None
     if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
         raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
+    if isinstance(source, ScenePlayer):
+        require_room(out, scans * source.setup.scan_bytes)
     if not len(source.paths(0)):
         typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
     bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
@@ -83,10 +86,10 @@ def run(
 
 def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
     """MCAP recording of messages at the times their stamps say, as if `player` had sent them."""
-    from msgs.recording import RecordingWriter
+    from msgs.recording import whole_recording
 
     sequences: dict[str, int] = {}
-    with RecordingWriter(path, metadata) as writer:
+    with whole_recording(path, metadata) as writer:
         for topic, message in events:
             sequence = sequences.get(topic, 0)
             sequences[topic] = sequence + 1
@@ -115,5 +118,10 @@ def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing], metad
             elif outgoing.topic == "sim/truth":
                 truths.append(outgoing)
 
-    write_capture(path, setup, beams())
-    write_recording(truth_beside(path), iter(truths), metadata)
+    meta_path, data_path = write_capture(path, setup, beams())
+    try:
+        write_recording(truth_beside(path), iter(truths), metadata)
+    except BaseException:
+        meta_path.unlink()
+        data_path.unlink()
+        raise

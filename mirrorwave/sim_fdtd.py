@@ -186,10 +186,14 @@ def draw_comparison(table: ReflectanceTable, path: Path) -> None:
     """Write a picture: specular gain of rough concrete in each band, and what all rough walls do beyond the formula."""
     import numpy as np
 
-    figure, axes = _figure(len(table.bands_hz) + 1, 4.6)
-    for panel, band in zip(axes[:-1], table.bands_hz, strict=True):
+    from mirrorwave.plot_style import legend_beside, new_figure, save
+
+    figure = new_figure(10.0, 9.0)
+    upper, lower = figure.subfigures(2, 1, squeeze=False).ravel()
+    for panel, band in zip(upper.subplots(1, len(table.bands_hz)), table.bands_hz, strict=True):
         _draw_band(panel, table, band)
-    panel, seen = axes[-1], set()
+    panel, seen = lower.subplots(), set[str]()
+    _plain(panel)
     panel.axhspan(-0.5, 0.5, color="#EEEEEE")
     walls = dict(zip(table.walls, COLOURS * 3, strict=False))
     for one in table.compare():
@@ -213,8 +217,8 @@ def draw_comparison(table: ReflectanceTable, path: Path) -> None:
         seen.add(label)
     panel.set_title("rough walls: FDTD minus formula [dB]", fontsize=10)
     panel.set_xlabel("rms phase g = 4π s cos θ / λ [rad]")
-    panel.legend(frameon=False, fontsize=7.5, loc="upper center", bbox_to_anchor=(0.64, 1.0))
-    _save(figure, path)
+    legend_beside(panel)
+    save(figure, path)
 
 
 def draw_wall(found: WallAnswer, path: Path) -> None:
@@ -224,7 +228,12 @@ def draw_wall(found: WallAnswer, path: Path) -> None:
     beam = found.beam
     if beam is None:
         raise ValueError("a picture needs an answer with a beam")
-    figure, (left, right) = _figure(2, 5.2)
+    from mirrorwave.plot_style import new_figure, save
+
+    figure = new_figure(10.0, 6.2)
+    left, right = figure.subplots(1, 2)
+    for panel in (left, right):
+        _plain(panel)
     level_db = 20.0 * np.log10(np.maximum(np.abs(beam.field), 1e-6))
     front_m, back_m = beam.wall_m
     z_m = beam.z_m - front_m
@@ -241,15 +250,13 @@ def draw_wall(found: WallAnswer, path: Path) -> None:
     right.axvspan(0.0, 1e2 * (back_m - front_m), color="#E4E4E4", zorder=0)
     right.set_title("level at the beam's axis [dB]", fontsize=10)
     right.set_ylim(-125.0, 8.0)
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85}
-    style = {"family": "monospace", "fontsize": 8, "bbox": box}
-    right.text(0.02, 0.02, _caption(found), transform=right.transAxes, ha="left", va="bottom", **style)
+    figure.supxlabel(_caption(found), family="monospace", fontsize=9, ha="center", linespacing=1.4)
     for panel in (left, right):
         panel.set_xlabel("depth from the front face [cm]")
         panel.set_xlim(-1e2 * found.before_m, 1e2 * (back_m - front_m + found.behind_m))
     for face_m in (0.0, back_m - front_m):
         left.axvline(1e2 * face_m, color="white", linewidth=1.0)
-    _save(figure, path)
+    save(figure, path)
 
 
 def _rebuild(path: Path, workers: int) -> None:
@@ -419,6 +426,7 @@ def _draw_band(panel: Any, table: ReflectanceTable, band: float) -> None:
     """Concrete, TE: lines of the formula, marks of FDTD, a colour a roughness."""
     import numpy as np
 
+    from mirrorwave.plot_style import legend_below
     from models.physics.fresnel import coherent_power
 
     fine_deg = np.linspace(0.0, 85.0, 171)
@@ -437,25 +445,14 @@ def _draw_band(panel: Any, table: ReflectanceTable, band: float) -> None:
     panel.set_title(f"concrete, {band / 1e9:g} GHz, TE: specular gain [dB]", fontsize=10)
     panel.set_xlabel("angle of incidence [deg]")
     panel.set_ylim(-40.0, 1.0)
-    panel.legend(frameon=False, fontsize=8, title="lines: formula, marks: FDTD", title_fontsize=8)
+    _plain(panel)
+    legend_below(panel, columns=len(rows), title="lines: formula, marks: FDTD", title_fontsize=9, fontsize=8)
 
 
-def _figure(panels: int, height: float) -> tuple[Any, Any]:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(5.2 * panels, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(1, panels)
-    for panel in axes:
-        panel.grid(color="#DDDDDD", linewidth=0.6)
-        panel.spines[["top", "right"]].set_visible(False)
-    return figure, axes
-
-
-def _save(figure: Any, path: Path) -> None:
-    # without a date or version in the file, equal answers give equal bytes
-    figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
+def _plain(panel: Any) -> None:
+    """Pale lines behind the data, no frame above and to the right of it."""
+    panel.grid(color="#DDDDDD", linewidth=0.6)
+    panel.spines[["top", "right"]].set_visible(False)
 
 
 def _level_db(field: Any) -> float:

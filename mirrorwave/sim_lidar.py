@@ -40,7 +40,7 @@ def lidar(
     The first viewpoint's pose counts as calibrated; give the radar's own place first.
     """
     from mirrorwave.annotate_manifest import Cloud, Manifest, Pose
-    from models.training.files import json_lines
+    from models.training.files import json_lines, write_whole
     from sim_player.lidar_cloud import LidarParams, choose_viewpoints, lidar_cloud, rigid
     from sim_player.scene import load_scene
 
@@ -67,8 +67,8 @@ def lidar(
     manifest = Manifest(name=world.name, radar_height_m=world.radar.height_m, clouds=tuple(clouds), seed=seed)
     content = msgspec.to_builtins(manifest)
     plain = {name: content[name] for name in ("name", "radar_height_m", "seed", "clouds")}
-    (out / "scene.yaml").write_text(yaml.safe_dump(plain, sort_keys=False))
-    (out / "truth.json").write_bytes(json_lines(truth))
+    write_whole(out / "scene.yaml", yaml.safe_dump(plain, sort_keys=False).encode())
+    write_whole(out / "truth.json", json_lines(truth))
     print_line(f"{out}: {counted(len(places), 'cloud')} of {world.name}, scene.yaml and truth.json, seed {seed}")
 
 

@@ -172,8 +172,7 @@ def overview() -> list[dict[str, str]]:
 
 def draw(wall: Wall, answers: list[Answer], path: Path) -> None:
     """Write a picture of R, specular gain (where rough) and T (where any) over angle; marks are simulated waves."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from mirrorwave.plot_style import handles_of, legend_of_figure, new_figure, save
 
     panels = {"reflection |r|² [dB]": lambda curves: _field_db(curves.r)}
     if wall.roughness_m > 0.0:
@@ -181,14 +180,12 @@ def draw(wall: Wall, answers: list[Answer], path: Path) -> None:
         panels[title] = lambda curves: _field_db(curves.specular_gain**0.5)
     if any(abs(one.te.t).max() > 0.0 for one in answers):
         panels["transmission |t|² [dB]"] = lambda curves: _field_db(curves.t)
-    figure = Figure(figsize=(0.6 + 4.6 * len(panels), 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(0.6 + 3.2 * max(len(panels), 2), 4.6)
     for axes, (title, level_db) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):
         _draw_panel(axes, title, level_db, wall, answers)
-    axes.legend(loc="best", frameon=False, fontsize=9)
+    legend_of_figure(figure, handles_of(axes), columns=4)
     figure.suptitle(_title(wall), fontsize=12)
-    # without a date or version in the file, equal answers give equal bytes
-    figure.savefig(path, dpi=120, metadata={"Software": None} if path.suffix == ".png" else None)
+    save(figure, path, dpi=120)
 
 
 def _wall(name: str, thickness_mm: float | None, roughness_mm: float, method: Method, extrapolate: bool) -> Wall:

@@ -13,9 +13,18 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import msgspec
 import typer
 
-from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, console_table, print_json
+from mirrorwave.console import (
+    DEFAULT_DOMAIN,
+    AsJson,
+    Domain,
+    console_table,
+    print_json,
+    print_picture,
+    stdout_console,
+)
 from mirrorwave.node import node_row, shed_text
 from mirrorwave.running_graph import no_heartbeat, require_graph
+from mirrorwave.terminal import ends_with_reader
 from msgs.bus import Bus
 from msgs.diagnostics import NodeState, NodeStatus
 from msgs.lidar import LidarSetup
@@ -102,18 +111,19 @@ def top(
     """A running graph, live: load, stage times, losses, what is shed; age of the view, deadlines missed."""
     with _watching(domain, window) as (bus, watch):
         if not (once or as_json):
-            with contextlib.suppress(KeyboardInterrupt):
+            with contextlib.suppress(KeyboardInterrupt), ends_with_reader():
                 require_graph(domain)
-                _show_live(bus, watch, domain)
+                (_show_live if sys.stdout.isatty() else _show_tables)(bus, watch, domain, window)
             return
-        _listen(bus, watch, window)
+        with ends_with_reader():
+            _listen(bus, watch, window)
         report = {"domain": domain, **watch.report(bus.now_ns())}
     if not report["nodes"]:
         raise no_heartbeat(domain, window)
     if as_json:
         print_json(report)
     else:
-        _console().print(_picture(report))
+        print_picture(_picture(report))
 
 
 @contextlib.contextmanager
@@ -136,21 +146,21 @@ def _listen(bus: Bus, watch: GraphWatch, duration_s: float) -> None:
             watch.take(received.message, bus.now_ns())
 
 
-def _show_live(bus: Bus, watch: GraphWatch, domain: str) -> None:
-    """Until Ctrl-C."""
+def _show_tables(bus: Bus, watch: GraphWatch, domain: str, window_s: float) -> None:
+    """One below the other after each window, for a file or another program; until Ctrl-C."""
+    while True:
+        _listen(bus, watch, window_s)
+        print_picture(_picture({"domain": domain, **watch.report(bus.now_ns())}))
+
+
+def _show_live(bus: Bus, watch: GraphWatch, domain: str, window_s: float) -> None:
+    """One in place of the other; until Ctrl-C."""
     from rich.live import Live
 
-    with Live(console=_console(), auto_refresh=False, screen=sys.stdout.isatty()) as live:
+    with Live(console=stdout_console(), auto_refresh=False, screen=True) as live:
         while True:
             live.update(_picture({"domain": domain, **watch.report(bus.now_ns())}), refresh=True)
             _listen(bus, watch, _REFRESH_S)
-
-
-def _console() -> Any:
-    from rich.console import Console
-
-    # where nobody's eyes set the width, nothing is cut
-    return Console(width=None if sys.stdout.isatty() else 1000)
 
 
 def _picture(report: dict[str, Any]) -> RenderableType:

@@ -16,6 +16,7 @@ import typer
 from mirrorwave.completion import complete_topics
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
 from mirrorwave.running_graph import FIND_S, is_running, no_graph, publishes, silence
+from mirrorwave.terminal import ends_with_reader
 from mirrorwave.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
 from msgs.bus import Bus, Received
 from msgs.codec import to_builtins
@@ -124,10 +125,11 @@ def echo(
     deadline_s = None if timeout is None else time.monotonic() + timeout
     seen = 0
     try:
-        for received in _awaited(bus, domain, topic, deadline_s):
-            seen += show.message(received)
-            if seen == wanted:
-                return
+        with ends_with_reader():
+            for received in _awaited(bus, domain, topic, deadline_s):
+                seen += show.message(received)
+                if seen == wanted:
+                    return
     finally:
         bus.close()
     if timeout is not None and not (seen or show.refused):
@@ -237,11 +239,12 @@ def delay(
     bus = _listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup"])))
     try:
         watch = DelayWatch(bus.now_ns())
-        for received in _messages(bus, time.monotonic() + duration):
-            if isinstance(received.message, RadarSetup | LidarSetup):
-                watch.set_up(received.message)
-            if received.topic in wanted:
-                watch.take(received, bus.now_ns())
+        with ends_with_reader():
+            for received in _messages(bus, time.monotonic() + duration):
+                if isinstance(received.message, RadarSetup | LidarSetup):
+                    watch.set_up(received.message)
+                if received.topic in wanted:
+                    watch.take(received, bus.now_ns())
     finally:
         bus.close()
     rows = watch.rows()
@@ -332,13 +335,14 @@ def _measure(topics: list[str], duration_s: float, domain: str) -> tuple[list[di
     try:
         # a publisher that is slower than it takes to find it is measured from when it must have been found
         start_s = time.monotonic() + _FIND_S
-        for received in _messages(bus, start_s + duration_s):
-            if not marks:
-                start_s = min(start_s, time.monotonic())
-            key = (received.topic, received.envelope.publisher)
-            marks.setdefault(key, []).append((received.envelope.sequence, received.envelope.sent_ns))
-            if time.monotonic() - start_s > duration_s:
-                break
+        with ends_with_reader():
+            for received in _messages(bus, start_s + duration_s):
+                if not marks:
+                    start_s = min(start_s, time.monotonic())
+                key = (received.topic, received.envelope.publisher)
+                marks.setdefault(key, []).append((received.envelope.sequence, received.envelope.sent_ns))
+                if time.monotonic() - start_s > duration_s:
+                    break
         elapsed_s = min(max(time.monotonic() - start_s, 0.0), duration_s)
         counts = {count.topic: count for count in bus.counts()[0]}
     finally:

@@ -31,7 +31,7 @@ def tradeoff(
     ] = None,
     settings: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows; default launch/tradeoff.yaml.")] = None,
     row: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Only the default and rows of this name or switch.")
+        list[str] | None, typer.Option(metavar="NAME", help="Only `unfiltered` and rows of this name or switch.")
     ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
     repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
@@ -89,12 +89,14 @@ def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
 
 
 def _chosen(rows: list[Setting], names: list[str]) -> list[Setting]:
-    """The default and the rows asked for; all where none is."""
+    """The base and the rows asked for; all where none is."""
+    from mirrorwave.tradeoff_settings import BASE
+
     known = {name for row in rows for name in (row.name, row.switch)}
     for name in names:
         if name not in known:
             raise ValueError(f"--row must be one of {', '.join(sorted(known))}, got {name!r}")
-    return [row for row in rows if not names or row is rows[0] or {row.name, row.switch} & set(names)]
+    return [row for row in rows if not names or row.name == BASE or {row.name, row.switch} & set(names)]
 
 
 def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str]) -> str:

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from mirrorwave.bev_picture import VERMILION
+from mirrorwave.plot_style import BLACK, VERMILION, handles_of, legend_of_figure, new_figure, save
 from mirrorwave.tradeoff_report import Report, Row, point_of
 from mirrorwave.tradeoff_run import PARTS
 from mirrorwave.tradeoff_settings import PROFILE
@@ -22,7 +21,7 @@ COLOURS = {"transport": "#9aa5b1", "forming": "#3b6fb6", "detection": "#d9822b",
 def draw_front(report: Report, path: Path) -> None:
     """Recovered F1 over median latency with the deadline; the front is joined and numbered, profiles are named."""
     rows = [row for row in report.rows if point_of(row) is not None]
-    figure = Figure(figsize=(12.5, 6.5), layout="constrained")
+    figure = new_figure(10.0, 7.6)
     axes = figure.subplots()
     for row in rows:
         _draw_point(axes, row)
@@ -30,12 +29,10 @@ def draw_front(report: Report, path: Path) -> None:
     front = [point for row in ordered if (point := point_of(row))]
     for number, point in enumerate(front, 1):
         axes.annotate(str(number), point, xytext=(0, 7), textcoords="offset points", fontsize=9, ha="center")
-    listed = [f"{number}  {row.name}" for number, row in enumerate(ordered, 1)]
-    axes.text(1.02, 0.98, "\n".join(["the front", *listed]), transform=axes.transAxes, va="top", fontsize=9)
     axes.step(
         *np.reshape(front, (-1, 2)).T,
         where="post",
-        color="#222222",
+        color=BLACK,
         lw=1.2,
         label="front: nothing here is both faster and better",
     )
@@ -50,10 +47,14 @@ def draw_front(report: Report, path: Path) -> None:
     axes.grid(alpha=0.25, which="both")
     for part in ("forming", "detection", "geometry"):
         axes.plot([], [], "o", color=COLOURS[part], label=f"changes {part} alone")
-    axes.plot([], [], "o", color="#222222", label="changes several")
+    axes.plot([], [], "o", color=BLACK, label="changes several")
     axes.plot([], [], "s", color=VERMILION, label="profile")
-    axes.legend(loc="center right")
-    FigureCanvasAgg(figure).print_figure(path, dpi=110, metadata={"Software": None})
+    numbers = [
+        Line2D([], [], ls="", marker=f"${number}$", color=BLACK, ms=6, label=f"on the front: {row.name}")
+        for number, row in enumerate(ordered, 1)
+    ]
+    legend_of_figure(figure, [*handles_of(axes), *numbers], columns=2)
+    save(figure, path)
 
 
 def _draw_point(axes: Axes, row: Row) -> None:
@@ -77,13 +78,13 @@ def _colour(row: Row) -> str:
     touched = [PART_OF[stage] for stage, params in row.params.items() if params]
     if row.switch == PROFILE:
         return VERMILION
-    return COLOURS[touched[0]] if len(touched) == 1 else "#222222"
+    return COLOURS[touched[0]] if len(touched) == 1 else BLACK
 
 
 def draw_stages(report: Report, path: Path) -> None:
     """Median time of each part of every row, fastest first."""
     rows = sorted((row for row in report.rows if point_of(row) is not None), key=lambda row: point_of(row) or (0, 0))
-    figure = Figure(figsize=(10, 1.5 + 0.24 * len(rows)), layout="constrained")
+    figure = new_figure(10.0, 1.8 + 0.24 * len(rows))
     axes = figure.subplots()
     left, at = np.zeros(len(rows)), np.arange(len(rows))
     for part in PARTS:
@@ -95,6 +96,7 @@ def draw_stages(report: Report, path: Path) -> None:
     axes.margins(y=0.01)
     axes.set_xlabel("median time of each part [ms]")
     axes.set_title("Where the time goes after the last beam", loc="left")
-    axes.legend(loc="upper right")
+    # above: the figure may be longer than a screen
+    legend_of_figure(figure, handles_of(axes), columns=len(PARTS), loc="outside upper center")
     axes.grid(alpha=0.25, axis="x")
-    FigureCanvasAgg(figure).print_figure(path, dpi=110, metadata={"Software": None})
+    save(figure, path)

@@ -12,15 +12,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from mirrorwave.profiles import DEFAULT
 from mirrorwave.tradeoff_run import BEFORE, PARTS, FrameResult, Plan
-from mirrorwave.tradeoff_settings import Setting
+from mirrorwave.tradeoff_settings import BASE, Setting
 from models.perception.evaluation import Estimate, FrameScores, bootstrap_weights, differences, estimates
 from models.training.files import json_lines, write_whole
 from msgs.radar import RadarSetup
 from msgs.units import s_from_ns
 from nodes.dense_predictor import model_path
-from nodes.geometry import confidence_path
+from nodes.geometry import confidence_paths
 
 #: A scan comes so often: a view that takes longer after the last beam is late.
 DEADLINE_MS = 300.0
@@ -61,7 +60,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     value: str
     params: dict[str, dict[str, Any]]
     failed: str | None = None
-    #: Measures, and the differences to the default row on the same draws.
+    #: Measures, and the differences to the base row (`unfiltered`) on the same draws.
     accuracy: dict[str, Interval] = {}
     against_default: dict[str, Interval] = {}
     #: Of each part of the latency and of their sum, from the arrival of the last beam to that of the view.
@@ -97,7 +96,7 @@ def make_report(plan: Plan, results: Sequence[FrameResult], memory_mib: dict[str
     weights = bootstrap_weights(len(results), DRAWS, seed=0)
     failed = {name: reason for result in results for name, reason in result.failed.items()}
     scores = {row.name: _scores(results, row.name) for row in plan.rows if row.name not in failed}
-    reference = scores.get(DEFAULT)
+    reference = scores.get(BASE)
     rows = []
     for row in plan.rows:
         if row.name in failed:
@@ -194,7 +193,7 @@ def _size_bytes(row: Setting) -> int:
     """Files that a row's stages read."""
     dense, placed = row.of("dense_predictor"), row.of("geometry")
     files = [None if dense.get("method") == "cfar" else model_path(dense.get("model"))]
-    files += [confidence_path(placed.get("confidence", "none"))]
+    files += confidence_paths(placed.get("confidence", "none"))
     files += [None if (residual := placed.get("residual", "none")) == "none" else Path(residual)]
     return sum(path.stat().st_size for path in files if path is not None)
 
@@ -236,7 +235,7 @@ def versions() -> dict[str, str]:
 
 
 COLUMNS = (
-    "row", "dense F1", "recovered F1 1 m", "against default", "Chamfer [m]", "p50 [ms]", "p90", "p99",
+    "row", "dense F1", "recovered F1 1 m", f"against {BASE}", "Chamfer [m]", "p50 [ms]", "p90", "p99",
     "forming", "detection", "geometry", "transport", "load", "late", "memory [MiB]", "size [KiB]", "front",
 )  # fmt: skip
 
@@ -252,7 +251,7 @@ def cells(row: Row) -> list[str]:
         row.name,
         _with_interval(accuracy["dense_macro_f1"]),
         _with_interval(accuracy["recovered_f1_1m"]),
-        "" if against is None or row.name == DEFAULT else _signed(against),
+        "" if against is None or row.name == BASE else _signed(against),
         _number(accuracy["recovered_chamfer_m"].value, 2),
         *(_number(value, 1) for value in (total.p50, total.p90, total.p99)),
         *parts,

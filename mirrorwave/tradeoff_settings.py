@@ -1,4 +1,4 @@
-"""The rows of the accuracy-versus-time report: node parameters, each set laid over the default profile."""
+"""The rows of the accuracy-versus-time report: node parameters, each set laid over the profile `unfiltered`."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from nodes.validation import convert_at
 DEFAULT_SETTINGS = LAUNCH_DIR / "tradeoff.yaml"
 #: Nodes whose parameters a row may set.
 STAGES = ("ra_former", "dense_predictor", "geometry")
+#: Profile that rows are laid over and compared with: its geometry judges no place by its detector.
+BASE = "unfiltered"
 #: Switch of the rows that are named profiles.
 PROFILE = "profile"
 #: Stands in settings for the folder of further networks.
@@ -59,7 +61,8 @@ def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -
         if names.count(name) > 1:
             raise ValueError(f"{path}: rows must differ in name, got {name!r} twice")
     folder = "" if networks is None else str(networks)
-    return [_laid_over(rows[0], row, folder) for row in rows]
+    base = next(row for row in rows if row.name == BASE)
+    return [_laid_over(base, row, folder) for row in rows]
 
 
 def profiles() -> list[Setting]:

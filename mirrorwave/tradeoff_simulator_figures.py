@@ -7,23 +7,22 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
-from mirrorwave.bev_picture import BLUE, GREEN, GREY, ORANGE, VERMILION
+from mirrorwave.plot_style import BLUE, GREEN, GREY, ORANGE, VERMILION, handles_of, legend_below, new_figure, save
 from mirrorwave.tradeoff_simulator import SimulatorReport, SimulatorRow
 from mirrorwave.tradeoff_simulator_cases import MIRRORS, SAME_DB
 
 #: Left of the smallest budget stand the rows without one, so far apart in dB.
 STEP_DB = 8.0
 ERRORS = ("median", "worst")
+ERROR_LABEL = "error: median place, line to the worst"
 
 
 def draw_simulator(report: SimulatorReport, path: Path) -> None:
     """A panel a group; one that has no sound row stays empty. Equal numbers give equal bytes."""
-    figure = Figure(figsize=(17.0, 10.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels: dict[str, Axes] = figure.subplot_mosaic([["budget", "budget", "level"], ["without", "rays", "fdtd"]])
+    figure = new_figure(10.0, 13.0)
+    names = [["budget", "budget"], ["without", "level"], ["rays", "fdtd"]]
+    panels: dict[str, Axes] = figure.subplot_mosaic(names, height_ratios=(1.15, 1.2, 1.0))
     draw: dict[str, tuple[str, Callable[[Axes, list[SimulatorRow]], None]]] = {
         "budget": ("effect budget", _draw_budget),
         "level": ("signal level", _draw_levels),
@@ -37,7 +36,7 @@ def draw_simulator(report: SimulatorReport, path: Path) -> None:
             one(panels[name], rows)
         else:
             panels[name].set_axis_off()
-    figure.savefig(path, dpi=90, metadata={"Software": None})
+    save(figure, path)
 
 
 def _draw_budget(axes: Axes, rows: list[SimulatorRow]) -> None:
@@ -55,16 +54,16 @@ def _draw_budget(axes: Axes, rows: list[SimulatorRow]) -> None:
     differs = median > SAME_DB
     for mine in (differs & (at >= least), differs & (at < least)):
         reach = np.stack([np.zeros(mine.sum()), (worst - median)[mine]])
-        axes.errorbar(at[mine], median[mine], reach, color=BLUE, marker="o", lw=1.8, capsize=3)
+        axes.errorbar(at[mine], median[mine], reach, color=BLUE, marker="o", lw=1.8, capsize=3, label=ERROR_LABEL)
     for where in at[~differs]:
         axes.annotate("no cell differs", (where, 0.03), xycoords=("data", "axes fraction"), rotation=90, ha="center")
-    axes.plot([least, most], [least, most], color=VERMILION, ls="--", lw=1.4)
-    middle = 0.5 * (least + most)
-    axes.annotate("no cell may be over the budget ", (middle, middle), color=VERMILION, ha="right", va="bottom")
+    axes.plot([least, most], [least, most], color=VERMILION, ls="--", lw=1.4, label="no cell may be over the budget")
     axes.set_xticks(at, [row.name for row in rows])
     axes.set_xlabel("effects of the simulation: basic, all, or planned under a budget")
     axes.set_ylabel("worst cell of a place against all effects [dB]\nmedian place, line to the worst", color=BLUE)
     axes.set_title("Error against effect budget", loc="left")
+    shown = {str(handle.get_label()): handle for handle in handles_of(axes, right)}
+    legend_below(axes, columns=2, handles=list(shown.values()))
     axes.grid(alpha=0.25)
 
 
@@ -80,9 +79,6 @@ def _draw_times(axes: Axes, at: np.ndarray, rows: list[SimulatorRow]) -> None:
         axes.bar(at + side * width, what, width=width, bottom=paths, color=colour, alpha=0.5, label=label)
     axes.set_ylabel("bars: median wall time of a scan [ms]")
     axes.set_ylim(0.0, 1.3 * max(float((paths + np.maximum(signal, beats)).max()), 1e-3))
-    handles, labels = axes.get_legend_handles_labels()
-    once = dict(zip(labels, handles, strict=True))
-    axes.legend(once.values(), once.keys(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=3, frameon=False)
 
 
 def _medians(rows: list[SimulatorRow], part: str) -> np.ndarray:
@@ -163,5 +159,5 @@ def _draw_resolution(axes: Axes, rows: list[SimulatorRow], measure: str, finer: 
     axes.set_xticks(at, [f"{value:g}" for value in at])
     axes.set_xlabel(finer)
     axes.set_ylabel(label, color=BLUE)
-    axes.legend(loc="upper center", frameon=False)
+    legend_below(axes, columns=2)
     axes.grid(alpha=0.25)

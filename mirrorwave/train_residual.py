@@ -117,11 +117,11 @@ def _run(training: ResidualTraining, progress: Progress) -> None:
 
 def draw_residual_curves(reports: Sequence[ResidualEpoch], path: Path) -> None:
     """Loss, recovered error and recovered F1 over the epochs, beside the mirror law alone, as a PNG."""
-    from matplotlib.figure import Figure
+    from mirrorwave.plot_style import legend_below, new_figure, save
 
     epochs = [report.epoch + 1 for report in reports]
     best = min(reports, key=lambda report: report.recovered_l1_m)
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    figure = new_figure(9.0, 4.2)
     errors, scores = figure.subplots(1, 2)
     errors.plot(epochs, [report.train_loss for report in reports], label="training")
     errors.plot(epochs, [report.recovered_l1_m for report in reports], color="black", label="validation")
@@ -132,6 +132,6 @@ def draw_residual_curves(reports: Sequence[ResidualEpoch], path: Path) -> None:
     scores.set(xlabel="epoch", ylabel="recovered F1 at 1 m")
     for axes in (errors, scores):
         axes.axvline(best.epoch + 1, color="grey", linestyle=":", label="chosen")
-        axes.legend(frameon=False)
+        legend_below(axes, columns=2)
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    save(figure, path)

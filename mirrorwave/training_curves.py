@@ -12,10 +12,10 @@ if TYPE_CHECKING:
 
 def draw_curves(reports: Sequence[EpochReport], path: Path) -> None:
     """Losses and validation scores over the epochs, as a PNG."""
-    from matplotlib.figure import Figure
+    from mirrorwave.plot_style import legend_below, new_figure, save
 
     epochs = [report.epoch + 1 for report in reports]
-    figure = Figure(figsize=(9.0, 3.6), layout="constrained")
+    figure = new_figure(9.0, 4.2)
     losses, scores = figure.subplots(1, 2)
     losses.plot(epochs, [report.train_loss for report in reports], label="training")
     losses.plot(epochs, [report.validation_loss for report in reports], label="validation")
@@ -27,6 +27,6 @@ def draw_curves(reports: Sequence[EpochReport], path: Path) -> None:
     scores.axvline(best.epoch + 1, color="grey", linestyle=":", label="chosen")
     scores.set(xlabel="epoch", ylabel="validation F1", ylim=(0.0, 1.0))
     for axes in (losses, scores):
-        axes.legend(frameon=False)
+        legend_below(axes, columns=4)
         axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=110)
+    save(figure, path)

@@ -42,6 +42,9 @@ RESERVE_BYTES = 16 << 20
 CACHED_BYTES = 64 << 20
 MAX_U64 = (1 << 64) - 1
 _FALLOC_KEEP_SIZE = 1
+#: Of the index: what a message takes, more than a chunk or a channel takes, more than its other records take.
+_INDEX_ENTRY_BYTES, _INDEX_BYTES = 16, 256
+_TAIL_BYTES = 1 << 16
 #: Most pieces that one system call may write.
 _IOV_MAX = 1024
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
@@ -75,8 +78,8 @@ class _Batch:
 class McapFile:
     """Appends to a new MCAP file with both checksums and a full index; `file` is unbuffered and stays the caller's.
 
-    A write that the disk refuses raises `OSError` and leaves the file as it was after its last whole chunk; what that
-    chunk in progress held is lost, and the file may still be finished.
+    A write that the disk refuses raises `OSError` with the file's name and leaves the file as it was after its last
+    whole chunk; what that chunk in progress held is lost, and the file may still be finished.
     """
 
     def __init__(self, file: FileIO, profile: str) -> None:
@@ -97,6 +100,8 @@ class McapFile:
         self._metadata: list[MetadataIndex] = []
         #: Messages per channel in whole chunks, which the file system has.
         self.counts: dict[int, int] = defaultdict(int)
+        #: Where the data ended and their checksum, once the file is finished.
+        self._finished: tuple[int, int] | None = None
         self._append([MCAP0_MAGIC, _record(Header(profile, profile))])
 
     @property
@@ -108,6 +113,15 @@ class McapFile:
     def messages(self) -> int:
         """Messages in whole chunks."""
         return sum(self.counts.values())
+
+    def growth(self, more: int) -> int:
+        """Bytes that the disk will give at most until the file is finished, if `more` are added before."""
+        waiting = more + sum(batch.size for batch in self._batches.values())
+        messages = sum(len(index.records) for batch in self._batches.values() for index in batch.indexes.values())
+        declared = sum(map(len, self._declarations.values())) + _INDEX_BYTES * (len(self._declarations) + 1)
+        index = len(self._chunk_indexes) + 2 * declared + _INDEX_ENTRY_BYTES * messages
+        ahead = RESERVE_BYTES if self._size + waiting > self._reserved else 0
+        return waiting + index + _TAIL_BYTES + ahead
 
     def add_metadata(self, name: str, values: dict[str, str]) -> None:
         """Write a metadata record at once."""
@@ -166,11 +180,34 @@ class McapFile:
         try:
             self.flush()
         finally:
+            self._finished = self._size, self._data_crc
             data_end = _record(DataEnd(self._data_crc))
             self._append([data_end, *self._summary(self._size + len(data_end))])
             if self._reserved > RESERVE_BYTES:
                 # gives back what was taken ahead
                 os.ftruncate(self._file.fileno(), self._size)
+
+    def amend(self, name: str, values: dict[str, str]) -> None:
+        """Add a metadata record to the finished file; where there is no room for it the file stays as it is."""
+        assert self._finished is not None
+        offset, data_crc = self._finished
+        record = _record(Metadata(name, values))
+        known = self._metadata
+        self._metadata = [*known, MetadataIndex(offset=offset, length=len(record), name=name)]
+        crc = _crc32([record], data_crc)
+        end = offset + len(record)
+        data_end = _record(DataEnd(crc))
+        pieces = [record, data_end, *self._summary(end + len(data_end))]
+        size = offset + sum(map(len, pieces))
+        try:
+            # before anything is written over: afterwards nothing more is asked of the disk
+            os.posix_fallocate(self._file.fileno(), 0, size)
+        except OSError as error:
+            self._metadata = known
+            os.ftruncate(self._file.fileno(), self._size)
+            raise OSError(error.errno, error.strerror, str(self._file.name)) from None
+        _write_all(self._file.fileno(), pieces, offset)
+        self._finished, self._size = (end, crc), size
 
     def _write_batch(self, compressed: bool) -> None:
         batch, self._batches[compressed] = self._batches[compressed], _Batch()
@@ -254,10 +291,10 @@ class McapFile:
         self._reserve(self._size + size)
         try:
             _write_all(self._file.fileno(), pieces, self._size)
-        except OSError:
+        except OSError as error:
             with contextlib.suppress(OSError):
                 os.ftruncate(self._file.fileno(), self._size)
-            raise
+            raise OSError(error.errno, error.strerror, str(self._file.name)) from None
         self._data_crc = _crc32(pieces, self._data_crc)
         self._size += size
 

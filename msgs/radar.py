@@ -273,6 +273,11 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     #: Open-field background, one chirp a beam, complex64 [beams, samples] in units of the int16 codes.
     background: np.ndarray | None = None
 
+    @property
+    def scan_bytes(self) -> int:
+        """Bytes of the samples of one scan, int16 I and Q."""
+        return 4 * len(self.beams) * self.radar.chirps_per_beam * self.radar.samples_per_chirp
+
     def __post_init__(self) -> None:
         require_stamps("setup.stamp_ns", self.stamp_ns)
         require_within("setup.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)

@@ -39,6 +39,7 @@ from msgs.codec import CodecError, decode_inline, encode_inline, json_schema
 from msgs.mcap_file import CHUNK_BYTES, MAX_U64, McapFile
 from msgs.topics import TOPICS, topic_facts
 from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
+from msgs.whole_files import require_room, whole
 
 #: 350 MB/s of noise, which does not compress and must not cost time while it arrives; all else is compressed.
 RAW_TOPIC = "radar/beam"
@@ -167,11 +168,16 @@ class RecordingWriter:
             stack.pop_all()
         self._channels: dict[tuple[str, str], int] = {}
         self._flushed_ns: int | None = None
+        self._is_finished = False
 
     @property
     def size_bytes(self) -> int:
         """Size so far, without the index."""
         return self._mcap.size
+
+    def growth_bytes(self, more: int = 0) -> int:
+        """What the disk will give at most until the recording is closed, if `more` bytes are written before."""
+        return self._mcap.growth(more)
 
     def written(self) -> dict[str, int]:
         """Messages per topic that the file system has taken; after `close`, all that are in the file."""
@@ -201,15 +207,22 @@ class RecordingWriter:
         self._mcap.flush()
 
     def write_losses(self, losses: Losses) -> None:
-        """Say what is missing: the last before `close` counts."""
+        """Say what is missing: the last before `close` counts. A finished recording is amended, if there is room."""
         values = {"topics": msgspec.json.encode(losses.topics).decode()}
-        self._mcap.add_metadata(LOSSES_NAME, values | ({"ended": losses.ended} if losses.ended else {}))
+        add = self._mcap.amend if self._is_finished else self._mcap.add_metadata
+        add(LOSSES_NAME, values | ({"ended": losses.ended} if losses.ended else {}))
+
+    def finish(self) -> None:
+        """Write the index; nothing but losses can be added afterwards."""
+        if not self._is_finished:
+            self._is_finished = True
+            self._mcap.finish()
 
     def close(self) -> None:
         """Write the index and close the file; once is enough, twice does no harm."""
         if not self._file.closed:
             try:
-                self._mcap.finish()
+                self.finish()
             finally:
                 self._file.close()
 
@@ -310,6 +323,14 @@ class RecordingReader:
         """First and last log time, without reading the messages; zeros where there are none."""
         chunks = self._walk.chunks
         return min((one.start_ns for one in chunks), default=0), max((one.end_ns for one in chunks), default=0)
+
+    def stored_bytes(self, start_ns: int | None = None, end_ns: int | None = None) -> int:
+        """What its chunks of a span of time take on the disk."""
+        start, end = start_ns or 0, MAX_U64 + 1 if end_ns is None else end_ns
+        chunks = sorted(self._walk.chunks)
+        ends = [*(one.offset for one in chunks[1:]), self._walk.data_end or self._walk.size]
+        spans = zip(chunks, ends, strict=False)
+        return sum(at - one.offset for one, at in spans if one.end_ns >= start and one.start_ns < end)
 
     @property
     def types(self) -> dict[str, str]:
@@ -479,7 +500,10 @@ def copy_recording(
     The last message of each latched topic from before `start_ns` stands at the start, as if it were sent again then.
     Returns the number of messages and what the source had lost.
     """
-    with RecordingReader(source) as reader, _create(Path(target), overwrite) as file:
+    target = Path(target)
+    with RecordingReader(source) as reader, _whole(target, overwrite) as part, _create(part, False) as file:
+        if topics is None:
+            require_room(target, reader.stored_bytes(start_ns, end_ns))
         writer = McapFile(file, METADATA_NAME)
         for name, values in reader._walk.metadata.items():
             writer.add_metadata(name, values)
@@ -564,11 +588,28 @@ def _losses(values: dict[str, str] | None) -> Losses | None:
     return Losses(topics=topics, ended=values.get("ended"))
 
 
+@contextlib.contextmanager
+def whole_recording(path: Path, metadata: dict[str, str], *, overwrite: bool = False) -> Iterator[RecordingWriter]:
+    """A recording that is there when the context has ended well, or not at all; errors as `RecordingWriter`'s."""
+    with _whole(path, overwrite) as part, RecordingWriter(part, metadata) as writer:
+        yield writer
+
+
+def _whole(path: Path, overwrite: bool) -> contextlib.AbstractContextManager[Path]:
+    if not overwrite and os.path.lexists(path):
+        raise _exists_already(path)
+    return whole(path)
+
+
 def _create(path: Path, overwrite: bool) -> FileIO:
     try:
         return path.open("wb" if overwrite else "xb", buffering=0)
-    except FileExistsError as error:
-        raise FileExistsError(f"{path}: exists already and is not overwritten unless asked") from error
+    except FileExistsError:
+        raise _exists_already(path) from None
+
+
+def _exists_already(path: Path) -> FileExistsError:
+    return FileExistsError(f"{path}: exists already and is not overwritten unless asked")
 
 
 def _open(path: Path) -> BinaryIO:

@@ -27,6 +27,7 @@ from sigmf.validate import validate
 from msgs.array_files import load_array
 from msgs.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.units import ns_from_s
+from msgs.whole_files import whole, write_whole
 
 EXTENSION = "mirrorwave"
 DATATYPE = "ci16_le"
@@ -184,7 +185,7 @@ def write_capture(
         if target.exists() and not overwrite:
             raise FileExistsError(f"{target}: exists already and is not overwritten unless asked")
     try:
-        with data_path.open("wb") as file:
+        with whole(data_path) as part, part.open("wb") as file:
             captures, sha512 = _write_beams(file, setup, beams)
         metadata = {
             "global": _global_of(setup, sha512, background_path.name),
@@ -193,8 +194,9 @@ def write_capture(
         }
         _require_valid(metadata, meta_path)
         if setup.background is not None:
-            np.save(background_path, setup.background, allow_pickle=False)
-        meta_path.write_text(json.dumps(metadata, indent=1, allow_nan=False) + "\n")
+            with whole(background_path) as part, part.open("wb") as file:
+                np.save(file, setup.background, allow_pickle=False)
+        write_whole(meta_path, f"{json.dumps(metadata, indent=1, allow_nan=False)}\n".encode())
     except BaseException:
         for target in targets:
             target.unlink(missing_ok=True)

@@ -31,7 +31,7 @@ _MAX_NAME = 64
 #: What the counts of losses stop at: every program can hold it, and no sum of some of them leaves an int64.
 _MOST_LOST = 1 << 53
 #: Publishers of a latched topic whose last message is kept for who comes late.
-_MAX_LATCHED = 32
+MAX_LATCHED = 32
 
 
 class _Count:
@@ -175,7 +175,7 @@ def latch(kept: dict[str, list[Buffer]], publisher: str, frames: list[Buffer]) -
     """Keep the last message of a publisher of a latched topic; of too many, those that spoke last."""
     kept.pop(publisher, None)
     kept[publisher] = frames
-    while len(kept) > _MAX_LATCHED:
+    while len(kept) > MAX_LATCHED:
         del kept[next(iter(kept))]
 
 

@@ -19,17 +19,23 @@ class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
     stamp_ns: int
     speed_mps: float = 0.0
     yaw_rate_rps: float = 0.0
+    #: At the steering wheel, positive to the left; 0.0 also where nobody measures it.
     steering_rad: float = 0.0
     valid: bool = True
     #: Why it is not valid, empty when it is.
     reason: str = ""
     #: Age of the oldest signal that went in.
     age_s: float = 0.0
+    #: Speed of the right wheels less that of the left ones, positive in a left turn; None where it is not known.
+    wheel_speed_difference_mps: float | None = None
 
     def __post_init__(self) -> None:
         require_stamps("vehicle.stamp_ns", self.stamp_ns)
         require_finite("vehicle", self.speed_mps, self.yaw_rate_rps, self.steering_rad, self.age_s)
         require_within("vehicle.speed_mps", -MOST_SPEED_MPS, MOST_SPEED_MPS, self.speed_mps)
+        if self.wheel_speed_difference_mps is not None:
+            bound_mps = 2.0 * MOST_SPEED_MPS
+            require_within("vehicle.wheel_speed_difference_mps", -bound_mps, bound_mps, self.wheel_speed_difference_mps)
         require_within("vehicle.yaw_rate_rps", -MOST_YAW_RATE_RPS, MOST_YAW_RATE_RPS, self.yaw_rate_rps)
 
 

@@ -21,7 +21,7 @@ import zmq
 from msgs.bus import Forwarded, Received
 from msgs.codec import Buffer, topic_frame
 from msgs.diagnostics import TopicCount
-from msgs.tally import Tally, latch
+from msgs.tally import MAX_LATCHED, Tally, latch
 from msgs.topics import MIB, TOPICS, Topic, topic_facts
 from msgs.units import NANOSECONDS_PER_SECOND
 
@@ -76,13 +76,14 @@ class ZmqBus:
         self._watched: set[zmq.Socket[bytes] | int] = set()
         self._next_scan_ns = 0
 
-    def advertise(self, topic: str) -> None:
-        """Open `topic` for subscribers before the first message; `publish` does it otherwise.
+    def advertise(self, topic: str, origins: int = 1) -> None:
+        """Open `topic` for subscribers before the first message; `publish` and `forward` do it otherwise.
 
+        `origins`: how many publishers this node speaks for; the queue of a latched topic has room for all of them.
         Raises `ValueError` when a living process of the same node name publishes it already.
         """
         if topic not in self._publishers:
-            self._publishers[topic] = self._bind(topic_facts(topic))
+            self._publishers[topic] = self._bind(topic_facts(topic), origins)
 
     def publish(self, topic: str, message: msgspec.Struct) -> None:
         """Send `message` without waiting; subscribers that are behind by the topic's history miss it.
@@ -96,7 +97,7 @@ class ZmqBus:
 
     def forward(self, message: Forwarded) -> None:
         """Send a message of another graph on as it is, without waiting; raises `TimeoutError` as `publish` does."""
-        self.advertise(message.topic)
+        self.advertise(message.topic, MAX_LATCHED)
         self._tally.forward(message)
         self._hand_out(message.topic, message.envelope.publisher, message.frames)
 
@@ -187,7 +188,7 @@ class ZmqBus:
                     raise TimeoutError(f"{topic}: a subscriber has taken nothing for 10 s") from None
                 time.sleep(_RETRY_S)
 
-    def _bind(self, topic: Topic) -> zmq.Socket[bytes]:
+    def _bind(self, topic: Topic, origins: int) -> zmq.Socket[bytes]:
         path = socket_path(self._dir, topic.name, self._node)
         if path.exists():
             if _is_alive(path):
@@ -195,7 +196,9 @@ class ZmqBus:
             path.unlink(missing_ok=True)
         hears = topic.latched or self._counted
         publisher = self._context.socket(zmq.XPUB if hears else zmq.PUB)
-        publisher.set(zmq.SNDHWM, _queue_length(topic))
+        # all options before the socket is bound: to change one later, libzmq writes to connections of which some are
+        # being torn down by another thread, and dies with a subscriber that leaves at once
+        publisher.set(zmq.SNDHWM, _queue_length(topic, origins))
         publisher.set(zmq.LINGER, 0 if _is_bulk(topic) and not self._paced else _LINGER_MS)
         if hears:
             publisher.set(zmq.XPUB_VERBOSER, 1)
@@ -261,10 +264,8 @@ class ZmqBus:
         """Send a latched topic's last messages again if somebody joined; all others discard them as seen."""
         latched = self._latched.get(topic, {})
         if self._newcomers(topic) and latched:
-            # set anew because a connection starts with the length known when the socket was bound
-            self._publishers[topic].set(zmq.SNDHWM, _queue_length(topic_facts(topic), len(latched)))
             for frames in latched.values():
-                self._publishers[topic].send_multipart(frames, copy=False)
+                self._send(topic, frames)
 
     def _newcomers(self, topic: str) -> bool:
         """Whether anybody subscribed to a topic since the last look; counts who is there."""
@@ -307,18 +308,23 @@ def run_dir(domain: str) -> Path:
 def make_run_dir(run_dir: Path) -> None:
     """Make a meeting place where nobody else can enter, or take in one that is there.
 
-    Raises `ValueError` where another user made it first, or could put another in its place: who meets there would be in
-    that user's hands. `OSError` where it cannot be made.
+    Raises `ValueError` where another user made it first, or could write into it or put another in its place: who meets
+    there would be in that user's hands. `OSError` where it cannot be made.
     """
-    run_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+    # a parent that is made on the way takes its mode from the umask otherwise
+    run_dir.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    run_dir.mkdir(exist_ok=True, mode=0o700)
     for folder in (run_dir, run_dir.parent):
         # a link counts with what it leads to: its owner chooses that
         for found in (folder.lstat(), folder.stat()):
             if found.st_uid not in (os.geteuid(), 0):
                 raise ValueError(f"{folder}: must belong to who runs the graph or to root, is user {found.st_uid}'s")
     mode = run_dir.parent.stat().st_mode
-    if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-        raise ValueError(f"{run_dir.parent}: everybody may rename what is in it; chmod o-w, or +t")
+    if mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
+        raise ValueError(f"{run_dir.parent}: others may rename what is in it; chmod go-w, or +t")
+    # not mended in silence: what others may have left in it would stay
+    if run_dir.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise ValueError(f"{run_dir}: others may write into it; look what is in it, then chmod 700")
     run_dir.chmod(0o700)
 
 
@@ -371,10 +377,10 @@ def _is_alive(path: Path) -> bool:
     return True
 
 
-def _queue_length(topic: Topic, origins: int = 1) -> int:
-    """Messages that may wait for a subscriber of one publisher, who may speak for several."""
+def _queue_length(topic: Topic, origins: int) -> int:
+    """Messages that may wait for a subscriber; a newcomer to a latched topic gets one of each origin at once."""
     # a reader reports what it took in steps of half the mark: only twice the history surely holds it
-    return 2 * topic.history_messages * origins
+    return 2 * topic.history_messages * (origins if topic.latched else 1)
 
 
 def _is_bulk(topic: Topic) -> bool:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import webbrowser
+from pathlib import Path
 
 import msgspec
 
@@ -17,6 +18,7 @@ from msgs.diagnostics import NodeState
 from nodes.node import Node
 from nodes.viewer.assembly import TOPICS_SHOWN, Assembly
 from nodes.viewer.board import Board
+from nodes.viewer.kept_token import TokenFile
 from nodes.viewer.server import ViewerServer
 
 _LOG = logging.getLogger(__name__)
@@ -31,6 +33,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     open_browser: bool = False
     max_clients: int = 16
     title: str = "live"
+    #: Keeps the page's token while the node is restarted, so that open pages come back; a launch fills it in.
+    token_file: str | None = None
 
     def __post_init__(self) -> None:
         if not 0 <= self.port <= 65535:
@@ -50,10 +54,17 @@ class BevViewer(Node):
         super().__init__()
         board = Board()
         self._assembly = Assembly(board, gives_way=True)
-        self.server = ViewerServer(board, title=params.title, port=params.port, max_clients=params.max_clients)
+        self.server = ViewerServer(
+            board,
+            title=params.title,
+            port=params.port,
+            max_clients=params.max_clients,
+            token_file=None if params.token_file is None else TokenFile(Path(params.token_file)),
+        )
         # who has the address may look: it is for this user's terminal and log file alone
         _LOG.info("open %s", self.server.url, extra={"in_public": f"page at port {self.server.port}"})
-        if params.open_browser and not webbrowser.open(self.server.url):
+        # of pages that come back by themselves none is opened twice
+        if params.open_browser and not self.server.is_back and not webbrowser.open(self.server.url):
             _LOG.warning("no browser could be opened here")
 
     def due_ns(self, now_ns: int) -> int | None:

@@ -15,10 +15,10 @@ import msgspec
 from cantools.database import Database
 
 from models.vehicle.can_state import CanDecoder, Judged, Verdict
-from models.vehicle.mapping import CanMapping
+from models.vehicle.mapping import CanMapping, MessageRule
 from msgs.units import NANOSECONDS_PER_SECOND, ns_from_s
 from nodes.launch_file import read_yaml_mapping
-from nodes.validation import convert_at
+from nodes.validation import convert_at, refuse_unknown
 
 _LOG = logging.getLogger(__name__)
 
@@ -30,6 +30,8 @@ MAX_DBC_BYTES = 1 << 24
 MAX_MESSAGE_BYTES = 1785
 _DBC_MESSAGE = re.compile(r"\bBO_\s+\d+\s+\w+\s*:\s*([-+]?\d+)")
 _DBC_SIGNAL = re.compile(r":\s*([-+]?\d+)\s*\|\s*([-+]?\d+)\s*@")
+#: The part of a mapping whose keys are names of messages.
+MESSAGES = "messages"
 RETRY_S, MAX_RETRY_S = 0.2, 5.0
 #: A frame that cannot be read is no broken bus; this many without a good one between them are.
 MAX_UNREADABLE = 3
@@ -260,15 +262,31 @@ def _refuse_long_messages(dbc: str) -> None:
 
 
 def load_mapping(path: Path) -> CanMapping:
-    """A car's mapping from YAML; `ValueError` names file and field."""
-    return convert_at(read_yaml_mapping(path), CanMapping, f"{path}: ")
+    """A car's mapping from YAML; `ValueError` names file, field, value and rule."""
+    value = read_yaml_mapping(path)
+    try:
+        refuse_unknown(value, CanMapping, "")
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    # part by part, because msgspec's path writes the key of a mapping as [...]
+    types = {field.encode_name: field.type for field in msgspec.structs.fields(CanMapping)}
+    parts = {name: convert_at(part, types[name], f"{path}: {name}") for name, part in value.items() if name != MESSAGES}
+    messages = convert_at(value.get(MESSAGES, {}), dict[str, Any], f"{path}: {MESSAGES}")
+    rules = {name: convert_at(rule, MessageRule, f"{path}: {MESSAGES}.{name}") for name, rule in messages.items()}
+    return convert_at({**parts, MESSAGES: rules}, CanMapping, str(path))
 
 
 def load_decoder(dbc: Path, mapping: Path) -> CanDecoder:
-    """A decoder for one car; `ValueError` names the mapping's file and the field that the DBC does not match."""
+    """A decoder for one car; `ValueError` names the mapping's file and the field that the DBC does not match.
+
+    Ranges and units of the DBC that were not taken as they stand are logged.
+    """
     database = load_dbc(dbc)
     rules = load_mapping(mapping)
     try:
-        return CanDecoder(database, rules)
+        decoder = CanDecoder(database, rules)
     except ValueError as error:
         raise ValueError(f"{mapping}: {error}") from None
+    for text in decoder.warnings:
+        _LOG.warning("%s: %s", mapping, text)
+    return decoder

@@ -72,7 +72,10 @@ def motion_of(params: Params) -> VehicleState:
         yaw_rate_rps = math.radians(ego.yaw_rate_dps) if yaw_rate_rps is None else yaw_rate_rps
     speed_mps, yaw_rate_rps = speed_mps or 0.0, yaw_rate_rps or 0.0
     steering_rad = params.shape.steering_rad(speed_mps, yaw_rate_rps)
-    return VehicleState(stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, steering_rad=steering_rad)
+    return VehicleState(
+        stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps, steering_rad=steering_rad,
+        wheel_speed_difference_mps=params.shape.track_m * yaw_rate_rps,
+    )  # fmt: skip
 
 
 def create(params: Params) -> CarSim:

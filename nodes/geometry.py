@@ -7,11 +7,12 @@ from pathlib import Path
 
 import msgspec
 
-from models.perception.cards import learned_path
-from models.perception.confidence import DEFAULT_CONFIDENCE, PlaceConfidence, load_confidence
+from models.perception.cards import WEIGHTS, learned_path
+from models.perception.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.geometry import GeometryParams, recover_bev, warm
 from models.perception.memory import MemoryParams, ScanMemory
 from models.perception.recovery import Residual
+from models.perception.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
 from msgs.perception import BevFrame, Peaks
@@ -21,15 +22,18 @@ from nodes.state_history import StateHistory
 
 _LOG = logging.getLogger(__name__)
 
+#: After so much driving without a bias of the yaw rate the node says why there is none.
+BIAS_OVERDUE_S = 30.0
+
 
 class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Parameters of the geometry stage."""
 
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
-    #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `default`: that of the committed
-    #: network; `none`: all places are kept, with the scores of their peaks. The committed one was fitted on scenes at
-    #: rest and drops what moves.
+    #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `auto`: of the committed ones the
+    #: one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed network;
+    #: `none`: all places are kept, with the scores of their peaks.
     confidence: str = "none"
     #: What is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()
@@ -49,6 +53,7 @@ class GeometryNode(Node):
         self._states = StateHistory()
         self._memory = ScanMemory(params.memory)
         self._trouble = ""
+        self._bias_source: BiasSource | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One view per set of peaks; what the stage cannot take is refused, counted and said."""
@@ -83,14 +88,25 @@ class GeometryNode(Node):
             view = recover_bev(peaks, *self._parts, self._memory.walls_at(peaks))
         with self.stages("tracking"):
             view = self._memory.tracked(view, peaks.vehicle_from_radar)
+        self._note(self._memory.yaw_rate_bias)
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
+    def _note(self, bias: BiasEstimate) -> None:
+        """Log what the bias of the yaw rate is learnt from, whenever that changes."""
+        is_unknown = bias.source is BiasSource.NONE
+        if bias.source == self._bias_source or (is_unknown and bias.driven_s < BIAS_OVERDUE_S):
+            return
+        self._bias_source = bias.source
+        _LOG.log(logging.WARNING if is_unknown else logging.INFO, "%s", bias)
 
-def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, PlaceConfidence | None]:
+
+def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
     """What the stage needs beside the peaks; raises `ValueError` naming a file that is missing or broken."""
     residual = None if params.residual == "none" else _learned_residual(Path(params.residual))
-    path = confidence_path(params.confidence)
-    return params, residual, None if path is None else load_confidence(path)
+    fitted = tuple(load_confidence(path) for path in confidence_paths(params.confidence))
+    if params.confidence == "auto":
+        return params, residual, FittedConfidences(fitted)
+    return params, residual, fitted[0] if fitted else None
 
 
 def _learned_residual(path: Path) -> Residual:
@@ -100,11 +116,13 @@ def _learned_residual(path: Path) -> Residual:
     return LearnedResidual(path)
 
 
-def confidence_path(confidence: str) -> Path | None:
-    """The file of a fitted model as parameters name it."""
+def confidence_paths(confidence: str) -> list[Path]:
+    """Return the files of fitted models as parameters name them."""
     if confidence == "none":
-        return None
-    return DEFAULT_CONFIDENCE if confidence == "default" else learned_path(confidence, ".json")
+        return []
+    if confidence == "auto":
+        return sorted(WEIGHTS.glob("*.confidence.json"))
+    return [DEFAULT_CONFIDENCE if confidence == "default" else learned_path(confidence, ".json")]
 
 
 def create(params: Params) -> GeometryNode:

@@ -22,6 +22,7 @@ MAX_BYTES = 1 << 20
 SUPERVISOR = "supervisor"
 RECORDER = "recorder"
 RECORDER_MODULE = "nodes.recorder"
+VIEWER_MODULE = "nodes.bev_viewer"
 
 
 def _require_duration(name: str, value: float) -> None:
@@ -212,7 +213,11 @@ def with_recorder(launch: LaunchFile, path: Path, params: Mapping[str, Any] | No
 
 
 def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
-    """`launch` with its recorders told the graph they record, as it stands here, the command and the meeting place."""
+    """`launch` with its nodes told what only the start knows.
+
+    Recorders: the graph they record, as it stands here, the command and the meeting place. Viewers: where they keep
+    the token of their page while they are restarted.
+    """
     metadata = {"launch": dump_launch(without_metadata(launch)), "command": command}
     nodes = dict(launch.nodes)
     for name, entry in recorders(launch).items():
@@ -221,21 +226,30 @@ def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
         told = {"run_dir": str(run_dir), **entry.params}
         told["metadata"] = {**metadata, **own} if isinstance(own, Mapping) else own
         nodes[name] = msgspec.structs.replace(entry, params=told)
+    for name, entry in _of_module(launch, VIEWER_MODULE).items():
+        # another one, as of an earlier run, would be another graph's
+        told = {**entry.params, "token_file": str(run_dir / f"{name}.token")}
+        nodes[name] = msgspec.structs.replace(entry, params=told)
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
 def without_metadata(launch: LaunchFile) -> LaunchFile:
-    """`launch` without what `with_origin` told its recorders of it."""
+    """`launch` without what `with_origin` told its nodes."""
     nodes = dict(launch.nodes)
-    for name, entry in recorders(launch).items():
-        kept = {key: value for key, value in entry.params.items() if key not in ("metadata", "run_dir")}
-        nodes[name] = msgspec.structs.replace(entry, params=kept)
+    for module, told in ((RECORDER_MODULE, ("metadata", "run_dir")), (VIEWER_MODULE, ("token_file",))):
+        for name, entry in _of_module(launch, module).items():
+            kept = {key: value for key, value in entry.params.items() if key not in told}
+            nodes[name] = msgspec.structs.replace(entry, params=kept)
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
 def recorders(launch: LaunchFile) -> dict[str, NodeEntry]:
     """The nodes that record."""
-    return {name: entry for name, entry in launch.nodes.items() if entry.module == RECORDER_MODULE}
+    return _of_module(launch, RECORDER_MODULE)
+
+
+def _of_module(launch: LaunchFile, module: str) -> dict[str, NodeEntry]:
+    return {name: entry for name, entry in launch.nodes.items() if entry.module == module}
 
 
 def without_viewers(launch: LaunchFile) -> LaunchFile:

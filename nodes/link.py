@@ -17,6 +17,7 @@ from msgs.curve_exporter import Exporter
 from msgs.curve_importer import Importer, Server
 from msgs.curve_keys import KeyPair, is_loopback, load_allowed, load_own, load_public
 from msgs.diagnostics import NodeState
+from msgs.tally import MAX_LATCHED
 from msgs.topics import topic_facts
 from nodes.node import NODE_NAME, Node
 
@@ -99,6 +100,7 @@ class Link(Node):
 
     #: A peer counts what is left out as lost.
     wants_all = True
+    max_origins = MAX_LATCHED
 
     def __init__(self, params: Params) -> None:
         super().__init__()

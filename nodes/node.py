@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 if __name__ == "__main__":
     # told to end while the rest is being loaded: nothing has begun that would have to be ended
-    for _number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(_number, lambda _number, _frame: os._exit(0))
+    for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if signal.getsignal(_number) is not signal.SIG_IGN:
+            signal.signal(_number, lambda _number, _frame: os._exit(0))
 
 import msgspec
 import psutil
@@ -123,6 +124,8 @@ class Node:
     outputs: tuple[str, ...] = ()
     #: Its inputs come complete, also where receivers otherwise want the newest only.
     wants_all: bool = False
+    #: Publishers that it may speak for on one topic.
+    max_origins: int = 1
     #: How far the node's process gives way to the others where cores are short: Unix niceness, 0..19.
     nice: int = 0
 
@@ -391,13 +394,20 @@ def die_with_parent(parent_pid: int) -> None:
         raise ProcessLookupError(f"parent process {parent_pid} has gone")
 
 
+def stopping_signals(*numbers: signal.Signals) -> tuple[signal.Signals, ...]:
+    """`numbers`, and SIGHUP, the end of the terminal, unless somebody has asked to outlive it, as `nohup` does."""
+    is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    return numbers if is_ignored else (*numbers, signal.SIGHUP)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Host one node as a process; returns the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
     arguments = _arguments(argv)
     if arguments.die_with is not None:
         die_with_parent(arguments.die_with)
     stop = Stop()
-    signal.signal(signal.SIGINT, lambda number, frame: stop.request())
+    for number in stopping_signals(signal.SIGINT):
+        signal.signal(number, lambda number, frame: stop.request())
     signal.signal(signal.SIGTERM, lambda number, frame: stop.request(at_once=True))
     stream = logging.StreamHandler(sys.stderr)
     if arguments.json_log:
@@ -419,7 +429,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
         if node is None:
             return EXIT_BAD_INPUT
         for topic in node.outputs:
-            bus.advertise(topic)
+            bus.advertise(topic, node.max_origins)
         if node.wants_all:
             bus.want_all()
         _give_way(node.nice)

@@ -10,20 +10,20 @@ import msgspec
 
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState
-from msgs.recording import RAW_TOPIC, Encoded, RecordingWriter, encoded
+from msgs.recording import RAW_TOPIC, Encoded, Losses, RecordingWriter, TopicLoss, encoded
 from msgs.topics import TOPICS, topic_facts
 from msgs.units import s_from_ns
+from msgs.whole_files import free_bytes
 from msgs.wording import counted
 from nodes.node import Node
 from nodes.recording_files import (
     LatchedMessages,
     about_this_run,
-    free_bytes,
     free_path,
     losses_between,
     next_number,
     numbered_path,
-    require_room,
+    require_kept_free,
 )
 
 _LOG = logging.getLogger(__name__)
@@ -89,8 +89,9 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 class Recorder(Node):
     """Appends every message to a recording, part after part where it is to be split.
 
-    A disk that refuses ends the recording, not the graph: the node stays, DEGRADED, says why and counts what it missed,
-    unless it `ends_when_refused`. Raises `OSError` where the first file cannot be created.
+    A disk that refuses, or would be left with too little room, ends the recording, not the graph: the node stays,
+    DEGRADED, says why and counts what it missed, unless it `ends_when_refused`. Raises `OSError` where the first file
+    cannot be created.
     """
 
     wants_all = True
@@ -101,6 +102,9 @@ class Recorder(Node):
         self.paths: list[Path] = []
         #: Messages written, repeated ones included, and messages that came and could not be.
         self.messages = self.missed = 0
+        #: What the last file says of what is missing, and messages by topic that came since it was finished.
+        self._said = Losses()
+        self._missed_since: Counter[str] = Counter()
         #: Messages that never came, over all files.
         self.lost = 0
         #: Why the recording has ended before it was asked to.
@@ -132,9 +136,15 @@ class Recorder(Node):
         return NodeState.DEGRADED, f"{self.refused}; {counted(self.missed, 'message')} missed"
 
     def close(self) -> None:
-        """Write what is missing and the index, close the file."""
+        """Write what is missing and the index, close the file; one that ended before says what came since."""
         if not self.refused:
-            self._close_file()
+            self._finish_file()
+        elif self._missed_since:
+            try:
+                self._writer.write_losses(_with_missed(self._said, self._missed_since, self.refused))
+            except OSError as error:
+                _LOG.error("%s: does not say what it missed since: %s", self.paths[-1], error.strerror)
+        self._writer.close()
         missed = f", {self.missed} missed" if self.missed else ""
         files = f" in {len(self.paths)} files" if len(self.paths) > 1 else ""
         _LOG.info("%s: %s recorded%s%s", self.paths[-1], counted(self.messages, "message"), files, missed)
@@ -156,16 +166,21 @@ class Recorder(Node):
 
     def _take(self, received: Received) -> None:
         if self.refused:
-            self.missed += 1
+            self._miss(received.topic)
             return
         message = as_recorded(received)
         self._latched.note(message)
         if self._is_full(message):
             self._next_part(message)
+        self._keep_free(len(message.data))
         if self.refused:
-            self.missed += 1
+            self._miss(received.topic)
         else:
             self._put(message)
+
+    def _miss(self, topic: str) -> None:
+        self.missed += 1
+        self._missed_since[topic] += 1
 
     def _put(self, message: Encoded) -> None:
         self._part_start_ns = message.sent_ns if self._part_start_ns is None else self._part_start_ns
@@ -187,10 +202,12 @@ class Recorder(Node):
 
     def _next_part(self, first: Encoded) -> None:
         """Close the file and begin one with all that `first`, the next message, may need to be understood."""
-        self._close_file()
+        self._finish_file()
+        finished = self._writer
         try:
             if not self.refused:
                 self._open()
+                finished.close()
         except OSError as error:
             self._say_refused(error)
         for message in self._latched.before([first], first.sent_ns):
@@ -199,9 +216,9 @@ class Recorder(Node):
         if self._params.max_parts is not None and len(self.paths) > self._params.max_parts:
             self.paths.pop(0).unlink(missing_ok=True)
 
-    def _close_file(self) -> None:
+    def _finish_file(self) -> None:
         """Write what waits, then what is missing, then the index, as far as there is room."""
-        for step in (self._writer.flush, self._say_losses, self._writer.close):
+        for step in (self._writer.flush, self._say_losses, self._writer.finish):
             try:
                 step()
             except OSError as error:
@@ -212,15 +229,15 @@ class Recorder(Node):
 
     def _say_losses(self) -> None:
         missed = self._handed - Counter(self._writer.written())
-        losses = losses_between(self._counts, self.counts(), missed, self.refused)
-        self.lost += losses.total - missed.total()
-        self._writer.write_losses(losses)
+        self._said = losses_between(self._counts, self.counts(), missed, self.refused)
+        self.lost += self._said.total - missed.total()
+        self._writer.write_losses(self._said)
 
     def _refuse(self, error: OSError) -> None:
         """End the recording; the file is closed as well as the disk allows."""
         if not self.refused:
             self._say_refused(error)
-            self._close_file()
+            self._finish_file()
 
     def _say_refused(self, error: OSError) -> None:
         if not self.refused:
@@ -231,18 +248,38 @@ class Recorder(Node):
         """End in good order before the disk is full; warn once when that is near."""
         if self.refused:
             return
-        try:
-            free = free_bytes(self._folder)
-            require_room(self.paths[-1], self._params.min_free_bytes, free)
-        except OSError as error:
-            self._refuse(error)
+        free = self._keep_free(0)
+        if free is None:
             return
         self._started_ns = now_ns if self._started_ns is None else self._started_ns
         elapsed_s = s_from_ns(now_ns - self._started_ns)
-        left = free - self._params.min_free_bytes
+        left = free - self._params.min_free_bytes - self._writer.growth_bytes()
         if not self._warned and elapsed_s > _RATE_KNOWN_S and left < _SHORT_S * self._recorded_bytes / elapsed_s:
             self._warned = True
             _LOG.warning("%s: the disk has room for less than %g s more", self.paths[-1], _SHORT_S)
+
+    def _keep_free(self, more: int) -> int | None:
+        """Room on the disk; ends the recording, None, before `more` bytes and the file's end would leave too little."""
+        if self.refused:
+            return None
+        try:
+            free = free_bytes(self._folder)
+            require_kept_free(self.paths[-1], self._params.min_free_bytes, self._writer.growth_bytes(more), free)
+        except OSError as error:
+            self._refuse(error)
+            return None
+        return free
+
+
+def _with_missed(losses: Losses, missed: Counter[str], ended: str) -> Losses:
+    """`losses` and messages by topic that came after the recording had ended."""
+    known = {topic.topic: topic for topic in losses.topics}
+    topics = (
+        msgspec.structs.replace(found, missed=found.missed + missed[name])
+        for name in sorted({*known, *missed})
+        if (found := known.get(name, TopicLoss(topic=name)))
+    )
+    return Losses(topics=tuple(topics), ended=ended)
 
 
 def as_recorded(received: Received) -> Encoded:

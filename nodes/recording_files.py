@@ -108,14 +108,8 @@ def _loss(topic: str, first: TopicCount | None, last: TopicCount | None, missed:
     )
 
 
-def free_bytes(folder: Path) -> int:
-    """Room on the file system of `folder` for an ordinary user."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize
-
-
-def require_room(path: Path, needed_bytes: int, free: int) -> None:
-    """Raise `OSError` where less than `needed_bytes` are free."""
-    if free < needed_bytes:
-        reason = f"{free // _BYTES_PER_MB} MB free, {-(-needed_bytes // _BYTES_PER_MB)} MB are to stay free"
+def require_kept_free(path: Path, kept_bytes: int, growth_bytes: int, free: int) -> None:
+    """Raise `OSError` where fewer than `kept_bytes` of the `free` ones would be left once a file has grown."""
+    if free - growth_bytes < kept_bytes:
+        reason = f"{free // _BYTES_PER_MB} MB free, {-(-kept_bytes // _BYTES_PER_MB)} MB are to stay free"
         raise OSError(errno.ENOSPC, reason, str(path))

@@ -10,18 +10,18 @@ from pathlib import Path
 
 from msgs.bus import Outgoing, Received
 from msgs.diagnostics import NodeState, TopicCount
-from msgs.recording import Encoded, Losses, RecordingWriter
+from msgs.recording import Encoded, Losses, whole_recording
 from msgs.units import s_from_ns
+from msgs.whole_files import free_bytes
 from nodes.node import Node
 from nodes.recorder import Params, as_recorded
 from nodes.recording_files import (
     LatchedMessages,
     about_this_run,
-    free_bytes,
     losses_between,
     next_number,
     numbered_path,
-    require_room,
+    require_kept_free,
 )
 from nodes.snapshot_trigger import Snapshot, TriggerFile
 
@@ -157,8 +157,8 @@ class SnapshotRecorder(Node):
         path = numbered_path(Path(self._params.path), next_number(Path(self._params.path)))
         size = sum(len(message.data) for message in messages)
         try:
-            require_room(path, self._params.min_free_bytes + size, free_bytes(path.absolute().parent))
-            with RecordingWriter(path, about_this_run(self._params.metadata)) as writer:
+            require_kept_free(path, self._params.min_free_bytes, size, free_bytes(path.absolute().parent))
+            with whole_recording(path, about_this_run(self._params.metadata)) as writer:
                 for message in messages:
                     writer.write_encoded(message)
                 writer.write_losses(losses)

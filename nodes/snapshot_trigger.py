@@ -15,6 +15,9 @@ from pathlib import Path
 
 import msgspec
 
+from msgs.whole_files import no_link
+from msgs.zmq_bus import make_run_dir
+
 _POLL_S = 0.02
 
 
@@ -43,13 +46,13 @@ class State(msgspec.Struct, frozen=True, kw_only=True):
 class TriggerFile:
     """The recorder's side: says that it is there, and what became of each trigger.
 
-    Raises `OSError` where the directory cannot be used.
+    Raises `OSError` where the directory cannot be used, `ValueError` where others can.
     """
 
     def __init__(self, run_dir: Path) -> None:
-        run_dir.mkdir(parents=True, exist_ok=True, mode=0o700)
+        make_run_dir(run_dir)
         self._path = run_dir / f"snapshot-{os.getpid()}.json"
-        self._file = self._path.open("wb", buffering=0)
+        self._file = open(self._path, "wb", buffering=0, opener=no_link)  # noqa: SIM115
         fcntl.flock(self._file, fcntl.LOCK_EX)
         self._state = State(pid=os.getpid())
         self._write(self._state)
@@ -93,7 +96,8 @@ def _wait(path: Path, deadline_s: float, until: Callable[[State], bool]) -> Stat
         if not _is_locked(path):
             raise ChildProcessError(f"{path}: its recorder has ended")
         try:
-            state = msgspec.json.decode(path.read_bytes(), type=State)
+            with open(path, "rb", opener=no_link) as file:
+                state = msgspec.json.decode(file.read(), type=State)
         except (msgspec.MsgspecError, FileNotFoundError):
             # half written, or just taken away: the next look tells
             state = None
@@ -105,10 +109,11 @@ def _wait(path: Path, deadline_s: float, until: Callable[[State], bool]) -> Stat
 
 def _is_locked(path: Path) -> bool:
     try:
-        with path.open("rb") as file:
+        with open(path, "rb", opener=no_link) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
-    except FileNotFoundError:
+    except (FileNotFoundError, ValueError):
+        # just taken away, or a symbolic link
         pass
     return False

@@ -21,6 +21,7 @@ from typing import Any, TextIO
 
 from msgs.bus import Received
 from msgs.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.whole_files import no_link
 from msgs.wording import counted
 from nodes.child import PATIENCE_S, Child
 from nodes.launch_file import (
@@ -35,7 +36,7 @@ from nodes.launch_file import (
 )
 from nodes.liveness import LATE_S, Doing, Silence, sample
 from nodes.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
-from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat
+from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, stopping_signals
 
 #: How often the output of the nodes is read; a crash wakes the supervisor at once.
 POLL_S = 0.05
@@ -466,12 +467,11 @@ class Supervisor:
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
         def ask(number: int, frame: object) -> None:
-            self.request_stop()
+            # shell and kernel both say that the terminal has gone: nobody is there to ask for haste
+            if number != signal.SIGHUP or not self._stop_requests:
+                self.request_stop()
 
-        numbers = [signal.SIGINT, signal.SIGTERM]
-        if signal.getsignal(signal.SIGHUP) is not signal.SIG_IGN:
-            # nohup asks to outlive the terminal
-            numbers.append(signal.SIGHUP)
+        numbers = stopping_signals(signal.SIGINT, signal.SIGTERM)
         previous = [signal.signal(number, ask) for number in numbers]
         try:
             yield
@@ -481,8 +481,11 @@ class Supervisor:
 
 
 def _locked_file(run_dir: Path) -> TextIO:
-    """The lock of a graph's directory, held while it is open; raises `OSError` where another graph holds it."""
-    file = (run_dir / LOCK_NAME).open("a+")
+    """The lock of a graph's directory, held while it is open.
+
+    Raises `OSError` where another graph holds it, `ValueError` where it is a symbolic link.
+    """
+    file = open(run_dir / LOCK_NAME, "a+", opener=no_link)  # noqa: SIM115
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -495,7 +498,7 @@ def _locked_file(run_dir: Path) -> TextIO:
 def read_lock(run_dir: Path) -> dict[str, Any]:
     """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
     try:
-        with (run_dir / LOCK_NAME).open("r") as file:
+        with open(run_dir / LOCK_NAME, opener=no_link) as file:
             owner = json.loads(file.read(1 << 16) or "{}")
     except (FileNotFoundError, ValueError, RecursionError):
         return {}

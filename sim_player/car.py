@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
+from models.vehicle.can_state import DIMENSIONS
 from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulus
-from models.vehicle.mapping import CanMapping, MessageRule, period_ns
+from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
+from models.vehicle.quantity import Quantity
+from models.vehicle.signal_units import Dimension
 from msgs.arrays import require_positive
 from msgs.vehicle import VehicleState
 
@@ -21,13 +24,15 @@ class CarShape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     """What turns a yaw rate into an angle of the steering wheel."""
 
     wheelbase_m: float = 2.7
+    #: From the left to the right wheels.
+    track_m: float = 1.55
     #: Angle of the steering wheel by angle of the front wheels.
     steering_ratio: float = 15.0
     #: The steering wheel's stop.
     max_steering_rad: float = 9.0
 
     def __post_init__(self) -> None:
-        for name in ("wheelbase_m", "steering_ratio", "max_steering_rad"):
+        for name in ("wheelbase_m", "track_m", "steering_ratio", "max_steering_rad"):
             require_positive(name, getattr(self, name))
 
     def steering_rad(self, speed_mps: float, yaw_rate_rps: float) -> float:
@@ -59,7 +64,10 @@ class SimulatedCar:
             if name not in by_name:
                 raise ValueError(f"messages.{name}: the DBC has no message {name!r}")
         rules = mapping.messages
-        self._mapping = mapping
+        self._quantities = [
+            (name, Quantity(name.replace(" ", "_"), rule, by_name[rule.message], _DIMENSIONS[name]))
+            for name, rule in _rules(mapping).items()
+        ]
         self._senders = [_Sender(by_name[name], rules.get(name, MessageRule()), start_ns) for name in names]
 
     def due_ns(self) -> int:
@@ -77,13 +85,20 @@ class SimulatedCar:
 
     def _values(self, state: VehicleState) -> dict[tuple[str, str], float]:
         """What each signal of the mapping says, by message and signal."""
-        si = {"speed": state.speed_mps, "yaw rate": state.yaw_rate_rps, "steering": state.steering_rad}
+        half_mps = 0.5 * (state.wheel_speed_difference_mps or 0.0)
+        si = {
+            "speed": state.speed_mps, "yaw rate": state.yaw_rate_rps, "steering": state.steering_rad,
+            "left wheels": state.speed_mps - half_mps, "right wheels": state.speed_mps + half_mps,
+        }  # fmt: skip
         values: dict[tuple[str, str], float] = {}
-        for name, rule in self._mapping.quantities.items():
-            value, negative = rule.from_si(si[name])
-            values.update({(rule.message, signal): value for signal in rule.signals})
+        # a speed that is the mean of the wheels stays the same when each side has its own
+        for name, quantity in self._quantities:
+            rule = quantity.rule
+            said, negative = quantity.from_si(si[name])
+            values.update({(rule.message, signal): value for signal, value in zip(rule.signals, said, strict=True)})
             if rule.negative_while is not None:
-                values[rule.negative_while.message, rule.negative_while.signal] = float(negative)
+                sign = rule.negative_while
+                values[sign.message, sign.signal] = float(sign.negative_value if negative else 0)
         return values
 
 
@@ -123,8 +138,20 @@ class _Sender:
         return bytes(data)
 
 
+def _rules(mapping: CanMapping) -> dict[str, QuantityRule]:
+    """Rules by the name of what they give, the sides of the wheels last."""
+    wheels = mapping.wheel_speeds
+    if wheels is None:
+        return mapping.quantities
+    sides = {"left wheels": wheels.side(wheels.left), "right wheels": wheels.side(wheels.right)}
+    return {**mapping.quantities, **sides}
+
+
 def _message_names(mapping: CanMapping) -> list[str]:
     """Messages of a mapping in the order in which it names them."""
-    rules = mapping.quantities.values()
+    rules = _rules(mapping).values()
     signs = [rule.negative_while.message for rule in rules if rule.negative_while is not None]
     return [rule.message for rule in rules] + signs
+
+
+_DIMENSIONS = {**DIMENSIONS, "left wheels": Dimension.SPEED, "right wheels": Dimension.SPEED}

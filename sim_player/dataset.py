@@ -27,6 +27,7 @@ from typing import Any
 
 import msgspec
 
+from msgs.whole_files import require_room, write_whole
 from sim_player.executors import Executor, map_jobs
 from sim_player.labelled_scan import (
     RANGE_BINS,
@@ -48,7 +49,6 @@ from sim_player.shards import (
     read_shard,
     shard_done,
     shard_fault,
-    write_whole,
 )
 
 __all__ = [
@@ -104,6 +104,7 @@ def write_dataset(
             missing.append(msgspec.structs.replace(job, fault=fault))
             continue
         manifest.add(shard_done(job, "kept"), on_shard)
+    require_room(manifest.path, sum(job.count for job in missing) * recipe.scene_bytes)
     for done in map_jobs(make_shard, missing, executor, workers, out_dir / ".slurm", slurm):
         manifest.add(done, on_shard)
         # at once: a run that goes on after a kill checks against it

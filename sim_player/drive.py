@@ -19,9 +19,12 @@ from msgs.vehicle import VehicleState
 from sim_player.as_paths import as_paths
 from sim_player.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.paths import Paths
+from sim_player.planner import choose
 from sim_player.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
 from sim_player.scene import Ego, Scene
-from sim_player.signal_levels import record_beam
+from sim_player.signal_effects import PLAIN
+from sim_player.signal_levels import Terms, echo_terms, record_beam, with_electronics
+from sim_player.swept_echoes import TOLERANCE
 from sim_player.truth import scene_truth
 from sim_player.world import snapshot, wall_lines
 
@@ -57,7 +60,10 @@ class Drive:
 class DrivePlayer:
     """Beams of a scene, given in the vehicle's frame at the start, along a drive; same seed, same bytes.
 
-    Stamps count from `start_ns`. Raises ValueError for a scene that moves its radar itself (`ego`).
+    Stamps count from `start_ns`. `effects`: "basic" (direct echoes and single mirrors), "all", or names with commas
+    between them; `precision` ("float64", "float32") is that of the echoes under other than basic effects. Raises
+    ValueError for a scene that moves its radar itself (`ego`), for "auto" (the planner knows no drive), and for
+    unknown effects or precisions.
     """
 
     def __init__(
@@ -68,9 +74,15 @@ class DrivePlayer:
         seed: int = 0,
         start_ns: int = 0,
         chirps_per_beam: int | None = None,
+        effects: str = "basic",
+        precision: str = "float64",
     ) -> None:
         if scene.ego != Ego():
             raise ValueError(f"scene {scene.name!r}: ego must stand still: the drive says how the vehicle moves")
+        if effects == "auto":
+            raise ValueError("effects must be basic, all or names with commas between them on a drive, got 'auto'")
+        if precision not in TOLERANCE:
+            raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
         setup = scene.setup
         if chirps_per_beam is not None:
             radar = msgspec.structs.replace(setup.radar, chirps_per_beam=chirps_per_beam)
@@ -80,6 +92,11 @@ class DrivePlayer:
         self._seed, self._start_ns = seed, start_ns
         self._world = prepare(scene, seed, setup)
         self._bank = noise_bank(setup.radar, seed)
+        self._precision = precision
+        plan = choose(self._world, setup, effects)
+        self._used = BASIC_EFFECTS if plan is None else plan.used
+        self._signal = PLAIN if plan is None else plan.signal
+        self._is_basic = plan is None
         self._traced: tuple[float, Paths] | None = None
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
@@ -89,27 +106,37 @@ class DrivePlayer:
 
     def beam(self, scan: int, index: int) -> RadarBeam:
         """One steering angle's raw samples from the place and at the speed the radar has there."""
-        stamp_ns, setup = self.stamp_ns(scan, index), self.setup
-        # slow time counts from the middle of the beam
-        middle_s = 0.5 * (setup.radar.beam_duration_s - setup.radar.chirp_period_s)
-        paths = self._paths(s_from_ns(stamp_ns - self._start_ns) + middle_s)
-        carrier, basis, share = slow_time_terms(setup.radar, paths.radial_speed_mps)
-        beats = chirp_beats(setup.radar, paths.length_m, share * beam_weights(setup, paths, slice(index, index + 1)))
+        setup, front_end = self.setup, self._world.scene.radar.front_end
+        seed = [self._seed, 5, scan, index]
+        terms = with_electronics(setup, self._echoes(scan, index), self._signal, front_end, seed)
         return RadarBeam(
-            stamp_ns=stamp_ns,
+            stamp_ns=self.stamp_ns(scan, index),
             scan_id=scan,
             beam_index=index,
             beam_count=len(setup.beams),
             azimuth_rad=float(setup.beams.azimuth_rad[index]),
-            samples=record_beam(setup, (beats, carrier, basis), self._bank, [self._seed, 5, scan, index]),
+            samples=record_beam(setup, terms, self._bank, seed, self._signal, front_end),
             full_scale_dbm=setup.full_scale_dbm,
         )
+
+    def _echoes(self, scan: int, index: int) -> Terms:
+        """Terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
+        setup = self.setup
+        # slow time counts from the middle of the beam
+        middle_s = 0.5 * (setup.radar.beam_duration_s - setup.radar.chirp_period_s)
+        paths = self.paths(s_from_ns(self.stamp_ns(scan, index) - self._start_ns) + middle_s)
+        if not self._is_basic:
+            front_end = self._world.scene.radar.front_end
+            return echo_terms(setup, paths, self._signal, front_end, index, self._precision)
+        carrier, basis, share = slow_time_terms(setup.radar, paths.radial_speed_mps)
+        beats = chirp_beats(setup.radar, paths.length_m, share * beam_weights(setup, paths, slice(index, index + 1)))
+        return beats, carrier, basis
 
     def truth(self, scan: int) -> SceneTruth:
         """What is there when a scan starts, in the radar's frame."""
         stamp_ns = self.stamp_ns(scan)
         time_s = s_from_ns(stamp_ns - self._start_ns)
-        paths, pose = self._paths(time_s), self._pose(time_s)
+        paths, pose = self.paths(time_s), self._pose(time_s)
         return scene_truth(self._world, self.setup, paths, time_s, stamp_ns, scan, pose)
 
     def states(
@@ -129,8 +156,8 @@ class DrivePlayer:
             for stamp_ns, speed, yaw_rate in zip(stamps_ns, speed_mps, yaw_rate_rps, strict=True)
         ]
 
-    def _paths(self, time_s: float) -> Paths:
-        """Direct echoes and single mirrors from where the radar is at a time; those of the last one are kept."""
+    def paths(self, time_s: float) -> Paths:
+        """Return all paths from where the radar is at a time after the start, [s]; those of the last one are kept."""
         if self._traced is None or self._traced[0] != time_s:
             self._traced = time_s, self._trace(time_s)
         return self._traced[1]
@@ -148,7 +175,7 @@ class DrivePlayer:
             normal=normal,
             offset=offset,
         )
-        return as_paths(view, trace_echoes(view, BASIC_EFFECTS), BASIC_EFFECTS)
+        return as_paths(view, trace_echoes(view, self._used), self._used)
 
     def _pose(self, time_s: float) -> Pose2:
         """`start_from_radar` at a time."""

@@ -76,8 +76,9 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
 
 
 def _follow(listener: Connection) -> None:
-    """In a worker: end with the parent, however that ends; it alone hears an interrupt from the keyboard."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """In a worker: end with the parent, however that ends; it alone hears the keyboard and the end of the terminal."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
 
     def wait() -> None:
         try:

@@ -20,16 +20,18 @@ from sim_player.truth import hidden_objects
 
 @dataclass(frozen=True)
 class LabelledPlace:
-    """A random place at rest under the default radar: number `index` of the series of a seed, as data sets draw it."""
+    """A random place under the default radar: number `index` of the series of a seed, as data sets draw it."""
 
     seed: int
     index: int
     effects: str = "auto"
+    #: Radar and road users move, as `sim_player.places.random_place` sets them in motion.
+    moving: bool = False
 
     @cached_property
     def player(self) -> ScenePlayer:
         """What plays its beams; a scan takes some tenths of a second."""
-        scene = draw_place(self.seed, self.index, "xband", None).scene
+        scene = draw_place(self.seed, self.index, "xband", None, self.moving).scene
         gain_db = np.random.default_rng([self.seed, self.index, 7]).uniform(-GAIN_DB, GAIN_DB)
         power_w = ratio_from_db(gain_db) * scene.setup.radar.transmit_power_w
         radar = msgspec.structs.replace(scene.setup.radar, transmit_power_w=power_w)

@@ -13,7 +13,8 @@ from itertools import pairwise
 import numpy as np
 
 from models.perception.registration import import_open3d
-from models.physics.mirror import blocked, segment_distance_m
+from models.physics.mirror import blocked
+from models.physics.plane import segment_distance_m
 from sim_player.hiding import Boxes, chords
 from sim_player.meshes import Mesh, box
 from sim_player.scene import Scene, SceneObject

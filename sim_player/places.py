@@ -14,7 +14,7 @@ from typing import get_args
 import numpy as np
 from msgspec.structs import replace
 
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from sim_player.front_end import FrontEnd, Spur
 from sim_player.hiding import CLEARANCE_M, ORIGIN, WALL_CLEARANCE_M, Boxes, Walls, hidden, images, indoors
 from sim_player.layouts import Block, Layout, PlaceKind, draw_layout
@@ -116,11 +116,11 @@ def draw_place(
         crowd.add(rng, hide=False)
     scene = Scene(
         name=f"{kind}_{seed}_{index}",
-        radar=_radar(rng, preset),
-        surfaces=(*crowd.surfaces, *_ground(rng, preset)),
+        radar=draw_radar(rng, preset),
+        surfaces=(*crowd.surfaces, *draw_ground(rng, preset)),
         objects=_moving(rng, crowd) if motion else tuple(crowd.things),
         ego=_ego(rng) if motion else Ego(),
-        weather=_weather(rng),
+        weather=draw_weather(rng),
     )
     check_scene(scene)
     return Place(scene, kind, crowd.relays, tuple(crowd.hidden), crowd.overlapping)
@@ -339,7 +339,7 @@ def _outline(boxes: Boxes) -> np.ndarray:
     return (boxes.corners[:, :, None] + share * (ends - boxes.corners)[:, :, None]).reshape(len(boxes.corners), 16, 2)
 
 
-def _ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]:
+def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]:
     """The ground of most places."""
     if rng.random() >= GROUND_SHARE:
         return ()
@@ -356,7 +356,7 @@ def _ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]:
     )
 
 
-def _radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
+def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
     """Mounting, and the faults of some radars."""
     return SceneRadar(
         preset=preset,
@@ -384,7 +384,7 @@ def _faulty(rng: np.random.Generator) -> FrontEnd:
     )
 
 
-def _weather(rng: np.random.Generator) -> Weather:
+def draw_weather(rng: np.random.Generator) -> Weather:
     """Dry or rainy air, cold to hot."""
     return Weather(
         rain_mm_per_h=float(rng.uniform(0.0, 30.0)) if rng.random() < RAIN_SHARE else 0.0,

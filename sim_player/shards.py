@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from msgs.array_files import load_arrays
+from msgs.whole_files import whole
 from sim_player.effect_names import check_effects
 from sim_player.labelled_scan import LABELS, EffectChoice, LabelledScan, Labels, labelled_scan, noise_power_mw
 from sim_player.layouts import PlaceKind
@@ -20,6 +21,7 @@ from sim_player.places import draw_place
 from sim_player.relays import Preset
 from sim_player.scene import PRESETS, Scene, scene_to_yaml
 from sim_player.shifted import HARD, SHIFTS, BoardFaults, Shift, draw_faults, faulty_profiles, shifted_scene
+from sim_player.signal_levels import RANGE_BINS
 from sim_player.streets import random_street
 
 #: Any type of place or one of them; `street_v1` is the first series, of `sim_player.streets.random_street`.
@@ -30,6 +32,8 @@ SCENES_PER_SHARD = 50
 FORMAT = 2
 #: Spread of the radar's gain from scene to scene (ageing, temperature, radome), uniform within.
 GAIN_DB = 3.0
+#: Scene, facts and plan in a shard, as text in UTF-32.
+_SCENE_TEXT_BYTES = 50_000
 #: What a file that is not a whole shard raises when it is read.
 UNREADABLE = (OSError, ValueError, KeyError)
 
@@ -83,6 +87,12 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if isinstance(self.effects, tuple):
             return frozenset(self.effects)
         return self.effects  # type: ignore[return-value]
+
+    @property
+    def scene_bytes(self) -> int:
+        """What a scene takes in a shard, about: its profiles, its YAML, its plan."""
+        setup = PRESETS[self.preset]
+        return len(setup.beams) * RANGE_BINS * np.dtype(np.complex64).itemsize + _SCENE_TEXT_BYTES
 
     def described(self, seed: int) -> dict[str, Any]:
         """A series as its folder says it: the generator by name, effects resolved, no budget where none is used."""
@@ -186,26 +196,10 @@ def read_shard(path: Path) -> dict[str, np.ndarray]:
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Write a shard so that it is there whole or not at all, whatever happens to the machine."""
-    part = path.with_suffix(".part")
-    try:
-        with part.open("wb") as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]
-            file.flush()
-            os.fsync(file.fileno())
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise OSError(error.errno, error.strerror or "cannot be written", str(path)) from None
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a file so that it is there whole or not at all; OSError names it."""
-    part = path.with_suffix(".part")
-    try:
-        part.write_bytes(content)
-        part.replace(path)
-    except OSError as error:
-        raise OSError(error.errno, error.strerror or "cannot be written", str(path)) from None
+    with whole(path) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+        file.flush()
+        os.fsync(file.fileno())
 
 
 def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:

@@ -14,7 +14,7 @@ from typing import Literal, get_args
 import msgspec
 import numpy as np
 
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from msgs.radar import RadarSetup
 from sim_player.hiding import Boxes, Walls
 from sim_player.labelled_scan import profile_noise

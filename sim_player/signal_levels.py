@@ -288,9 +288,10 @@ def echo_terms(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
     beam: int = 0,
+    precision: str = "float64",
 ) -> Terms:
     """The echoes of one beam alone, which stay the same from scan to scan while nothing moves."""
-    echoes, carrier, basis = moving_echoes(setup, paths, effects, front_end, beam)
+    echoes, carrier, basis = moving_echoes(setup, paths, effects, front_end, beam, precision)
     return echo_beats(echoes), carrier, basis
 
 

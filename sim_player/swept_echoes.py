@@ -114,12 +114,22 @@ def swept_echoes(
 
 
 def moving_echoes(
-    setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beam: int
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects,
+    front_end: FrontEnd,
+    beam: int,
+    precision: str = "float64",
 ) -> tuple[SweptEchoes, np.ndarray, np.ndarray]:
-    """Echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows, chirps]."""
+    """Echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows, chirps].
+
+    ValueError for an unknown precision.
+    """
+    if precision not in TOLERANCE:
+        raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
     factors = _Factors(setup, paths, effects, front_end, slice(beam, beam + 1))
     slow = _SlowTime(setup.radar, paths, effects)
-    return _sweep(factors, slow, "float64"), slow.carrier, slow.basis
+    return _sweep(factors, slow, precision), slow.carrier, slow.basis
 
 
 class _Factors:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -44,13 +45,22 @@ def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None
     """Indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
     grid = RangeAzimuthGrid() if grid is None else grid
     power = best_power_mw(setup, paths)
-    noise = setup.radar.noise_power_mw / (setup.radar.samples_per_chirp * setup.radar.chirps_per_beam)
-    row = grid.range_index(0.5 * paths.length_m)
-    column = grid.azimuth_index(paths.azimuth_rad)
-    inside = (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
-    candidates = np.flatnonzero(labelled(paths) & inside & (power > noise * 10.0 ** (VISIBLE_SNR_DB / 10.0)))
+    row, column, inside = _cells(paths, grid)
+    strong = power > _noise_mw(setup) * 10.0 ** (VISIBLE_SNR_DB / 10.0)
+    candidates = np.flatnonzero(labelled(paths) & inside & strong)
     candidates = candidates[np.argsort(-power[candidates], kind="stable")]
     return candidates[thin(row[candidates], column[candidates])]
+
+
+def _noise_mw(setup: RadarSetup) -> float:
+    """Noise of one beam in one range bin."""
+    return setup.radar.noise_power_mw / (setup.radar.samples_per_chirp * setup.radar.chirps_per_beam)
+
+
+def _cells(paths: Paths, grid: RangeAzimuthGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Range and azimuth index of each path, and whether they lie in the grid."""
+    row, column = grid.range_index(0.5 * paths.length_m), grid.azimuth_index(paths.azimuth_rad)
+    return row, column, (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
 
 
 def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
@@ -101,6 +111,41 @@ def hidden_objects(paths: Paths) -> frozenset[int]:
     mirrored = paths.thing[paths.kind == PathClass.MIRRORED]
     direct = paths.thing[paths.kind == PathClass.LOS]
     return frozenset(mirrored.tolist()) - frozenset(direct.tolist()) - {-1}
+
+
+@dataclass(frozen=True)
+class ObjectImages:
+    """What could be seen of each of N objects, before any detection."""
+
+    #: Some part is in direct sight; some mirror shows a part, wherever its image lies. bool [N].
+    direct: np.ndarray
+    mirrored: np.ndarray
+    #: Strongest scattering centre among the images in the map, over the noise of the beam that sees it best, dB [N];
+    #: -inf where the map holds no image. The second is that of images by one mirror.
+    snr_db: np.ndarray
+    single_snr_db: np.ndarray
+
+
+def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
+    """Sum up the labelled paths of a scene's `count` objects."""
+    paths = paths.take(labelled(paths))
+    with np.errstate(divide="ignore"):
+        snr_db = 10.0 * np.log10(best_power_mw(setup, paths) / _noise_mw(setup))
+    image = (paths.kind == PathClass.MIRRORED) & (paths.thing >= 0)
+    shown = image & _cells(paths, RangeAzimuthGrid())[2]
+    return ObjectImages(
+        direct=np.bincount(paths.thing[(paths.kind == PathClass.LOS) & (paths.thing >= 0)], minlength=count) > 0,
+        mirrored=np.bincount(paths.thing[image], minlength=count) > 0,
+        snr_db=_strongest(paths.thing[shown], snr_db[shown], count),
+        single_snr_db=_strongest(paths.thing[shown & (paths.order == 1)], snr_db[shown & (paths.order == 1)], count),
+    )
+
+
+def _strongest(thing: np.ndarray, snr_db: np.ndarray, count: int) -> np.ndarray:
+    """Largest value of each object [count]; -inf where it has none."""
+    found = np.full(count, -np.inf)
+    np.maximum.at(found, thing, snr_db)
+    return found
 
 
 def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:

@@ -14,6 +14,7 @@ VALUES = {
     "msgs.units",
     "msgs.arrays",
     "msgs.array_files",
+    "msgs.whole_files",
     "msgs.yaml_loader",
     "msgs.known_names",
     "msgs.wording",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from models.perception.confidence import PlaceConfidence
+from models.perception.confidence import Confidence
 from models.perception.detectors import Detector
 from models.perception.geometry import GeometryParams, recover_bev, warm
 from models.perception.memory import MemoryParams, ScanMemory
@@ -21,7 +21,7 @@ class Chain:
         detector: Detector,
         forming: FormingParams | None = None,
         geometry: GeometryParams | None = None,
-        confidence: PlaceConfidence | None = None,
+        confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
     ) -> None:
         self._former = RaFormer(setup, forming or FormingParams())

@@ -22,7 +22,7 @@ from models.perception.association import DirectReturns, Passing, RecoveryParams
 from models.perception.cards import learned_path, read_card
 from models.perception.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.recovery import Recovered
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from msgs.frames import polar_from_xy
 from msgs.perception import Wall
 
@@ -214,6 +214,10 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         """Whether the model was fitted on peaks of this detector (`Peaks.detector`), or says of none."""
         return self.detector in ("", detector)
 
+    def of(self, detector: str) -> PlaceConfidence | None:
+        """Return itself where it was fitted on peaks of this detector."""
+        return self if self.fits(detector) else None
+
     def probable(
         self, recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
     ) -> Recovered:
@@ -251,6 +255,21 @@ def _check_numbers(name: str, values: object, shape: tuple[int, ...]) -> None:
         raise ValueError(f"{name} must have shape {shape}, got {array.shape}")
     if not (np.abs(array) <= LARGEST).all():
         raise ValueError(f"{name} must be finite and within {LARGEST:g}")
+
+
+@dataclass(frozen=True)
+class FittedConfidences:
+    """Models of several detectors: peaks of each are judged by its own."""
+
+    models: tuple[PlaceConfidence, ...]
+
+    def of(self, detector: str) -> PlaceConfidence | None:
+        """Return the first model fitted on peaks of this detector."""
+        return next((model for model in self.models if model.fits(detector)), None)
+
+
+#: What the geometry stage can be given.
+Confidence = PlaceConfidence | FittedConfidences
 
 
 def load_confidence(path: Path) -> PlaceConfidence:

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from models.perception.clustering import dbscan
-from models.perception.confidence import PlaceConfidence
+from models.perception.confidence import Confidence
 from models.perception.objects import ObjectParams, form_objects
 from models.perception.observability import VisibilityParams, observability
 from models.perception.recovery import (
@@ -67,7 +67,7 @@ def fold_scan(
     peaks: Peaks,
     params: GeometryParams,
     residual: Residual | None = None,
-    confidence: PlaceConfidence | None = None,
+    confidence: Confidence | None = None,
     remembered: Remembered | None = None,
 ) -> FoldedScan:
     """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped.
@@ -80,8 +80,9 @@ def fold_scan(
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
-    if confidence is not None and confidence.fits(peaks.detector):
-        recovered = confidence.probable(recovered, walls, returns, params.recovery)
+    fitted = None if confidence is None else confidence.of(peaks.detector)
+    if fitted is not None:
+        recovered = fitted.probable(recovered, walls, returns, params.recovery)
     return FoldedScan(returns, walls, recovered, hidden_mask(recovered, walls, returns, params.recovery))
 
 
@@ -89,7 +90,7 @@ def recover_bev(
     peaks: Peaks,
     params: GeometryParams,
     residual: Residual | None = None,
-    confidence: PlaceConfidence | None = None,
+    confidence: Confidence | None = None,
     remembered: Remembered | None = None,
 ) -> BevFrame:
     """Peaks -> folded places -> hidden points and objects; tracks are added by `ScanMemory`."""

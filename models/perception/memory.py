@@ -10,6 +10,7 @@ from models.perception.geometry import Remembered
 from models.perception.odometry import OdometryParams, ScanOdometry, standing
 from models.perception.tracking import Tracker, TrackerParams
 from models.perception.wall_map import WallMap, WallMapParams
+from models.perception.yaw_rate_bias import BiasEstimate
 from msgs.frames import Pose2
 from msgs.perception import BevFrame, Peaks
 from msgs.vehicle import VehicleState
@@ -37,6 +38,11 @@ class ScanMemory:
     def add(self, state: VehicleState) -> None:
         """Take in a state of the vehicle; see `ScanOdometry` for which states count for which scan."""
         self._odometry.add(state)
+
+    @property
+    def yaw_rate_bias(self) -> BiasEstimate:
+        """The bias that is taken off the yaw rate."""
+        return self._odometry.yaw_rate_bias
 
     def walls_at(self, peaks: Peaks) -> Remembered | None:
         """What `recover_bev` is to ask for walls of earlier scans; None where none are kept or no state has come."""

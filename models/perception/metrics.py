@@ -13,15 +13,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 
-from models.physics.mirror import segment_distance_m
-from msgs.frames import Pose2
-from msgs.perception import HiddenObject, PathClass, SceneTruth, TruthObject
-from msgs.units import s_from_ns
+from models.perception.object_error import object_distances
+from msgs.perception import HiddenObject, PathClass, SceneTruth
 
 #: Cost of a forbidden pair: larger than any sum of allowed ones.
 FORBIDDEN = 1e9
-#: A visible point this near a side of its object's box shows that side.
-ON_FACE_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -65,11 +61,13 @@ def match_points(predicted_m: np.ndarray, truth_m: np.ndarray, gate_m: float) ->
     if len(predicted_m) == 0 or len(truth_m) == 0:
         return np.zeros((0, 2), np.int64)
     distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
-    return _assign(distance_m, gate_m)
+    return assign_within(distance_m, gate_m)
 
 
-def _assign(distance_m: np.ndarray, gate_m: float) -> np.ndarray:
-    """Hungarian assignment of a distance matrix with a gate; pairs [K, 2]."""
+def assign_within(distance_m: np.ndarray, gate_m: float) -> np.ndarray:
+    """Assign rows to columns one to one within a gate: as many as possible, then the nearest; pairs [K, 2]."""
+    if distance_m.size == 0:
+        return np.zeros((0, 2), np.int64)
     rows, columns = linear_sum_assignment(np.where(distance_m <= gate_m, distance_m, FORBIDDEN))
     allowed = distance_m[rows, columns] <= gate_m
     return np.stack([rows[allowed], columns[allowed]], axis=1)
@@ -134,47 +132,26 @@ def chamfer(predicted_m: np.ndarray, truth_m: np.ndarray) -> Chamfer:
 class ObjectMatch:
     """Hidden objects held against truth: pairs with errors, objects that are nothing, hidden truths not found."""
 
-    #: (id of the object, id of the truth, distance in metres).
+    #: (id of the object, id of the truth, face error in metres: `models.perception.object_error`).
     matched: tuple[tuple[int, int, float], ...]
+    #: Centre error of each pair in metres.
+    centre_m: tuple[float, ...]
     unmatched_objects: tuple[int, ...]
     missed_truths: tuple[int, ...]
 
 
 def match_objects(objects: Sequence[HiddenObject], truth: SceneTruth, gate_m: float = 1.0) -> ObjectMatch:
-    """Match one to one by the distance of an object's centre to the truth's centre or to a visible face of its box.
+    """Match one to one by the face error.
 
     The truth is moved with its velocity to the time the object was measured. Only hidden truths are asked for; an
     object at a truth in plain sight is unmatched.
     """
-    hidden = [(one, _visible_faces_m(one, truth)) for one in truth.objects if one.hidden]
-    distance_m = np.array(
-        [[_object_distance(one, other, faces_m, truth) for other, faces_m in hidden] for one in objects]
-    ).reshape(len(objects), len(hidden))
-    pairs = _assign(distance_m, gate_m) if distance_m.size else np.zeros((0, 2), np.int64)
+    hidden = [one for one in truth.objects if one.hidden]
+    distances = object_distances(objects, truth, hidden)
+    pairs = assign_within(distances.error_m, gate_m)
     return ObjectMatch(
-        matched=tuple((objects[i].id, hidden[j][0].id, float(distance_m[i, j])) for i, j in pairs),
+        matched=tuple((objects[i].id, hidden[j].id, float(distances.error_m[i, j])) for i, j in pairs),
+        centre_m=tuple(float(distances.centre_m[i, j]) for i, j in pairs),
         unmatched_objects=tuple(one.id for i, one in enumerate(objects) if i not in pairs[:, 0]),
-        missed_truths=tuple(one.id for j, (one, _) in enumerate(hidden) if j not in pairs[:, 1]),
+        missed_truths=tuple(one.id for j, one in enumerate(hidden) if j not in pairs[:, 1]),
     )
-
-
-def _visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
-    """Sides [N, 2 ends, 2] of the box on which visible points lie, those points themselves as sides of no length."""
-    points_m = scene.hidden_points_m[scene.hidden_object == scene.objects.index(truth), :2].astype(np.float64)
-    half = 0.5 * np.array([truth.length_m, truth.width_m])
-    corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    corners_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).apply(corners)
-    sides_m = np.stack([corners_m, np.roll(corners_m, -1, axis=0)], axis=1)
-    seen = (segment_distance_m(points_m, sides_m[:, 0], sides_m[:, 1]) <= ON_FACE_M).any(axis=0)
-    return np.concatenate([sides_m[seen], np.repeat(points_m[:, None], 2, axis=1)])
-
-
-def _object_distance(found: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth) -> float:
-    """Distance [m] of a found centre to a true object's centre or visible faces, at the found one's time."""
-    # an object without a stamp of its own was measured at the scene's
-    elapsed_s = s_from_ns(found.stamp_ns - scene.stamp_ns) if found.stamp_ns else 0.0
-    moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])
-    at_m = np.array([[found.x_m, found.y_m]]) - moved_m
-    centre_m = np.array([[truth.x_m, truth.y_m]])
-    to_faces_m = segment_distance_m(at_m, faces_m[:, 0], faces_m[:, 1])
-    return float(min(np.linalg.norm(at_m - centre_m), to_faces_m.min(initial=np.inf)))

@@ -17,7 +17,7 @@ from models.perception.clustering import dbscan, fits_box
 from models.perception.mirrors import wall_arrays
 from models.perception.recovery import Recovered
 from models.perception.rejection import in_open_view
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from msgs.arrays import require_positive
 from msgs.frames import polar_from_xy
 from msgs.perception import BevFrame, HiddenObject, Wall

@@ -1,6 +1,6 @@
 """Where the vehicle is, from its speed and yaw rate alone: an odometry frame that drifts slowly and never jumps.
 
-A gyroscope at rest shows its bias: it is learnt while the vehicle stands and taken off while it drives.
+The bias of the gyroscope is taken off: see `yaw_rate_bias`.
 """
 
 from __future__ import annotations
@@ -9,9 +9,7 @@ from bisect import bisect_right, insort
 from collections import deque
 from typing import NamedTuple
 
-import msgspec
-
-from msgs.arrays import require_positive
+from models.perception.yaw_rate_bias import BiasEstimate, BiasParams, YawRateBias
 from msgs.frames import Pose2
 from msgs.units import ns_from_s, s_from_ns
 from msgs.vehicle import VehicleState, ego_motion
@@ -20,24 +18,13 @@ from msgs.vehicle import VehicleState, ego_motion
 MOST_WAITING = 1000
 
 
-class OdometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the vehicle stands, how fast its bias is learnt, and what silence ends the frame."""
+class OdometryParams(BiasParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the bias is learnt, and what silence ends the frame."""
 
-    standstill_speed_mps: float = 0.05
-    #: The vehicle stands once it has been this slow for so long: a car rocks as it stops.
-    settle_s: float = 0.5
-    #: Time constant of the bias after the first so many seconds, in which it is their plain mean.
-    bias_time_s: float = 10.0
-    #: A yaw rate at rest beyond this is no bias: a turntable, a ferry.
-    max_bias_rps: float = 0.05
     #: A state holds this long; after a longer silence, or a clock that went back, a new frame begins.
     max_gap_s: float = 1.0
     #: Poses are kept for questions about the past.
     history_s: float = 5.0
-
-    def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
-            require_positive(f"odometry.{name}", getattr(self, name))
 
 
 class Placed(NamedTuple):
@@ -65,17 +52,29 @@ class Odometry:
         self._params = params or OdometryParams()
         self._known: deque[_Known] = deque()
         self._frame = 0
-        self._slow_since_ns: int | None = None
-        self._rested_s = 0.0
-        #: Learnt at standstill, zero before the first.
-        self.yaw_rate_bias_rps = 0.0
+        self._bias = YawRateBias(self._params)
+
+    @property
+    def yaw_rate_bias(self) -> BiasEstimate:
+        """The bias that is taken off the newest yaw rate."""
+        return self._bias.estimate(self._known[-1].stamp_ns if self._known else 0)
+
+    @property
+    def yaw_rate_bias_rps(self) -> float:
+        """Its value; zero while none is known."""
+        return self.yaw_rate_bias.rps
+
+    @property
+    def driving_bias(self) -> BiasEstimate:
+        """What driving alone has shown of the bias, good enough to be taken off or not."""
+        return self._bias.driving
 
     def add(self, state: VehicleState) -> None:
         """Take in a state; those not valid, late or repeated count for nothing."""
         if not state.valid or self._is_late(state.stamp_ns):
             return
         pose = self._next_pose(state)
-        yaw_rate_rps = self._corrected(state)
+        yaw_rate_rps = self._bias.corrected(state)
         self._known.append(_Known(state.stamp_ns, pose, state.speed_mps, yaw_rate_rps))
         while self._known[0].stamp_ns < state.stamp_ns - ns_from_s(self._params.history_s):
             self._known.popleft()
@@ -105,35 +104,13 @@ class Odometry:
             last = self._known[-1]
             elapsed_s = s_from_ns(state.stamp_ns - last.stamp_ns)
             if 0.0 < elapsed_s <= self._params.max_gap_s:
-                self._learn(state, elapsed_s)
-                return _moved(last, state.speed_mps, self._corrected(state), elapsed_s)
+                self._bias.add(state, elapsed_s)
+                return _moved(last, state.speed_mps, self._bias.corrected(state), elapsed_s)
             self._known.clear()
             self._frame += 1
-        self._slow_since_ns = None
-        self._learn(state, 0.0)
+        self._bias.interrupt()
+        self._bias.add(state, 0.0)
         return Pose2()
-
-    def _learn(self, state: VehicleState, elapsed_s: float) -> None:
-        """Note since when the vehicle is slow, and the yaw rate it shows once it stands."""
-        if abs(state.speed_mps) > self._params.standstill_speed_mps:
-            self._slow_since_ns = None
-            return
-        if self._slow_since_ns is None:
-            self._slow_since_ns = state.stamp_ns
-        if self._stands(state) and abs(state.yaw_rate_rps) <= self._params.max_bias_rps:
-            self._rested_s = min(self._rested_s + elapsed_s, self._params.bias_time_s)
-            gain = min(elapsed_s / max(self._rested_s, 1e-9), 1.0)
-            self.yaw_rate_bias_rps += gain * (state.yaw_rate_rps - self.yaw_rate_bias_rps)
-
-    def _stands(self, state: VehicleState) -> bool:
-        since_ns = self._slow_since_ns
-        return since_ns is not None and state.stamp_ns - since_ns >= ns_from_s(self._params.settle_s)
-
-    def _corrected(self, state: VehicleState) -> float:
-        """Yaw rate without bias; none at all while the vehicle stands, unless it is turned as a whole."""
-        if self._stands(state) and abs(state.yaw_rate_rps) <= self._params.max_bias_rps:
-            return 0.0
-        return state.yaw_rate_rps - self.yaw_rate_bias_rps
 
 
 class ScanOdometry:
@@ -167,6 +144,11 @@ class ScanOdometry:
             self._waiting = [state for state in self._waiting if state.stamp_ns <= asked_ns]
         self._take(bisect_right(self._waiting, stamp_ns, key=lambda state: state.stamp_ns))
         return self._odometry.at(stamp_ns) if self._told else standing()
+
+    @property
+    def yaw_rate_bias(self) -> BiasEstimate:
+        """The bias that is taken off the newest yaw rate that was taken in."""
+        return self._odometry.yaw_rate_bias
 
     def _take(self, count: int) -> None:
         for state in self._waiting[:count]:

@@ -14,7 +14,7 @@ from models.perception.association import DirectReturns, RecoveryParams
 from models.perception.clustering import NOISE, dbscan, fits_box
 from models.perception.mirrors import NO_WALL, WallArrays, behind_walls, wall_arrays
 from models.perception.recovery import Recovered
-from models.physics.mirror import segment_distance_m
+from models.physics.plane import segment_distance_m
 from msgs.perception import Wall
 
 

@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 
 from models.perception.clustering import NOISE, dbscan
 from models.perception.walls import WallParams, find_walls
-from models.physics.mirror import crosses, reflect, segment_distance_m, specular_points, wall_from_ends
+from models.physics.mirror import crosses, reflect, specular_points, wall_from_ends
+from models.physics.plane import segment_distance_m
 from msgs.arrays import require_positive
 
 Segment = tuple[tuple[float, float], tuple[float, float]]

@@ -161,11 +161,3 @@ def specular_points(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: n
     share = along_wall[:, 0]
     seen = (height > 0.0) & (origin_height > 0.0) & (share >= 0.0) & (share <= 1.0)
     return np.where(seen[:, None], a + share[:, None] * (b - a), np.nan)
-
-
-def segment_distance_m(points_m: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Distance of points [N, 2] from segments a -> b [W, 2]; [N, W]."""
-    along = b - a
-    from_a = points_m[:, None] - a
-    share = np.sum(from_a * along, axis=-1) / np.maximum(np.sum(along**2, axis=-1), 1e-12)
-    return np.linalg.norm(from_a - np.clip(share, 0.0, 1.0)[..., None] * along, axis=-1)

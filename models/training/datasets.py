@@ -105,8 +105,8 @@ def load_training_data(config: DataConfig) -> TrainingData:
     """Scenes of the training and validation splits, and all of the further data sets.
 
     Raises `ValueError` where a folder holds no data set, maps of another grid than the configuration's, more azimuth
-    detail than the configured columns sample, or, in a further one, another radar or a scene of the validation or test
-    split.
+    detail than the configured columns sample, or, in a further one, another radar or a scene, a place or a drive of the
+    validation or test split.
     """
     data, splits = DataSet(Path(config.directory)), fixed_splits(Path(config.directory))
     _check_grid(data, config.grid)
@@ -139,12 +139,17 @@ def _chosen(data: DataSet, indices: np.ndarray, selection: Selection) -> list[Sc
 
 
 def _refuse_leaks(data: DataSet, splits: Splits, more: DataSet) -> None:
-    held_out = {data.fingerprint(index): index for index in (*splits.validation, *splits.test)}
+    """Raise `ValueError` for a further data set that shows anything of the validation and test scenes."""
+    held_out = {
+        item: int(index) for index in (*splits.validation, *splits.test) for item in data.identity(index).items()
+    }
     for index in range(len(more)):
-        if (found := held_out.get(more.fingerprint(index))) is not None:
-            raise ValueError(
-                f"{more.directory}: no scene may be held out in {data.directory}, {index} is its scene {found}"
-            )
+        for what, value in more.identity(index).items():
+            if (scene := held_out.get((what, value))) is not None:
+                raise ValueError(
+                    f"{more.directory}: no scene may be held out in {data.directory}, {index} is its scene {scene} "
+                    f"(same {what})"
+                )
 
 
 class SampleFormer:

@@ -3,30 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-import os
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import msgspec
 
-
-@contextmanager
-def whole(path: Path) -> Iterator[Path]:
-    """Where to write what becomes `path` when the context ends well; a kill in between leaves the old file."""
-    # of its own for each process: several may make the same file at once
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        yield part
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
-
-
-def write_whole(path: Path, content: bytes) -> None:
-    """Write a small file whole or not at all."""
-    with whole(path) as part:
-        part.write_bytes(content)
+from msgs.whole_files import whole as whole
+from msgs.whole_files import write_whole as write_whole
 
 
 def file_sha256(path: Path) -> str:

@@ -174,6 +174,16 @@ class DataSet:
             digest.update(np.ascontiguousarray(array).tobytes())
         return digest.hexdigest()
 
+    def identity(self, index: int) -> dict[str, str]:
+        """What two scenes share only if one gives the other away, by what it is: the same echoes, drive or place.
+
+        A place simulated again, with other effects or another version, has other echoes and the same description;
+        captures of one drive follow one another.
+        """
+        scan = self.scan(index)
+        known = {"echoes": self.fingerprint(index), "drive": scan.sequence, "place": scan.scene_yaml}
+        return {what: value for what, value in known.items() if value}
+
 
 #: Kinds of numbers (`numpy.dtype.kind`) and axes of a shard's arrays; others are not looked at.
 ARRAYS = {

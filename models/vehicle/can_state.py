@@ -5,7 +5,6 @@ Pure: a frame is an arbitration id, bytes and a stamp; time is only what the cal
 
 from __future__ import annotations
 
-import math
 from collections import Counter, deque
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -13,14 +12,16 @@ import msgspec
 
 from models.vehicle.end_to_end import signal_of
 from models.vehicle.frame_check import FrameCheck, Verdict
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
+from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, WheelSpeedsRule, period_ns
+from models.vehicle.quantity import Quantity
+from models.vehicle.signal_units import Dimension
 from msgs.arrays import MAX_STAMP_NS
 from msgs.units import s_from_ns
 from msgs.vehicle import VehicleState
 
 if TYPE_CHECKING:
     from cantools.database import Database
-    from cantools.database.can import Message, Signal
+    from cantools.database.can import Message
 
 #: What a message said holds while it is younger than this many of its periods.
 AGE_PERIODS = 10
@@ -33,6 +34,9 @@ _REASON_LIMIT = 500
 #: So many frames without one that is looked for are no chance.
 _MANY_FRAMES = 100
 
+
+#: What each quantity of a mapping measures.
+DIMENSIONS = {"speed": Dimension.SPEED, "yaw rate": Dimension.ANGULAR_RATE, "steering": Dimension.ANGLE}
 
 #: Frames that are no fault of the car: every bus carries messages that no mapping asks for.
 HARMLESS = frozenset({Verdict.COUNTED, Verdict.FIRST, Verdict.UNKNOWN_ID, Verdict.REMOTE_FRAME})
@@ -49,14 +53,22 @@ class Judged(NamedTuple):
 class CanDecoder:
     """Holds what the frames of one car have said.
 
-    Raises `ValueError` naming the mapping's field for a message or signal that the DBC does not have.
+    Raises `ValueError` naming the mapping's field for a message or signal that the DBC does not have, and where the
+    units of DBC and mapping do not meet.
     """
 
     def __init__(self, database: Database, mapping: CanMapping) -> None:
         self._by_name = {message.name: message for message in database.messages}
         self._watches: dict[str, _Watch] = {}
         self._rules = mapping.messages
-        self._quantities = {name: self._quantity(name, rule) for name, rule in mapping.quantities.items()}
+        self._quantities = {
+            name: self._quantity(name, name.replace(" ", "_"), rule, DIMENSIONS[name])
+            for name, rule in mapping.quantities.items()
+        }
+        self._wheels = [] if mapping.wheel_speeds is None else self._wheel_sides(mapping.wheel_speeds)
+        self._sources = [*self._quantities.values(), *self._wheels]
+        #: How ranges and units of the DBC were read where that is not plain; for the log.
+        self.warnings = tuple(dict.fromkeys(text for item in self._sources for text in item.quantity.warnings))
         for name in mapping.messages:
             if name not in self._watches:
                 raise ValueError(f"messages.{name}: no quantity is taken from this message")
@@ -94,6 +106,7 @@ class CanDecoder:
             speed_mps=self._quantities["speed"].value,
             yaw_rate_rps=self._quantities["yaw rate"].value,
             steering_rad=steering.value if steering else 0.0,
+            wheel_speed_difference_mps=self._wheel_difference_mps(now_ns),
             valid=not troubles,
             reason="; ".join(troubles)[:_REASON_LIMIT],
             age_s=s_from_ns(max(0, now_ns - min(stamps_ns, default=now_ns))),
@@ -104,6 +117,13 @@ class CanDecoder:
         times_ns = [item.expiry_ns() for item in self._quantities.values()]
         known_ns = [time_ns for time_ns in times_ns if time_ns is not None]
         return min(known_ns) if len(known_ns) == len(times_ns) else None
+
+    def _wheel_difference_mps(self, now_ns: int) -> float | None:
+        """Right less left; the state is valid without it."""
+        if not self._wheels or any(side.trouble(now_ns) for side in self._wheels):
+            return None
+        left, right = self._wheels
+        return right.value - left.value
 
     def _judge(self, arbitration_id: int, data: bytes, stamp_ns: int, extended: bool) -> Judged:
         if not 0 <= stamp_ns < MAX_STAMP_NS:
@@ -116,28 +136,32 @@ class CanDecoder:
             return Judged(Verdict.UNKNOWN_ID)
         verdict, why = watch.judge(data, stamp_ns)
         if verdict is Verdict.COUNTED:
-            faults = [item.take(stamp_ns) for item in self._quantities.values() if item.watch is watch]
+            faults = [item.take(stamp_ns) for item in self._sources if item.watch is watch]
             if why := "; ".join(fault for fault in faults if fault):
                 verdict = Verdict.OUT_OF_RANGE
         return Judged(verdict, watch.name, why)
 
     def _forget(self) -> None:
         self._newest_ns = 0
-        for item in self._quantities.values():
+        for item in self._sources:
             item.stamp_ns = None
         for watch in self._watches.values():
             watch.forget()
 
-    def _quantity(self, name: str, rule: QuantityRule) -> _Quantity:
-        field = name.replace(" ", "_")
+    def _quantity(self, name: str, field: str, rule: QuantityRule, dimension: Dimension) -> _Quantity:
         watch = self._watch(rule.message, f"{field}.message")
-        signals = [watch.signal(signal, f"{field}.signals") for signal in rule.signals]
+        quantity = Quantity(field, rule, watch.message, dimension)
         if rule.negative_while is None:
-            return _Quantity(name, rule, watch, signals, None)
+            return _Quantity(name, quantity, watch, None)
         where = f"{field}.negative_while"
         sign_watch = self._watch(rule.negative_while.message, f"{where}.message")
-        sign_watch.signal(rule.negative_while.signal, f"{where}.signal")
-        return _Quantity(name, rule, watch, signals, sign_watch)
+        signal_of(sign_watch.message, rule.negative_while.signal, f"{where}.signal")
+        return _Quantity(name, quantity, watch, sign_watch)
+
+    def _wheel_sides(self, rule: WheelSpeedsRule) -> list[_Quantity]:
+        """The speed of the left side, then that of the right one."""
+        sides = {"left": rule.side(rule.left), "right": rule.side(rule.right)}
+        return [self._quantity(f"{name} wheels", "wheel_speeds", side, Dimension.SPEED) for name, side in sides.items()]
 
     def _watch(self, name: str, field: str) -> _Watch:
         if name not in self._by_name:
@@ -151,7 +175,7 @@ class _Watch:
     """One message: whether its frames count, and what the last one that counted said."""
 
     def __init__(self, message: Message, rule: MessageRule) -> None:
-        self._message = message
+        self.message = message
         self.name = message.name
         self.frame_id = (message.frame_id, message.is_extended_frame)
         self._limit_ns = AGE_PERIODS * period_ns(message, rule)
@@ -166,10 +190,6 @@ class _Watch:
         self._last_ns: int | None = None
         self._frames.forget()
         self._refused = ""
-
-    def signal(self, name: str, field: str) -> Signal:
-        """A signal by name."""
-        return signal_of(self._message, name, field)
 
     def judge(self, data: bytes, stamp_ns: int) -> tuple[Verdict, str]:
         """Whether a frame counts, else why not."""
@@ -207,11 +227,8 @@ class _Watch:
 class _Quantity:
     """Speed, yaw rate or steering as last said within its range."""
 
-    def __init__(
-        self, name: str, rule: QuantityRule, watch: _Watch, signals: list[Signal], sign_watch: _Watch | None
-    ) -> None:
-        self._name, self._rule, self.watch = name, rule, watch
-        self._signals, self._sign_watch = signals, sign_watch
+    def __init__(self, name: str, quantity: Quantity, watch: _Watch, sign_watch: _Watch | None) -> None:
+        self._name, self.quantity, self.watch, self._sign_watch = name, quantity, watch, sign_watch
         self.value = 0.0
         self.stamp_ns: int | None = None
         self._fault = ""
@@ -239,24 +256,28 @@ class _Quantity:
         return min(known_ns) if len(known_ns) == len(times_ns) else None
 
     def _read(self, stamp_ns: int) -> str:
-        values = []
-        for signal in self._signals:
+        values, rule = [], self.quantity.rule
+        for index, signal in enumerate(self.quantity.signals):
             # a multiplexed signal is not in every frame
             if (value := self.watch.values.get(signal.name)) is None:
                 return self._fault
-            if fault := _range_fault(signal, value):
+            if fault := self.quantity.range_fault(index, value):
                 return fault
             values.append(float(value))
-        value = self._rule.to_si(values, self._is_negative())
-        if not self._rule.low <= value <= self._rule.high:
-            names = ", ".join(self._rule.signals)
-            return f"{names} gives {value:g}, outside the mapping's {self._rule.low:g}..{self._rule.high:g}"
+        value = self.quantity.to_si(values, self._is_negative())
+        if not rule.low <= value <= rule.high:
+            names = ", ".join(rule.signals)
+            return f"{names} gives {value:g}, outside the mapping's {rule.low:g}..{rule.high:g}"
         self.value, self.stamp_ns = value, stamp_ns
         return ""
 
     def _is_negative(self) -> bool:
-        rule = self._rule.negative_while
-        return rule is not None and self._sign_watch is not None and bool(self._sign_watch.values.get(rule.signal))
+        rule = self.quantity.rule.negative_while
+        return (
+            rule is not None
+            and self._sign_watch is not None
+            and rule.is_negative(self._sign_watch.values.get(rule.signal))
+        )
 
 
 class StateReporter:
@@ -322,14 +343,3 @@ class StampMapper:
             self._least_ns.append(difference_ns)
         self._least_ns[-1] = min(self._least_ns[-1], difference_ns)
         return stamp_ns + min(self._least_ns)
-
-
-def _range_fault(signal: Signal, value: float) -> str:
-    low = -math.inf if signal.minimum is None else float(signal.minimum)
-    high = math.inf if signal.maximum is None else float(signal.maximum)
-    # limits are written in decimals, values are multiples of the scale: half a step apart they are the same
-    slack = 0.5 * abs(float(signal.scale))
-    if low - slack <= value <= high + slack and math.isfinite(value):
-        return ""
-    unit = f" {signal.unit}" if signal.unit else ""
-    return f"{signal.name} = {value:g}{unit} is outside the DBC's {low:g}..{high:g}"

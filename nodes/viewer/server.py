@@ -1,9 +1,11 @@
 """The viewer's server: one page and one websocket on 127.0.0.1, in a thread of its own.
 
 Who comes in knows the token (it is part of the address), names this host in `Host`, and, for the websocket, comes from
-this very page (`Origin`). A client gets an update, acknowledges it, and only then gets the next, made of whatever is
-newest then: between server and client there is never more than one update, and a client that does not keep up misses
-some. Nothing a client does reaches the thread that posts. How many may stand at the door, and how long: `door.py`.
+this very page (`Origin`). A page that lost its server has whoever answers prove first that it knows the token too
+(`/proof/<nonce>`): in the meantime the port may have gone to another program. A client gets an update, acknowledges
+it, and only then gets the next, made of whatever is newest then: between server and client there is never more than
+one update, and a client that does not keep up misses some. Nothing a client does reaches the thread that posts. How
+many may stand at the door, and how long: `door.py`.
 """
 
 from __future__ import annotations
@@ -11,8 +13,10 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import hashlib
 import hmac
 import logging
+import re
 import secrets
 import socket
 import threading
@@ -32,6 +36,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nodes.viewer.board import Board, Posted, json_text
 from nodes.viewer.door import BACKLOG, Door, PageSocket, Visit
+from nodes.viewer.kept_token import TokenFile
 from nodes.viewer.view_model import COLOURS
 
 _LOG = logging.getLogger(__name__)
@@ -39,6 +44,7 @@ _LOG = logging.getLogger(__name__)
 HOST = "127.0.0.1"
 _STATIC = Path(__file__).parent / "static"
 _PAGE_FILES = {"": "index.html", "viewer.js": "viewer.js", "viewer.css": "viewer.css"}
+_PROOF_PATH = re.compile(r"/proof/[0-9a-f]{32}")
 #: Names under which a browser on this machine, or at the end of an SSH tunnel, may reach a loopback address.
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost")
 _HEADERS = [
@@ -96,7 +102,9 @@ _FROM_CLIENT = msgspec.json.Decoder(Acknowledge | Play | Seek | Step)
 class ViewerServer:
     """Serves a board to browsers; a context manager. `commands` receives what a page asks of a recording.
 
-    `port` 0 takes a free one; so does a taken port, with a warning. Raises `OSError` where the host has none.
+    `port` 0 takes a free one; so does a taken port, with a warning. Where `token_file` has the token of an earlier
+    process and its port is to be had, both are taken again, and pages that are open come back. Raises `OSError` where
+    the host has no port.
     """
 
     def __init__(
@@ -107,16 +115,22 @@ class ViewerServer:
         port: int = 0,
         max_clients: int = 16,
         commands: Callable[[Command], None] | None = None,
+        token_file: TokenFile | None = None,
     ) -> None:
         self._board, self._commands, self._max_clients = board, commands, max_clients
         self._hello = json_text(
             {"type": "hello", "protocol": 1, "title": title, "recording": commands is not None, "colours": COLOURS}
         )
-        self._token = secrets.token_urlsafe(24)
+        kept = token_file.recall() if token_file else None
         self._door = Door()
         self._clients: set[_Client] = set()
-        self._socket = _listen(port)
+        self._socket = _listen(kept.port if kept else port)
         self.port: int = self._socket.getsockname()[1]
+        #: Whether pages of an earlier process find this one at their address.
+        self.is_back = kept is not None and kept.port == self.port
+        self._token = kept.token if kept and self.is_back else secrets.token_urlsafe(24)
+        if token_file:
+            token_file.keep(self.port, self._token)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server = uvicorn.Server(self._config())
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
@@ -152,6 +166,7 @@ class ViewerServer:
 
     def _config(self) -> uvicorn.Config:
         routes = [
+            Route("/proof/{nonce}", self._prove),
             Route("/{token}/ws", _upgrade_required),
             WebSocketRoute("/{token}/ws", self._serve),
             Route("/{token}/{file:path}", _page),
@@ -194,6 +209,11 @@ class ViewerServer:
     def _wake_clients(self) -> None:
         for client in self._clients:
             client.news.set()
+
+    async def _prove(self, request: HTTPConnection) -> Response:
+        """That this server knows the token, without telling it."""
+        nonce: str = request.path_params["nonce"]
+        return PlainTextResponse(hmac.new(self._token.encode(), nonce.encode(), hashlib.sha256).hexdigest())
 
     async def _serve(self, websocket: WebSocket) -> None:
         """One client, from its door to its end."""
@@ -346,6 +366,8 @@ class _Gate:
             return "this comes from another page"
         if not _is_of_this_page(connection.headers):
             return "this was asked for by another page"
+        if connection.scope["type"] == "http" and _PROOF_PATH.fullmatch(connection.scope["path"]):
+            return ""
         # a path need not begin with a slash
         given = connection.scope["path"].partition("/")[2].partition("/")[0]
         if not hmac.compare_digest(given.encode(errors="replace"), self._token):

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from models.perception.object_error import object_distances
 from msgs.lidar import LidarSetup
 from msgs.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, TruthObject, Visibility
 from msgs.radar import RadarSetup, RangeAzimuthMap
@@ -35,6 +36,8 @@ SPAN_DB = 255 * STEP_DB
 _NOISE_UNITS = {"photons": "dB over ambient σ"}
 #: Tracks told to a page at most: more than anybody can look at.
 MAX_TRACKS = 100
+#: Fields of a true object that are no measures.
+_NO_NUMBERS = ("id", "object_class", "hidden")
 #: An ellipse of two sigma holds 86 % of a plane's normal distribution.
 ELLIPSE_SIGMAS = 2.0
 #: The colour scale "cividis" at 33 even places: even in lightness, the same to colour-blind readers.
@@ -70,7 +73,7 @@ def view_json(
             [*_metres((one.x_m, one.y_m, one.image_x_m, one.image_y_m)), round(one.score, 2), one.wall]
             for one in frame.points
         ],
-        "objects": [_object_json(one) for one in _placed(frame)],
+        "objects": [_object_json(one, truth) for one in _placed(frame)],
         "tracks": [_track_json(one, past) for one in _pressing(frame.tracks)],
         "tracks_total": len(frame.tracks),
         "mask": {
@@ -261,8 +264,10 @@ def _track_json(one: Track, past: Sequence[Past]) -> dict[str, Any]:
     }
 
 
-def _object_json(one: HiddenObject) -> dict[str, Any]:
+def _object_json(one: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]:
+    """A recovered object, with the nearest hidden true one and both errors (`models.perception.object_error`)."""
     return {
+        "nearest": None if truth is None else _nearest_json(one, truth),
         "id": one.id,
         "at": _metres((one.x_m, one.y_m)),
         "size": _metres((one.length_m, one.width_m)),
@@ -271,6 +276,22 @@ def _object_json(one: HiddenObject) -> dict[str, Any]:
         "ellipse": [round(part, 4) for part in ellipse(one.cov_m2)],
         "points": one.points,
     }
+
+
+def _nearest_json(one: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None:
+    """The hidden true object of the least face error; None where none is hidden, or none has a place."""
+    hidden = [other for other in truth.objects if other.hidden and _is_whole(other)]
+    distances = object_distances([one], truth, hidden)
+    if not hidden or not np.isfinite(distances.error_m).all():
+        return None
+    nearest = int(distances.error_m[0].argmin())
+    errors = {"face_error": distances.error_m[0, nearest], "centre_error": distances.centre_m[0, nearest]}
+    return {"class": hidden[nearest].object_class, **{name: round(float(value), 2) for name, value in errors.items()}}
+
+
+def _is_whole(one: TruthObject) -> bool:
+    """Whether all numbers of a true object are such: the bus lets any through."""
+    return all(math.isfinite(getattr(one, name)) for name in one.__struct_fields__ if name not in _NO_NUMBERS)
 
 
 def _truth_json(truth: SceneTruth, frame: BevFrame) -> dict[str, Any]:

@@ -33,7 +33,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # tests in the background of a shell: what is started from here would not hear the Ctrl-C that ends it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 #: A graph that the documentation starts in the background gets this long to be ready.
-READY_S = 60.0
+READY_S = 120.0
 
 #: Programs that a reader may have and a test machine need not.
 OPTIONAL = ("node", "npm")
@@ -178,7 +178,7 @@ class Runner:
         for process in self._background:
             process.send_signal(signal.SIGINT)
         for process in self._background:
-            output, _ = process.communicate(timeout=30)
+            output, _ = process.communicate(timeout=120)
             assert process.returncode == 0, f"ended with {process.returncode}: {process.args}: {output[-2000:]}"
         self._background.clear()
 

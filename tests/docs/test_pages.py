@@ -17,6 +17,7 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 #: Files of the reader's own that a page speaks of.
 GIVEN: dict[str, tuple[str, ...]] = {
     "README.md": ("drive.log", "car.dbc", "car.yaml"),
+    "docs/can-mapping.md": ("drive.log", "car.dbc", "car.yaml"),
     "docs/can-out.md": ("list.log",),
     "docs/convert.md": ("seen.mcap",),
     "docs/formats.md": ("seen.mcap",),

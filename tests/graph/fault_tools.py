@@ -16,7 +16,7 @@ from msgs.perception import BevFrame
 from msgs.zmq_bus import ZmqBus
 
 #: Nothing is measured against this: it ends a test that would wait for ever.
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 HEARD = ("perception/hidden_objects", "diagnostics/node", "log")
 ROOT = Path(__file__).parents[2]
 

@@ -73,7 +73,7 @@ def living_graph(tmp_path: Path, domain: str, recording: Path) -> Iterator[None]
         yield
     finally:
         graph.terminate()
-        graph.wait(timeout=30.0)
+        graph.wait(timeout=120.0)
 
 
 def lines_of(frame: BevFrame) -> tuple[str, bytes]:

@@ -17,7 +17,7 @@ from msgs.vehicle import VehicleState
 from msgs.zmq_bus import ZmqBus
 
 TOPIC = "vehicle/state"
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 PERIOD_S = 0.02
 
 pytestmark = [

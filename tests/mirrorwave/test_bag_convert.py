@@ -420,6 +420,16 @@ def test_odometry_follows_an_exact_circle_and_holds_over_gaps() -> None:
     assert odometry.advance(later) is None
 
 
+def test_odometry_takes_the_bias_of_the_yaw_rate_off() -> None:
+    """Ten seconds of rest at 0.02 rad/s, then straight on for ten: it turned in the half second before it stood."""
+    odometry, pose = Odometry(), None
+    for step in range(1000):
+        speed_mps = 0.0 if step < 500 else 5.0
+        pose = odometry.advance(VehicleState(stamp_ns=step * 20_000_000, speed_mps=speed_mps, yaw_rate_rps=0.02))
+    assert pose is not None
+    assert pose.yaw_rad == pytest.approx(0.01, abs=1e-3)
+
+
 def test_a_curved_wall_is_hollow_towards_its_normal() -> None:
     radius_m = 20.0
     wall = Wall(

@@ -8,6 +8,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from mirrorwave import cli, compare_run
 from mirrorwave.compare_evaluation import Score, score
@@ -19,6 +20,7 @@ from mirrorwave.compare_sensors import SENSORS, Sight, SpadSensor, count_thresho
 from mirrorwave.tradeoff_report import Interval
 from sim_player.comparison_scenes import Corner, corner_scene, shown_points
 from sim_player.scene import load_scene
+from tests.mirrorwave.figures import assert_readable_at_page_width
 
 PLAN = Plan(
     seed=3,
@@ -40,7 +42,9 @@ def row_of(report: Report, sweep: str, value: float | str, sensor: str) -> Row:
     return next(row for row in report.rows if (row.sweep, row.value, row.sensor) == (sweep, value, sensor))
 
 
-def test_all_files_are_written_and_say_the_same(made: tuple[Path, list[SceneResult], Report]) -> None:
+def test_all_files_are_written_and_say_the_same(
+    made: tuple[Path, list[SceneResult], Report], saved_figures: list[Figure]
+) -> None:
     out, _, report = made
     write_report(report, out)
     draw_comparison(report, out / "compare.png")
@@ -49,6 +53,23 @@ def test_all_files_are_written_and_say_the_same(made: tuple[Path, list[SceneResu
     assert text == markdown(report)
     assert all(one in text for one in report.findings)
     assert (out / "compare.png").stat().st_size > 10_000
+    assert_readable_at_page_width(saved_figures[-1])
+
+
+def test_panels_of_one_question_share_their_scale(
+    made: tuple[Path, list[SceneResult], Report], saved_figures: list[Figure], tmp_path: Path
+) -> None:
+    """Three ranges side by side, levels of 30 and of 90 dB among them: one scale, named once."""
+    report = made[2]
+    rows = [row for row in report.rows if row.sweep == "range"]
+    rows += [msgspec.structs.replace(row, sweep="range_glass", snr_db=90.0) for row in rows]
+    draw_comparison(msgspec.structs.replace(report, rows=rows), tmp_path / "a.png")
+    panels = {axes.get_title(): axes for axes in saved_figures[-1].axes}
+    first, second = panels["Level behind concrete"], panels["Level behind float glass"]
+    assert first.get_ylim() == second.get_ylim()
+    assert first.get_ylim()[1] > 90.0
+    assert [bool(axes.get_ylabel()) for axes in (first, second)] == [True, False]
+    assert first.get_xlabel() == "range to the image [m]"
 
 
 def test_near_is_found_and_x_band_reaches_farther(made: tuple[Path, list[SceneResult], Report]) -> None:

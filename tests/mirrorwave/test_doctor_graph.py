@@ -12,6 +12,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import psutil
@@ -36,9 +37,10 @@ from msgs.zmq_bus import socket_path
 from nodes.live_timing import ViewWatch
 from nodes.supervisor import read_lock
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 #: Holds two heartbeats, and so a rate.
 SHORT_S = 1.2
+VIEW = "topic perception/hidden_objects"
 LAUNCH = """
 name: toys
 nodes:
@@ -81,25 +83,44 @@ def pid_of(run_dir: Path, name: str) -> int:
     return pid
 
 
+def asked(words: list[str], is_so: Callable[[Any], Any], capsys: pytest.CaptureFixture[str]) -> Any:
+    """What a verb says once its short window held what is wanted."""
+    end_s = time.monotonic() + PATIENCE_S
+    while True:
+        code, said = main([*words, "--window", str(SHORT_S), "--json"]), capsys.readouterr().out
+        if code == 0 and is_so(told := json.loads(said)):
+            return told
+        assert time.monotonic() < end_s, said
+
+
+def _are_well(findings: dict[str, Finding]) -> bool:
+    wanted = [findings[check].status for check in (VIEW, "node head") if check in findings]
+    return wanted == [Status.OK] * 2 and Status.FAILED not in {one.status for one in findings.values()}
+
+
+def _is_understood(findings: dict[str, Finding]) -> bool:
+    waits, tail = VIEW in findings and "waits for" in findings[VIEW].detail, findings.get("node tail")
+    return bool(waits and tail and tail.status is not Status.FAILED)
+
+
+def _rates_of_tail(told: dict[str, Any]) -> list[float]:
+    return [link["hz"] for row in told["nodes"] if row["node"] == "tail" for link in row["inputs"] if link["hz"]]
+
+
 @pytest.mark.graph
 def test_the_node_that_fails_is_named_and_why(
     graph: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """One trouble after the other: none, garbage, a stopped node, a killed one."""
-    view = "topic perception/hidden_objects"
-    well = until(graph, lambda findings: view in findings and findings[view].status is Status.OK)
-    assert well["node head"].status is Status.OK
-    assert not any(finding.status is Status.FAILED for finding in well.values())
 
-    assert main(["node", "info", "tail", "--window", "1.2", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
+    until(graph, _are_well)
+    told = asked(["node", "info", "tail"], lambda told: told["received"], capsys)
     assert told["params"] == {"head": False}
     assert "nodes.node tests.mirrorwave.toy_chain" in told["command"]
     assert [row["topic"] for row in told["received"]] == ["perception/peaks"]
-    assert main(["graph", "--window", "1.2", "--json"]) == 0
-    drawn = {row["node"]: row for row in json.loads(capsys.readouterr().out)["nodes"]}
+
+    drawn = {row["node"]: row for row in asked(["graph"], _rates_of_tail, capsys)["nodes"]}
     assert [link["topic"] for link in drawn["head"]["outputs"]] == ["perception/peaks"]
-    assert drawn["tail"]["inputs"][0]["hz"] > 0.0
 
     with zmq.Context() as context, context.socket(zmq.PUB) as mallory:
         mallory.linger = 0
@@ -108,18 +129,17 @@ def test_the_node_that_fails_is_named_and_why(
         def heard(findings: dict[str, Finding]) -> bool:
             for _ in range(20):
                 mallory.send_multipart([b"perception/peaks\0", b"\xc1garbage"])
-            return "rejected" in findings["node tail"].detail
+            tail, seen = findings.get("node tail"), findings.get(VIEW)
+            is_named = tail and "rejected" in tail.detail and "perception/peaks from head, mallory" in tail.detail
+            return bool(is_named and tail.status is Status.WARNING and seen and seen.status is Status.OK)
 
-        garbage = until(graph, heard)
-    assert garbage["node tail"].status is Status.WARNING
-    assert "perception/peaks from head, mallory" in garbage["node tail"].detail
-    assert garbage[view].status is Status.OK
+        until(graph, heard)
     socket_path(graph, "perception/peaks", "mallory").unlink(missing_ok=True)
 
     pid = pid_of(graph, "head")
     os.kill(pid, signal.SIGSTOP)
     try:
-        stopped = until(graph, lambda findings: "waits for" in findings[view].detail)
+        stopped = until(graph, _is_understood)
         # two heartbeats are enough here
         monkeypatch.setattr(doctor_graph.graph_findings, "__defaults__", (SHORT_S,))
         assert main(["doctor", "--json"]) == 1
@@ -128,9 +148,8 @@ def test_the_node_that_fails_is_named_and_why(
         os.kill(pid, signal.SIGCONT)
     assert f"pid {pid} is stopped" in stopped["node head"].detail
     assert stopped["node head"].status is Status.FAILED
-    assert stopped["node tail"].status is not Status.FAILED
     assert stopped["topic perception/peaks"].detail == "silent: head gives no heartbeat"
-    assert stopped[view].detail == "silent: tail waits for perception/peaks: head gives no heartbeat"
+    assert stopped[VIEW].detail == "silent: tail waits for perception/peaks: head gives no heartbeat"
     assert checks["topic perception/peaks"]["status"] == "failed"
 
     os.kill(pid_of(graph, "head"), signal.SIGKILL)

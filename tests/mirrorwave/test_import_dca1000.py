@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,8 @@ from models.perception.cfar import CfarParams, detect
 from models.perception.dca1000 import array_params, frame_samples, parse_cfg
 from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.units import SPEED_OF_LIGHT_MPS
+from tests.captures import DATA, needs
 
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 AWR = DATA / "awr_77ghz_openradar" / "doppler_example_1.npy"
 LOOPS, SAMPLES = 32, 64
 #: Two transmitters of a row, 2 wavelengths apart; chirps 0 and 1 in turn.
@@ -383,7 +382,7 @@ def real_cfg() -> str:
     return text.replace(f"frameCfg 0 1 {LOOPS} 2", "frameCfg 0 1 128 1")
 
 
-@pytest.mark.skipif(not AWR.exists(), reason="doppler_example_1.npy is absent")
+@needs(AWR)
 def test_real_77_ghz_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The published samples in the board's own layout: a mover at 2.93 m, 0.56 m/s, 6.8 deg (docs/figures.md)."""
     raw = np.load(AWR)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -43,6 +44,23 @@ def test_order_does_not_matter(truth_first: bool) -> None:
     score = board.summary()
     assert (score.scans, score.objects, score.matched, score.missed, score.unmatched) == (1, 2, 1, 0, 1)
     assert score.mean_error_m == score.worst_error_m == pytest.approx(0.3)
+
+
+def test_the_error_is_told_to_the_face_and_to_the_centre(capsys: pytest.CaptureFixture[str]) -> None:
+    """A report 0.25 m before the seen face at x = 7.75 is 2.5 m from the centre at x = 10."""
+    seen = np.array([[7.75, 5.0, 0.5]], np.float32)
+    with_face = msgspec.structs.replace(
+        truth(0), mirrored_points_m=seen, hidden_points_m=seen, hidden_object=np.zeros(1, np.int32)
+    )
+    board = Scoreboard()
+    board.add_truth(with_face)
+    board.add_frame(frame(0, (7.5, 5.0)))
+    score = board.summary()
+    assert (score.mean_error_m, score.mean_centre_error_m) == (pytest.approx(0.25), pytest.approx(2.5))
+    board.print_table()
+    text = capsys.readouterr().out
+    assert "to centre [m]" in text
+    assert "error: to the nearest visible face of the true box or to its centre" in text
 
 
 def test_without_truth_nothing_is_claimed() -> None:

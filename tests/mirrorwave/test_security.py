@@ -164,7 +164,7 @@ def _as_link(path: Path) -> None:
         (lambda path: path.chmod(0o750), Grade.PROBLEM, "chmod 700"),
         (_as_link, Grade.PROBLEM, "rm "),
         (lambda path: path.parent.chmod(0o777), Grade.PROBLEM, "chmod o-w"),
-        (lambda path: path.parent.chmod(0o770), Grade.WARNING, "chmod g-w"),
+        (lambda path: path.parent.chmod(0o770), Grade.PROBLEM, "chmod g-w"),
         (lambda path: (path / "log@a").symlink_to("/nowhere"), Grade.PROBLEM, "rm "),
         (lambda path: (path / "log@a").touch() or (path / "log@a").chmod(0o666), Grade.WARNING, "chmod go-w"),
     ],

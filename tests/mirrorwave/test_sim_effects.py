@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from mirrorwave.cli import main
 from sim_player.effect_names import ALL_EFFECTS
+from tests.mirrorwave.figures import assert_readable_at_page_width
 
 SCENE = "launch/scenes/corner.yaml"
 
@@ -53,6 +56,42 @@ def test_paths_as_the_contract_says(capsys: pytest.CaptureFixture[str], tmp_path
         assert len(points) == row["order"] + 2
         assert 2.0 * np.linalg.norm(np.diff(points, axis=0), axis=1).sum() == pytest.approx(row["length_m"], abs=1e-9)
         assert 2.0 * np.linalg.norm(row["virtual_m"]) == pytest.approx(row["length_m"], abs=1e-9)
+
+
+def test_the_picture_of_paths_says_what_its_lines_mean(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], saved_figures: list[Figure]
+) -> None:
+    """Counts in the legend are those of `--json`; every line that is drawn has its sign."""
+    assert main(["sim", "paths", SCENE, "--plot", str(tmp_path / "a.png"), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    (figure,) = saved_figures
+    (axes,) = figure.axes
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("y, left [m]", "x, forward [m]")
+    (legend,) = figure.legends
+    signs = {text.get_text(): line for text, line in zip(legend.get_texts(), legend.legend_handles, strict=True)}
+    mirrors = ("direct", "by one mirror", "by two mirrors or more")
+    kinds = Counter((min(row["order"], 2) * (row["kind"] == "mnlos"), _passage(row["effects"])) for row in rows)
+    expected = {f"{mirrors[mirror]}{passage}: {count}": mirror for (mirror, passage), count in kinds.items()}
+    assert set(expected) <= set(signs)
+    assert sum(kinds.values()) == len(rows)
+    # as many lines have the colour of a sign as there are paths by so many mirrors
+    for mirror in range(3):
+        (colour,) = {signs[words].get_color() for words, of in expected.items() if of == mirror}
+        count = sum(number for (of, _), number in kinds.items() if of == mirror)
+        assert sum(line.get_color() == colour for line in axes.lines) == count
+    others = {words for words in signs if words not in expected}
+    assert {words.split(":")[0] for words in others} == {
+        "dark", "pale", "wall of brick, relay", "wall of concrete, relay", "wall of concrete, occluder", "object",
+        "radar",
+    }  # fmt: skip
+    assert_readable_at_page_width(figure)
+
+
+def _passage(effects: list[str]) -> str:
+    """How a path passes walls, in the picture's words."""
+    if "edge_diffraction" in effects:
+        return ", bent at a wall's end (drawn straight)"
+    return ", through a wall" if "wall_transmission" in effects else ""
 
 
 def test_ways_by_two_walls_are_followed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import attacks_ipc, attacks_link
+from benchmarks import attacks_hangup, attacks_ipc, attacks_link
 from benchmarks.link_stand import Stand
 from benchmarks.raw_peers import scripts
 from msgs.zmq_bus import make_run_dir
@@ -16,6 +16,8 @@ from msgs.zmq_bus import make_run_dir
 TRIES = 1
 #: What the exporting process may open.
 OPEN_FILES = 128
+#: A user that is nobody here.
+STRANGER = 54_321
 
 
 def test_the_injector_is_sharp() -> None:
@@ -34,9 +36,17 @@ def test_another_user_is_kept_out_of_the_bus() -> None:
     ]
 
 
+@pytest.mark.graph
+def test_peers_that_leave_at_once_end_no_process() -> None:
+    """A publisher of a latched topic once died of the first: it changed an option of a connection that was closing."""
+    rows = list(attacks_hangup.rows(200, seed=0))
+    assert [(row.attack, row.said) for row in rows if row.said != "goes on" or not row.serves] == []
+    assert sum(row.tried for row in rows) == 7 * 200 + 5 * 20
+
+
 def test_a_meeting_place_is_not_one_where_everybody_may_rename(tmp_path: Path) -> None:
     tmp_path.chmod(0o777)
-    with pytest.raises(ValueError, match=r"everybody may rename what is in it; chmod o-w, or \+t"):
+    with pytest.raises(ValueError, match=r"others may rename what is in it; chmod go-w, or \+t"):
         make_run_dir(tmp_path / "graph")
     tmp_path.chmod(0o1777)
     make_run_dir(tmp_path / "graph")
@@ -44,15 +54,26 @@ def test_a_meeting_place_is_not_one_where_everybody_may_rename(tmp_path: Path) -
 
 
 def test_a_meeting_place_of_another_user_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Root gives it away; anybody else, who cannot, becomes another."""
     make_run_dir(tmp_path / "graph")
     owner = os.geteuid()
-    monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
     if owner == 0:
-        # what is root's is nobody else's
-        make_run_dir(tmp_path / "graph")
+        os.chown(tmp_path / "graph", STRANGER, -1)
     else:
-        with pytest.raises(ValueError, match="must belong to who runs the graph or to root"):
-            make_run_dir(tmp_path / "graph")
+        monkeypatch.setattr(os, "geteuid", lambda: owner + 1)
+    with pytest.raises(ValueError, match="must belong to who runs the graph or to root"):
+        make_run_dir(tmp_path / "graph")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root has what is root's")
+def test_a_meeting_place_of_root_serves_everybody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_run_dir(tmp_path / "graph")
+    monkeypatch.setattr(os, "geteuid", lambda: STRANGER)
+    make_run_dir(tmp_path / "graph")
+    # but a place that is not theirs either is refused to them
+    os.chown(tmp_path / "graph", STRANGER + 1, -1)
+    with pytest.raises(ValueError, match=f"is user {STRANGER + 1}'s"):
+        make_run_dir(tmp_path / "graph")
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +89,14 @@ def test_no_plain_peer_gets_in(stand: Stand) -> None:
     count, got_in, closed = attacks_link.call_all(stand, list(tried.values()))
     assert (count, got_in, closed) == (len(tried), 0, f"closed {len(tried)}")
     assert count == 15
+    assert stand.serves()
+
+
+@pytest.mark.graph
+def test_peers_that_leave_at_once_end_no_link(stand: Stand) -> None:
+    assert attacks_link.leave_raw(stand, 100)[:2] == (100, 0)
+    attacks_link.leave(stand, 5, seed=0)
+    attacks_link.cut_early(stand, 5, seed=0)
     assert stand.serves()
 
 

@@ -417,6 +417,21 @@ def test_any_scalar_values_survive(message: VehicleState) -> None:
     assert struct.pack("<d", again.speed_mps) == struct.pack("<d", message.speed_mps)
 
 
+def test_vehicle_states_of_an_older_version_know_no_wheels() -> None:
+    """A recording of before lacks the difference of the wheels: None, and all else as it was."""
+    state = VehicleState(stamp_ns=7, speed_mps=3.0, yaw_rate_rps=0.1, steering_rad=0.2, age_s=0.01)
+    new = msgspec.msgpack.decode(encode_inline(state))
+    assert new.pop("wheel_speed_difference_mps") is None
+    assert set(new) == {"stamp_ns", "speed_mps", "yaw_rate_rps", "steering_rad", "valid", "reason", "age_s"}
+    assert decode_inline(VehicleState, msgspec.msgpack.encode(new)) == state
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -3e7])
+def test_a_difference_of_wheels_that_is_none_is_refused(value: float) -> None:
+    with pytest.raises(ValueError, match=r"vehicle\.wheel_speed_difference_mps must lie in"):
+        VehicleState(stamp_ns=7, wheel_speed_difference_mps=value)
+
+
 def test_heartbeats_of_an_older_version_read_as_zero() -> None:
     """New fields have defaults: what a recording of before lacks was not counted then."""
     old = {

@@ -28,7 +28,7 @@ from msgs.vehicle import VehicleState
 from tests.msgs.test_codec import CASES, assert_same
 
 #: Ends a test that hangs; every wait below ends as soon as what it waits for is there.
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 #: The peer was started so much before us.
 AHEAD_NS = 10**15
 
@@ -412,4 +412,5 @@ def test_a_peer_that_pauses_is_said_to_be_silent_and_nothing_is_lost(
         exporter.send(speed(number))
     bench.until(lambda: len(bench.came) == 100)
     bench.until(lambda: "lost nothing" in caplog.text)
-    assert not importer.trouble()
+    # until the next silence of one that gets no core
+    bench.until(lambda: not importer.trouble())

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,8 +15,8 @@ import sigmf
 
 from msgs.radar import ArrayParams, BeamGrid, ElementPattern, RadarBeam, RadarParams, RadarSetup
 from msgs.sigmf_capture import SigmfCapture, write_capture
+from tests.captures import DATA, needs
 
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 ALLEY = DATA / "sigmf_alley" / "alley.sigmf-meta"
 ANGLES_DEG = (-20.0, -1.1, 17.3)
 SETUP = RadarSetup(
@@ -97,7 +96,7 @@ def test_the_sigmf_library_reads_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(recording.read_samples_in_capture(0), first[:, 0] + 1j * first[:, 1])
 
 
-@pytest.mark.skipif(not ALLEY.exists(), reason="capture sigmf_alley is absent")
+@needs(ALLEY)
 def test_independent_capture_reads_with_defaults() -> None:
     capture = SigmfCapture.open(ALLEY)
     assert len(capture) == 25

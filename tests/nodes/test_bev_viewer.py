@@ -29,7 +29,7 @@ from nodes.viewer.assembly import Assembly
 from nodes.viewer.board import Board, json_text
 from nodes.viewer.server import MAX_CLIENT_MESSAGE_BYTES, MAX_CLIENT_MESSAGES_PER_S, Play, Seek, ViewerServer
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 
 
 @pytest.fixture

@@ -2,13 +2,24 @@
 
 from __future__ import annotations
 
+import inspect
+import itertools
+import logging
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.yaw_bias import limited
+from models.perception.cfar import CfarParams
+from models.perception.detectors import NetworkDetector, detector_name
+from models.perception.named import NamedParams
+from models.perception.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.peaks import PeakParams
 from models.perception.ra_forming import RaFormer
+from models.perception.refinement import RefinementParams
 from msgs.bus import Envelope, Received
 from msgs.diagnostics import NodeState
 from msgs.perception import BevFrame, Peaks
@@ -16,6 +27,8 @@ from msgs.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMa
 from msgs.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
+from tests.perception.test_confidence import model, scan_of
+from tests.perception.test_yaw_rate_bias import drive, town, turns
 
 
 def received(message: msgspec.Struct, topic: str) -> Received:
@@ -43,18 +56,120 @@ def test_noise_becomes_an_empty_view_of_the_same_scan(method: str) -> None:
     assert (view.message.stamp_ns, view.message.scan_id, view.message.objects) == (7, 3, ())
 
 
-def test_the_published_peaks_stand_beside_ours() -> None:
-    """One scene, both ways: the same kind of answer, other places."""
+@pytest.fixture(scope="module")
+def corner_map() -> RangeAzimuthMap:
+    """One scan of a simulated corner."""
     player = scene_player(Params(scene="launch/scenes/corner.yaml", chirps_per_beam=16))
     former = RaFormer(player.setup)
     (ra_map,) = [ra_map for index in range(25) for ra_map in former.add(player.beam(0, index))]
-    ours, published = (
-        dense_predictor.create(dense_predictor.Params(refine=refine)).step([received(ra_map, "radar/ra_map")], 0)
-        for refine in (True, False)
+    return ra_map
+
+
+def detected(ra_map: RangeAzimuthMap, **params: Any) -> Peaks:
+    """What the node finds in a map."""
+    (out,) = dense_predictor.create(dense_predictor.Params(**params)).step([received(ra_map, "radar/ra_map")], 0)
+    assert isinstance(out.message, Peaks)
+    assert len(out.message) > 0
+    return out.message
+
+
+def test_the_published_peaks_stand_beside_ours(corner_map: RangeAzimuthMap) -> None:
+    """One scene, both ways: the same kind of answer, other places."""
+    ours, published = (detected(corner_map, refine=refine) for refine in (True, False))
+    assert ours.azimuth_rad.tolist() != published.azimuth_rad.tolist()
+
+
+def test_scores_become_probabilities_by_the_cards_table_where_asked_for(corner_map: RangeAzimuthMap) -> None:
+    """The committed network's table says 0.184623 is 0.662086 and 0.193579 is 0.696039, straight between; the same
+    peaks either way. Of every peak found the score is read off the table's knots here. Tolerance: rounding.
+    """
+    table = load_card(DEFAULT_MODEL).calibration
+    assert table[1:3] == ((0.184623, 0.662086), (0.193579, 0.696039))
+    plain, calibrated = (detected(corner_map, calibrate=calibrate) for calibrate in (False, True))
+    np.testing.assert_array_equal(calibrated.range_m, plain.range_m)
+    for score, probability in zip(plain.score.tolist(), calibrated.score.tolist(), strict=True):
+        (low, at_low), (high, at_high) = next(pair for pair in itertools.pairwise(table) if pair[1][0] >= score)
+        assert probability == pytest.approx(at_low + (at_high - at_low) * (score - low) / (high - low), abs=1e-12)
+    assert (calibrated.score > plain.score + 0.05).any()
+
+
+def mirrored(ra_map: RangeAzimuthMap) -> RangeAzimuthMap:
+    """The same map with left and right exchanged."""
+    return msgspec.structs.replace(ra_map, values=np.ascontiguousarray(ra_map.values[:, ::-1]))
+
+
+def test_with_the_flip_test_left_and_right_are_alike(corner_map: RangeAzimuthMap) -> None:
+    """The mean answer to a map and to its mirror image is the same for both but for the side: peaks of the mirrored map
+    lie at the negative azimuths, with equal scores. Without it the network's own asymmetry shows. Tolerance of scores:
+    1e-5, the order of a float32 network's sums over 512 x 256 cells.
+    """
+    for flip_test in (True, False):
+        here, there = (detected(one, flip_test=flip_test) for one in (corner_map, mirrored(corner_map)))
+        assert here.detector.endswith("/flip_test") == flip_test
+        rows = [
+            sorted(zip(peaks.range_m, side * peaks.azimuth_rad, peaks.score, strict=True))
+            for peaks, side in ((here, 1.0), (there, -1.0))
+        ]
+        same = len(rows[0]) == len(rows[1]) and np.allclose(rows[0], rows[1], rtol=0.0, atol=1e-5)
+        assert same == flip_test
+
+
+def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each differs from its default and is handed on under its own name."""
+    handed: dict[str, Any] = {}
+    signature = inspect.signature(NetworkDetector)
+
+    def detector(*args: Any, **kwargs: Any) -> str:
+        handed.update(signature.bind(*args, **kwargs).arguments)
+        return "network"
+
+    monkeypatch.setattr(dense_predictor, "NetworkDetector", detector)
+    monkeypatch.setattr(dense_predictor, "CfarDetector", lambda *args: args)
+    setup = RadarSetup(beat_sign=-1)
+    params = dense_predictor.Params(
+        model="compact_unet.int8",
+        threads=3,
+        refine="likelihood",
+        refinement=RefinementParams(iterations=7),
+        flip_test=True,
+        calibrate=True,
+        named=NamedParams(threshold=0.3),
+        peaks=PeakParams(threshold=0.35),
+        cfar=CfarParams(quantile=0.4),
     )
-    assert len(ours[0].message) > 0
-    assert len(published[0].message) > 0
-    assert ours[0].message.azimuth_rad.tolist() != published[0].message.azimuth_rad.tolist()
+    assert dense_predictor.detector_for(params, setup) == "network"  # type: ignore[comparison-overlap]
+    path = handed.pop("model")
+    assert path.name == "compact_unet.int8.onnx"
+    names = ("threads", "refine", "refinement", "flip_test", "calibrate", "named")
+    assert handed == {name: getattr(params, name) for name in names} | {"setup": setup, "params": params.peaks}
+    by_cfar = msgspec.structs.replace(params, method="cfar")
+    assert dense_predictor.detector_for(by_cfar, setup) == (setup, params.cfar)  # type: ignore[comparison-overlap]
+
+
+def test_the_geometry_node_heeds_a_confidence_of_its_detector(tmp_path: Path) -> None:
+    """Two images, 35 and 5 dB strong, folded in a facade: of p = sigmoid(2 tanh((snr - 20) / 10) - 0.5) they have
+    sigmoid(2 tanh(1.5) - 0.5) = 0.7876 and sigmoid(2 tanh(-1.5) - 0.5) = 0.0902. At a threshold of 0.5 the first is
+    kept with that score. Without a model, and with one of another detector's peaks, both keep the score 0.9 of their
+    peaks. Tolerance: the digits given.
+    """
+    peaks = msgspec.structs.replace(scan_of([35.0, 5.0]), detector="ours")
+    scores = {}
+    for name, of_detector in (("any", ""), ("ours", "ours"), ("theirs", "theirs")):
+        path = tmp_path / f"{name}.json"
+        path.write_bytes(msgspec.json.encode(model(detector=of_detector)))
+        node = geometry.create(geometry.Params(confidence=str(path)))
+        (view,) = node.step([received(peaks, "perception/peaks")], 0)
+        scores[name] = [point.score for point in view.message.points]
+    (view,) = geometry.create(geometry.Params(confidence="none")).step([received(peaks, "perception/peaks")], 0)
+    assert [point.score for point in view.message.points] == scores["theirs"] == [0.9, 0.9]
+    assert scores["any"] == scores["ours"] == [pytest.approx(0.7876, abs=1e-4)]
+
+
+def test_the_default_confidence_is_that_of_the_default_network() -> None:
+    *_, fitted = geometry.parts_of(geometry.Params(confidence="default"))
+    assert fitted is not None
+    assert fitted.detector == detector_name(load_card(DEFAULT_MODEL).sha256, "pursuit", False)
+    assert geometry.parts_of(geometry.Params())[2] is None
 
 
 def test_a_missing_model_ends_the_node_at_start(tmp_path: Path) -> None:
@@ -75,6 +190,33 @@ def test_a_view_carries_the_vehicles_motion_at_its_scan() -> None:
     # the scan began at 7
     (view,) = node.step([received(peaks.message, "perception/peaks"), *states], 0)
     assert view.message.ego.speed_mps == 7.0
+
+
+@pytest.mark.parametrize("kept", ["nothing", "steering and wheels"])
+def test_the_log_says_once_whether_the_bias_of_the_yaw_rate_is_known(
+    kept: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    """40 s in town without a standstill: from steering and wheels the bias is known, without them the log says why."""
+    detect = dense_predictor.create(dense_predictor.Params(method="cfar"))
+    (peaks,) = detect.step([received(noise_map(), "radar/ra_map")], 0)
+    node = geometry.create(geometry.Params())
+    states = drive(40.0, town, turns)
+    if kept == "nothing":
+        states = limited(states, steering=False, wheels=False)
+    with caplog.at_level(logging.INFO, logger="nodes.geometry"):
+        for scan_id in range(130):
+            stamp_ns = scan_id * 300_000_000
+            here = [state for state in states if stamp_ns - 300_000_000 < state.stamp_ns <= stamp_ns]
+            scan = msgspec.structs.replace(peaks.message, scan_id=scan_id, stamp_ns=stamp_ns)
+            inputs = [received(state, "vehicle/state") for state in here]
+            node.step([*inputs, received(scan, "perception/peaks")], stamp_ns)
+    (record,) = [one for one in caplog.records if "yaw rate bias" in one.message]
+    if kept == "nothing":
+        assert record.levelno == logging.WARNING
+        assert record.message.endswith("the vehicle never stood, and neither steering nor wheel speeds are known")
+    else:
+        assert record.levelno == logging.INFO
+        assert record.message.endswith("from driving")
 
 
 def test_maps_and_setups_that_do_not_suit_the_network_are_refused_and_said() -> None:

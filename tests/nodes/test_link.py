@@ -20,6 +20,7 @@ from msgs.curve_keys import generate
 from msgs.diagnostics import LogRecord, NodeState
 from msgs.local_bus import LocalNetwork
 from msgs.radar import RadarSetup
+from msgs.tally import MAX_LATCHED
 from msgs.vehicle import VehicleState
 from msgs.zmq_bus import ZmqBus
 from nodes.launch_file import merged, read_launch_file
@@ -27,7 +28,7 @@ from nodes.link import Link
 from nodes.node import Heartbeat, Stop, load_node, run_loop
 
 ROOT = Path(__file__).resolve().parents[2]
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class Host:
@@ -243,3 +244,18 @@ def test_what_is_forwarded_is_latched_for_each_origin_and_spends_no_number_of_ou
                 came |= {one.envelope.publisher: one.envelope.sequence for one in late.receive(0.02)}
             assert came == {"front.radar": 4, "rear.radar": 8, "link": 0}
             assert late.counts()[0][0].lost == 0
+
+
+def test_a_newcomer_gets_the_last_message_of_all_origins_at_once(meeting: Path) -> None:
+    """Its connection must hold them all before it has read the first: it does not look at what comes for a while."""
+    with closing(ZmqBus("link", meeting)) as link, closing(ZmqBus("late", meeting)) as late:
+        for index in range(MAX_LATCHED):
+            link.forward(forwarded(f"front.radar{index}", index))
+        late.subscribe("radar/setup")
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not link.subscribers("radar/setup"):
+            assert time.monotonic() < deadline_s, "never subscribed"
+        came: set[str] = set()
+        while len(came) < MAX_LATCHED:
+            assert time.monotonic() < deadline_s, f"{len(came)} of {MAX_LATCHED} came"
+            came |= {received.envelope.publisher for received in late.receive(0.02)}

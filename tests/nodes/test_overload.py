@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.bus import Bus
+from msgs.bus import Bus, Envelope, Received
 from msgs.diagnostics import NodeState
 from msgs.local_bus import Faults, LocalNetwork
 from msgs.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
 from nodes.live_timing import DEADLINE_S, last_beam_ns
 from nodes.node import Node, _turn
-from nodes.ra_former import Params, RaFormerNode, create
+from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
 from nodes.viewer.assembly import LATE_MAP_PERIOD_NS, Assembly
 from nodes.viewer.board import Board
 from tests.nodes.test_bev_viewer import frame, ra_map
@@ -206,6 +206,30 @@ def test_a_scan_with_few_holes_is_published_and_says_so() -> None:
 
 def test_the_limit_of_holes_is_a_parameter() -> None:
     assert len(torn_maps(drop=0.1, missing_limit=0.0)[1]) == 5
+
+
+@pytest.mark.parametrize(("lost", "published"), [(5, True), (6, False)])
+def test_the_limit_of_holes_counts_the_beams_that_are_looked_at(lost: int, published: bool) -> None:
+    """Every other beam is looked at: 13 of 25, of which 0.4 is 5.2. Five may be lost on the bus, not six; of all 25
+    beams it would be ten. Numbers of messages jump where beams were lost.
+    """
+    node = create(Params(beam_step=2))
+    known = Envelope(publisher="radar", topic="radar/setup", sequence=0, sent_ns=0)
+    node.step([Received("radar/setup", SETUP, known)], 0)
+    gone = set(range(2, 2 + 2 * lost, 2))
+    maps: list[RangeAzimuthMap] = []
+    for index in sorted(set(range(BEAMS)) - gone):
+        beam = RadarBeam(
+            stamp_ns=index * SETUP.beam_interval_ns, scan_id=0, beam_index=index, beam_count=BEAMS,
+            azimuth_rad=float(SETUP.beams.azimuth_rad[index]), samples=NOISE, full_scale_dbm=SETUP.full_scale_dbm,
+        )  # fmt: skip
+        envelope = Envelope(publisher="radar", topic="radar/beam", sequence=index, sent_ns=0)
+        maps += [out.message for out in node.step([Received("radar/beam", beam, envelope)], 0)]
+    maps += [out.message for out in node.step([], PATIENCE_NS)]
+    assert [one.missing_beams for one in maps] == ([tuple(sorted(gone))] if published else [])
+    assert [(one.what, one.reason, one.count) for one in node.shed.counts()] == (
+        [] if published else [("scan", "torn", 1)]
+    )
 
 
 @pytest.mark.parametrize("change", [{"behind": 0.0}, {"behind": float("nan")}, {"missing_limit": 1.5}])

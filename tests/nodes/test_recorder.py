@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import secrets
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -244,27 +245,72 @@ def test_a_disk_that_refuses_degrades_the_node(tmp_path: Path, monkeypatch: pyte
     assert bench.recorder.messages + bench.recorder.missed == 30
 
 
-def test_too_little_room_ends_the_recording_in_good_order(
+def test_too_little_room_ends_the_recording_before_it_is_used(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    """Warned before, whole up to the last message, its end and what was missed said in the file and on the bus."""
-    free = 3_000_000
-    monkeypatch.setattr("nodes.recorder.free_bytes", lambda folder: free)
-    bench = Bench(tmp_path / "a.mcap", min_free_bytes=2_000_000)
-    bench.states(100)
-    free = 2_000_100
-    bench.states(1)
-    assert "room for less than 60 s" in caplog.text
-    free = 1_999_999
-    bench.states(5)
+    """Warned before; at no time, and not with its index, does the file leave less than was to stay free."""
+    path, kept = tmp_path / "a.mcap", 2_000_000
+    disk = kept + 200_000
+    seen: list[int] = []
+
+    def free_bytes(folder: Path) -> int:
+        seen.append(disk - (512 * path.stat().st_blocks if path.exists() else 0))
+        return seen[-1]
+
+    monkeypatch.setattr("nodes.recorder.free_bytes", free_bytes)
+    bench = Bench(path, topics=("log", "vehicle/state"), min_free_bytes=kept)
+    for _ in range(200):
+        # a second of it is a chunk, written at once: it does not compress
+        bench.say("log", LogRecord(stamp_ns=0, node="a", level="info", text=secrets.token_hex(1500)))
+        bench.states(1)
     assert bench.recorder.health()[0] is NodeState.DEGRADED
-    assert bench.recorder.missed == 5
+    assert "room for less than 60 s" in caplog.text
     bench.recorder.close()
-    found = info(tmp_path / "a.mcap")
-    assert (found.complete, found.loss) == (True, None)
+    assert disk - 512 * path.stat().st_blocks >= kept
+    assert min(seen) >= kept
+    # and it does not stop long before: a chunk in progress and the index were to find room
+    assert path.stat().st_size > 60_000
+    found = info(path)
+    assert (found.complete, found.checksums_agree, found.loss) == (True, True, None)
     assert found.losses is not None
     assert "are to stay free" in str(found.losses.ended)
-    assert found.topics[0].messages == 101
+    counted = {topic.topic: topic.messages for topic in found.topics}
+    missed = {topic.topic: topic.missed for topic in found.losses.topics}
+    assert {topic: counted[topic] + missed[topic] for topic in ("log", "vehicle/state")} == {
+        "log": 200,
+        "vehicle/state": 200,
+    }
+    assert sum(missed.values()) == bench.recorder.missed
+
+
+def test_what_came_after_the_end_is_in_the_file_where_there_is_room_for_that(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The file was finished before; where it cannot grow it stays as it was."""
+    for name, has_room in (("a", True), ("b", False)):
+        bench = Bench(tmp_path / f"{name}.mcap")
+        bench.states(12)
+        with monkeypatch.context() as patch:
+            patch.setattr("nodes.recorder.free_bytes", lambda folder: 0)
+            bench.states(1)
+        before = info(tmp_path / f"{name}.mcap")
+        bench.states(4)
+
+        def refuse(*arguments: object) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            if not has_room:
+                patch.setattr("os.posix_fallocate", refuse)
+            bench.recorder.close()
+        found = info(tmp_path / f"{name}.mcap")
+        assert (found.complete, found.checksums_agree, found.loss) == (True, True, None)
+        assert found.topics == before.topics
+        assert before.losses is not None
+        assert found.losses is not None
+        assert found.losses.ended == before.losses.ended
+        missed = [topic.missed for topic in found.losses.topics if topic.topic == "vehicle/state"]
+        assert missed == ([5] if has_room else [])
 
 
 def test_the_next_part_may_find_no_room(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

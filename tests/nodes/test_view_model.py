@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import struct
+import subprocess
+import sys
 
 import msgspec
 import numpy as np
@@ -108,6 +110,8 @@ def test_a_view_is_told_exactly() -> None:
     assert told["points"] == [[11.0, 8.0, 29.0, 8.0, 0.88, 0]]
     assert told["objects"] == [
         {
+            # 0.6 m and 0.8 m from the car's centre at (11, 9.3): 1 m by Pythagoras, and no face of it is visible
+            "nearest": {"class": "car", "face_error": 1.0, "centre_error": 1.0},
             "id": 0, "at": [11.6, 8.5], "size": [4.4, 1.8], "yaw": 0.5, "score": 0.913,
             "ellipse": [2.0, 1.0, 1.5708], "points": 3,
         }
@@ -123,6 +127,29 @@ def test_a_view_is_told_exactly() -> None:
     assert told["truth"]["surfaces"][0]["line"] == [20.0, -9.0, 20.0, 9.0]
     assert told["vehicle"] == {"speed_mps": 3.46, "yaw_rate_rps": 0.01, "valid": True, "reason": ""}
     assert told["flags"] == ["incoherent"]
+
+
+def test_errors_are_to_the_visible_face_and_to_the_centre() -> None:
+    """The front of a car along x is seen, at x = 13.25; an object 0.5 m before it is 2.75 m off the centre."""
+    replace, front = msgspec.structs.replace, np.array([[13.25, 9.0, 0.0]], np.float32)
+    along_x = replace(truth().objects[0], yaw_rad=0.0, velocity_x_mps=0.0)
+    seen = replace(
+        truth(), objects=(along_x,), mirrored_points_m=front, hidden_points_m=front, hidden_object=np.zeros(1, np.int32)
+    )
+    (told,) = view_json(frame((hidden(x_m=13.75, y_m=9.3),)), seen, None)["objects"]
+    assert told["nearest"] == {"class": "car", "face_error": 0.5, "centre_error": 2.75}
+
+
+def test_no_error_is_told_against_what_has_no_place() -> None:
+    lost = msgspec.structs.replace(truth().objects[0], x_m=math.nan)
+    for what in (msgspec.structs.replace(truth(), objects=(lost,)), None):
+        assert view_json(frame((hidden(),)), what, None)["objects"][0]["nearest"] is None
+
+
+def test_the_page_loads_no_compiler() -> None:
+    """The viewer is the lightest node: numba alone would double its memory and its time to start."""
+    code = "import sys, nodes.bev_viewer; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=300).returncode == 0
 
 
 def test_of_many_tracks_the_most_pressing_are_told() -> None:

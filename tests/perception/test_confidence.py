@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,19 @@ def test_places_of_other_walls_support_and_those_of_the_same_keep_company() -> N
     np.testing.assert_allclose(found["support"], [0.8, far, 0.8], atol=1e-12)
     np.testing.assert_allclose(found["company"], [math.log(2.0), math.log(2.0), 0.0], atol=1e-12)
     np.testing.assert_allclose(found["company_score"], [0.8, 0.8, 0.0], atol=1e-12)
+
+
+def test_places_that_another_second_wall_folded_support_too() -> None:
+    """All three by the facade first; the second and third by the side wall too, 1.5 m apart, the third on the first."""
+    three = places([[12.0, 8.0], [12.0, 6.5], [12.0, 8.0]], [[28.0, 8.0], [28.0, 6.5], [28.0, 8.0]], [0, 0, 0])
+    three = replace(three, second=np.array([NO_WALL, 1, 1]))
+    rows = place_features(three, [FACADE, SIDE], returns_at([], []), RecoveryParams())
+    found = {name: rows[:, FEATURES.index(name)] for name in FEATURES}
+    far = 0.8 * math.exp(-(1.5**2))
+    np.testing.assert_allclose(found["support"], [0.8, far, 0.8], atol=1e-12)
+    np.testing.assert_allclose(found["company"], [0.0, math.log(2.0), math.log(2.0)], atol=1e-12)
+    np.testing.assert_allclose(found["company_score"], [0.0, 0.8, 0.8], atol=1e-12)
+    np.testing.assert_array_equal(found["twice"], [0.0, 1.0, 1.0])
 
 
 def test_probability_is_the_networks() -> None:

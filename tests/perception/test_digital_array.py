@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
 
 from models.perception.digital_array import DigitalArrayParams, form_digital_map, range_doppler
 from msgs.radar import RangeAzimuthGrid
+from tests.captures import DATA, needs
 
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 AWR = DATA / "awr_77ghz_openradar" / "doppler_example_1.npy"
 PHASER = DATA / "xband_cn0566_fmcw" / "hex"
 
@@ -131,7 +128,7 @@ def test_wrong_shapes_and_grids_are_refused() -> None:
         DigitalArrayParams(channel_slot=(0, 1))
 
 
-@pytest.mark.skipif(not AWR.exists(), reason="doppler_example_1.npy is absent")
+@needs(AWR)
 def test_real_77_ghz_capture() -> None:
     """Indoor capture of a slow mover: 2.93 m (bin 60), 0.58 m/s, 6.5 deg off boresight as channel phases tell.
 
@@ -150,7 +147,7 @@ def test_real_77_ghz_capture() -> None:
     assert abs(np.degrees(formed.map.grid.azimuth_rad[column])) == pytest.approx(6.5, abs=1.0)
 
 
-@pytest.mark.skipif(not PHASER.exists(), reason="post_ddc_*.hex is absent")
+@needs(PHASER)
 def test_real_x_band_burst() -> None:
     """One summed channel, 32 chirps: the strongest return stands still at 6.5 m.
 

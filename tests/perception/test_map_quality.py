@@ -100,6 +100,23 @@ def test_a_drowned_beam_is_named_but_not_two_in_a_row() -> None:
     assert not drowned_beams(np.full(1, NOISE_MW)).any()
 
 
+def test_drowned_beams_are_judged_by_the_median_of_all() -> None:
+    """A beam counts from 6 dB, a ratio of 3.981, over the median beam, which holds the plain noise in both cases.
+
+    Seven of 25 beams 30 dB up, none beside another: all seven are named. Judged by the mean they would lift the limit
+    to 3.981 * (18 + 7000) / 25 = 1118 times the noise and go unseen. One beam at 4.2 times the noise is named, at 3.9
+    times not; by the mean the limit would be 3.981 * (24 + 4.2) / 25 = 4.49.
+    """
+    several = [1, 4, 7, 10, 13, 16, 19]
+    noise_mw = np.full(BEAMS, NOISE_MW)
+    noise_mw[several] *= 1000.0
+    assert np.flatnonzero(drowned_beams(noise_mw)).tolist() == several
+    for ratio, named in ((4.2, [12]), (3.9, [])):
+        noise_mw = np.full(BEAMS, NOISE_MW)
+        noise_mw[12] *= ratio
+        assert np.flatnonzero(drowned_beams(noise_mw)).tolist() == named
+
+
 @pytest.mark.parametrize("level_db", [25.0, 45.0, 70.0])
 def test_a_tone_in_every_beam_is_a_spur(level_db: float) -> None:
     profiles, rng = _profiles(3), np.random.default_rng(3)

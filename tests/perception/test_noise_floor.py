@@ -72,6 +72,19 @@ def test_corner_and_tone_are_found_under_an_echo() -> None:
     assert spur.power_dbm == pytest.approx(SPUR_DBM, abs=0.5)
 
 
+@pytest.mark.parametrize("beat_sign", [1, -1])
+def test_a_tone_is_named_by_the_sign_of_the_receivers_beats(beat_sign: int) -> None:
+    """Codes hold a tone at +123.4 MHz. Where positive ranges make negative beats it lies on the other side of zero,
+    where no echo is: -123.4 MHz. Tolerance 2 kHz: a twentieth of a bin, 1 / 21.8 us."""
+    setup = RadarSetup(radar=RADAR, beat_sign=beat_sign)
+    meter = NoiseMeter(setup)
+    for index in range(4):
+        meter.add(beam(index, spur=True))
+    (spur,) = meter.result().spurs
+    assert spur.frequency_hz == pytest.approx(beat_sign * SPUR_HZ, abs=2e3)
+    assert spur.power_dbm == pytest.approx(SPUR_DBM, abs=0.5)
+
+
 def test_captures_that_tell_nothing_are_refused() -> None:
     with pytest.raises(ValueError, match="chirps_per_beam must be at least 8, got 4"):
         NoiseMeter(RadarSetup(radar=RadarParams(chirps_per_beam=4)))

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -55,6 +56,21 @@ def test_covariance_shrinks_with_points_down_to_that_of_the_wall():
     few, many = (np.array(objects_of(recovered(face(15.0, 9.0, 2.0, n)))[0].cov_m2) for n in (2, 16))
     assert np.trace(many) < 0.3 * np.trace(few)
     assert (np.linalg.eigvalsh(many) > 0.05**2).all()
+
+
+def test_centre_and_covariance_of_two_points_worked_out_by_hand():
+    """Points at x = 14 and 16, y = 9, of scores 0.9 and 0.6, the first of twice the amplitude (6.02 dB).
+
+    Weights 0.9 * 2 : 0.6 * 1 are 0.75 : 0.25, so the centre is x = 14.5 (by power: 0.9 * 4 : 0.6, 14.29). About it the
+    scatter is 0.75 * 0.25 + 0.25 * 2.25 = 0.75 along x; each point errs by 0.3 m by itself. The centre has
+    0.75^2 + 0.25^2 = 0.625 of both, 0.625 * 0.84 = 0.525 and 0.625 * 0.09 = 0.05625, and the error of the wall whole,
+    which is the same for both points. Tolerance: rounding.
+    """
+    both = together(recovered([[14.0, 9.0]], 0.9, 20.0 + 20.0 * math.log10(2.0)), recovered([[16.0, 9.0]], 0.6, 20.0))
+    of_wall = np.array([[0.04, 0.01], [0.01, 0.02]])
+    (one,) = objects_of(replace(both, wall_covariance_m2=np.tile(of_wall, (2, 1, 1))))
+    assert (one.x_m, one.y_m) == pytest.approx((14.5, 9.0))
+    np.testing.assert_allclose(one.cov_m2, [[0.565, 0.01], [0.01, 0.07625]], atol=1e-12)
 
 
 def test_two_objects_apart_and_their_order():

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -24,8 +21,8 @@ from models.perception.ra_forming import BeamFolder, FormingParams
 from models.physics.waveform import beat_frequency_hz
 from msgs.radar import BeamGrid, RadarBeam, RangeAzimuthGrid
 from msgs.units import SPEED_OF_LIGHT_MPS
+from tests.captures import DATA, needs
 
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 BURST = DATA / "xband_cn0566_fmcw" / "hex"
 PARAMS = PhaserParams()
 #: Gains measured on two boards, 1 at the weakest element.
@@ -198,7 +195,7 @@ def recorded_burst() -> np.ndarray:
     return np.asarray((codes[0] + 1j * codes[1]).reshape(32, 1024))
 
 
-@pytest.mark.skipif(not BURST.is_dir(), reason="recorded burst xband_cn0566_fmcw is not at hand")
+@needs(BURST)
 def test_the_recorded_burst_shows_what_its_note_says() -> None:
     """4 MS/s, 500 MHz in 300 us, beat offset 100 kHz. Its note: strongest at 171.9 kHz, 6.5 m; leakage at 113 kHz,
     1.2 m, 3.3 dB below; the median 33.7 dB below. No ground truth exists. Tolerance: one range bin; 2 to 3 dB, for

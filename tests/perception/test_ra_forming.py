@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 from models.perception.coarray import beam_matrix, ideal_beams
-from models.perception.ra_forming import BeamFolder, FormingParams, RaFormer
+from models.perception.ra_forming import BeamFolder, EgoCorrection, FormingParams, RaFormer, ego_correction
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_samples
 from msgs.frames import Pose2
 from msgs.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.units import SPEED_OF_LIGHT_MPS
 from msgs.vehicle import VehicleState, ego_motion
 
 RADAR = RadarParams(sample_rate_hz=375e6, samples_per_chirp=2048, chirps_per_beam=16)
@@ -224,6 +225,39 @@ def test_ego_motion_is_taken_out(speed_mps: float, yaw_rate_rps: float, mount: P
     assert not unaware.ego_compensated
 
 
+def test_a_beam_measured_on_the_move_is_carried_back_in_phase() -> None:
+    """A point on the axis of beam 24 (60 deg), 280 bins or 59.96 m away, while the car drives at 8 m/s straight on.
+
+    Beam 24 begins after 24 * 12 ms; its middle, 8 chirps later, lies 2.304 m ahead, 1.152 m of it along the beam
+    (cos 60 deg). Then the delay is 2 * 1.152 / c = 7.69 ns shorter, and three phases are given back: of the carrier,
+    of the beat's frequency, and the residual video phase, which is quadratic in the delay:
+    -S d (4 R / c - d) / 2 = -0.5 * 1.2817e14 * 7.69e-9 * (8.000e-7 - 7.7e-9) = -0.390 turns. The point is put 1.152 m
+    nearer, where the axis has it then. Tolerance 0.02 of the amplitude: the phases are those of the bin's middle and of
+    the beam's middle, and codes are rounded.
+    With the last term's sign wrong the phase would be off by 0.78 turns.
+    """
+    folder = BeamFolder(SETUP, FormingParams(), RangeAzimuthGrid())
+    state = VehicleState(stamp_ns=0, speed_mps=8.0)
+    range_m = 280 * RADAR.range_bin_m
+    middle_s = 24e-9 * SETUP.beam_interval_ns + 0.5 * RADAR.beam_duration_s
+    along_m = 8.0 * middle_s * np.cos(np.radians(60.0))
+    correction = ego_correction(folder, 24, middle_s, state)
+    slope, delay_s = RADAR.chirp_slope_hz_per_s, 2.0 * along_m / SPEED_OF_LIGHT_MPS
+    turns = -0.5 * slope * delay_s * (4.0 * range_m / SPEED_OF_LIGHT_MPS - delay_s)
+    assert turns == pytest.approx(-0.390, abs=2e-3)
+    assert np.exp(-2j * np.pi * turns) * correction.bin_phase[280] == pytest.approx(1.0, abs=1e-5)
+
+    def profile(at_m: np.ndarray, ego: EgoCorrection | None) -> complex:
+        beat = 1e-2 * beat_samples(RADAR, 2.0 * at_m)
+        beat = np.broadcast_to(beat, (RADAR.chirps_per_beam, RADAR.samples_per_chirp))
+        return complex(folder.fold(_beam(SETUP, 24, _codes(SETUP, beat, 0.0, 0)), ego)[0][280])
+
+    times_s = middle_s + RADAR.chirp_period_s * (np.arange(RADAR.chirps_per_beam) + 0.5) - 0.5 * RADAR.beam_duration_s
+    still = profile(np.array([range_m]), None)
+    moved = profile(range_m - 8.0 * times_s * np.cos(np.radians(60.0)), correction)
+    assert moved == pytest.approx(still, abs=0.02 * abs(still))
+
+
 @pytest.mark.parametrize("azimuth_deg", [-40.0, 5.0, 40.0])
 @pytest.mark.parametrize("yaw_rate_rps", [0.25, -0.25])
 def test_a_turn_on_the_spot_is_taken_out(yaw_rate_rps: float, azimuth_deg: float) -> None:
@@ -313,6 +347,16 @@ def test_a_later_scan_closes_an_incomplete_one() -> None:
     assert [one.scan_id for one in maps] == [0]
     assert maps[0].missing_beams == (20, 21, 22, 23, 24)
     assert abs(_peak(maps[0])[0] - 28.0 / RADAR.range_bin_m) <= 1.0
+
+
+@pytest.mark.parametrize("beam_step", [1, 2])
+def test_the_saturated_share_is_of_the_samples_that_came(beam_step: int) -> None:
+    """Of 25 beams four come, 0, 2, 4 and 6, in one of which half of the samples stand at full scale: 1/2 of 1/4."""
+    codes = np.random.default_rng(0).integers(-300, 300, (16, 2048, 2)).astype(np.int16)
+    clipped = codes.copy()
+    clipped[:, ::2, 1] = 32767
+    beams = [_beam(SETUP, index, clipped if index == 4 else codes) for index in (0, 2, 4, 6)]
+    assert _form(beams, beam_step=beam_step).saturated_share == 0.125
 
 
 def test_a_source_that_starts_anew() -> None:

@@ -73,11 +73,24 @@ def test_equation_19_folds_an_image_back_exactly():
     assert (recovered.wall.tolist(), recovered.stamp_ns.tolist()) == ([0], [0])
 
 
-def test_the_nearest_wall_the_ray_passes_through_is_the_images():
+def test_a_wall_that_the_ray_misses_is_not_the_images():
     """Both walls stand before the image; the ray at 16 degrees passes through the long one only."""
     walls = [wall((10.0, -8.0), (10.0, -3.0)), wall(*FACADE)]
     got, _ = associate_crossing(np.array([[28.0, 8.0]]), np.array([0.02]), wall_arrays(walls), RecoveryParams())
     assert got.tolist() == [1]
+
+
+def test_of_two_walls_that_the_ray_passes_the_last_is_the_images():
+    """The ray to (28, 2) passes a wall x = 10 at y = 0.71, 0.29 m short of its end: its last metre is no sure wall, so
+    the way on to the facade, at (20, 1.43), is free. Folded in either wall the place is free too, (-8, 2) or (12, 2).
+    That the echo came at all shows that the nearer wall does not reach this far. Their order in the list is nothing.
+    """
+    near, image = wall((10.0, -8.0), (10.0, 1.0)), np.array([[28.0, 2.0]])
+    for walls, last in (([near, wall(*FACADE)], 1), ([wall(*FACADE), near], 0)):
+        got, second = associate_crossing(image, np.array([1e-4]), wall_arrays(walls), RecoveryParams())
+        assert (got.tolist(), second.tolist()) == ([last], [NO_WALL])
+    recovered = recover(peaks_of(image, [PathClass.MIRRORED]), [near, wall(*FACADE)], returns_at([]), RecoveryParams())
+    np.testing.assert_allclose(recovered.points_m, [[12.0, 2.0]], atol=1e-12)
 
 
 @pytest.mark.parametrize(("beyond_m", "expected"), [(0.2, 0), (6.0, NO_WALL)])
@@ -134,6 +147,30 @@ def test_covariance_is_that_of_sampled_errors():
     offsets = -normals @ middle + rng.normal(0.0, 0.1, draws)
     sampled = np.cov(reflect(images, normals, offsets).T)
     np.testing.assert_allclose((fold.own_m2 + fold.common_m2)[0], sampled, atol=0.04 * np.trace(sampled))
+
+
+def test_the_errors_of_both_walls_reach_a_place_that_was_folded_twice():
+    """Image (60, 24); the facade x = 20 folds it to (-20, 24), met at (20, 8), and the way on crosses a second wall.
+
+    That one is 0.6 x - 0.8 y + 9.6 = 0, n = (0.6, -0.8), from (0, 12) to (16, 24): n.p + b = -12 - 19.2 + 9.6 = -21.6,
+    so the place is (-20, 24) + 43.2 n = (5.92, -10.56). The facade shifts by 0.1 m along its normal: 4 * 0.01 on x,
+    diag(0.04, 0). The second wall turns that by M = I - 2 n n' = [[0.28, 0.96], [0.96, -0.28]]:
+    0.04 [0.28, 0.96] [0.28, 0.96]' = [[0.003136, 0.010752], [0.010752, 0.036864]]; its own shift of 0.05 m adds
+    4 * 0.0025 n n' = [[0.0036, -0.0048], [-0.0048, 0.0064]]. Turns are left out (both angles are exact). The image's
+    own error, 0.3 m in all directions, stays what it is. Tolerance: rounding.
+    """
+    facade = wall(*FACADE, angle_std=0.0, offset_std=0.1)
+    slanted = wall((0.0, 12.0), (16.0, 24.0), angle_std=0.0, offset_std=0.05)
+    place = folded(
+        np.array([[60.0, 24.0]]),
+        0.09 * np.eye(2)[None],
+        wall_arrays([facade, slanted]),
+        np.zeros(1, int),
+        np.ones(1, int),
+    )
+    np.testing.assert_allclose(place.points_m, [[5.92, -10.56]], atol=1e-12)
+    np.testing.assert_allclose(place.common_m2[0], [[0.006736, 0.005952], [0.005952, 0.043264]], atol=1e-12)
+    np.testing.assert_allclose(place.own_m2[0], 0.09 * np.eye(2), atol=1e-12)
 
 
 def test_covariances_are_positive_definite():

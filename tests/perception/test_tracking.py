@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from models.perception.odometry import Odometry, OdometryParams, Placed, standing
-from models.perception.tracking import Estimate, Tracker, TrackerParams, assign, sightings
+from models.perception.tracking import Estimate, Tracker, TrackerParams, assign, motion_noise, sightings
 from msgs.frames import Pose2
 from msgs.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Wall
 from msgs.vehicle import VehicleState, ego_motion
@@ -125,6 +125,53 @@ def test_ids_are_never_used_twice():
     second = drive(tracker, [[(8.0, 9.0)]] * 3, start=4)[-1]
     third = drive(tracker, [[(8.0, 9.0)]] * 3, start=400)[-1]
     assert [one.id for one in (*first, *second, *third)] == [1, 2, 3]
+
+
+def test_a_sighting_is_turned_into_the_odometry_frame_with_its_error():
+    """A radar at (1, 2) turned by 30 deg sees an object 10 m ahead, 2 m uncertain along the ray and 1 m across.
+
+    Place: (1 + 10 cos, 2 + 10 sin). Covariance R diag(4, 1) R' = [[4 c2 + s2, 3 c s], [3 c s, 4 s2 + c2]] with c2 = 3/4
+    and s2 = 1/4, and 0.4 m of wandering on each axis beside it. Tolerance: rounding.
+    """
+    (there,) = sightings(
+        frame(0, seen(10.0, 0.0, cov_m2=((4.0, 0.0), (0.0, 1.0)))), Pose2(1.0, 2.0, math.radians(30.0)), 0.4
+    )
+    assert there.place_m == pytest.approx([1.0 + 5.0 * math.sqrt(3.0), 7.0])
+    slant = 0.75 * math.sqrt(3.0)
+    np.testing.assert_allclose(there.covariance_m2, [[3.25 + 0.16, slant], [slant, 1.75 + 0.16]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.5, -2.0])
+def test_covariances_of_a_track_are_in_the_axes_of_the_radar(yaw_rad: float):
+    """Seen twice, 0.3 s apart, by a standing radar turned by some yaw: 1 m uncertain along its x, 0.1 m along its y.
+
+    Each of its axes is a filter of its own: r = s^2 + 0.4^2 is 1.16 and 0.17. The second scan predicts from diag(r, 64)
+    with density 2: xx = r + 64 * 0.09 + 2 * 0.027 / 3, xv = 64 * 0.3 + 2 * 0.09 / 2 = 19.29, vv = 64 + 2 * 0.3 = 64.6;
+    xx is 6.938 and 5.948. Updated: vv - xv^2 / (xx + r) = 64.6 - 372.1041 / 8.098 = 18.6499 and
+    64.6 - 372.1041 / 6.118 = 3.7788; xx r / (xx + r) = 0.99384 and 0.16528. The yaw changes nothing of it, since speeds
+    and accelerations are as uncertain in all directions. Tolerance: the digits given.
+    """
+    tracker = Tracker(TrackerParams(confirm_hits=2))
+    here = Placed(0, Pose2(3.0, -2.0, yaw_rad), 0.0, 0.0)
+    there = seen(8.0, 9.0, cov_m2=((1.0, 0.0), (0.0, 0.01)))
+    told = [tracker.step(frame(scan, there), here) for scan in range(2)][-1]
+    assert told[0].velocity_cov_m2ps2 is not None
+    np.testing.assert_allclose(told[0].velocity_cov_m2ps2, [[18.6499, 0.0], [0.0, 3.7788]], atol=1e-4)
+    np.testing.assert_allclose(told[0].cov_m2, [[0.99384, 0.0], [0.0, 0.16528]], atol=1e-5)
+
+
+@pytest.mark.parametrize(("elapsed_s", "cross"), [(0.3, 0.09), (-0.3, -0.09)])
+def test_motion_noise_forth_and_back_in_time(elapsed_s: float, cross: float):
+    """White acceleration a of density q = 2 m2/s3 over 0.3 s: forth v errs by the integral of a and x by that of
+    (0.3 - s) a, so xx = q t^3 / 3 = 0.018, vv = q t = 0.6, xv = q t^2 / 2 = 0.09. Back in time v errs by minus the
+    integral and x by plus that of s a, s from the earlier time on: the same variances, xv = -0.09.
+    """
+    expected = np.kron([[0.018, cross], [cross, 0.6]], np.eye(2))
+    np.testing.assert_allclose(motion_noise(elapsed_s, 2.0), expected, rtol=1e-12)
+    known = Estimate(0, np.array([1.0, 2.0, 3.0, 4.0]), np.zeros((4, 4)))
+    then = known.at(round(elapsed_s * 1e9), 2.0)
+    np.testing.assert_allclose(then.covariance, expected, rtol=1e-12)
+    np.testing.assert_allclose(then.mean, [1.0 + 3.0 * elapsed_s, 2.0 + 4.0 * elapsed_s, 3.0, 4.0])
 
 
 def test_time_to_appear_is_when_the_nose_passes_the_corner():

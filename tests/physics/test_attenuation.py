@@ -60,6 +60,14 @@ def test_rain_agrees_with_the_published_table(
         assert np.log10(ten / one) == pytest.approx(alpha, abs=6e-5)
 
 
+def test_rain_is_that_of_vertical_polarisation_unless_asked_for_otherwise() -> None:
+    """The radar's polarisation. 25 mm/h at 10 GHz by Table 5: 0.01129 * 25^1.2156 = 0.01129 * 50.04 = 0.5650 dB/km;
+    horizontal, 0.01217 * 25^1.2571 = 0.01217 * 57.20 = 0.6961. Tolerance: four printed figures, 1e-3.
+    """
+    assert 1e3 * rain_db_per_m(10e9, 25.0) == pytest.approx(0.5650, rel=1e-3)
+    assert 1e3 * rain_db_per_m(10e9, 25.0, "tm") == pytest.approx(0.6961, rel=1e-3)
+
+
 def test_no_rain_takes_nothing() -> None:
     assert rain_db_per_m(77e9, 0.0) == 0.0
 

@@ -100,6 +100,24 @@ def test_edges_work_both_ways() -> None:
     np.testing.assert_allclose(there, back, atol=1e-12)
 
 
+@pytest.mark.parametrize("skew_deg", [90.0, 50.0, 20.0])
+def test_far_from_all_borders_a_slanted_edge_is_kellers(skew_deg: float) -> None:
+    """Where the transition function is 1 the coefficient is that of Keller's cone of rays:
+    D = -e^{-j pi/4} / (2 n sqrt(2 pi k) sin(skew)) times the cotangents of (pi -+ b) / 2n, b the difference of the
+    angles (incident) or their sum (last and first face). n = 3/2, source at 40 deg, target at 100 deg: cotangents of
+    (180 + 60) / 3 = 80, (180 - 60) / 3 = 40, (180 + 140) / 3 and (180 - 140) / 3 = 13.33 deg. L = 1e6 m makes
+    F = 1 + j / 2x differ from 1 by under 1e-8; tolerance 1e-7.
+    """
+    n, sine = 1.5, np.sin(np.radians(skew_deg))
+    source, target = np.radians(40.0), np.radians(100.0)
+    cot = {angle: 1.0 / np.tan(np.radians(angle)) for angle in (80.0, 40.0, 320.0 / 3.0, 40.0 / 3.0)}
+    scale = -np.exp(-0.25j * np.pi) / (2.0 * n * np.sqrt(2.0 * np.pi * K) * sine)
+    terms = wedge_terms(np.array(n), np.array(source), np.array(target), np.array(1e6), WAVELENGTH_M, np.array(sine))
+    expected = [scale * (cot[80.0] + cot[40.0]), scale * cot[40.0 / 3.0], scale * cot[320.0 / 3.0]]
+    np.testing.assert_allclose(terms, expected, rtol=1e-7)
+    assert abs(terms[1]) * sine == pytest.approx(4.2193 / (3.0 * np.sqrt(2.0 * np.pi * K)), rel=1e-4)
+
+
 def test_deep_shadow_decays() -> None:
     """Behind a metal half plane the field falls steadily from the border (-6 dB) to under -30 dB at 60 deg."""
     s, t = np.array(10.0), np.array(10.0)

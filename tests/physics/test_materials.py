@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-from pathlib import Path
 
 import pytest
 
@@ -22,8 +21,9 @@ from models.physics.materials import (
     wall_name,
     wall_names,
 )
+from tests.captures import DATA, needs
 
-SHARED_TABLE = Path(__file__).parents[2].parent / "shared" / "data" / "itu_p2040" / "itu_p2040_table3.csv"
+SHARED_TABLE = DATA / "itu_p2040" / "itu_p2040_table3.csv"
 
 
 def test_concrete_at_10_ghz() -> None:
@@ -33,7 +33,7 @@ def test_concrete_at_10_ghz() -> None:
     assert -concrete.imag / concrete.real == pytest.approx(0.09598, rel=1e-3)
 
 
-@pytest.mark.skipif(not SHARED_TABLE.exists(), reason="itu_p2040_table3.csv is not here")
+@needs(SHARED_TABLE)
 def test_every_row_of_the_table_agrees() -> None:
     with SHARED_TABLE.open(newline="") as file:
         rows = list(csv.DictReader(file))

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from models.vehicle.can_state import CanDecoder, Verdict
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignalName
+from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignRule
 from msgs.vehicle import VehicleState
 from nodes.can_link import load_dbc, load_mapping
 from sim_player.car import CarShape, SimulatedCar
@@ -64,7 +64,7 @@ BO_ 17 B: 4 X
             message="A",
             signals=("V1", "V2"),
             scale=1 / 3.6,
-            negative_while=SignalName(message="B", signal="REVERSE"),
+            negative_while=SignRule(message="B", signal="REVERSE"),
             low=-20.0,
             high=60.0,
         ),
@@ -83,6 +83,22 @@ BO_ 17 B: 4 X
     assert state.valid
     assert state.speed_mps == pytest.approx(STATE.speed_mps, abs=0.005 / 3.6)
     assert state.yaw_rate_rps == pytest.approx(STATE.yaw_rate_rps, abs=math.radians(0.0025))
+
+
+def test_wheels_and_summed_angles_are_spoken() -> None:
+    """A turn to the left at 10 m/s: the right wheels are the faster ones; 33.3 deg are 33 and a fraction of 0.3."""
+    database = load_dbc(Path("launch/can/raw_ranges.dbc"))
+    car = SimulatedCar(database, load_mapping(Path("launch/can/raw_ranges.yaml")))
+    state = VehicleState(
+        stamp_ns=0, speed_mps=10.0, steering_rad=math.radians(33.3), wheel_speed_difference_mps=0.5
+    )  # fmt: skip
+    said = {
+        frame.arbitration_id: database.decode_message(frame.arbitration_id, frame.data) for frame in car.frames(state)
+    }
+    wheels = {"WHEEL_FR": 36.9, "WHEEL_FL": 35.1, "WHEEL_RR": 36.9, "WHEEL_RL": 35.1}
+    assert said[170] == pytest.approx(wheels, abs=0.01)
+    assert said[37] == pytest.approx({"ANGLE": 33.0, "ANGLE_FRACTION": 0.3})
+    assert said[180]["SPEED"] == pytest.approx(36.0)
 
 
 def test_steering_goes_with_the_turn() -> None:

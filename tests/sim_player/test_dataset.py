@@ -279,7 +279,7 @@ from pathlib import Path
 from sim_player.dataset import Recipe, write_dataset
 def hear(shard):
     print(shard.shard, flush=True)
-    time.sleep(60.0)
+    time.sleep(600.0)
 write_dataset(Path(sys.argv[1]), 5, 2, Recipe(places="street_v1", scenes_per_shard=2), on_shard=hear)
 """
 
@@ -301,7 +301,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from nap import nap
 from sim_player.executors import Executor, map_jobs
-for number in map_jobs(nap, [0.0, 30.0, 30.0, 30.0], workers=2):
+for number in map_jobs(nap, [0.0, 600.0, 600.0, 600.0], workers=2):
     print(number, flush=True)
 """
 _NAP = """
@@ -320,7 +320,7 @@ def test_workers_end_with_their_parent(tmp_path: Path) -> None:
         worker = int(run.stdout.readline())
         assert _alive(worker)
         os.kill(run.pid, signal.SIGKILL)
-    deadline_s = time.monotonic() + 10.0
+    deadline_s = time.monotonic() + 120.0
     while _alive(worker) and time.monotonic() < deadline_s:
         time.sleep(0.05)
     assert not _alive(worker)

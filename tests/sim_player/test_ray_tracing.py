@@ -349,8 +349,10 @@ def test_weights_of_foliage_and_air() -> None:
     loss_db = vegetation_db(RADAR.carrier_hz, depth_m)
     np.testing.assert_allclose(np.abs(thinned / bare), 10.0 ** (-2.0 * loss_db / 20.0), rtol=1e-4)
     airy = weights(echoes, world, frozenset({"atmosphere"}))
-    per_m = gas_db_per_m(RADAR.carrier_hz, 15.0, 1013.25, 7.5) + rain_db_per_m(RADAR.carrier_hz, 25.0)
-    np.testing.assert_allclose(np.abs(airy / bare), 10.0 ** (-per_m * 2.0 * echoes.out_m / 20.0), rtol=1e-12)
+    # 25 mm/h at 10 GHz, vertical polarisation: 0.01129 * 25^1.2156 dB/km by P.838-3, Table 5; gases are 0.014 dB/km
+    assert rain_db_per_m(RADAR.carrier_hz, 25.0) == pytest.approx(0.565e-3, rel=1e-3)
+    per_m = gas_db_per_m(RADAR.carrier_hz, 15.0, 1013.25, 7.5) + 1e-3 * 0.01129 * 25.0**1.2156
+    np.testing.assert_allclose(np.abs(airy / bare), 10.0 ** (-per_m * 2.0 * echoes.out_m / 20.0), rtol=1e-6)
 
 
 def test_planned_weights_switch_rough_and_slab() -> None:

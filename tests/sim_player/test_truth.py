@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,7 +13,7 @@ from msgs.radar import RangeAzimuthGrid
 from sim_player.player import ScenePlayer
 from sim_player.ray_tracing import prepare, trace
 from sim_player.scene import Ego, Scene, SceneObject, Surface
-from sim_player.truth import SEPARATION_CELLS, best_power_mw, hidden_objects, thin, visible_paths
+from sim_player.truth import SEPARATION_CELLS, best_power_mw, hidden_objects, object_images, thin, visible_paths
 
 RELAY = Surface(role="relay", material="concrete", polyline_m=((22.0, -9.0), (22.0, 14.0)), height_m=6.0)
 CORNER = Surface(role="occluder", material="brick", polyline_m=((1.0, 3.5), (8.0, 3.5), (8.0, 20.0)), height_m=6.0)
@@ -91,3 +93,33 @@ def test_weak_points_are_no_truth() -> None:
     scene = Scene(name="t", objects=(SceneObject(class_="pedestrian", x_m=108.0, y_m=0.0),))
     assert len(ScenePlayer(scene, chirps_per_beam=1).truth(0).los_points_m) == 0
     assert len(ScenePlayer(scene).truth(0).los_points_m) == 1
+
+
+def test_object_images_are_those_of_geometry_and_power() -> None:
+    """The car behind the corner is seen by the facade alone, the pedestrian directly; ten times the power is 10 dB."""
+    player = ScenePlayer(SCENE, chirps_per_beam=1)
+    paths = player.paths(0.0)
+    images = object_images(player.setup, paths, 3)
+    assert images.direct.tolist() == [False, True, False]
+    assert images.mirrored[0]
+    # a third object that nothing comes from
+    assert (images.mirrored[2], images.snr_db[2]) == (False, -np.inf)
+    single = paths.take((paths.kind == PathClass.MIRRORED) & (paths.thing == 0) & (paths.order == 1))
+    radar = player.setup.radar
+    noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
+    wanted_db = 10.0 * np.log10(best_power_mw(player.setup, single).max() / noise_mw)
+    assert images.single_snr_db[0] == pytest.approx(wanted_db, abs=1e-9)
+    louder = replace(paths, amplitude=np.sqrt(10.0) * paths.amplitude)
+    np.testing.assert_allclose(object_images(player.setup, louder, 3).snr_db[0], images.snr_db[0] + 10.0)
+
+
+def test_an_image_outside_the_map_is_none_in_it() -> None:
+    """Beyond 109 m, or to the side of +-60 degrees: a mirror shows the object, the map does not."""
+    player = ScenePlayer(SCENE, chirps_per_beam=1)
+    paths = player.paths(0.0)
+    for far in (
+        replace(paths, length_m=paths.length_m + 300.0),
+        replace(paths, azimuth_rad=np.full(len(paths), 1.2)),
+    ):
+        images = object_images(player.setup, far, 2)
+        assert (images.mirrored[0], images.snr_db[0]) == (True, -np.inf)

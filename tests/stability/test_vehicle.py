@@ -62,8 +62,8 @@ BO_ 16 A: 4 X
  SG_ W : 16|16@1- (1,0) [0|0] "" X
 """
     mapping = CanMapping(
-        speed=QuantityRule(message="A", signals=("V",), low=-1e6, high=1e6),
-        yaw_rate=QuantityRule(message="A", signals=("W",), low=-1e6, high=1e6),
+        speed=QuantityRule(message="A", signals=("V",), unit="m/s", low=-1e6, high=1e6),
+        yaw_rate=QuantityRule(message="A", signals=("W",), unit="rad/s", low=-1e6, high=1e6),
         messages={"A": MessageRule(period_s=0.01)},
     )
     return CanDecoder(cantools.database.load_string(dbc, "dbc", strict=False), mapping)

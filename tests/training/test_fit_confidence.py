@@ -77,11 +77,31 @@ def test_scenes_without_places_count_their_misses() -> None:
     assert found["recall_1m"] == pytest.approx(1.0 / 3.0, abs=1e-4)
 
 
-def test_the_whole_fit_names_its_threshold_and_metrics() -> None:
-    train = [scene([[k, 0.0], [k, 9.0]], [[k, 0.0]]) for k in range(20)]
-    fitted = fit_confidence(train, train[:5], FitConfig(hidden=2))
-    assert {"f1_1m", "f1_1m_without", "f1_2m", "calibration_error"} <= set(fitted.metrics)
-    assert 0.0 < fitted.threshold < 1.0
+def places_of(likely: tuple[int, int], doubtful: tuple[int, int]) -> ScenePlaces:
+    """So many true and false places of two kinds, 10 m apart, told apart by the first feature: +1 and -1."""
+    is_true = np.repeat([True, False, True, False], [*likely, *doubtful])
+    points_m = np.column_stack([10.0 * np.arange(len(is_true)), np.zeros(len(is_true))])
+    features = np.zeros((len(is_true), len(FEATURES)))
+    features[:, 0] = np.repeat([1.0, -1.0], [sum(likely), sum(doubtful)])
+    return ScenePlaces(points_m, features, np.full(len(is_true), 0.5), points_m[is_true])
+
+
+def test_weights_are_those_of_training_scenes_threshold_and_metrics_those_of_validation_scenes() -> None:
+    """In training 9 of 10 likely places are true and 6 of 10 doubtful ones: those are the probabilities, within 0.05
+    (the penalty draws both to the middle). There all places together give F1 = 2 * 15 / (20 + 15) = 0.857, the likely
+    ones alone 2 * 9 / (10 + 15) = 0.72: the lowest threshold, 0.05, would be best. In validation 2 of 2 likely places
+    and 0 of 4 doubtful ones are true: together 2 * 2 / (6 + 2) = 0.5, the likely ones alone 1. So the threshold is the
+    lowest step of 0.025 above the probability of doubtful places.
+    """
+    train, validation = [places_of((9, 1), (6, 4))], [places_of((2, 0), (0, 4))]
+    fitted = fit_confidence(train, validation, FitConfig(hidden=2))
+    likely, doubtful = (fitted.probability(np.eye(1, len(FEATURES)) * sign)[0] for sign in (1.0, -1.0))
+    assert (likely, doubtful) == pytest.approx((0.9, 0.6), abs=0.05)
+    assert best_threshold(train, [fitted.probability(train[0].features)]) == 0.05
+    assert doubtful < fitted.threshold < doubtful + 0.0251
+    found = {name: fitted.metrics[name] for name in ("f1_1m", "f1_1m_without", "recall_1m", "precision_1m_without")}
+    assert found == {"f1_1m": 1.0, "f1_1m_without": 0.5, "recall_1m": 1.0, "precision_1m_without": 0.3333}
+    assert {"f1_2m", "calibration_error", "calibration_error_without"} <= set(fitted.metrics)
 
 
 def test_places_of_one_kind_and_wrong_parameters_are_refused() -> None:

@@ -56,6 +56,24 @@ def test_learned_weights_are_bytes_and_attention_is_not(quantized: Path) -> None
     assert len(products) == CONFIG.attention_blocks
 
 
+def test_every_output_channel_of_a_convolution_has_a_scale_of_its_own(quantized: Path) -> None:
+    """A scale per channel: each channel's largest weight is the byte 127 or -127, and its scale that weight / 127, so
+    that the scales are as different as the channels. One scale for all of them would leave 127 to one channel alone.
+    Known bias: weights are folded with their norms first, so the largest one is read from the file itself.
+    """
+    graph = onnx.load(quantized).graph
+    stored = {tensor.name: onnx.numpy_helper.to_array(tensor) for tensor in graph.initializer}
+    made_by = {node.output[0]: node for node in graph.node}
+    dequantised = [made_by[node.input[1]] for node in graph.node if node.op_type == "Conv"]
+    assert len(dequantised) > 4
+    for node in dequantised:
+        weights, scales = stored[node.input[0]], stored[node.input[1]]
+        assert scales.shape == weights.shape[:1]
+        assert (np.abs(weights.astype(int)).reshape(len(weights), -1).max(axis=1) == 127).all()
+        assert len(np.unique(scales)) == len(scales)
+    assert any(len(stored[node.input[1]]) > 1 for node in dequantised)
+
+
 def test_same_maps_give_the_same_file(exported: Path, quantized: Path, tmp_path: Path) -> None:
     quantize_int8(exported, tmp_path / "again.onnx", MAPS)
     assert (tmp_path / "again.onnx").read_bytes() == quantized.read_bytes()

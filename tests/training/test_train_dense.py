@@ -180,7 +180,8 @@ def test_learning_rate_follows_its_schedule(kind: str) -> None:
 def test_two_processes_train_one_network(tmp_path: Path) -> None:
     """Layout: torchrun starts two processes on this CPU for two epochs of the two training scenes of four."""
     write_dataset(tmp_path / "data", count=4, seed=1)
-    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "29577"]
+    # standalone: they meet at a port that is free
+    command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2"]
     arguments = ["--data", str(tmp_path / "data"), "--out", str(tmp_path / "run"), "--epochs", "2", "--json"]
     arguments += ["--batch-size", "2"]
     done = subprocess.run(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import cantools
@@ -14,12 +13,13 @@ from hypothesis import strategies as st
 
 from models.vehicle.can_state import AGE_PERIODS, MAX_STAMP_NS, CanDecoder, StampMapper, StateReporter, Verdict
 from models.vehicle.end_to_end import CounterRule
-from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignalName
+from models.vehicle.mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
 from msgs.codec import encode_inline
 from msgs.vehicle import VehicleState
 from nodes.can_link import decode_frame, load_dbc, load_decoder, load_mapping
 from nodes.can_log_file import read_log
 from sim_player.car import CarFrame, SimulatedCar
+from tests.captures import DATA, needs
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
 DATABASE, RULES = load_dbc(DBC), load_mapping(MAPPING)
@@ -27,7 +27,6 @@ SPEED_ID, MOTION_ID = 0x100, 0x101
 PERIOD_NS = 20_000_000
 LIMIT_NS = AGE_PERIODS * PERIOD_NS
 MOTION = VehicleState(stamp_ns=0, speed_mps=12.5, yaw_rate_rps=0.2, steering_rad=0.6)
-DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).parents[3] / "shared" / "data"))
 REAL = DATA / "can_motec_subaru"
 
 
@@ -212,8 +211,8 @@ def test_a_stamp_that_is_no_time_is_refused(stamp_ns: int) -> None:
 def own_decoder(dbc: str, **changes) -> CanDecoder:
     database = cantools.database.load_string(dbc, "dbc", strict=False)
     rules = {
-        "speed": QuantityRule(message="A", signals=("V",), low=-100.0, high=100.0),
-        "yaw_rate": QuantityRule(message="A", signals=("W",), low=-2.0, high=2.0),
+        "speed": QuantityRule(message="A", signals=("V",), unit="m/s", low=-100.0, high=100.0),
+        "yaw_rate": QuantityRule(message="A", signals=("W",), unit="rad/s", low=-2.0, high=2.0),
         "messages": {"A": MessageRule(period_s=0.02)},
         **changes,
     }
@@ -249,9 +248,128 @@ def test_units_signs_and_means() -> None:
     assert state.yaw_rate_rps == pytest.approx(-(np.radians(-9.0) + 0.01))
 
 
+def test_an_angle_and_its_fraction_are_summed() -> None:
+    """Coarse steps of 1.5 deg and a fraction of 0.1 deg: 16.5 - 0.7 deg; the mean would be half of it."""
+    dbc = (
+        CAR
+        + """BO_ 18 S: 2 X
+ SG_ ANGLE : 0|8@1- (1.5,0) [-150|150] "deg" X
+ SG_ FRACTION : 8|4@1- (0.1,0) [-0.7|0.7] "deg" X
+"""
+    )
+    steering = QuantityRule(message="S", signals=("ANGLE", "FRACTION"), combine="sum", sign=-1, low=-9.0, high=9.0)
+    periods = {"A": MessageRule(period_s=0.02), "S": MessageRule(period_s=0.02)}
+    decoder = own_decoder(dbc, steering=steering, messages=periods)
+    decoder.add(18, bytes([11, (-7) & 0x0F]), 0)
+    decoder.add(16, car_data(0, 0), 0)
+    state = decoder.state(0)
+    assert state.valid
+    assert state.steering_rad == pytest.approx(-np.radians(15.8))
+
+
+def test_a_gear_lever_says_the_direction() -> None:
+    """Of the gears 0, 1 and 2 the last one is reverse: any number but zero would be wrong."""
+    dbc = CAR.replace("SG_ BACK : 48|1@1+ (1,0) [0|1]", "SG_ BACK : 48|2@1+ (1,0) [0|3]")
+    rule = QuantityRule(
+        message="A", signals=("V",), negative_while=SignRule(message="A", signal="BACK", values=(2,)), low=-99.0,
+        high=99.0,
+    )  # fmt: skip
+    decoder = own_decoder(dbc, speed=rule)
+    speeds = []
+    for step, gear in enumerate((0, 1, 2)):
+        decoder.add(16, car_data(1800, 0, back=gear), step * PERIOD_NS)
+        speeds.append(decoder.state(step * PERIOD_NS).speed_mps)
+    assert speeds == pytest.approx([5.0, 5.0, -5.0])
+
+
+WHEELS = """BO_ 19 R: 8 X
+ SG_ FL : 0|16@1+ (0.01,0) [0|300] "km/h" X
+ SG_ FR : 16|16@1+ (0.01,0) [0|300] "km/h" X
+ SG_ RL : 32|16@1+ (0.01,0) [0|300] "km/h" X
+ SG_ RR : 48|16@1+ (0.01,0) [0|300] "km/h" X
+"""
+
+
+def test_the_difference_of_the_wheels_is_right_less_left() -> None:
+    """Left 36.0 and 37.8 km/h, right 39.6 and 41.4: 1 m/s, and -1 m/s backwards; without them the state stays valid."""
+    rule = WheelSpeedsRule(
+        message="R", left=("FL", "RL"), right=("FR", "RR"), negative_while=SignRule(message="A", signal="BACK")
+    )
+    periods = {"A": MessageRule(period_s=0.02), "R": MessageRule(period_s=0.02)}
+    decoder = own_decoder(CAR + WHEELS, wheel_speeds=rule, messages=periods)
+    decoder.add(16, car_data(500, 0), 0)
+    assert (decoder.state(0).valid, decoder.state(0).wheel_speed_difference_mps) == (True, None)
+    data = b"".join(round(100 * speed).to_bytes(2, "little") for speed in (36.0, 39.6, 37.8, 41.4))
+    decoder.add(19, data, 0)
+    assert decoder.state(0).wheel_speed_difference_mps == pytest.approx(1.0)
+    decoder.add(16, car_data(500, 0, back=1), PERIOD_NS)
+    decoder.add(19, data, PERIOD_NS)
+    assert decoder.state(PERIOD_NS).wheel_speed_difference_mps == pytest.approx(-1.0)
+    # one wheel beyond its range: no difference, and the state says nothing of it
+    assert decoder.add(19, b"\xff\xff" + data[2:], 2 * PERIOD_NS).verdict is Verdict.OUT_OF_RANGE
+    state = decoder.state(2 * PERIOD_NS)
+    assert (state.valid, state.wheel_speed_difference_mps) == (True, None)
+    decoder.add(19, data, 3 * PERIOD_NS)
+    assert decoder.state(3 * PERIOD_NS).wheel_speed_difference_mps is not None
+    # ten periods later they are old
+    decoder.add(16, car_data(500, 0), 13 * PERIOD_NS)
+    state = decoder.state(13 * PERIOD_NS)
+    assert (state.valid, state.wheel_speed_difference_mps) == (True, None)
+
+
+RAW_DBC, RAW_MAPPING = Path("launch/can/raw_ranges.dbc"), Path("launch/can/raw_ranges.yaml")
+
+
+def raw_drive(mapping: CanMapping) -> list[VehicleState]:
+    """States of 10 s of turns to the left and to the right, the yaw rate 0.41 deg/s too low; frames of that DBC."""
+    database = load_dbc(RAW_DBC)
+    car, decoder = SimulatedCar(database, load_mapping(RAW_MAPPING)), CanDecoder(database, mapping)
+    states = []
+    for step in range(500):
+        now_ns = step * PERIOD_NS
+        turn_rps = 0.2 * np.sin(0.02 * step)
+        motion = VehicleState(
+            stamp_ns=now_ns, speed_mps=10.0, yaw_rate_rps=float(turn_rps - np.radians(0.41)),
+            steering_rad=float(4.0 * turn_rps), wheel_speed_difference_mps=float(1.5 * turn_rps),
+        )  # fmt: skip
+        for frame in car.frames(motion):
+            decoder.add(frame.arbitration_id, frame.data, now_ns)
+        states.append(decoder.state(now_ns))
+        if states[-1].valid:
+            # half a step of the DBC: 0.01 km/h, 0.244 deg/s, 0.1 deg (of the wheels two steps may add up)
+            assert states[-1].speed_mps == pytest.approx(10.0, abs=0.005 / 3.6)
+            assert states[-1].yaw_rate_rps == pytest.approx(motion.yaw_rate_rps, abs=np.radians(0.123))
+            assert states[-1].steering_rad == pytest.approx(motion.steering_rad, abs=np.radians(0.0501))
+            assert states[-1].wheel_speed_difference_mps == pytest.approx(1.5 * turn_rps, abs=0.0101 / 3.6)
+    return states
+
+
+def test_a_dbc_with_ranges_in_raw_counts_is_read_by_a_mapping_alone() -> None:
+    """Read as deg/s the range 0..65535 of the yaw rate takes out every turn to the right."""
+    mapping = load_mapping(RAW_MAPPING)
+    decoder = load_decoder(RAW_DBC, RAW_MAPPING)
+    assert decoder.warnings == (
+        "yaw_rate.signals: the DBC's range 0..65535 of YAW_RATE is taken as raw counts, -125..124.612 deg/s; "
+        "yaw_rate.dbc_range: physical overrules this",
+    )
+    states = raw_drive(mapping)
+    assert all(state.valid for state in states)
+    to_the_right = [state for state in states if state.yaw_rate_rps < -np.radians(0.5 * 0.244)]
+    assert len(to_the_right) > 150
+    as_written = msgspec.structs.replace(mapping.yaw_rate, dbc_range=DbcRange.PHYSICAL)
+    refused = [state for state in raw_drive(msgspec.structs.replace(mapping, yaw_rate=as_written)) if not state.valid]
+    assert [state.stamp_ns for state in refused] == [state.stamp_ns for state in to_the_right]
+    assert "yaw rate: YAW_RATE = -0.316 deg/s is outside the DBC's 0..65535" in {state.reason for state in refused}
+
+
 def test_a_sign_bit_of_the_same_message() -> None:
     rule = QuantityRule(
-        message="A", signals=("V",), negative_while=SignalName(message="A", signal="BACK"), low=-100.0, high=100.0
+        message="A",
+        signals=("V",),
+        unit="m/s",
+        negative_while=SignRule(message="A", signal="BACK"),
+        low=-99.0,
+        high=99.0,
     )
     decoder = own_decoder(CAR, speed=rule)
     decoder.add(16, car_data(500, 0, back=1), 0)
@@ -264,7 +382,12 @@ def test_a_sign_bit_of_the_same_message() -> None:
 
 def test_a_reverse_gear_in_another_message_must_be_known() -> None:
     rule = QuantityRule(
-        message="A", signals=("V",), negative_while=SignalName(message="B", signal="REVERSE"), low=-100.0, high=100.0
+        message="A",
+        signals=("V",),
+        unit="m/s",
+        negative_while=SignRule(message="B", signal="REVERSE"),
+        low=-99.0,
+        high=99.0,
     )
     periods = {"A": MessageRule(period_s=0.02), "B": MessageRule(period_s=1.0)}
     decoder = own_decoder(CAR, speed=rule, messages=periods)
@@ -327,7 +450,7 @@ def test_can_fd_padding_is_no_fault() -> None:
         ({"speed": {"message": "MW_SPED"}}, r"speed\.message: the DBC has no message 'MW_SPED'"),
         ({"yaw_rate": {"signals": ("YAW",)}}, r"yaw_rate\.signals: message MW_MOTION of the DBC has no signal 'YAW'"),
         (
-            {"speed": {"negative_while": SignalName(message="MW_MOTION", signal="R")}},
+            {"speed": {"negative_while": SignRule(message="MW_MOTION", signal="R")}},
             r"speed\.negative_while\.signal: message MW_MOTION of the DBC has no signal 'R'",
         ),
     ],
@@ -451,7 +574,7 @@ def test_what_is_believed_is_in_range(frames: list[tuple[int, bytes]]) -> None:
         assert state.valid == (state.reason == "")
 
 
-needs_real_log = pytest.mark.skipif(not REAL.is_dir(), reason="the recorded drive (can_motec_subaru) is not here")
+needs_real_log = needs(REAL)
 
 
 @pytest.fixture(scope="module")
@@ -520,6 +643,20 @@ def test_the_signs_are_those_of_the_road(real_drive) -> None:
     yaw = np.array([state.yaw_rate_rps for state in valid])
     assert np.corrcoef(yaw, signed)[0, 1] > 0.9
     assert np.polyfit(yaw, signed, 1)[0] == pytest.approx(1.5, abs=0.2)
+
+
+@needs_real_log
+def test_the_wheels_of_a_real_car_turn_with_it(real_drive) -> None:
+    """Difference of the wheels by yaw rate is the track, 1.5 m of this car within slip and steps of 0.0155 m/s."""
+    _, states, _ = real_drive
+    rows = [
+        (state.yaw_rate_rps, state.wheel_speed_difference_mps)
+        for state in states
+        if state.valid and state.wheel_speed_difference_mps is not None and abs(state.speed_mps) > 0.3
+    ]
+    assert len(rows) > 3900
+    yaw, difference = np.array(rows).T
+    assert np.polyfit(yaw, difference, 1)[0] == pytest.approx(1.5, abs=0.2)
 
 
 @needs_real_log

@@ -213,7 +213,7 @@ def test_a_plane_in_direct_sight_hides_nothing() -> None:
 def receiver(message) -> CanDecoder:
     """The receiver that reads cars, set to one message of the list: two of its signals stand for speed and yaw rate."""
     names = {"MW_OBJECT_LIST": "AGE"}.get(message.name, "ID")
-    rule = QuantityRule(message=message.name, signals=(names,), low=-1.0, high=20_000.0)
+    rule = QuantityRule(message=message.name, signals=(names,), scale=1.0, low=-1.0, high=20_000.0)
     return CanDecoder(DATABASE, CanMapping(speed=rule, yaw_rate=rule, messages={message.name: message_rule(message)}))
 
 

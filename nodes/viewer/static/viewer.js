@@ -14,6 +14,7 @@ const LABELLED_TRACKS = 20;
 const LISTED_TRACKS = 12;
 const SLOW_MPS = 0.5;
 const RECONNECT_MS = [500, 1000, 2000, 4000, 8000];
+const PROOF_MS = 5000;
 
 const LAYERS = [
   { key: "mask", name: "observable", on: true, swatch: drawMaskSwatch, hint: "blue: in direct sight; sand: in a mirror; bare: unknown" },
@@ -64,8 +65,37 @@ function connect() {
   socket.onmessage = (event) => receive(event.data);
   socket.onclose = (event) => {
     setConnection(event.code === 1013 ? "full" : "lost");
-    setTimeout(connect, RECONNECT_MS[Math.min(attempts++, RECONNECT_MS.length - 1)]);
+    tryLater();
   };
+}
+
+function tryLater() {
+  setTimeout(reconnect, RECONNECT_MS[Math.min(attempts++, RECONNECT_MS.length - 1)]);
+}
+
+// The viewer may come back, or another program may have its port by now: whoever answers proves that it knows the
+// token before it is told the token.
+async function reconnect() {
+  let proven = null;
+  try {
+    proven = await knowsToken();
+  } catch {
+    // nobody answers
+  }
+  if (proven) return connect();
+  setConnection(proven === null ? "lost" : "other");
+  return tryLater();
+}
+
+async function knowsToken() {
+  const hexOf = (bytes) => [...bytes].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+  const nonce = hexOf(crypto.getRandomValues(new Uint8Array(16)));
+  const answer = await fetch(`/proof/${nonce}`, { redirect: "error", signal: AbortSignal.timeout(PROOF_MS) });
+  const said = await answer.text();
+  const text = new TextEncoder();
+  const use = { name: "HMAC", hash: "SHA-256" };
+  const key = await crypto.subtle.importKey("raw", text.encode(location.pathname.split("/")[1]), use, false, ["sign"]);
+  return said === hexOf(new Uint8Array(await crypto.subtle.sign("HMAC", key, text.encode(nonce))));
 }
 
 function send(message) {
@@ -231,6 +261,7 @@ function showFigures() {
   const span = arrivals.length > 1 ? (arrivals[arrivals.length - 1] - arrivals[0]) / 1000 : 0;
   byId("rate").textContent = span > 0 ? `${((arrivals.length - 1) / span).toFixed(1)} Hz` : "–";
   const age = view && !timeline ? (view.latency_ms || 0) + now - state.viewAt : null;
+  showOldPicture(age, quiet);
   byId("age").textContent = age === null ? "–" : `${(age / 1000).toFixed(1)} s`;
   byId("latency").textContent = view && view.latency_ms !== null ? `${view.latency_ms.toFixed(0)} ms` : "–";
   byId("missed").textContent = state.missed;
@@ -238,12 +269,27 @@ function showFigures() {
 
 function linkState(quiet) {
   if (state.connection === "full") return ["lost", "too many pages look at once"];
+  if (state.connection === "other") return ["lost", "another graph runs here: open the address it printed"];
   if (state.connection === "lost") return ["lost", "no connection: has the graph ended?"];
   if (state.connection === "waiting") return ["waiting", "connecting"];
   if (state.recording) return ["live", "recording"];
   if (state.paused) return ["waiting", "paused"];
   if (!state.view) return ["waiting", "waiting for the first view"];
-  return quiet > Math.max(STALE_MS, state.sensor ? 3000 * state.sensor.scan_period_s : 0) ? ["waiting", `no new view for ${(quiet / 1000).toFixed(0)} s`] : ["live", "live"];
+  return isQuiet(quiet) ? ["waiting", `no new view for ${(quiet / 1000).toFixed(0)} s`] : ["live", "live"];
+}
+
+const isQuiet = (quiet) => quiet > Math.max(STALE_MS, state.sensor ? 3000 * state.sensor.scan_period_s : 0);
+
+// What is drawn stays when nothing new comes; it must not pass for the present.
+function showOldPicture(age, quiet) {
+  const isCut = !["live", "waiting"].includes(state.connection);
+  const isOld = Boolean(state.view) && (isCut || (!state.recording && !state.paused && isQuiet(quiet)));
+  const note = byId("old-picture");
+  note.hidden = !isOld;
+  document.body.toggleAttribute("data-old", isOld);
+  if (!isOld) return;
+  const why = isCut ? linkState(quiet)[1] : "no new view comes";
+  note.textContent = state.recording ? `Not connected: ${why}` : `Old picture, ${ageText(age / 1000)} ago: ${why}`;
 }
 
 function cell(text, className) {
@@ -268,32 +314,15 @@ function noRow(columns, text) {
 function showObjects() {
   const { view } = state;
   const rows = view.objects.map((one) => {
-    const truth = nearestTruth(one);
+    // the viewer says which hidden true object is nearest, and both errors (models/perception/object_error.py)
+    const truth = one.nearest;
     return row(
       cell(`#${one.id}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),
-      cell(one.score.toFixed(2)), cell(truth ? truth.object.class : "–"), cell(truth ? `${truth.distance.toFixed(1)} m` : "–"),
+      cell(one.score.toFixed(2)), cell(truth ? truth.class : "–"),
+      cell(truth ? `${truth.face_error.toFixed(1)}, ${truth.centre_error.toFixed(1)} m` : "–"),
     );
   });
   byId("objects").tBodies[0].replaceChildren(...(rows.length ? rows : [noRow(6, "none seen")]));
-}
-
-// The hidden truth nearest to a recovered object, by its centre or its outline: the radar sees faces, not centres.
-function nearestTruth(one) {
-  const candidates = ((state.view.truth || {}).objects || []).filter((object) => object.hidden);
-  let best = null;
-  for (const object of candidates) {
-    const distance = distanceToTruth(one.at, object);
-    if (best === null || distance < best.distance) best = { object, distance };
-  }
-  return best;
-}
-
-function distanceToTruth([x, y], { at, size, yaw }) {
-  const [dx, dy] = [x - at[0], y - at[1]];
-  const along = Math.abs(dx * Math.cos(yaw) + dy * Math.sin(yaw)) - size[0] / 2;
-  const across = Math.abs(dy * Math.cos(yaw) - dx * Math.sin(yaw)) - size[1] / 2;
-  const outline = along < 0 && across < 0 ? Math.min(-along, -across) : Math.hypot(Math.max(along, 0), Math.max(across, 0));
-  return Math.min(outline, Math.hypot(dx, dy));
 }
 
 // --- warnings --------------------------------------------------------------------------------------------------------
@@ -516,7 +545,7 @@ function drawStrip() {
   c.font = "11px system-ui, sans-serif";
   c.fillStyle = colours.axis;
   for (const [name, y, height] of LANES) {
-    c.fillText(name, 0, y + height - 1);
+    c.fillText(name, 0, y + height - 3);
     c.globalAlpha = 0.25;
     c.fillRect(STRIP_LEFT, y + height, byId("strip").clientWidth - STRIP_LEFT - STRIP_RIGHT, 1);
     c.globalAlpha = 1;
@@ -524,7 +553,9 @@ function drawStrip() {
   c.fillStyle = colours.object;
   seen.forEach((count, i) => {
     const height = Math.min(count, 3) * 3;
-    c.fillRect(stripX(i) - step / 2, LANES[0][1] + LANES[0][2] - height, step + 0.5, height);
+    // the first and the last are half as wide: the names of the lanes stand left of them
+    const [from, to] = [Math.max(stripX(i) - step / 2, stripX(0)), Math.min(stripX(i) + step / 2, stripX(seen.length - 1))];
+    c.fillRect(from, LANES[0][1] + LANES[0][2] - height, Math.max(to - from, 1) + 0.5, height);
   });
   for (const mark of [...marks].reverse()) {
     const [, y, full] = LANES[laneOf(mark)];

@@ -11,6 +11,7 @@ from models.physics.curved_mirror import focusing
 from models.physics.surface_integral import wall_field
 from sim_player.effects.curved_wall import NAME, as_chords
 from sim_player.effects.tracing import Tracing
+from sim_player.scene import SceneRadar
 from sim_player.world import snapshot
 from tests.sim_player.effects.point_scenes import RADAR, one_way_field, points_world, traced, unit_weight, wall
 
@@ -28,6 +29,27 @@ def test_nearly_flat_is_flat() -> None:
     np.testing.assert_allclose(route.depart, flat.depart, atol=1e-4)
     factor = route.whole * route.other
     np.testing.assert_allclose(factor, flat.whole, rtol=1e-4)
+
+
+def test_a_ray_that_climbs_meets_an_arc_at_its_own_slope() -> None:
+    """Nearly flat concrete at x = 15, 30 m high; the radar at 1 m, a point at (5, 6, 12).
+
+    Its image is (25, 6, 12): 25 m of the path, sqrt(25^2 + 6^2 + 11^2) = 27.96 m, lie along the wall's normal, so the
+    angle of incidence has cosine 25 / 27.96 = 0.8942. In plan it would be 25 / 25.71 = 0.9724, where concrete reflects
+    1 dB less. The flat wall's field, and the slab's reflection at the first cosine, to 1e-4 (curvature 1e-6 1/m).
+    """
+    concrete = {"material": "concrete", "height_m": 30.0}
+    world = points_world(
+        [(5.0, 6.0, 12.0)], wall(*ENDS, curvature_per_m=1e-6, **concrete), radar=SceneRadar(height_m=1.0)
+    )
+    (climbing,) = traced(world, NAME).routes[NAME].whole
+    level = points_world([(5.0, 6.0, 12.0)], wall(*ENDS, **concrete), radar=SceneRadar(height_m=1.0))
+    (flat,) = traced(level, "specular_relay").routes["specular_relay"].whole
+    cosines = 25.0 / np.array([math.sqrt(25.0**2 + 6.0**2 + 11.0**2), math.hypot(25.0, 6.0)])
+    by_slope, by_plan = level.reflection(np.zeros(2, np.int64), cosines)[0]
+    assert climbing == pytest.approx(flat, rel=1e-4)
+    assert climbing == pytest.approx(by_slope, rel=1e-4)
+    assert abs(by_plan / by_slope) < 0.95
 
 
 @pytest.mark.parametrize("curvature_per_m", [-0.03, -0.01, 0.01])

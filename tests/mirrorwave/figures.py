@@ -1,0 +1,66 @@
+"""What is asked of every figure: read off matplotlib's objects as they were saved, not off pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg, RendererAgg
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.legend import Legend
+from matplotlib.text import Text
+
+from mirrorwave.plot_style import PAGE_INCH
+
+#: Smallest letters that are read without a magnifying glass, once a figure is shrunk to a page's width.
+LEAST_PT = 6.5
+
+
+def legends_of(figure: Figure | SubFigure) -> list[Legend]:
+    """All legends: of the figure, of its parts, of its axes."""
+    parts = [one for part in figure.subfigs for one in legends_of(part)]
+    return [*figure.legends, *(legend for axes in figure.axes if (legend := axes.get_legend())), *parts]
+
+
+def panels_of(figure: Figure) -> list[Axes]:
+    """Axes with data; one that is switched off holds signs alone."""
+    return [axes for axes in figure.axes if axes.axison]
+
+
+def assert_legends_off_data(figure: Figure) -> None:
+    """Every legend lies within the figure and clear of every panel, to half a pixel."""
+    renderer = _renderer(figure)
+    for legend in legends_of(figure):
+        box = legend.get_window_extent(renderer)
+        said = [text.get_text() for text in legend.get_texts()]
+        assert figure.bbox.x0 - 0.5 <= box.x0, said
+        assert figure.bbox.y0 - 0.5 <= box.y0, said
+        assert box.x1 <= figure.bbox.x1 + 0.5, said
+        assert box.y1 <= figure.bbox.y1 + 0.5, said
+        for axes in panels_of(figure):
+            panel = axes.get_window_extent(renderer)
+            apart_x = box.x1 <= panel.x0 + 0.5 or panel.x1 - 0.5 <= box.x0
+            apart_y = box.y1 <= panel.y0 + 0.5 or panel.y1 - 0.5 <= box.y0
+            assert apart_x or apart_y, (axes.get_title(loc="left") or axes.get_title(), said)
+
+
+def _renderer(figure: Figure) -> RendererAgg:
+    """What measures the figure's parts, all of them in their places."""
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return canvas.get_renderer()
+
+
+def texts_of(figure: Figure) -> Iterator[Text]:
+    """Every text that is shown."""
+    for text in figure.findobj(Text):
+        if text.get_visible() and text.get_text().strip():
+            yield text
+
+
+def assert_readable_at_page_width(figure: Figure) -> None:
+    """No text is smaller than `LEAST_PT` once the figure is shrunk to a page's width."""
+    _renderer(figure)
+    shrunk = min(1.0, PAGE_INCH / figure.get_figwidth())
+    small = {text.get_text(): text.get_fontsize() * shrunk for text in texts_of(figure)}
+    assert {text: round(size, 2) for text, size in small.items() if size < LEAST_PT} == {}

@@ -1,0 +1,125 @@
+"""The default profile: what every command runs where none is named, and the outside capture under it."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+import mirrorwave.launch as launch_verb
+from mirrorwave.cli import main
+from mirrorwave.offline import launch_for
+from mirrorwave.profile_chain import ProfileParts, profile_setting
+from mirrorwave.profiles import LAUNCH_DIR, over_default, profile_names, read_profile
+from models.perception.cards import WEIGHTS
+from models.perception.confidence import FittedConfidences, load_confidence
+from models.perception.detectors import CfarDetector, NetworkDetector
+from models.perception.onnx_model import DEFAULT_MODEL
+from msgs.radar import RadarSetup
+from nodes.geometry import Params, parts_of
+from nodes.launch_file import LaunchFile, read_launch_file
+from sim_player.labelled_beams import LabelledPlace
+
+DATA = Path(os.environ.get("MIRRORWAVE_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+ALLEY = DATA / "sigmf_alley"
+
+
+def run_launch(monkeypatch: pytest.MonkeyPatch, *words: str) -> LaunchFile:
+    """What `mirrorwave launch` would supervise."""
+    graphs: list[LaunchFile] = []
+
+    def hear(graph: LaunchFile, *_: Any, **__: Any) -> int:
+        graphs.append(graph)
+        return 0
+
+    monkeypatch.setattr(launch_verb, "run_graph", hear)
+    result = CliRunner().invoke(_app(), list(words), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return graphs[0]
+
+
+def _app() -> Any:
+    app = typer.Typer()
+    app.command()(launch_verb.launch)
+    return app
+
+
+def test_launch_runs_the_default_profile_where_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Live and offline run the same parameters, or a replay would not give the bytes of `process`."""
+    live = run_launch(monkeypatch, str(LAUNCH_DIR / "corner.yaml"))
+    offline = launch_for(Path("capture.mcap"), "default", [])
+    for name in ("ra_former", "dense_predictor", "geometry"):
+        assert live.nodes[name].params == offline.nodes[name].params == read_profile("default").get(name, {})
+
+
+def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytest.MonkeyPatch) -> None:
+    file = str(LAUNCH_DIR / "corner.yaml")
+    named = run_launch(monkeypatch, file, "--profile", "balanced")
+    assert named.nodes["dense_predictor"].params == read_profile("balanced")["dense_predictor"]
+    overridden = run_launch(monkeypatch, file, "-p", "geometry.confidence=none")
+    assert overridden.nodes["geometry"].params == {"confidence": "none"}
+    millimetre = over_default(read_launch_file(LAUNCH_DIR / "corner_77ghz.yaml")).nodes
+    assert millimetre["dense_predictor"].params["method"] == "cfar"
+    assert over_default(read_launch_file(LAUNCH_DIR / "two_hosts_sensor.yaml")).nodes.keys()
+
+
+def test_default_is_what_was_chosen() -> None:
+    """As `accurate`: whichever confidence is committed for the detector it runs is the one it names."""
+    default, accurate = (ProfileParts.of(profile_setting(name), RadarSetup()) for name in ("default", "accurate"))
+    beams = list(LabelledPlace(5, 1, "basic").beams())
+    chains = [parts.chain(RadarSetup()) for parts in (default, accurate)]
+    objects = [[one for beam in beams for view in chain.add(beam) for one in view.objects] for chain in chains]
+    assert objects[0] == objects[1]
+    assert objects[0]
+
+
+@pytest.mark.parametrize(
+    ("model", "flip_test", "name"),
+    [
+        ("compact_unet", False, "compact_unet.confidence"),
+        ("compact_unet", True, "compact_unet.flip.confidence"),
+        ("compact_unet.int8", False, "compact_unet.int8.confidence"),
+        ("compact_unet.int8", True, "compact_unet.int8.flip.confidence"),
+        ("compact_unet.near.int8", False, "compact_unet.near.int8.confidence"),
+        ("compact_unet.near.int8", True, None),
+    ],
+)
+def test_auto_judges_peaks_by_the_confidence_of_their_detector(model: str, flip_test: bool, name: str | None) -> None:
+    _, _, fitted = parts_of(Params(confidence="auto"))
+    assert isinstance(fitted, FittedConfidences)
+    detector = NetworkDetector(RadarSetup(), WEIGHTS / f"{model}.onnx", flip_test=flip_test)
+    wanted = None if name is None else load_confidence(WEIGHTS / f"{name}.json")
+    assert fitted.of(detector._name) == wanted
+
+
+def test_auto_judges_no_peaks_of_a_stranger() -> None:
+    _, _, fitted = parts_of(Params(confidence="auto"))
+    assert fitted is not None
+    assert fitted.of("") is None
+    assert parts_of(Params(confidence="none"))[2] is None
+    assert isinstance(ProfileParts.of(profile_setting("cfar"), RadarSetup()).detector, CfarDetector)
+
+
+def test_unfiltered_keeps_every_place_of_the_same_network() -> None:
+    parts = ProfileParts.of(profile_setting("unfiltered"), RadarSetup())
+    assert parts.confidence is None
+    assert parts.detector._name.startswith(NetworkDetector(RadarSetup(), DEFAULT_MODEL)._name)  # type: ignore[attr-defined]
+    assert "unfiltered" in profile_names()
+
+
+@pytest.mark.skipif(not ALLEY.exists(), reason="capture sigmf_alley is absent")
+def test_one_object_within_15_cm_in_the_alley_of_another_simulator(tmp_path: Path) -> None:
+    """The outside capture: one hidden car; the report lies within 0.15 m of its visible face, and is the only one."""
+    assert main(["process", str(ALLEY / "alley.sigmf-meta"), "--out", str(tmp_path)]) == 0
+    (found,) = json.loads((tmp_path / "objects.jsonl").read_text())["objects"]
+    truth = json.loads((ALLEY / "alley.truth.json").read_text())
+    to_visible_m = np.hypot(*(np.array(truth["visible_hidden_points"]) - [found["x_m"], found["y_m"]]).T)
+    assert to_visible_m.min() < 0.15
+    assert math.isclose(found["length_m"], 4.4, abs_tol=0.5)

@@ -1,0 +1,210 @@
+"""Scores object by object, against values worked out by hand."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+
+from models.perception.evaluation import bootstrap_weights
+from models.perception.metrics import match_objects
+from models.perception.object_error import object_distances
+from models.perception.object_metrics import (
+    HiddenRow,
+    ImageTruth,
+    ObjectScores,
+    ReportRow,
+    ScanRow,
+    band,
+    is_false,
+    is_nothing,
+    mean_loss,
+    object_report,
+    scan_row,
+)
+from msgs.perception import HiddenObject, SceneTruth, TruthObject
+
+SHOWN = ImageTruth(direct=False, mirrored=True, snr_db=30.0, single_snr_db=30.0)
+IN_SIGHT = ImageTruth(direct=True, mirrored=True, snr_db=30.0, single_snr_db=None)
+NEVER_SHOWN = ImageTruth(direct=False, mirrored=False, snr_db=None, single_snr_db=None)
+
+
+def report(x: float, y: float, score: float = 0.95, stamp_ns: int = 0) -> HiddenObject:
+    return HiddenObject(
+        id=0, x_m=x, y_m=y, length_m=2.0, width_m=1.0, yaw_rad=0.0, score=score,
+        cov_m2=((1.0, 0.0), (0.0, 1.0)), stamp_ns=stamp_ns,
+    )  # fmt: skip
+
+
+def truth() -> SceneTruth:
+    """Boxes 4 x 2 m along x: a car in sight at (0, -10); hidden ones at (10, 10), its face at x = 8 seen, and (20, 10)
+    of which no point is over the noise; one that no mirror shows at (40, 0)."""
+    points = np.array([[8.0, 9.5, 0.5], [8.0, 10.5, 0.5]], np.float32)
+    at = ((0.0, -10.0), (10.0, 10.0), (20.0, 10.0), (40.0, 0.0))
+    return SceneTruth(
+        stamp_ns=10**9, scan_id=3, los_points_m=np.zeros((0, 3), np.float32), mirrored_points_m=points,
+        hidden_points_m=points, hidden_object=np.array([1, 1], np.int32),
+        objects=tuple(
+            TruthObject(
+                id=index, object_class="car", x_m=x, y_m=y, length_m=4.0, width_m=2.0, yaw_rad=0.0,
+                velocity_x_mps=5.0 if index == 1 else 0.0, hidden=index in (1, 2),
+            )
+            for index, (x, y) in enumerate(at)
+        ),
+    )  # fmt: skip
+
+
+IMAGES = (IN_SIGHT, SHOWN, SHOWN, NEVER_SHOWN)
+
+
+def test_distances_are_to_face_or_centre_to_the_centre_and_to_the_box() -> None:
+    """From (7.4, 10): 0.6 m to the face at x = 8 and to the box, 2.6 m to the centre of (10, 10)."""
+    found = object_distances([report(7.4, 10.0)], truth(), truth().objects[:2])
+    np.testing.assert_allclose(found.error_m[0], [np.hypot(7.4, 20.0), 0.6])
+    np.testing.assert_allclose(found.centre_m[0], [np.hypot(7.4, 20.0), 2.6])
+    np.testing.assert_allclose(found.box_m[0], [np.hypot(5.4, 19.0), 0.6])
+    # half a second later the car is 2.5 m further along x, and so are its faces
+    late = object_distances([report(9.9, 10.0, stamp_ns=1_500_000_000)], truth(), truth().objects[1:2])
+    np.testing.assert_allclose([late.error_m[0, 0], late.centre_m[0, 0], late.box_m[0, 0]], [0.6, 2.6, 0.6])
+    assert match_objects([report(7.4, 10.0)], truth()).centre_m == (pytest.approx(2.6),)
+
+
+def test_a_scan_becomes_a_row_of_its_hidden_objects_and_its_reports() -> None:
+    """One report at a visible face, a second on the same car, one in plain sight, one at what no mirror shows."""
+    objects = [report(7.4, 10.0), report(10.1, 10.0), report(0.0, -9.0), report(40.0, 1.5), report(60.0, 60.0)]
+    row = scan_row(5, objects, truth(), IMAGES)
+    assert (row.place, row.scan) == (5, 3)
+    assert [one.image for one in row.hidden] == [SHOWN, SHOWN, NEVER_SHOWN]
+    # one to one, then the nearest: 0.1 m from the centre beats 0.6 m from the face
+    assert (row.hidden[0].error_m, row.hidden[0].centre_m) == (pytest.approx(0.1), pytest.approx(0.1))
+    assert row.hidden[0].found_by_centre
+    assert [one.error_m for one in row.hidden[1:]] == [None, None]
+    assert [one.found for one in row.reports] == [False, True, False, False, False]
+    # the report at (40, 1.5) is 1.5 m from the centre of what no mirror shows: not false, and not a find
+    assert [is_false(one) for one in row.reports] == [False, False, True, False, True]
+    assert [is_nothing(one) for one in row.reports] == [False, False, False, False, True]
+    assert row.reports[2].box_m == pytest.approx(0.0)
+    assert row.reports[3].error_m == pytest.approx(1.5)
+
+
+def test_a_face_finds_what_the_centre_does_not() -> None:
+    row = scan_row(0, [report(7.4, 10.0)], truth(), IMAGES)
+    assert (row.hidden[0].error_m, row.hidden[0].found_by_centre) == (pytest.approx(0.6), False)
+
+
+def test_without_objects_every_report_is_nothing_and_without_reports_all_is_missed() -> None:
+    empty = msgspec.structs.replace(truth(), objects=(), hidden_object=np.array([-1, -1], np.int32))
+    (lonely,) = scan_row(0, [report(1.0, 1.0)], empty, ()).reports
+    assert (lonely.error_m, lonely.box_m, lonely.found) == (None, None, False)
+    assert is_false(lonely)
+    assert is_nothing(lonely)
+    silent = scan_row(0, [], truth(), IMAGES)
+    assert ([one.error_m for one in silent.hidden], silent.reports) == ([None, None, None], [])
+
+
+@pytest.mark.parametrize(
+    ("snr_db", "name"),
+    [
+        (None, "no image"),
+        (14.9, "< 15 dB"),
+        (15.0, "15-25 dB"),
+        (25.0, "25-40 dB"),
+        (39.9, "25-40 dB"),
+        (40.0, "> 40 dB"),
+    ],
+)
+def test_bands_hold_their_lower_edge(snr_db: float | None, name: str) -> None:
+    assert band(msgspec.structs.replace(SHOWN, snr_db=snr_db)) == name
+
+
+def hidden(error_m: float | None, kind: str = "car", snr_db: float | None = 30.0, mirrored: bool = True) -> HiddenRow:
+    image = ImageTruth(direct=False, mirrored=mirrored, snr_db=snr_db, single_snr_db=snr_db)
+    centre_m = None if error_m is None else error_m + 1.0
+    return HiddenRow(object_class=kind, image=image, error_m=error_m, centre_m=centre_m, found_by_centre=False)
+
+
+def said(score: float, error_m: float | None, found: bool = False, box_m: float | None = 0.0) -> ReportRow:
+    return ReportRow(score=score, found=found, error_m=error_m, centre_m=error_m, box_m=box_m)
+
+
+def two_places() -> ObjectScores:
+    """Place 0: two cars, one found, two reports of which one is false. Place 1: one pedestrian missed, one report."""
+    first = ScanRow(
+        place=0, scan=0, hidden=[hidden(0.4), hidden(None, snr_db=20.0), hidden(None, mirrored=False, snr_db=None)],
+        reports=[said(0.95, 0.4, found=True), said(0.97, 7.0, box_m=7.0)],
+    )  # fmt: skip
+    second = ScanRow(
+        place=1, scan=0, hidden=[hidden(None, "pedestrian", snr_db=None)], reports=[said(0.55, 1.5)]
+    )  # fmt: skip
+    return ObjectScores([second, first])
+
+
+def test_measures_of_two_places_by_hand() -> None:
+    weights = np.array([[2.0, 0.0], [0.0, 2.0], [1.0, 1.0]])
+    found = object_report(two_places(), weights, false_cost=0.5)
+    assert (found.scans, found.places, found.reports, found.not_mirrored) == (2, 2, 3, 1)
+    assert (found.recall.part, found.recall.whole, found.recall.value) == (1.0, 3.0, pytest.approx(1.0 / 3.0))
+    # the draws find 2 of 4, 0 of 2 and 1 of 3
+    assert (found.recall.low, found.recall.high) == (
+        pytest.approx(np.percentile([0.5, 0.0, 1.0 / 3.0], 2.5)),
+        pytest.approx(np.percentile([0.5, 0.0, 1.0 / 3.0], 97.5)),
+    )
+    assert {name: (one.part, one.whole) for name, one in found.recall_by_class.items()} == {
+        "car": (1.0, 2.0),
+        "pedestrian": (0.0, 1.0),
+    }
+    assert {name: (one.part, one.whole) for name, one in found.recall_by_band.items()} == {
+        "no image": (0.0, 1.0), "< 15 dB": (0.0, 0.0), "15-25 dB": (0.0, 1.0), "25-40 dB": (1.0, 1.0),
+        "> 40 dB": (0.0, 0.0),
+    }  # fmt: skip
+    assert found.recall_by_band["< 15 dB"].value is None
+    assert (found.recall_vehicles.whole, found.recall_single_25_db.whole) == (2.0, 1.0)
+    assert (found.false.part, found.nothing.part, found.false_per_scan.value) == (1.0, 1.0, 0.5)
+    assert found.precision.value == pytest.approx(1.0 / 3.0)
+    # two missed and half a false report over two scans
+    assert found.loss.value == pytest.approx(1.25)
+    assert mean_loss({"one": found, "two": found}) == pytest.approx(1.25)
+    assert found.error_found_m["p50"].value == 0.4
+    assert found.centre_found_m["p50"].value == pytest.approx(1.4)
+    # errors 0.4, 1.5 and 7.0 of three reports: half of them lies within 1.5 m, nine tenths within 7
+    assert (found.error_ungated_m["p50"].value, found.error_ungated_m["p90"].value) == (1.5, 7.0)
+
+
+def test_scores_by_bin_and_their_calibration_error_by_hand() -> None:
+    found = object_report(two_places(), np.ones((1, 2)), false_cost=1.0)
+    high = next(one for one in found.scores if one.low == 0.9)
+    assert (high.mean_score, high.found.value, high.near.value) == (pytest.approx(0.96), 0.5, 0.5)
+    low = next(one for one in found.scores if one.low == 0.5)
+    assert (low.mean_score, low.found.value, low.near.value) == (pytest.approx(0.55), 0.0, 1.0)
+    assert sum(one.found.whole for one in found.scores) == 3.0
+    assert found.calibration_error == pytest.approx((2.0 * 0.46 + 1.0 * 0.55) / 3.0)
+
+
+def test_a_score_of_one_and_the_edges_belong_to_one_bin_each() -> None:
+    scan = ScanRow(
+        place=0, scan=0, hidden=[], reports=[said(score, None, box_m=None) for score in (0.0, 0.9, 0.99, 1.0)]
+    )
+    found = object_report(ObjectScores([scan]), np.ones((1, 1)), 1.0)
+    assert {one.low: one.found.whole for one in found.scores if one.found.whole} == {0.0: 1.0, 0.9: 1.0, 0.99: 2.0}
+    assert (found.recall.value, found.error_ungated_m, found.loss.value) == (None, {}, 4.0)
+
+
+def test_an_interval_of_many_places_is_as_wide_as_the_binomial_law_says() -> None:
+    """200 places with two objects, each found with probability 0.4: 2 x 1.96 sqrt(0.24 / 400) = 0.096 wide."""
+    rng = np.random.default_rng(0)
+    scans = [
+        ScanRow(place=p, scan=0, hidden=[hidden(0.2 if rng.random() < 0.4 else None) for _ in range(2)], reports=[])
+        for p in range(200)
+    ]
+    recall = object_report(ObjectScores(scans), bootstrap_weights(200, 500, 0), 1.0).recall
+    assert recall.low is not None
+    assert recall.high is not None
+    assert recall.value is not None
+    assert recall.low < recall.value < recall.high
+    # 500 draws, and a share that is itself drawn: a few parts in ten
+    assert recall.high - recall.low == pytest.approx(0.096, rel=0.2)
+
+
+def test_weights_of_other_places_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"weights must have shape \[draws, 2\] for places, got \(1, 3\)"):
+        object_report(two_places(), np.ones((1, 3)), 1.0)
