@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from mirrorwave.ending import ended_by_signal, hear_signals, keep_code, was_interrupted
+from mirrorwave.ending import ended_by_signal, hear_endings, keep_code, was_interrupted
 from mirrorwave.terminal import open_closed_streams
 
 
@@ -12,7 +12,7 @@ def main() -> int:
     """Run the command line; returns its exit code."""
     open_closed_streams()
     try:
-        hear_signals()
+        hear_endings()
         from mirrorwave.cli import main as run
 
         code = run()

@@ -38,7 +38,7 @@ DYNAMIC_RANGE_DB = 55.0
 #: An ellipse of two sigma holds 86 % of a plane's normal distribution.
 ELLIPSE_SIGMAS, ELLIPSE_SHARE = 2.0, 0.86
 #: Width of the bird's-eye view and of the column beside it, and the least and largest height, in inches.
-VIEW_INCH, SIDE_INCH, HEIGHTS_INCH = 6.4, 3.2, (6.6, 9.6)
+VIEW_INCH, SIDE_INCH, HEIGHTS_INCH = 6.4, 3.2, (7.4, 9.6)
 #: Share of the echoes that the picture holds: a single far one must not shrink everything else.
 SHOWN_SHARE = 0.98
 MARGIN_M, LEAST_FORWARD_M, LEAST_SIDE_M = 2.0, 15.0, 6.0

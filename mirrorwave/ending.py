@@ -9,6 +9,7 @@ import os
 import signal
 import sys
 import threading
+from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -30,14 +31,18 @@ _AGAIN_S = 0.05
 _heard: signal.Signals | None = None
 
 
-def hear_signals() -> None:
+def hear_endings() -> None:
     """Take SIGTERM and SIGHUP, the end of the terminal, for Ctrl-C, so that what a verb holds is closed as well.
 
     Not where somebody has them ignored, as `nohup` does. None is lost where it comes while a library works that can
     pass on no exception.
     """
-    default = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
-    for number, untouched in default.items():
+    handlers = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    for number, untouched in handlers.items():
         if signal.getsignal(number) is untouched:
             signal.signal(number, _interrupt)
     sys.unraisablehook = _hear_again
@@ -51,9 +56,9 @@ def was_interrupted() -> bool:
 def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     """The exit code of a verb that was interrupted, by its command line; says so in a line where it was not done."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    # an interrupt that has passed through a library's own Python code has marked the process to end by SIGINT, whatever
-    # its exit code; the mark is taken off where other code in text is run
-    exec("")
+    # an interrupt that passed through code that a library runs from text has marked the process to end by SIGINT,
+    # whatever its exit code; the interpreter takes the mark off where it runs such code again, as this does
+    namedtuple("Unmarked", ())
     if is_until_told(words):
         return 0
     code = 128 + (_heard or signal.SIGINT)
@@ -100,7 +105,8 @@ def _hear_again(lost: sys.UnraisableHookArgs) -> None:
         sys.__unraisablehook__(lost)
         return
     number = _heard or signal.SIGINT
-    signal.signal(number, _interrupt)
+    if number == signal.SIGHUP:
+        signal.signal(number, _interrupt)
     # from elsewhere and a little later: here it would be lost again
     again = threading.Timer(_AGAIN_S, os.kill, (os.getpid(), number))
     again.daemon = True

@@ -107,10 +107,7 @@ def test_supervisor_imports_no_process_of_the_graph() -> None:
 
 @pytest.mark.parametrize("path", SOURCES, ids=module_name)
 def test_no_forbidden_words(path: Path) -> None:
-    """No pickle, eval, exec, exit or print in the four floors below the command line; none of pickle, eval, exec in it.
-
-    To run the empty text runs nothing: it is how CPython takes back that an interrupt has marked the process.
-    """
+    """No pickle, eval, exec, exit or print in the four floors below the command line; none of pickle, eval, exec in it."""
     forbidden = (
         {"eval", "exec", "exit", "print"} if path.relative_to(ROOT).parts[0] != "mirrorwave" else {"eval", "exec"}
     )
@@ -118,7 +115,6 @@ def test_no_forbidden_words(path: Path) -> None:
         node.func.id
         for node in ast.walk(ast.parse(path.read_text()))
         if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in forbidden
-        if ast.unparse(node) != "exec('')"
     ]
     assert calls == []
     assert "pickle" not in {name.split(".")[0] for name in imported_modules(path.read_text())}
