@@ -14,10 +14,7 @@ VALUES = {
     "msgs.units",
     "msgs.arrays",
     "msgs.array_files",
-    "msgs.whole_files",
     "msgs.yaml_loader",
-    "msgs.known_names",
-    "msgs.wording",
     "msgs.frames",
     "msgs.radar",
     "msgs.vehicle",
@@ -107,7 +104,7 @@ def test_supervisor_imports_no_process_of_the_graph() -> None:
 
 @pytest.mark.parametrize("path", SOURCES, ids=module_name)
 def test_no_forbidden_words(path: Path) -> None:
-    """No pickle, eval, exec, exit or print in the four floors below the command line; none of pickle, eval, exec in it."""
+    """No pickle, eval, exec, exit or print in the four floors below the command line."""
     forbidden = (
         {"eval", "exec", "exit", "print"} if path.relative_to(ROOT).parts[0] != "mirrorwave" else {"eval", "exec"}
     )
