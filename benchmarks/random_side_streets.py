@@ -464,7 +464,7 @@ def draw_figure(results: Sequence[DriveResult], path: Path) -> None:
         _draw_way(axes, name, results)
     grid[0, 0].set_ylabel("lead up to direct sight, s")
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside lower center", ncols=min(len(labels), 2 * len(names)))
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
     pyplot.close(figure)

@@ -30,6 +30,8 @@ def _recorded() -> Iterator[None]:
 @pytest.fixture(autouse=True)
 def saved_figures() -> Iterator[list[Figure]]:
     """The figures that this test saved, oldest first; looked at when it ends."""
+    # what tests of other folders saved in this process is not this test's
+    SAVED.clear()
     yield SAVED
     figures = SAVED.copy()
     SAVED.clear()

@@ -131,7 +131,7 @@ def test_recorded_beams_equal_kernel_level_up_to_noise() -> None:
         beam = folded(player.beam(0, index).samples) * np.sqrt(setup.milliwatt_per_code_squared)
         error = np.fft.fft(beam * window)[:512] / count - kernel[index]
         expected = 1.5 * setup.radar.noise_power_mw / 2**20
-        assert np.mean(np.abs(error) ** 2) == pytest.approx(expected, rel=0.3)
+        assert np.mean(np.abs(error) ** 2) == pytest.approx(expected, rel=0.3, abs=0.0)
 
 
 @pytest.mark.parametrize(("speed_mps", "ego_mps"), [(0.6, 0.0), (15.0, 0.0), (5.0, 8.0)])

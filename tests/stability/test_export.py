@@ -120,10 +120,13 @@ def network_of_another_type(model: Path) -> None:
         (no_card, r"net\.json: .*No such file"),
         (cut_card, r"net\.json: Input data was truncated"),
         (card_with(input_shape=[1, 5, 64, 8]), r"net\.onnx: input must be \(1, 5, 64, 8\) as its card says, got"),
-        (card_with(encoding={"channels": ["level", "warmth"]}), r"net\.json: encoding\.channels must be .*'warmth'"),
+        (
+            card_with(encoding={"channels": ["level", "warmth"]}),
+            r"net\.json: encoding: encoding\.channels must be .*'warmth'",
+        ),
         (
             card_with(encoding={"range_bins": -1}),
-            r"net\.json: encoding\.range_bins must be finite and positive, got -1",
+            r"net\.json: encoding: encoding\.range_bins must be finite and positive, got -1",
         ),
         (card_with(grid={"azimuth_bins": 60}), r"net\.json: grid\.azimuth_bins must be a multiple of 16, got 60"),
         (network_of_another_type, r"net\.onnx: input must be one float32 array, got \['tensor\(double\)'\]"),
