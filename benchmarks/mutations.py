@@ -219,6 +219,9 @@ class Workspace:
         environment |= {"MIRRORWAVE_RUN_DIR": str(self.folder.parent / "run")}
         environment |= {} if numba_cache is None else {"NUMBA_CACHE_DIR": str(numba_cache)}
         code, output = self._run(command, environment, until_s)
+        if code in (-signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP):
+            # that is no verdict: a mutant has no reason to ask itself to end
+            raise InterruptedError(f"tests were ended from outside by {signal.Signals(-code).name}")
         if code == 4:
             raise ValueError(f"tests must exist: {' '.join(output.split())}")
         if code in (0, 5):

@@ -193,7 +193,7 @@ class Runner:
         background = written.endswith("&")
         command = shortened(written.rstrip("& "))
         words = [word for word in shlex.split(command) if not re.match(r"[A-Z_]+=", word)]
-        plain = command.startswith("mirrorwave ")
+        plain = command.startswith("mirrorwave ") and "|" not in words
         if words[0] in OPTIONAL and shutil.which(words[0]) is None:
             self.missing.append(words[0])
             return
