@@ -17,14 +17,14 @@ from typing import Any
 
 import numpy as np
 
-from models.perception.registration import PlacedCloud, RegistrationParams, moved, pose_error, register, rounded_pose
-from models.perception.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
+from models.annotation.registration import PlacedCloud, RegistrationParams, moved, pose_error, register, rounded_pose
+from models.annotation.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
 from models.physics.mirror import blocked, reflect, wall_from_ends
 from models.physics.plane import segment_distance_m
 from nodes import player
-from sim_player.hiding import Boxes, chords
-from sim_player.lidar_cloud import LidarCloud, LidarParams, choose_viewpoints, lidar_cloud, rigid
-from sim_player.scene import Scene, load_scene
+from sim_player.generate.placement import Boxes, chords
+from sim_player.lidar.clouds import LidarCloud, LidarParams, choose_viewpoints, lidar_cloud, rigid
+from sim_player.scene.description import Scene, load_scene
 
 SCENES = Path(__file__).resolve().parents[1] / "launch" / "scenes"
 NAMES = ("corner", "two_hidden_vehicles", "facade_across_lane", "oblique_container", "parallel_street_wall")

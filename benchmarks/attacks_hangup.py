@@ -23,13 +23,13 @@ import zmq
 
 from benchmarks.net import COMMAND, Row, frame, frames, frames_v1, greeting, ready
 from benchmarks.raw_peers import MESSAGE, TOPIC
-from mirrorwave.foreign_topic import ForeignBus
-from msgs.bus import Envelope, Forwarded
-from msgs.codec import encode, topic_frame
-from msgs.radar import RadarSetup
-from msgs.tally import MAX_LATCHED
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus, socket_path
+from mirrorwave.diagnose.foreign_topic import ForeignBus
+from msgs.bus.codec import encode, topic_frame
+from msgs.bus.interface import Envelope, Forwarded
+from msgs.bus.sequencing import MAX_LATCHED
+from msgs.bus.zmq import ZmqBus, socket_path
+from msgs.values.radar import RadarSetup
+from msgs.values.vehicle import VehicleState
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE_S = 30.0

@@ -18,8 +18,8 @@ import zmq
 
 from benchmarks.net import Row
 from benchmarks.raw_peers import INJECTED, TOPIC, injected
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus, socket_path
+from msgs.bus.zmq import ZmqBus, socket_path
+from msgs.values.vehicle import VehicleState
 
 #: The intruder, and a user who is neither it nor root.
 NOBODY, SOMEBODY = 65534, 12345

@@ -21,8 +21,8 @@ from zmq.utils.monitor import recv_monitor_message
 from benchmarks.link_stand import SECRET_TOPIC, Keys, Stand
 from benchmarks.net import HOST, Row, Script, Talk, answer, call, command, frames_v1, greeting, ready
 from benchmarks.raw_peers import MESSAGE, TOPIC, drip, injected, scripts, v1
-from msgs.codec import topic_frame
-from msgs.topics import MIB, TOPICS
+from msgs.bus.codec import topic_frame
+from msgs.bus.topics import MIB, TOPICS
 
 #: A libzmq peer that is going to get in has done so in this.
 PATIENCE_S = 0.6

@@ -19,13 +19,13 @@ import msgspec
 import numpy as np
 
 from benchmarks.geometry_switches import machine
-from mirrorwave.calibrate_drive import DriveParams, solve_drive
+from mirrorwave.calibrate.drive import DriveParams, solve_drive
 from mirrorwave.console import progress_bar
 from models.vehicle.mounting import Mounting
-from msgs.frames import Pose2
-from msgs.recording import RecordingWriter
+from msgs.recording.mcap import RecordingWriter
+from msgs.values.frames import Pose2
 from sim_player.drive import Drive, DrivePlayer
-from sim_player.scene import Scene, Surface
+from sim_player.scene.description import Scene, Surface
 
 TRUE, PRIOR = Pose2(1.4, 0.2, math.radians(2.0)), Pose2(1.2, 0.0, 0.0)
 LATE_S, START_NS = 0.08, 10_000_000_000

@@ -21,14 +21,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from mirrorwave.sim_dataset import parse_effects
-from sim_player.dataset import Recipe, write_dataset
+from mirrorwave.commands.sim.dataset import parse_effects
+from sim_player.dataset.writer import Recipe, write_dataset
 
 _KILLED = """
 import sys
 from pathlib import Path
 import msgspec
-from sim_player.dataset import Recipe, write_dataset
+from sim_player.dataset.writer import Recipe, write_dataset
 if __name__ == "__main__":
     recipe = msgspec.json.decode(sys.argv[4], type=Recipe)
     say = lambda shard: print(shard.shard, flush=True)

@@ -26,11 +26,11 @@ from typing import Any
 
 import psutil
 
-from msgs.bus import Received
-from msgs.diagnostics import LogRecord, NodeState, NodeStatus
-from msgs.perception import BevFrame
-from msgs.zmq_bus import ZmqBus, run_dir
-from nodes.launch_file import SUPERVISOR
+from msgs.bus.interface import Received
+from msgs.bus.zmq import ZmqBus, run_dir
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.values.perception import BevFrame
+from nodes.process.launch_file import SUPERVISOR
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCHES = (ROOT / "launch" / "corner.yaml", ROOT / "launch" / "corner_can.yaml")

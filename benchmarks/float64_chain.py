@@ -1,14 +1,13 @@
 """The chain as it runs, in single precision, against the same chain in double precision; and one thread against two.
 
-Random labelled places (`sim_player.labelled_beams`, every effect the place calls for), the default profile. Single:
-`RaFormer`, `NetworkDetector`, `fold_scan` as the nodes call them. Double: the same formulas written out in float64 and
-complex128 from the integer sums on (transform, window, Doppler, co-array by least squares on the stacked system instead
-of normal equations, encoding, every operator of the network, pursuit, peaks), geometry as it is, for it is float64.
-A place is the same one in both where its image has the same class and stands within a metre, one to one. What only one
-run has is told apart: `threshold`, the image's peak is missing in the other run, with how far its score is from the
-threshold; `wall`, the peak is in both and the folding decided otherwise.
-`--threads` asks instead whether the bytes of the view are the same for 1 and 2 threads of network, BLAS and kernels.
-Run from the root of the checkout:
+Random labelled places (`sim_player.dataset.labelled_beams`, every effect the place calls for), the default profile.
+Single: `RaFormer`, `NetworkDetector`, `fold_scan` as the nodes call them. Double: the same formulas written out in
+float64 and complex128 from the integer sums on (transform, window, Doppler, co-array by least squares on the stacked
+system instead of normal equations, encoding, every operator of the network, pursuit, peaks), geometry as it is, for it
+is float64. A place is the same one in both where its image has the same class and stands within a metre, one to one.
+What only one run has is told apart: `threshold`, the image's peak is missing in the other run, with how far its score
+is from the threshold; `wall`, the peak is in both and the folding decided otherwise. `--threads` asks instead whether
+the bytes of the view are the same for 1 and 2 threads of network, BLAS and kernels. Run from the root of the checkout:
 OPENBLAS_NUM_THREADS=2 python -m benchmarks.float64_chain [--places 200] [--first 0] [--seed 11] [--threads] [--json]
 """
 
@@ -35,21 +34,21 @@ from rich.progress import track
 from scipy.special import gammainccinv
 from threadpoolctl import threadpool_limits
 
-from models.perception.coarray import CoherenceTest, beam_matrix, ideal_beams
-from models.perception.detectors import NetworkDetector
-from models.perception.encoding import Encoding, sample_columns
-from models.perception.folding import fold_chirps, group_edges
-from models.perception.geometry import FoldedScan, GeometryParams, fold_scan, recover_bev
-from models.perception.metrics import match_points
-from models.perception.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
-from models.perception.peaks import PeakParams, find_pursued_peaks
-from models.perception.ra_forming import FormingParams, RaFormer
-from msgs.codec import encode_inline
-from msgs.frames import xy_from_polar
-from msgs.perception import BevFrame, PathClass, Peaks
-from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, amplitude_per_code
-from msgs.units import ratio_from_db
-from sim_player.labelled_beams import LabelledPlace
+from models.evaluation.metrics import match_points
+from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.encoding import Encoding, sample_columns
+from models.perception.detection.onnx_model import DEFAULT_MODEL, DensePredictor, load_card
+from models.perception.detection.peaks import PeakParams, find_pursued_peaks
+from models.perception.forming.coarray import CoherenceTest, beam_matrix, ideal_beams
+from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.slow_time_sums import fold_chirps, group_edges
+from models.perception.geometry.stage import FoldedScan, GeometryParams, fold_scan, recover_bev
+from msgs.bus.codec import encode_inline
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import BevFrame, PathClass, Peaks
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap, amplitude_per_code
+from msgs.values.units import ratio_from_db
+from sim_player.dataset.labelled_beams import LabelledPlace
 
 #: Ridge and taps of the chain, for a complete scan.
 RIDGE, HANN = 1e-7, (-0.5, 1.0, -0.5)

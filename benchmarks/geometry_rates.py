@@ -19,14 +19,14 @@ import numpy as np
 import yaml
 
 from benchmarks.geometry_switches import DEFAULT, hidden_places, machine, true_peaks
-from models.perception.calibration import calibrated
-from models.perception.detectors import NetworkDetector
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.onnx_model import DEFAULT_MODEL
+from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.detection.score_calibration import calibrated
+from models.perception.geometry.stage import GeometryParams, recover_bev
 from models.training.calibration import calibration_error, fit_table
-from models.training.frames import DataSet, Frame, fixed_splits
-from msgs.perception import BevFrame, Peaks, Visibility
-from msgs.radar import RadarSetup
+from models.training.data.frames import DataSet, Frame, fixed_splits
+from msgs.values.perception import BevFrame, Peaks, Visibility
+from msgs.values.radar import RadarSetup
 
 GATE_M = 2.0
 LARGE = ("car", "van", "truck", "bus")

@@ -17,17 +17,17 @@ from typing import Any, TypeVar
 import numpy as np
 
 from benchmarks.geometry_switches import labelled_peaks, machine
-from models.perception.clustering import dbscan
-from models.perception.geometry import GeometryParams, recover_bev, warm
-from models.perception.objects import form_objects
-from models.perception.observability import observability
-from models.perception.recovery import DirectReturns, cartesian_covariance, recover
-from models.perception.rejection import hidden_mask
-from models.perception.walls import find_walls
-from msgs.frames import xy_from_polar
-from msgs.perception import PathClass, Peaks
-from sim_player.labelled_scan import labelled_scan
-from sim_player.places import random_place
+from models.perception.geometry.clustering import dbscan
+from models.perception.geometry.objects import form_objects
+from models.perception.geometry.observability import observability
+from models.perception.geometry.recovery import DirectReturns, cartesian_covariance, recover
+from models.perception.geometry.rejection import hidden_mask
+from models.perception.geometry.stage import GeometryParams, recover_bev, warm
+from models.perception.geometry.walls import find_walls
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass, Peaks
+from sim_player.dataset.labelled_scan import labelled_scan
+from sim_player.generate.places import random_place
 
 WHOLE = "recover_bev"
 Answer = TypeVar("Answer")

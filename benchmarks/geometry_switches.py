@@ -26,19 +26,19 @@ import msgspec
 import numpy as np
 import yaml
 
-from models.perception.confidence import PlaceConfidence, load_confidence
-from models.perception.detectors import DEFAULT_REFINE, NetworkDetector, Refine
-from models.perception.geometry import GeometryParams, fold_scan
-from models.perception.metrics import Counts, chamfer, recovered_counts
-from models.perception.objects import form_objects
-from models.perception.observability import sensitivity_db
-from models.perception.onnx_model import DEFAULT_MODEL, load_card
-from models.perception.peaks import PeakParams, polar_covariance
-from models.perception.published_geometry import PublishedParams, recover_published
-from models.training.frames import DataSet, Frame, FrameLabels, fixed_splits
-from msgs.perception import PathClass, Peaks
-from msgs.radar import RadarSetup, RangeAzimuthGrid
-from sim_player.labelled_scan import Labels
+from models.evaluation.metrics import Counts, chamfer, recovered_counts
+from models.perception.detection.detectors import DEFAULT_REFINE, NetworkDetector, Refine
+from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.detection.peaks import PeakParams, polar_covariance
+from models.perception.geometry.confidence import PlaceConfidence, load_confidence
+from models.perception.geometry.objects import form_objects
+from models.perception.geometry.observability import sensitivity_db
+from models.perception.geometry.published import PublishedParams, recover_published
+from models.perception.geometry.stage import GeometryParams, fold_scan
+from models.training.data.frames import DataSet, Frame, FrameLabels, fixed_splits
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from sim_player.dataset.labelled_scan import Labels
 
 RANGE_STD_M, AZIMUTH_STD_DEG = 0.06, 0.7
 DEFAULT = GeometryParams()

@@ -22,13 +22,13 @@ import zmq
 
 from benchmarks.net import HOST, Proxy
 from benchmarks.raw_peers import INJECTED, TOPIC, injected
-from msgs import curve_keys
-from msgs.bus import Envelope, Received
-from msgs.codec import encode, topic_frame
-from msgs.diagnostics import LogRecord, NodeStatus
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus
+from msgs.bus.codec import encode, topic_frame
+from msgs.bus.interface import Envelope, Received
+from msgs.bus.topics import TOPICS
+from msgs.bus.zmq import ZmqBus
+from msgs.link import keys as curve_keys
+from msgs.values.diagnostics import LogRecord, NodeStatus
+from msgs.values.vehicle import VehicleState
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE_S = 60.0

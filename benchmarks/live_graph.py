@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from msgs.diagnostics import NodeStatus
-from msgs.perception import BevFrame
-from msgs.zmq_bus import ZmqBus, run_dir
-from nodes.live_timing import latency_ns, stage_figures
+from msgs.bus.zmq import ZmqBus, run_dir
+from msgs.values.diagnostics import NodeStatus
+from msgs.values.perception import BevFrame
+from nodes.inputs.view_latency import latency_ns, stage_figures
 
 ROOT = Path(__file__).resolve().parents[1]
 #: The graph runs so much longer than it is looked at: a scan that the end cuts short waits for beams that never come.

@@ -17,10 +17,10 @@ from pathlib import Path
 import msgspec
 import psutil
 
-from msgs.bus import Envelope, Received
-from msgs.diagnostics import NodeState, NodeStatus
-from msgs.units import ns_from_s
-from msgs.vehicle import VehicleState
+from msgs.bus.interface import Envelope, Received
+from msgs.values.diagnostics import NodeState, NodeStatus
+from msgs.values.units import ns_from_s
+from msgs.values.vehicle import VehicleState
 from nodes import player, recorder
 from tests.fuzz.cases import peaks, ra_map, view
 

@@ -29,11 +29,11 @@ import numpy as np
 import psutil
 
 from benchmarks.live_graph import quantiles, shed_of, stages_ms
-from msgs.diagnostics import NodeStatus
-from msgs.perception import BevFrame
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus, run_dir
-from nodes.live_timing import DEADLINE_S, latency_ns
+from msgs.bus.zmq import ZmqBus, run_dir
+from msgs.values.diagnostics import NodeStatus
+from msgs.values.perception import BevFrame
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.view_latency import DEADLINE_S, latency_ns
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "launch" / "corner.yaml"

@@ -32,22 +32,22 @@ import scipy
 from rich.console import Console
 from rich.progress import track
 
-from mirrorwave.plot_style import legend_below, new_figure, save
-from models.perception.coarray import AzimuthInterpolator
-from models.perception.detectors import NetworkDetector, Refine
-from models.perception.geometry import GeometryParams, fold_scan
-from models.perception.metrics import dense_counts, match_points, recovered_counts
-from models.perception.peaks import PeakParams, peaks_at
-from models.perception.ra_forming import ScanProfiles, form_map
-from models.perception.refinement import EchoRefiner, RefinementParams
-from models.perception.ridges import lobe_azimuth
+from mirrorwave.plots.style import legend_below, new_figure, save
+from models.evaluation.metrics import dense_counts, match_points, recovered_counts
+from models.perception.detection.detectors import NetworkDetector, Refine
+from models.perception.detection.peaks import PeakParams, peaks_at
+from models.perception.detection.refinement import EchoRefiner, RefinementParams
+from models.perception.detection.ridges import lobe_azimuth
+from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.forming.ra_forming import ScanProfiles, form_map
+from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.physics.antenna import setup_weights
 from models.physics.cramer_rao import azimuth_response, periodogram_range_loss, raw_bound, windowed_bound
 from models.physics.waveform import WINDOW_TAPS, tone_profile, window_noise_gain
-from models.training.frames import DataSet, Frame, fixed_splits
-from msgs.frames import xy_from_polar
-from msgs.perception import PathClass, Peaks
-from msgs.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from models.training.data.frames import DataSet, Frame, fixed_splits
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 SETUP = RadarSetup()
 GRID = RangeAzimuthGrid()

@@ -19,9 +19,9 @@ import time
 import msgspec
 import numpy as np
 
-from models.physics.photon_counting import CELLS_PER_RMS, draw_histogram, event_histogram, expected_histogram
-from msgs.lidar import SpadParams
-from msgs.units import SPEED_OF_LIGHT_MPS
+from models.physics.photons.counting import CELLS_PER_RMS, draw_histogram, event_histogram, expected_histogram
+from msgs.values.lidar import SpadParams
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 WALL_M, WALL_PHOTONS, WEAK_PHOTONS = 5.0, 10.0, 0.05
 

@@ -19,13 +19,13 @@ from scipy.optimize import brentq
 
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile, window_noise_gain
-from msgs.radar import PRESETS, RadarSetup, amplitude_per_code
-from msgs.units import SPEED_OF_LIGHT_MPS
-from sim_player.dataset import WINDOW, profile_noise
-from sim_player.fmcw import beam_codes, noise_bank
-from sim_player.mesh_rcs import mesh_rcs_m2
-from sim_player.meshes import cylinder, dihedral, plate, sphere, trihedral
-from sim_player.ray_tracing import echo_amplitude
+from msgs.values.radar import PRESETS, RadarSetup, amplitude_per_code
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.dataset.writer import WINDOW, profile_noise
+from sim_player.scene.meshes import cylinder, dihedral, plate, sphere, trihedral
+from sim_player.signal.fmcw import beam_codes, noise_bank
+from sim_player.trace.mesh_rcs import mesh_rcs_m2
+from sim_player.trace.ray_tracing import echo_amplitude
 
 CARRIERS_HZ = (10e9, 77e9)
 FORWARD = np.array([1.0, 0.0, 0.0])

@@ -1,7 +1,7 @@
 """The planner's law over random places: no cell off by more than the budget, and what the planning saves.
 
 Every scene is simulated with all effects and as planned under each budget, same noise, at the kernel level. Cells are
-those of `sim_player.cells`: range bins of every steering angle, and of every azimuth of the 512 x 256 map.
+those of `sim_player.planner.cells`: range bins of every steering angle, and of every azimuth of the 512 x 256 map.
 `--alone N` drops each used effect alone in the first N scenes: bound minus actual change. `--beats N` times the beats
 of a whole scan of the first N scenes too. Times are processor times of this process: `all` is tracing and signal of
 everything, `auto` planning and signal of what is left.
@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from rich.progress import track
 
-from msgs.radar import RadarSetup
-from sim_player.cells import cells_of
-from sim_player.effect_names import ALL_EFFECTS
-from sim_player.places import random_place
-from sim_player.planner import Plan, chosen, clean_profiles, noisy_profiles, plan_world
-from sim_player.signal_levels import beam_beats, noise_profiles, noise_rms
-from sim_player.world import World, prepare
+from msgs.values.radar import RadarSetup
+from sim_player.effects.names import ALL_EFFECTS
+from sim_player.generate.places import random_place
+from sim_player.planner.cells import cells_of
+from sim_player.planner.plan import Plan, chosen, clean_profiles, noisy_profiles, plan_world
+from sim_player.scene.world import World, prepare
+from sim_player.signal.levels import beam_beats, noise_profiles, noise_rms
 
 BUDGETS_DB = (-10.0, -20.0, -30.0)
 
@@ -149,8 +149,8 @@ def beat_row(seed: int, index: int, preset: str) -> tuple[float, float]:
 
 def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, count: int = 10) -> None:
     """The scenes nearest to their budget of -20 dB: map of all, and where the planned one is off."""
-    from mirrorwave.plot_style import handles_of, legend_of_figure, new_figure, save
-    from mirrorwave.scene_picture import draw_scene
+    from mirrorwave.plots.scene import draw_scene
+    from mirrorwave.plots.style import handles_of, legend_of_figure, new_figure, save
 
     rank = sorted(range(len(rows)), key=lambda index: -rows[index]["budgets"][1]["actual_db"])[:count]
     figure = new_figure(10.0, 2.3 * len(rank) + 0.8)

@@ -23,10 +23,10 @@ import numpy as np
 import onnxruntime
 import psutil
 
-from models.perception.encoding import encode_map
-from models.perception.onnx_model import DensePredictor
-from models.training.export_onnx import score_files
-from models.training.frames import DataSet, Frame, fixed_splits
+from models.perception.detection.encoding import encode_map
+from models.perception.detection.onnx_model import DensePredictor
+from models.training.data.frames import DataSet, Frame, fixed_splits
+from models.training.export.onnx import score_files
 
 THREADS = (1, 2)
 

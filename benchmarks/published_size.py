@@ -27,15 +27,15 @@ from rich.console import Console
 from rich.progress import track
 
 from mirrorwave.profiles import read_profile
-from models.perception.encoding import encode_map
-from models.perception.onnx_model import open_session
-from models.perception.ra_forming import RaFormer
-from models.training.export_onnx import Exported, export_onnx
+from models.perception.detection.encoding import encode_map
+from models.perception.detection.onnx_model import open_session
+from models.perception.forming.ra_forming import RaFormer
+from models.training.export.onnx import Exported, export_onnx
 from models.training.families import chosen_network
-from msgs.radar import RadarSetup, RangeAzimuthMap
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from nodes import dense_predictor
-from nodes.validation import convert_at
-from sim_player.labelled_beams import LabelledPlace
+from nodes.process.validation import convert_at
+from sim_player.dataset.labelled_beams import LabelledPlace
 
 PROFILES = ("fast", "balanced", "default", "accurate")
 #: Beside Table 3's, the published U-Net, at full size.

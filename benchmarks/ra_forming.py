@@ -19,9 +19,9 @@ import numba
 import numpy as np
 import scipy
 
-from models.perception.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
-from models.perception.folding import fold_chirps
-from models.perception.ra_forming import BeamFolder, FormingParams, RaFormer
+from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
+from models.perception.forming.ra_forming import BeamFolder, FormingParams, RaFormer
+from models.perception.forming.slow_time_sums import fold_chirps
 from models.physics.antenna import (
     element_field,
     row_field,
@@ -30,7 +30,7 @@ from models.physics.antenna import (
     two_way_pattern,
 )
 from models.physics.waveform import beat_samples
-from msgs.radar import ArrayParams, RadarBeam, RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import ArrayParams, RadarBeam, RadarSetup, RangeAzimuthGrid
 
 SETUP = RadarSetup()
 GRID = RangeAzimuthGrid()

@@ -1,14 +1,14 @@
 """Random drives past side streets: how early a hidden road user is tracked, against the most that its street allows.
 
-Drives are those of `sim_player.side_streets`: widths, corners, walls, parked vehicles, clutter, speeds, braking and
-turns are drawn, and no drive is left out. Raw int16 beams of all effects that the simulator has (squint, ground,
-diffraction, second mirrors, faults of the front end, ...; echoes in float32), odometry from states with noise and a
-gyroscope's bias, the chain and the tracker as the graph runs them.
+Drives are those of `sim_player.generate.side_streets`: widths, corners, walls, parked vehicles, clutter, speeds,
+braking and turns are drawn, and no drive is left out. Raw int16 beams of all effects that the simulator has (squint,
+ground, diffraction, second mirrors, faults of the front end, ...; echoes in float32), odometry from states with noise
+and a gyroscope's bias, the chain and the tracker as the graph runs them.
 
 - Direct sight: the first scan at whose start the road user has a direct path.
 - Most possible lead: from the first scan at whose start a mirror shows it with an echo over 10 dB of SNR in some beam
   (`VISIBLE_SNR_DB`) inside the map; 0 where none does before direct sight.
-- Lead: from the first scan with a confirmed track within 2 m of it (face error, `models.perception.object_error`) to
+- Lead: from the first scan with a confirmed track within 2 m of it (face error, `models.evaluation.object_error`) to
   direct sight. Kept lead: from where one id stays on it in every scan up to direct sight, which is what
   `benchmarks.side_street` calls lead. Both are 0 where there is no such track. Times are stamps of scans; a view comes
   0.3 s after its scan's stamp, and the processing later.
@@ -39,27 +39,27 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.geometry_switches import machine
 from benchmarks.side_street import GATE_M, Said, as_object, lead_s, switches
-from mirrorwave.tradeoff_run import params_of
-from mirrorwave.tradeoff_settings import Setting
-from models.perception.confidence import Confidence
-from models.perception.detectors import Detector
-from models.perception.evaluation import Estimate, bootstrap_weights
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.memory import MemoryParams, ScanMemory
-from models.perception.metrics import match_objects
-from models.perception.object_error import centre_error_m, object_distances
-from models.perception.ra_forming import RaFormer
-from msgs.frames import Pose2
-from msgs.perception import PathClass, Peaks, SceneTruth, Track
-from msgs.radar import RadarSetup
-from msgs.units import ns_from_s, s_from_ns
-from msgs.vehicle import VehicleState
+from mirrorwave.studies.tradeoff.runner import params_of
+from mirrorwave.studies.tradeoff.settings import Setting
+from models.evaluation.frame_scores import Estimate, bootstrap_weights
+from models.evaluation.metrics import match_objects
+from models.evaluation.object_error import centre_error_m, object_distances
+from models.perception.detection.detectors import Detector
+from models.perception.forming.ra_forming import RaFormer
+from models.perception.geometry.confidence import Confidence
+from models.perception.geometry.stage import GeometryParams, recover_bev
+from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from msgs.values.frames import Pose2
+from msgs.values.perception import PathClass, Peaks, SceneTruth, Track
+from msgs.values.radar import RadarSetup
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState
 from nodes.dense_predictor import detector_for
 from nodes.geometry import parts_of
 from sim_player.drive import Drive, DrivePlayer
-from sim_player.side_streets import CROSSING, SideStreet, direct_sight, random_side_street
-from sim_player.truth import labelled
-from sim_player.unthinned_truth import unthinned_paths
+from sim_player.generate.side_streets import CROSSING, SideStreet, direct_sight, random_side_street
+from sim_player.trace.truth import labelled
+from sim_player.trace.unthinned_truth import unthinned_paths
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from benchmarks.net import COMMAND, LONG, SIGNATURE, Script, Talk, command, frame, frames, frames_v1, greeting, ready
-from msgs.bus import Envelope
-from msgs.codec import encode
-from msgs.vehicle import VehicleState
+from msgs.bus.codec import encode
+from msgs.bus.interface import Envelope
+from msgs.values.vehicle import VehicleState
 
 #: The mark of what must never arrive.
 INJECTED = "injected"

@@ -22,11 +22,11 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.live_graph import node_report
-from msgs.diagnostics import NodeStatus
-from msgs.mcap_file import RESERVE_BYTES, reserve
-from msgs.recording import RAW_TOPIC, RecordingInfo, info
-from msgs.zmq_bus import ZmqBus, run_dir
-from nodes.launch_file import dump_launch, read_launch_file
+from msgs.bus.zmq import ZmqBus, run_dir
+from msgs.recording.mcap import RAW_TOPIC, RecordingInfo, info
+from msgs.recording.mcap_writer import RESERVE_BYTES, reserve
+from msgs.values.diagnostics import NodeStatus
+from nodes.process.launch_file import dump_launch, read_launch_file
 
 ROOT = Path(__file__).resolve().parents[1]
 BLOCK_BYTES = 4 << 20

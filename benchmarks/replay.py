@@ -19,10 +19,10 @@ import time
 from pathlib import Path
 
 from mirrorwave.console import print_json, print_line, print_table
-from models.perception.objects import bev_to_json
-from msgs.perception import BevFrame
-from msgs.recording import RecordingReader
-from msgs.zmq_bus import list_publishers, run_dir
+from models.perception.geometry.objects import bev_to_json
+from msgs.bus.zmq import list_publishers, run_dir
+from msgs.recording.mcap import RecordingReader
+from msgs.values.perception import BevFrame
 
 ROOT = Path(__file__).resolve().parents[1]
 ANSWER = "perception/hidden_objects"

@@ -13,7 +13,7 @@ import sys
 from itertools import product
 from pathlib import Path
 
-from models.perception.onnx_model import DEFAULT_MODEL
+from models.perception.detection.onnx_model import DEFAULT_MODEL
 
 MIRRORWAVE = (sys.executable, "-m", "mirrorwave.cli")
 SOURCES, FRAMES = ("truth", "peaks", "both"), ("radar", "wall")

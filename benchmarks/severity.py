@@ -26,19 +26,19 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from benchmarks.six_scenes import SCENES
-from mirrorwave.plot_style import handles_of, legend_of_figure, new_figure, save
+from mirrorwave.plots.style import handles_of, legend_of_figure, new_figure, save
+from models.evaluation.metrics import Counts, match_objects, recovered_counts
 from models.perception.chain import Chain
-from models.perception.detectors import NetworkDetector
-from models.perception.metrics import Counts, match_objects, recovered_counts
+from models.perception.detection.detectors import NetworkDetector
 from models.physics.antenna import setup_weights
 from models.physics.waveform import window_noise_gain
-from msgs.perception import BevFrame, SceneTruth
-from msgs.radar import FULL_SCALE_CODE, RadarBeam, RadarSetup
-from msgs.units import db_from_ratio, ratio_from_db
-from sim_player.front_end import FrontEnd, Spur
-from sim_player.labelled_scan import BASIC_USED
+from msgs.values.perception import BevFrame, SceneTruth
+from msgs.values.radar import FULL_SCALE_CODE, RadarBeam, RadarSetup
+from msgs.values.units import db_from_ratio, ratio_from_db
+from sim_player.dataset.labelled_scan import BASIC_USED
 from sim_player.player import ScenePlayer
-from sim_player.scene import Scene, load_scene
+from sim_player.scene.description import Scene, load_scene
+from sim_player.scene.front_end import FrontEnd, Spur
 
 #: Gains of the eight elements of two measured 10 GHz boards (calibration files of public repositories).
 BOARD_GAINS = (
@@ -207,7 +207,7 @@ class Case(msgspec.Struct, kw_only=True):
     scene: str
     seed: int
     asked: int = 0
-    #: Face and centre errors (`models.perception.object_error`) of the found.
+    #: Face and centre errors (`models.evaluation.object_error`) of the found.
     errors_m: list[float] = []
     centre_errors_m: list[float] = []
     missed: int = 0

@@ -5,7 +5,7 @@ there; the wall across the junction mirrors both. Beams are simulated and go thr
 ways differ only in what follows it. Speed and yaw rate come as 50 states a second with noise and a gyroscope's bias,
 which the odometry learns in 3 s of rest before.
 An object or track is a car where its face error (to the nearest visible face or the centre) is within 2 m; the error of
-its centre stands beside it (`models.perception.object_error`; the position is that at the time of measurement, of a
+its centre stands beside it (`models.evaluation.object_error`; the position is that at the time of measurement, of a
 track at the scan's stamp). Velocity is that over ground, against the true one. Of the moving car
 alone: lead, from the scan that first says it and keeps its id while the car is hidden to the scan in which it first is
 in direct sight; and foretold, the tracks' time to appear against what it was. The last line is what tracking costs a
@@ -33,18 +33,18 @@ import numpy as np
 
 from benchmarks.geometry_switches import machine
 from benchmarks.side_street_drives import CAR, PARKED, SCANS, Course, Stretch, in_sight, logged, read_states, scripted
+from models.evaluation.metrics import match_objects
 from models.perception.chain import Chain
-from models.perception.detectors import CfarDetector, Detector, NetworkDetector
-from models.perception.memory import MemoryParams, ScanMemory
-from models.perception.metrics import match_objects
-from models.perception.odometry import Placed, ScanOdometry, standing
-from models.perception.onnx_model import DEFAULT_MODEL
-from models.perception.tracking import Tracker
-from msgs.frames import Pose2
-from msgs.perception import BevFrame, HiddenObject, SceneTruth, Track
-from msgs.radar import RadarSetup
-from msgs.units import s_from_ns
-from msgs.vehicle import VehicleState
+from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.tracking.odometry import Placed, ScanOdometry, standing
+from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from models.perception.tracking.tracker import Tracker
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, HiddenObject, SceneTruth, Track
+from msgs.values.radar import RadarSetup
+from msgs.values.units import s_from_ns
+from msgs.values.vehicle import VehicleState
 from sim_player.drive import DrivePlayer
 from sim_player.player import ScenePlayer
 

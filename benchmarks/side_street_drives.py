@@ -18,17 +18,17 @@ import msgspec
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
-from mirrorwave.can_log import log_states
-from models.perception.odometry import OdometryParams
-from msgs.frames import Pose2
-from msgs.perception import SceneTruth
-from msgs.units import ns_from_s, s_from_ns
-from msgs.vehicle import VehicleState, ego_motion
-from nodes.can_link import load_decoder
-from nodes.can_log_file import read_log
+from mirrorwave.convert.can_log import log_states
+from models.perception.tracking.odometry import OdometryParams
+from msgs.values.frames import Pose2
+from msgs.values.perception import SceneTruth
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState, ego_motion
+from nodes.can.bus import load_decoder
+from nodes.can.log_file import read_log
 from sim_player.drive import Drive, DrivePlayer
 from sim_player.player import ScenePlayer
-from sim_player.scene import Ego, Scene, SceneObject, Surface, load_scene
+from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
 
 #: Index of the cars in the scene.
 CAR, PARKED = 0, 1

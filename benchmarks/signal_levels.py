@@ -20,15 +20,15 @@ from functools import partial
 import msgspec
 import numpy as np
 
-from msgs.radar import RadarSetup
-from sim_player.dataset import clean_profiles
-from sim_player.front_end import FrontEnd
-from sim_player.literal import literal_profiles
-from sim_player.paths import Paths, join
-from sim_player.ray_tracing import prepare, trace
-from sim_player.signal_effects import PLAIN, SignalEffects
-from sim_player.signal_levels import beam_beats, hann_profiles, kernel_profiles
-from sim_player.streets import random_street
+from msgs.values.radar import RadarSetup
+from sim_player.dataset.writer import clean_profiles
+from sim_player.generate.streets import random_street
+from sim_player.scene.front_end import FrontEnd
+from sim_player.signal.levels import beam_beats, hann_profiles, kernel_profiles
+from sim_player.signal.literal import literal_profiles
+from sim_player.signal.switches import PLAIN, SignalEffects
+from sim_player.trace.paths import Paths, join
+from sim_player.trace.ray_tracing import prepare, trace
 
 FAULTS = FrontEnd(coupling_db=-18.0, coupling_phase_deg=40.0)
 STATIC = SignalEffects(motion=False, mutual_coupling=True, squint=True, chirp_overlap=True)

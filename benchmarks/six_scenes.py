@@ -20,15 +20,15 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mirrorwave.profile_chain import ProfileParts, profile_setting
 from mirrorwave.profiles import DEFAULT
+from mirrorwave.studies.tradeoff.profile_chain import ProfileParts, profile_setting
+from models.evaluation.metrics import match_objects
 from models.perception.chain import Chain
-from models.perception.confidence import load_confidence
-from models.perception.detectors import NetworkDetector
-from models.perception.metrics import match_objects
-from models.perception.onnx_model import DEFAULT_MODEL
-from msgs.perception import BevFrame, SceneTruth
-from msgs.radar import RadarSetup
+from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.geometry.confidence import load_confidence
+from msgs.values.perception import BevFrame, SceneTruth
+from msgs.values.radar import RadarSetup
 from nodes.player import Params, scene_player
 from sim_player.player import ScenePlayer
 

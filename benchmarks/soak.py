@@ -34,12 +34,12 @@ from scipy.stats import theilslopes
 from benchmarks.faults import hear_ctrl_c, processes_of
 from benchmarks.live_graph import quantiles, shed_of
 from benchmarks.viewer_load import Pages
-from mirrorwave.plot_style import legend_beside, new_figure, save
-from msgs.diagnostics import LogRecord, NodeState, NodeStatus
-from msgs.perception import BevFrame
-from msgs.zmq_bus import ZmqBus, run_dir
-from nodes.live_timing import DEADLINE_S, latency_ns
-from nodes.supervisor import read_lock
+from mirrorwave.plots.style import legend_beside, new_figure, save
+from msgs.bus.zmq import ZmqBus, run_dir
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.values.perception import BevFrame
+from nodes.inputs.view_latency import DEADLINE_S, latency_ns
+from nodes.process.supervisor import read_lock
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "launch" / "soak.yaml"

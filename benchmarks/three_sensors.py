@@ -22,15 +22,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from models.perception.coarray import AzimuthInterpolator
-from models.perception.photon_map import photon_map
-from models.perception.ra_forming import RaFormer
-from msgs.lidar import LidarSetup, PhotonHistograms, SpadParams
-from sim_player.labelled_scan import clean_profiles, noise_power_mw, profile_noise
+from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.forming.photon_map import photon_map
+from models.perception.forming.ra_forming import RaFormer
+from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
+from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, profile_noise
+from sim_player.lidar.spad import SpadOptions, optical_paths, spad_histograms
 from sim_player.player import ScenePlayer
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import Scene, load_scene
-from sim_player.spad_lidar import SpadOptions, optical_paths, spad_histograms
+from sim_player.scene.description import Scene, load_scene
+from sim_player.trace.ray_tracing import prepare, trace
 
 #: Table 2 in both ways of arming, and a period long enough for the whole map.
 LIDARS = {

@@ -32,13 +32,13 @@ import yaml
 
 from benchmarks.live_graph import QUANTILES, quantiles
 from benchmarks.net import Host, Wire, why_no_namespaces
-from msgs import curve_keys
-from msgs.bus import Received
-from msgs.diagnostics import NodeStatus
-from msgs.perception import BevFrame
-from msgs.units import NANOSECONDS_PER_SECOND
-from msgs.zmq_bus import ZmqBus
-from nodes.live_timing import DEADLINE_S, latency_ns
+from msgs.bus.interface import Received
+from msgs.bus.zmq import ZmqBus
+from msgs.link import keys as curve_keys
+from msgs.values.diagnostics import NodeStatus
+from msgs.values.perception import BevFrame
+from msgs.values.units import NANOSECONDS_PER_SECOND
+from nodes.inputs.view_latency import DEADLINE_S, latency_ns
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "launch"

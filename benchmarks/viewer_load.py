@@ -24,10 +24,10 @@ import numpy as np
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import ClientConnection, connect
 
-from msgs.diagnostics import NodeStatus
-from msgs.perception import BevFrame
-from msgs.zmq_bus import ZmqBus, run_dir
-from nodes.live_timing import latency_ns
+from msgs.bus.zmq import ZmqBus, run_dir
+from msgs.values.diagnostics import NodeStatus
+from msgs.values.perception import BevFrame
+from nodes.inputs.view_latency import latency_ns
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCH = ROOT / "launch" / "demo.yaml"

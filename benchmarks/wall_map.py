@@ -27,14 +27,14 @@ from benchmarks.geometry_switches import machine
 from benchmarks.side_street import detector_of
 from benchmarks.side_street_drives import street
 from benchmarks.six_scenes import SCENES
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.memory import MemoryParams, ScanMemory
-from models.perception.metrics import match_objects
-from models.perception.ra_forming import RaFormer
-from msgs.perception import BevFrame, PathClass, Peaks, SceneTruth, TruthSurface, Wall
-from msgs.vehicle import VehicleState
+from models.evaluation.metrics import match_objects
+from models.perception.forming.ra_forming import RaFormer
+from models.perception.geometry.stage import GeometryParams, recover_bev
+from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from msgs.values.perception import BevFrame, PathClass, Peaks, SceneTruth, TruthSurface, Wall
+from msgs.values.vehicle import VehicleState
 from sim_player.player import ScenePlayer
-from sim_player.scene import Ego, Scene, SceneObject, Surface, load_scene
+from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
 
 SPEED_STD_MPS, YAW_RATE_STD_RPS, BIAS_RPS = 0.03, math.radians(0.2), math.radians(0.2)
 STATES_PER_SCAN = 15

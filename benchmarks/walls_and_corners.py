@@ -19,14 +19,14 @@ import msgspec
 import numpy as np
 
 from benchmarks.geometry_switches import DEFAULT, labelled_peaks, machine, switched
-from mirrorwave.plot_style import legend_below, new_figure, save
-from models.perception.geometry import GeometryParams, fold_scan
-from models.perception.recovery import Residual
-from models.perception.residual_model import LearnedResidual
-from msgs.frames import polar_from_xy
-from msgs.perception import PathClass, Peaks
-from sim_player.labelled_scan import Labels, labelled_scan
-from sim_player.scene import Scene, SceneObject, Surface
+from mirrorwave.plots.style import legend_below, new_figure, save
+from models.perception.geometry.recovery import Residual
+from models.perception.geometry.residual_model import LearnedResidual
+from models.perception.geometry.stage import GeometryParams, fold_scan
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import PathClass, Peaks
+from sim_player.dataset.labelled_scan import Labels, labelled_scan
+from sim_player.scene.description import Scene, SceneObject, Surface
 
 CURVATURES_PER_M = tuple(np.linspace(-0.025, 0.025, 11).round(4).tolist())
 CORNERS_M = (14.0, 16.0, 18.0, 20.0, 22.0, 24.0)

@@ -28,13 +28,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from benchmarks.side_street_drives import read_states
-from models.perception.odometry import Odometry
-from models.perception.yaw_rate_bias import BiasSource
+from models.perception.tracking.odometry import Odometry
+from models.perception.tracking.yaw_rate_bias import BiasSource
 from models.vehicle.can_state import CanDecoder, StateReporter
-from msgs.frames import wrap_angle
-from msgs.units import ns_from_s, s_from_ns
-from msgs.vehicle import VehicleState
-from nodes.can_link import load_dbc, load_mapping
+from msgs.values.frames import wrap_angle
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
 
 CAN = Path(__file__).resolve().parents[1] / "launch" / "can"

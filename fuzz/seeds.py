@@ -15,11 +15,13 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from msgs import codec
-from msgs.bus import Envelope
-from msgs.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.lidar import LidarSetup, PhotonHistograms
-from msgs.perception import (
+from msgs.bus import codec
+from msgs.bus.interface import Envelope
+from msgs.recording.mcap import Losses, RecordingWriter, TopicLoss
+from msgs.recording.sigmf import write_capture
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.perception import (
     BevFrame,
     BevGrid,
     HiddenObject,
@@ -31,10 +33,8 @@ from msgs.perception import (
     TruthSurface,
     Wall,
 )
-from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.recording import Losses, RecordingWriter, TopicLoss
-from msgs.sigmf_capture import write_capture
-from msgs.vehicle import VehicleState
+from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 
 ROOT = Path(__file__).resolve().parents[1]
 GRID = RangeAzimuthGrid(range_bins=4, azimuth_bins=4)

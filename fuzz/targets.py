@@ -103,7 +103,7 @@ def text(parts: Parts, at: int) -> str:
 
 
 def _wire(parts: Parts, box: Box) -> None:
-    from msgs import codec
+    from msgs.bus import codec
 
     found = codec.decode(parts)
     frames = [bytes(frame) for frame in codec.encode(found.envelope, found.message)]
@@ -113,8 +113,8 @@ def _wire(parts: Parts, box: Box) -> None:
 
 
 def _inline(parts: Parts, box: Box) -> None:
-    from msgs import codec
-    from msgs.topics import TOPICS
+    from msgs.bus import codec
+    from msgs.bus.topics import TOPICS
 
     kind = list(TOPICS.values())[number(parts, 0, len(TOPICS))].type
     message = codec.decode_inline(kind, part(parts, 1))
@@ -123,9 +123,9 @@ def _inline(parts: Parts, box: Box) -> None:
 
 
 def _foreign(parts: Parts, box: Box) -> None:
-    from mirrorwave.foreign_topic import decode_foreign
-    from mirrorwave.topic_echo import CsvLines, text_lines
-    from msgs.codec import to_builtins
+    from mirrorwave.diagnose.foreign_topic import decode_foreign
+    from mirrorwave.diagnose.topic_echo import CsvLines, text_lines
+    from msgs.bus.codec import to_builtins
 
     found = decode_foreign("a", [memoryview(one) for one in parts])
     body = to_builtins(found.message)
@@ -134,8 +134,8 @@ def _foreign(parts: Parts, box: Box) -> None:
 
 
 def _recording(parts: Parts, box: Box) -> None:
-    from mirrorwave.bag import _origin
-    from msgs.recording import RecordingReader
+    from mirrorwave.commands.captures.bag import _origin
+    from msgs.recording.mcap import RecordingReader
 
     with RecordingReader(box.put("a.mcap", part(parts, 0))) as reader:
         listed = sum(1 for _ in reader.messages()) + sum(reader.skipped.values())
@@ -155,7 +155,7 @@ def _builtins(value: Any) -> Any:
 
 
 def _recover(parts: Parts, box: Box) -> None:
-    from msgs.recording import RecordingReader, copy_recording, info
+    from msgs.recording.mcap import RecordingReader, copy_recording, info
 
     source, out = box.put("a.mcap", part(parts, 0)), box.new("out.mcap")
     choice = number(parts, 1, 8)
@@ -176,9 +176,9 @@ def _told(reader: Any) -> list[tuple[str, int, bytes]]:
 
 
 def _replay(parts: Parts, box: Box) -> None:
-    from mirrorwave.replay import LatchedMessages, ReplayParams, first_sensed_ns, whole_scans
-    from msgs.recording import RecordingReader
-    from msgs.topics import TOPICS
+    from mirrorwave.replay.schedule import LatchedMessages, ReplayParams, first_sensed_ns, whole_scans
+    from msgs.bus.topics import TOPICS
+    from msgs.recording.mcap import RecordingReader
     from nodes.player import capture_events, moved
 
     path = box.put("a.mcap", part(parts, 0))
@@ -195,9 +195,9 @@ def _replay(parts: Parts, box: Box) -> None:
 
 
 def _view(parts: Parts, box: Box) -> None:
-    from mirrorwave.playback import Playback
-    from msgs.recording import RecordingReader
-    from nodes.viewer.board import Board
+    from mirrorwave.replay.playback import Playback
+    from msgs.recording.mcap import RecordingReader
+    from nodes.viewer.newest import Board
     from nodes.viewer.server import Play, Seek, Step
 
     with RecordingReader(box.put("a.mcap", part(parts, 0))) as reader:
@@ -211,8 +211,8 @@ def _view(parts: Parts, box: Box) -> None:
 
 
 def _convert(parts: Parts, box: Box) -> None:
-    from mirrorwave.bag_convert import Format, convert
     from mirrorwave.console import progress_bar
+    from mirrorwave.convert.formats import Format, convert
 
     target = list(Format)[number(parts, 1, len(Format))]
     out = box.new({"sigmf": "out.sigmf-meta", "foxglove": "out.mcap", "numpy": "out.npz"}.get(target.value, "out"))
@@ -222,9 +222,9 @@ def _convert(parts: Parts, box: Box) -> None:
 
 
 def _sigmf(parts: Parts, box: Box) -> None:
-    from mirrorwave.import_recording import import_sigmf
-    from msgs.recording import info
-    from msgs.sigmf_capture import SigmfCapture, write_capture
+    from mirrorwave.convert.logs import import_sigmf
+    from msgs.recording.mcap import info
+    from msgs.recording.sigmf import SigmfCapture, write_capture
 
     stem = box.folder / "c"
     meta = box.put("c.sigmf-meta", part(parts, 0))
@@ -245,7 +245,7 @@ def _sigmf(parts: Parts, box: Box) -> None:
 
 
 def _encoded(message: Any) -> bytes:
-    from msgs.codec import encode_inline
+    from msgs.bus.codec import encode_inline
 
     return encode_inline(message)
 
@@ -253,7 +253,7 @@ def _encoded(message: Any) -> bytes:
 def _scene(parts: Parts, box: Box) -> None:
     import msgspec
 
-    from sim_player.scene import load_scene, scene_from_yaml, scene_to_yaml
+    from sim_player.scene.description import load_scene, scene_from_yaml, scene_to_yaml
 
     scene = load_scene(box.put("a.yaml", part(parts, 0)))
     assert scene_from_yaml(scene_to_yaml(scene)) == scene
@@ -263,8 +263,8 @@ def _scene(parts: Parts, box: Box) -> None:
 
 
 def _plan(parts: Parts, box: Box) -> None:
-    from sim_player.planner import plan_effects
-    from sim_player.scene import load_scene
+    from sim_player.planner.plan import plan_effects
+    from sim_player.scene.description import load_scene
 
     scene = load_scene(box.put("a.yaml", part(parts, 0)))
     if len(scene.surfaces) + len(scene.objects) < 8 and scene.radar.preset != "spad":
@@ -274,7 +274,7 @@ def _plan(parts: Parts, box: Box) -> None:
 def _mesh(parts: Parts, box: Box) -> None:
     import numpy as np
 
-    from sim_player.meshes import load_mesh
+    from sim_player.scene.meshes import load_mesh
 
     suffix = (".obj", ".ply", ".stl", ".glb", ".gltf")[number(parts, 0, 5)]
     mesh = load_mesh(box.put(f"a{suffix}", part(parts, 1)), "mm" if number(parts, 0, 32) >= 16 else "m")
@@ -282,7 +282,7 @@ def _mesh(parts: Parts, box: Box) -> None:
 
 
 def _launch(parts: Parts, box: Box) -> None:
-    from nodes import launch_file
+    from nodes.process import launch_file
 
     launch = launch_file.read_launch_file(box.put("a.yaml", part(parts, 0)))
     assert launch_file.launch_from_mapping(launch_file.parse_yaml(launch_file.dump_launch(launch), "a"), "a") == launch
@@ -298,14 +298,14 @@ def _launch(parts: Parts, box: Box) -> None:
 
 
 def _settings(parts: Parts, box: Box) -> None:
-    from mirrorwave.tradeoff_settings import read_settings
+    from mirrorwave.studies.tradeoff.settings import read_settings
 
     read_settings(box.put("a.yaml", part(parts, 0)))
 
 
 def _dbc(parts: Parts, box: Box) -> None:
-    from mirrorwave.can_signals import SignalReport
-    from nodes.can_link import load_dbc
+    from mirrorwave.diagnose.can_signals import SignalReport
+    from nodes.can.bus import load_dbc
 
     report = SignalReport(load_dbc(box.put("a.dbc", part(parts, 0))), 0.1)
     report.read(_frames(part(parts, 1)))
@@ -322,7 +322,7 @@ def _frames(data: bytes) -> Any:
     """CAN frames of 10 bytes and their payload: id, stamp [ms], length, flags."""
     import can
 
-    from nodes.can_link import LogFrame
+    from nodes.can.bus import LogFrame
 
     at = 0
     while at + 10 <= len(data):
@@ -342,10 +342,10 @@ def _frames(data: bytes) -> Any:
 
 
 def _can_frames(parts: Parts, box: Box) -> None:
-    from mirrorwave.can import LogReport
-    from mirrorwave.can_signals import SignalReport
-    from msgs import codec
-    from nodes.can_link import checkout_path, load_dbc, load_decoder
+    from mirrorwave.commands.captures.can import LogReport
+    from mirrorwave.diagnose.can_signals import SignalReport
+    from msgs.bus import codec
+    from nodes.can.bus import checkout_path, load_dbc, load_decoder
 
     dbc = checkout_path("launch/can/mirrorwave.dbc")
     decoder = load_decoder(dbc, checkout_path("launch/can/mirrorwave.yaml"))
@@ -360,8 +360,8 @@ def _can_frames(parts: Parts, box: Box) -> None:
 
 
 def _mapping(parts: Parts, box: Box) -> None:
-    from mirrorwave.can_log import log_states
-    from nodes.can_link import load_decoder
+    from mirrorwave.convert.can_log import log_states
+    from nodes.can.bus import load_decoder
 
     dbc, mapping = box.put("a.dbc", part(parts, 1)), box.put("a.yaml", part(parts, 0))
     decoder = load_decoder(dbc, mapping)
@@ -370,10 +370,10 @@ def _mapping(parts: Parts, box: Box) -> None:
 
 
 def _can_log(parts: Parts, box: Box) -> None:
-    from mirrorwave.import_recording import CanSource, import_can
-    from msgs.recording import info
-    from nodes.can_link import checkout_path
-    from nodes.can_log_file import read_log
+    from mirrorwave.convert.logs import CanSource, import_can
+    from msgs.recording.mcap import info
+    from nodes.can.bus import checkout_path
+    from nodes.can.log_file import read_log
 
     suffix = text(parts, 0) if text(parts, 0) in (".log", ".asc", ".blf", ".csv", ".trc", ".asc.gz") else ".asc"
     log = box.put(f"a{suffix}", part(parts, 1))
@@ -385,7 +385,7 @@ def _can_log(parts: Parts, box: Box) -> None:
 
 
 def _viewer_client(parts: Parts, box: Box) -> None:
-    from nodes.viewer.board import Board
+    from nodes.viewer.newest import Board
     from nodes.viewer.server import Acknowledge, _Client, _ProtocolError
 
     commands: list[Any] = []
@@ -400,7 +400,7 @@ def _viewer_client(parts: Parts, box: Box) -> None:
 
 
 def _log_lines(parts: Parts, box: Box) -> None:
-    from nodes.logs import RECORD_SEPARATOR, LineSplitter, parse_line
+    from nodes.process.logs import RECORD_SEPARATOR, LineSplitter, parse_line
 
     splitter = LineSplitter(limit=256)
     lines = [line for one in parts for line in splitter.feed(one)] + splitter.finish()
@@ -416,16 +416,16 @@ def _log_lines(parts: Parts, box: Box) -> None:
 
 
 def _background(parts: Parts, box: Box) -> None:
-    from models.perception.background import load_background
+    from models.perception.forming.background import load_background
 
     assert load_background(box.put("a.npy", part(parts, 0))).ndim == 2
 
 
 def _card(parts: Parts, box: Box) -> None:
     from models.perception.cards import read_card
-    from models.perception.confidence import PlaceConfidence
-    from models.perception.onnx_model import ModelCard
-    from models.perception.residual_model import ResidualCard
+    from models.perception.detection.onnx_model import ModelCard
+    from models.perception.geometry.confidence import PlaceConfidence
+    from models.perception.geometry.residual_model import ResidualCard
 
     kind: Any = (ModelCard, PlaceConfidence, ResidualCard)[number(parts, 0, 3)]
     card = read_card(box.put("a.json", part(parts, 1)), kind)
@@ -436,7 +436,7 @@ def _card(parts: Parts, box: Box) -> None:
 def _onnx(parts: Parts, box: Box) -> None:
     import msgspec
 
-    from models.perception.onnx_model import DensePredictor
+    from models.perception.detection.onnx_model import DensePredictor
 
     model = box.put("a.onnx", part(parts, 1))
     # a checksum that every change breaks would hide all that lies behind it
@@ -449,7 +449,7 @@ def _onnx(parts: Parts, box: Box) -> None:
 
 
 def _manifest(parts: Parts, box: Box) -> None:
-    from mirrorwave.annotate_manifest import Pose, load_manifest
+    from mirrorwave.annotate.manifest import Pose, load_manifest
 
     found = load_manifest(box.put("a.yaml", part(parts, 0)))
     for cloud in found.clouds:
@@ -458,15 +458,15 @@ def _manifest(parts: Parts, box: Box) -> None:
 
 
 def _cloud(parts: Parts, box: Box) -> None:
-    from mirrorwave.annotate_clouds import SUFFIXES, read_cloud
+    from mirrorwave.annotate.clouds import SUFFIXES, read_cloud
 
     points_m, _ = read_cloud(box.put(f"a{SUFFIXES[number(parts, 0, len(SUFFIXES))]}", part(parts, 1)))
     assert points_m.shape[1] == 3
 
 
 def _shard(parts: Parts, box: Box) -> None:
-    from models.training.frames import DataSet, fixed_splits
-    from sim_player.shards import UNREADABLE, read_shard
+    from models.training.data.frames import DataSet, fixed_splits
+    from sim_player.dataset.shards import UNREADABLE, read_shard
 
     path = box.put("set/shard-00000.npz", part(parts, 0))
     for at, name in enumerate(("series.json", "splits.json", "manifest.jsonl"), start=1):
@@ -486,7 +486,7 @@ def _shard(parts: Parts, box: Box) -> None:
 
 
 def _xradarnlos(parts: Parts, box: Box) -> None:
-    from models.training.xradarnlos import import_folder
+    from models.training.data.xradarnlos import import_folder
 
     box.new("in")
     if number(parts, 0, 2):
@@ -503,8 +503,8 @@ def _xradarnlos(parts: Parts, box: Box) -> None:
 def _dca1000(parts: Parts, box: Box) -> None:
     import numpy as np
 
-    from mirrorwave.import_dca1000 import read_config
-    from models.perception.dca1000 import array_params, frame_samples, frames_of, map_grid
+    from mirrorwave.convert.dca1000 import read_config
+    from models.sensors.dca1000 import array_params, frame_samples, frames_of, map_grid
 
     suffix = (".cfg", ".json")[number(parts, 0, 2)]
     capture, config = box.put("a.bin", part(parts, 2)), read_config(box.put(f"a{suffix}", part(parts, 1)), None)
@@ -517,9 +517,9 @@ def _dca1000(parts: Parts, box: Box) -> None:
 
 
 def _json_files(parts: Parts, box: Box) -> None:
-    from mirrorwave.latency_budget import _recall
-    from mirrorwave.tradeoff_report import read_report
-    from nodes.supervisor import LOCK_NAME, read_lock
+    from mirrorwave.studies.tradeoff.latency_budget import _recall
+    from mirrorwave.studies.tradeoff.report import read_report
+    from nodes.process.supervisor import LOCK_NAME, read_lock
 
     content = part(parts, 1)
     match number(parts, 0, 5):
@@ -531,7 +531,7 @@ def _json_files(parts: Parts, box: Box) -> None:
             box.put(LOCK_NAME, content)
             read_lock(box.folder)
         case _:
-            from mirrorwave.doctor_graph import _log_entries
+            from mirrorwave.diagnose.doctor_graph import _log_entries
 
             box.put("log.jsonl", content)
             for entry in _log_entries(box.folder):
@@ -539,7 +539,7 @@ def _json_files(parts: Parts, box: Box) -> None:
 
 
 def _reflectance(parts: Parts, box: Box) -> None:
-    from sim_player.reflectance import _read_partial, load_table
+    from sim_player.fdtd.reflectance import _read_partial, load_table
 
     _read_partial(box.put("a.cells.jsonl", part(parts, 2)))
     try:
@@ -552,7 +552,7 @@ def _reflectance(parts: Parts, box: Box) -> None:
 
 
 def _keys(parts: Parts, box: Box) -> None:
-    from msgs.curve_keys import is_loopback, load_allowed, load_own, load_public
+    from msgs.link.keys import is_loopback, load_allowed, load_own, load_public
 
     secret, public = box.put("own/a.key_secret", part(parts, 0)), box.put("peers/b.key", part(parts, 1))
     secret.chmod(0o600), public.chmod(0o644)
@@ -572,9 +572,13 @@ def _words(parts: Parts, box: Box) -> None:
     """What is typed at the command line: conditions, fields, angles, lists, spans, methods, overrides."""
     import math
 
-    from mirrorwave import bag_options, evaluate_methods, sim_dataset, sim_material, topic_echo
-    from models.training.selection import parse_selection
-    from msgs.codec import to_builtins
+    from mirrorwave.commands.captures import bag_options
+    from mirrorwave.commands.sim import dataset as sim_dataset
+    from mirrorwave.commands.sim import material as sim_material
+    from mirrorwave.diagnose import topic_echo
+    from mirrorwave.studies.evaluate import methods as evaluate_methods
+    from models.training.data.selection import parse_selection
+    from msgs.bus.codec import to_builtins
 
     word = text(parts, 1)
     match number(parts, 0, 9):
@@ -643,8 +647,8 @@ def _recordings() -> list[Parts]:
 
 def _inline_seeds() -> list[Parts]:
     from fuzz import seeds
-    from msgs import codec
-    from msgs.topics import TOPICS
+    from msgs.bus import codec
+    from msgs.bus.topics import TOPICS
 
     order = list(TOPICS)
     return [[bytes([order.index(topic)]), codec.encode_inline(message)] for topic, message in seeds.messages()]
@@ -784,7 +788,7 @@ def _table_seeds() -> list[Parts]:
     import numpy as np
 
     from fuzz import seeds
-    from sim_player.reflectance import ReflectanceTable
+    from sim_player.fdtd.reflectance import ReflectanceTable
 
     card = b'{"sha256": "", "bands_ghz": [10.0], "walls": [{"name": "concrete"}]}'
     return [[card, seeds.npz(**{name: np.zeros((1, 1)) for name in ReflectanceTable.ARRAYS}), b'{"entry": {}}\n']]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from mirrorwave.ending import ended_by_signal, hear_endings, keep_code, was_interrupted
+from mirrorwave.exit_signals import ended_by_signal, hear_endings, keep_code, was_interrupted
 from mirrorwave.terminal import open_closed_streams
 
 

@@ -18,17 +18,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mirrorwave.profiles import LAUNCH_DIR, with_profile
+from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
-from msgs.bus import Outgoing, Received
-from msgs.local_bus import LocalNetwork
-from msgs.perception import BevFrame, Peaks, SceneTruth
-from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
-from msgs.units import ns_from_s
-from msgs.vehicle import VehicleState
-from nodes.launch_file import read_launch_file, with_overrides
+from msgs.bus.interface import Outgoing, Received
+from msgs.bus.local import LocalNetwork
+from msgs.files.shipped import LAUNCH
+from msgs.values.perception import BevFrame, Peaks, SceneTruth
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.values.units import ns_from_s
+from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph, Node, load_node
 from nodes.player import capture_events
+from nodes.process.launch_file import read_launch_file, with_overrides
 
 
 class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
@@ -46,7 +47,7 @@ class View(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     def draw(self, path: str | PathLike[str]) -> None:
         """Write the picture of map and view; the suffix decides the format."""
-        from mirrorwave.bev_picture import draw_bev
+        from mirrorwave.plots.bird_eye_view import draw_bev
 
         draw_bev(self.frame, Path(path), truth=self.truth, ra_map=self.ra_map)
 
@@ -61,7 +62,7 @@ class Perception:
     def __init__(
         self, setup: RadarSetup | None = None, profile: str = "default", overrides: Sequence[str] = ()
     ) -> None:
-        launch = with_profile(read_launch_file(LAUNCH_DIR / "process.yaml"), profile)
+        launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
         launch = with_overrides(launch, overrides)
         nodes = {name: entry for name, entry in launch.nodes.items() if name != "player"}
         self._network = LocalNetwork()

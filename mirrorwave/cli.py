@@ -18,35 +18,35 @@ import typer.core
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from mirrorwave.console import ExitCode, error_line, exit_code_of
-from mirrorwave.ending import INTERRUPTED, ended_by_signal, was_interrupted
+from mirrorwave.exit_signals import INTERRUPTED, ended_by_signal, was_interrupted
 from mirrorwave.terminal import READER_LEFT
 
 #: Verb -> module and function; a module is thin and imports what is heavy inside its functions.
 _VERBS = {
-    "demo": "mirrorwave.demo:demo",
-    "launch": "mirrorwave.launch:launch",
-    "process": "mirrorwave.process:process",
-    "view": "mirrorwave.view:view",
-    "export": "mirrorwave.export:export",
-    "eval": "mirrorwave.evaluate:evaluate",
-    "tradeoff": "mirrorwave.tradeoff:tradeoff",
-    "compare": "mirrorwave.compare:compare",
-    "doctor": "mirrorwave.doctor:doctor",
-    "top": "mirrorwave.top:top",
-    "graph": "mirrorwave.graph:graph",
-    "annotate": "mirrorwave.annotate:annotate",
+    "demo": "mirrorwave.commands.graph.demo:demo",
+    "launch": "mirrorwave.commands.graph.launch:launch",
+    "process": "mirrorwave.commands.captures.process:process",
+    "view": "mirrorwave.commands.captures.view:view",
+    "export": "mirrorwave.commands.learn.export:export",
+    "eval": "mirrorwave.commands.learn.evaluate:evaluate",
+    "tradeoff": "mirrorwave.commands.learn.tradeoff:tradeoff",
+    "compare": "mirrorwave.commands.learn.compare:compare",
+    "doctor": "mirrorwave.commands.graph.doctor:doctor",
+    "top": "mirrorwave.commands.graph.top:top",
+    "graph": "mirrorwave.commands.graph.graph:graph",
+    "annotate": "mirrorwave.commands.captures.annotate:annotate",
 }
 #: Verb group -> module and `typer.Typer`.
 _GROUPS = {
-    "sim": "mirrorwave.sim:app",
-    "train": "mirrorwave.train:app",
-    "bag": "mirrorwave.bag:app",
-    "calibrate": "mirrorwave.calibrate:app",
-    "can": "mirrorwave.can:app",
-    "import": "mirrorwave.import_:app",
-    "topic": "mirrorwave.topic:app",
-    "node": "mirrorwave.node:app",
-    "security": "mirrorwave.security:app",
+    "sim": "mirrorwave.commands.sim.group:app",
+    "train": "mirrorwave.commands.learn.train:app",
+    "bag": "mirrorwave.commands.captures.bag:app",
+    "calibrate": "mirrorwave.commands.captures.calibrate:app",
+    "can": "mirrorwave.commands.captures.can:app",
+    "import": "mirrorwave.commands.captures.imports:app",
+    "topic": "mirrorwave.commands.graph.topics:app",
+    "node": "mirrorwave.commands.graph.nodes:app",
+    "security": "mirrorwave.commands.graph.security:app",
 }
 
 #: Wrong usage, as the command line parser below typer raises it; typer brings its own copy or takes the installed one.

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import typer
 
-_ROOT = Path(__file__).resolve().parents[1]
+from msgs.files.shipped import CHECKOUT
 
 
 def complete_topics(incomplete: str) -> list[str]:
     """Names of topics."""
-    from msgs.topics import TOPICS
+    from msgs.bus.topics import TOPICS
 
     return _beginning(TOPICS, incomplete)
 
@@ -24,7 +24,7 @@ def complete_topics(incomplete: str) -> list[str]:
 def complete_nodes(ctx: typer.Context, incomplete: str) -> list[str]:
     """Nodes whose sockets stand in the run directory of the domain that was named so far."""
     from mirrorwave.console import DEFAULT_DOMAIN
-    from msgs.zmq_bus import run_dir
+    from msgs.bus.zmq import run_dir
 
     named = ctx.params.get("domain") or os.environ.get("MIRRORWAVE_DOMAIN", DEFAULT_DOMAIN)
     try:
@@ -43,7 +43,7 @@ def complete_profiles(incomplete: str) -> list[str]:
 
 def complete_object_sets(incomplete: str) -> list[str]:
     """Names of the committed sets of `eval --objects`."""
-    from mirrorwave.evaluate_objects_run import read_sets
+    from mirrorwave.studies.evaluate.objects import read_sets
 
     return _beginning(read_sets().sets, incomplete)
 
@@ -73,7 +73,9 @@ def _files(incomplete: str, folder: str) -> list[str]:
     here = Path(incomplete or ".")
     parent = here if incomplete.endswith("/") or not incomplete else here.parent
     named = (
-        [f"{folder}/{path.name}" for path in sorted((_ROOT / folder).glob("*.yaml"))] if Path(folder).is_dir() else []
+        [f"{folder}/{path.name}" for path in sorted((CHECKOUT / folder).glob("*.yaml"))]
+        if Path(folder).is_dir()
+        else []
     )
     try:
         near = [

@@ -131,7 +131,7 @@ def scan_counter() -> Iterator[Callable[[], None]]:
 @contextmanager
 def compile_line() -> Iterator[None]:
     """Say on stderr, once, that kernels are compiled, where the body is the first to need them."""
-    from nodes.compiling import compile_notice
+    from nodes.process.compiling import compile_notice
 
     with compile_notice(lambda text: typer.echo(text, err=True)):
         yield

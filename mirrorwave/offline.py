@@ -8,20 +8,21 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
-from mirrorwave.bev_picture import draw_bev
-from mirrorwave.profiles import LAUNCH_DIR, with_profile
+from mirrorwave.plots.bird_eye_view import draw_bev
+from mirrorwave.plots.scoreboard import Scoreboard
+from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
-from mirrorwave.scoreboard import Scoreboard
-from models.perception.objects import bev_to_json
-from models.perception.tracking import track_to_json
-from msgs.bus import Outgoing, Received
-from msgs.local_bus import LocalNetwork
-from msgs.perception import BevFrame, Peaks, SceneTruth
-from msgs.radar import RangeAzimuthMap
-from msgs.recording import RecordingReader
-from msgs.whole_files import named, whole
-from nodes.launch_file import LaunchFile, read_launch_file, with_overrides, with_params
+from models.perception.geometry.objects import bev_to_json
+from models.perception.tracking.tracker import track_to_json
+from msgs.bus.interface import Outgoing, Received
+from msgs.bus.local import LocalNetwork
+from msgs.files.shipped import LAUNCH
+from msgs.files.whole_files import named, whole
+from msgs.recording.mcap import RecordingReader
+from msgs.values.perception import BevFrame, Peaks, SceneTruth
+from msgs.values.radar import RangeAzimuthMap
 from nodes.node import InProcessGraph, Node, load_node
+from nodes.process.launch_file import LaunchFile, read_launch_file, with_overrides, with_params
 
 #: What a run writes, and the keys by which the first line of a file tells that it is one.
 LINES = {
@@ -84,7 +85,7 @@ class Results(Node):
 
 def launch_for(capture: Path, profile: str, overrides: list[str], **player: Any) -> LaunchFile:
     """The offline graph with a profile and overrides; ValueError names what is unknown."""
-    launch = with_profile(read_launch_file(LAUNCH_DIR / "process.yaml"), profile)
+    launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
     launch = with_params(launch, {"player": {"capture": str(capture), **player}}, "process")
     return with_overrides(launch, overrides)
 

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from msgspec.structs import replace
 
-from nodes.launch_file import LaunchFile, merged, read_yaml_mapping, with_params
+from msgs.files.shipped import LAUNCH
+from nodes.process.launch_file import LaunchFile, merged, read_yaml_mapping, with_params
 
-LAUNCH_DIR = Path(__file__).resolve().parents[1] / "launch"
-PROFILES = LAUNCH_DIR / "profiles"
+PROFILES = LAUNCH / "profiles"
 #: The one that runs where none is named.
 DEFAULT = "default"
 

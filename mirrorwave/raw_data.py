@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from msgs.radar import RadarSetup
-from msgs.recording import RecordingReader
-from msgs.sigmf_capture import SigmfCapture
-from msgs.topics import SENSOR_TOPICS
+from msgs.bus.topics import SENSOR_TOPICS
+from msgs.recording.mcap import RecordingReader
+from msgs.recording.sigmf import SigmfCapture
+from msgs.values.radar import RadarSetup
 
 
 def require_raw(capture: Path) -> None:

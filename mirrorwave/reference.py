@@ -20,10 +20,11 @@ from typing import Any, NamedTuple, get_args, get_type_hints
 
 import msgspec
 
-from msgs.bus import Envelope
-from msgs.topics import MIB, TOPICS, Topic
+from msgs.bus.interface import Envelope
+from msgs.bus.topics import MIB, TOPICS, Topic
+from msgs.files.shipped import CHECKOUT
 
-NODES_DIR = Path(__file__).resolve().parents[1] / "nodes"
+NODES_DIR = CHECKOUT / "nodes"
 #: In a table cell this would end the cell.
 _BAR = "\\|"
 

@@ -13,12 +13,12 @@ from pathlib import Path
 
 import msgspec
 
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.diagnostics import NodeState
 from nodes.node import Node
 from nodes.viewer.assembly import TOPICS_SHOWN, Assembly
-from nodes.viewer.board import Board
-from nodes.viewer.kept_token import TokenFile
+from nodes.viewer.newest import Board
+from nodes.viewer.page_token import TokenFile
 from nodes.viewer.server import ViewerServer
 
 _LOG = logging.getLogger(__name__)

@@ -10,13 +10,13 @@ import logging
 from typing import Literal
 
 from models.vehicle.hidden_object_list import HiddenObjectList, ListFrame
-from msgs.arrays import require_positive
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.perception import BevFrame
-from msgs.units import ns_from_s
-from msgs.wording import counted
-from nodes.can_link import MAX_RETRY_S, RETRY_S, BusParams, CanLink, bus_frame, checkout_path, load_dbc
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.arrays import require_positive
+from msgs.values.diagnostics import NodeState
+from msgs.values.perception import BevFrame
+from msgs.values.units import ns_from_s
+from msgs.values.wording import counted
+from nodes.can.bus import MAX_RETRY_S, RETRY_S, BusParams, CanLink, bus_frame, checkout_path, load_dbc
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)

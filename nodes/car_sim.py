@@ -6,11 +6,11 @@ import math
 
 import msgspec
 
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.vehicle import VehicleState
-from msgs.wording import counted
-from nodes.can_link import BusParams, CanLink, bus_frame, checkout_path, load_dbc, load_mapping
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.vehicle import VehicleState
+from msgs.values.wording import counted
+from nodes.can.bus import BusParams, CanLink, bus_frame, checkout_path, load_dbc, load_mapping
 from nodes.node import Node
 from sim_player.car import CarShape, SimulatedCar
 
@@ -65,7 +65,7 @@ def motion_of(params: Params) -> VehicleState:
     speed_mps, yaw_rate_rps = params.speed_mps, params.yaw_rate_rps
     if params.scene is not None:
         # here: a car whose motion is given needs no simulator
-        from sim_player.scene import load_scene
+        from sim_player.scene.description import load_scene
 
         ego = load_scene(checkout_path(params.scene)).ego
         speed_mps = ego.speed_mps if speed_mps is None else speed_mps

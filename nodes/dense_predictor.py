@@ -10,16 +10,16 @@ import msgspec
 import numpy as np
 
 from models.perception.cards import learned_path
-from models.perception.cfar import PHOTON_CFAR, CfarParams
-from models.perception.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
-from models.perception.named import NamedParams
-from models.perception.onnx_model import DEFAULT_MODEL
-from models.perception.peaks import PeakParams
-from models.perception.refinement import RefinementParams
-from msgs.arrays import require_within
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.radar import RadarSetup, RangeAzimuthMap
+from models.perception.detection.cfar import PHOTON_CFAR, CfarParams
+from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector, PhotonDetector, Refine
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.detection.peaks import PeakParams
+from models.perception.detection.refinement import RefinementParams
+from models.perception.detection.ridge_matching import NamedParams
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.arrays import require_within
+from msgs.values.diagnostics import NodeState
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
@@ -39,7 +39,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     #: An exported network (FILE.onnx) with its card beside it, or the name of a committed one; None: the default.
     model: str | None = None
     threads: int = 1
-    #: How a network's peaks are placed (`models.perception.detectors.Refine`): true is "pursuit", false "none".
+    #: How a network's peaks are placed (`models.perception.detection.detectors.Refine`): true is "pursuit", false
+    #: "none".
     refine: bool | Refine = True
     refinement: RefinementParams = RefinementParams()
     #: The mean answer to the map and to the map with left and right exchanged.

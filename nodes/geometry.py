@@ -7,18 +7,19 @@ from pathlib import Path
 
 import msgspec
 
-from models.perception.cards import WEIGHTS, learned_path
-from models.perception.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
-from models.perception.geometry import GeometryParams, recover_bev, warm
-from models.perception.memory import MemoryParams, ScanMemory
-from models.perception.recovery import Residual
-from models.perception.yaw_rate_bias import BiasEstimate, BiasSource
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.perception import BevFrame, Peaks
-from msgs.vehicle import VehicleState
+from models.perception.cards import learned_path
+from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
+from models.perception.geometry.recovery import Residual
+from models.perception.geometry.stage import GeometryParams, recover_bev, warm
+from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from models.perception.tracking.yaw_rate_bias import BiasEstimate, BiasSource
+from msgs.bus.interface import Outgoing, Received
+from msgs.files.shipped import WEIGHTS
+from msgs.values.diagnostics import NodeState
+from msgs.values.perception import BevFrame, Peaks
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.state_history import StateHistory
 from nodes.node import Node
-from nodes.state_history import StateHistory
 
 _LOG = logging.getLogger(__name__)
 
@@ -111,7 +112,7 @@ def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidenc
 
 def _learned_residual(path: Path) -> Residual:
     # here: without a network this node starts again faster by what bringing its runtime along takes
-    from models.perception.residual_model import LearnedResidual
+    from models.perception.geometry.residual_model import LearnedResidual
 
     return LearnedResidual(path)
 

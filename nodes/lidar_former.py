@@ -6,11 +6,11 @@ import logging
 
 import msgspec
 
-from models.perception.photon_map import photon_map
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.lidar import LidarSetup, PhotonHistograms
-from msgs.wording import counted
+from models.perception.forming.photon_map import photon_map
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.wording import counted
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)

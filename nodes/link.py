@@ -1,6 +1,6 @@
 """The node `link`: carries chosen topics to and from other hosts, each with a graph of its own.
 
-It alone opens TCP beyond this machine, one port where it exports, and encrypts what goes through (`msgs.curve_link`).
+It alone opens TCP beyond this machine, one port where it exports, and encrypts what goes through (`msgs.link.curve`).
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from pathlib import Path
 import msgspec
 import zmq
 
-from msgs.bus import Forwarded, Received
-from msgs.curve_exporter import Exporter
-from msgs.curve_importer import Importer, Server
-from msgs.curve_keys import KeyPair, is_loopback, load_allowed, load_own, load_public
-from msgs.diagnostics import NodeState
-from msgs.tally import MAX_LATCHED
-from msgs.topics import topic_facts
+from msgs.bus.interface import Forwarded, Received
+from msgs.bus.sequencing import MAX_LATCHED
+from msgs.bus.topics import topic_facts
+from msgs.link.exporter import Exporter
+from msgs.link.importer import Importer, Server
+from msgs.link.keys import KeyPair, is_loopback, load_allowed, load_own, load_public
+from msgs.values.diagnostics import NodeState
 from nodes.node import NODE_NAME, Node
 
 _LOG = logging.getLogger(__name__)

@@ -32,14 +32,14 @@ if __name__ == "__main__":
 import msgspec
 import psutil
 
-from msgs.bus import Bus, Forwarded, Outgoing, Received, WaitingBus
-from msgs.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.topics import topic_facts
-from nodes.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
-from nodes.validation import convert_at
+from msgs.bus.interface import Bus, Forwarded, Outgoing, Received, WaitingBus
+from msgs.bus.topics import topic_facts
+from msgs.values.diagnostics import SAMPLES_LIMIT, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from nodes.process.logs import BusLogHandler, SeparatedJsonFormatter, install_handlers
+from nodes.process.validation import convert_at
 
 if TYPE_CHECKING:
-    from msgs.local_bus import LocalNetwork
+    from msgs.bus.local import LocalNetwork
 
 _LOG = logging.getLogger(__name__)
 
@@ -207,7 +207,7 @@ def _compile_notice() -> contextlib.AbstractContextManager[None]:
     """Log that kernels are compiled, in nodes that have any."""
     if "numba" not in sys.modules:
         return contextlib.nullcontext()
-    from nodes.compiling import compile_notice
+    from nodes.process.compiling import compile_notice
 
     return compile_notice(_LOG.info)
 
@@ -418,7 +418,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
-    from msgs.zmq_bus import ZmqBus
+    from msgs.bus.zmq import ZmqBus
 
     bus = ZmqBus(arguments.name, arguments.run_dir)
     try:

@@ -10,23 +10,24 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
-from msgs.bus import Outgoing, Received
-from msgs.lidar import LidarSetup, PhotonHistograms
-from msgs.topics import SENSOR_TOPICS
-from msgs.units import ns_from_s
-from msgs.vehicle import VehicleState
+from msgs.bus.interface import Outgoing, Received
+from msgs.bus.topics import SENSOR_TOPICS
+from msgs.files.shipped import CHECKOUT
+from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.units import ns_from_s
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.state_history import MAX_AGE_NS
 from nodes.node import Node
-from nodes.state_history import MAX_AGE_NS
-from nodes.validation import require_clock_offset, require_rest
+from nodes.process.validation import require_clock_offset, require_rest
 
 if TYPE_CHECKING:
     from typing_extensions import TypeIs
 
-    from msgs.radar import RadarBeam, RadarSetup
-    from msgs.recording import Recorded
-    from sim_player.lidar_player import LidarPlayer
+    from msgs.recording.mcap import Recorded
+    from msgs.values.radar import RadarBeam, RadarSetup
+    from sim_player.lidar.player import LidarPlayer
     from sim_player.player import ScenePlayer
-    from sim_player.scene import Scene
+    from sim_player.scene.description import Scene
 
 _LOG = logging.getLogger(__name__)
 
@@ -35,7 +36,6 @@ SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), "vehicle/state", "sim/truth")
 #: What is said once, before all else.
 SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
 #: Scenes named in launch files are looked for here when they are not in the working directory.
-CHECKOUT = Path(__file__).resolve().parents[1]
 #: What must be known before a beam.
 _KNOWN = (*SETUP_TOPICS, "vehicle/state")
 #: A scan of a LiDAR lasts seconds; the vehicle's motion is told this often meanwhile, or at every azimuth.
@@ -229,7 +229,7 @@ def truth_beside(capture: Path) -> Path:
 
 
 def _sigmf_events(path: Path) -> Iterator[Event]:
-    from msgs.sigmf_capture import SigmfCapture
+    from msgs.recording.sigmf import SigmfCapture
 
     capture = SigmfCapture.open(path)
     yield Event(0, Outgoing("radar/setup", capture.setup))
@@ -243,7 +243,7 @@ def _sigmf_events(path: Path) -> Iterator[Event]:
 
 
 def _recording_events(path: Path) -> Iterator[Event]:
-    from msgs.recording import RecordingReader
+    from msgs.recording.mcap import RecordingReader
 
     with RecordingReader(path) as reader:
         start_ns: int | None = None
@@ -294,7 +294,7 @@ def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
 
 def scene_of(params: Params) -> Scene:
     """The scene named by `params`, with the speeds it overrides."""
-    from sim_player.scene import check_scene, load_scene
+    from sim_player.scene.description import check_scene, load_scene
 
     path = Path(params.scene or "")
     in_checkout = CHECKOUT / path
@@ -313,7 +313,7 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
     """The simulator that plays `params.scene`: of a radar, or of a LiDAR where its preset is "spad"."""
     scene = scene_of(params)
     if scene.radar.preset == "spad":
-        from sim_player.lidar_player import LidarPlayer
+        from sim_player.lidar.player import LidarPlayer
 
         _require_for_lidar(params)
         return LidarPlayer(scene, seed=params.seed)

@@ -1,7 +1,7 @@
 """Folds beams as they arrive and publishes the range-azimuth map of each scan.
 
-Where beams come faster than they can be folded, whole scans are left out (`nodes.beam_queue`): never single beams of a
-scan that was begun. A scan of which the bus lost too many beams is left out as well. All are counted.
+Where beams come faster than they can be folded, whole scans are left out (`nodes.inputs.beam_queue`): never single
+beams of a scan that was begun. A scan of which the bus lost too many beams is left out as well. All are counted.
 """
 
 from __future__ import annotations
@@ -14,17 +14,17 @@ from pathlib import Path
 
 import msgspec
 
-from models.perception.background import load_background
-from models.perception.ra_forming import FormingParams, RaFormer
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthMap
-from msgs.units import s_from_ns
-from msgs.vehicle import VehicleState
-from msgs.wording import counted
-from nodes.beam_queue import BeamQueue
+from models.perception.forming.background import load_background
+from models.perception.forming.ra_forming import FormingParams, RaFormer
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.values.units import s_from_ns
+from msgs.values.vehicle import VehicleState
+from msgs.values.wording import counted
+from nodes.inputs.beam_queue import BeamQueue
+from nodes.inputs.state_history import StateHistory
 from nodes.node import Node
-from nodes.state_history import StateHistory
 
 _LOG = logging.getLogger(__name__)
 

@@ -14,14 +14,14 @@ from typing import Literal, Protocol
 import msgspec
 import numpy as np
 
-from msgs.arrays import require_positive
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.radar import BeamGrid, RadarBeam, RadarSetup
-from msgs.units import ns_from_s
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.arrays import require_positive
+from msgs.values.diagnostics import NodeState
+from msgs.values.radar import BeamGrid, RadarBeam, RadarSetup
+from msgs.values.units import ns_from_s
 from nodes.drivers import cn0566
 from nodes.node import Node
-from nodes.validation import require_rest
+from nodes.process.validation import require_rest
 
 _LOG = logging.getLogger(__name__)
 

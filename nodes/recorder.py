@@ -8,15 +8,15 @@ from pathlib import Path
 
 import msgspec
 
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.recording import RAW_TOPIC, Encoded, Losses, RecordingWriter, TopicLoss, encoded
-from msgs.topics import TOPICS, topic_facts
-from msgs.units import s_from_ns
-from msgs.whole_files import free_bytes
-from msgs.wording import counted
+from msgs.bus.interface import Outgoing, Received
+from msgs.bus.topics import TOPICS, topic_facts
+from msgs.files.whole_files import free_bytes
+from msgs.recording.mcap import RAW_TOPIC, Encoded, Losses, RecordingWriter, TopicLoss, encoded
+from msgs.values.diagnostics import NodeState
+from msgs.values.units import s_from_ns
+from msgs.values.wording import counted
 from nodes.node import Node
-from nodes.recording_files import (
+from nodes.recording.files import (
     LatchedMessages,
     about_this_run,
     free_path,
@@ -298,7 +298,7 @@ def create(params: Params) -> Node:
     """The node; raises `OSError` where the file cannot be created."""
     if params.snapshot_s is None:
         return Recorder(params)
-    from nodes.snapshot_recorder import SnapshotRecorder
+    from nodes.recording.snapshot_recorder import SnapshotRecorder
 
     recorder = SnapshotRecorder(params)
     recorder.listen()

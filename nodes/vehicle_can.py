@@ -15,11 +15,11 @@ import can
 import msgspec
 
 from models.vehicle.can_state import CanDecoder, StampMapper, StateReporter
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.units import ns_from_s, s_from_ns
-from msgs.vehicle import VehicleState
-from nodes.can_link import (
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import (
     BURST,
     BusParams,
     CanLink,
@@ -29,9 +29,9 @@ from nodes.can_link import (
     frame_stamp_ns,
     load_decoder,
 )
-from nodes.can_log_file import read_log
+from nodes.can.log_file import read_log
 from nodes.node import Node
-from nodes.validation import require_clock_offset
+from nodes.process.validation import require_clock_offset
 
 _LOG = logging.getLogger(__name__)
 

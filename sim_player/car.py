@@ -12,8 +12,8 @@ from models.vehicle.end_to_end import checksum_byte, checksum_of, counter_modulu
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, period_ns
 from models.vehicle.quantity import Quantity
 from models.vehicle.signal_units import Dimension
-from msgs.arrays import require_positive
-from msgs.vehicle import VehicleState
+from msgs.values.arrays import require_positive
+from msgs.values.vehicle import VehicleState
 
 if TYPE_CHECKING:
     from cantools.database import Database

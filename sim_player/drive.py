@@ -11,22 +11,22 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 
-from msgs.frames import Pose2, wrap_angle
-from msgs.perception import SceneTruth
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.units import ns_from_s, s_from_ns
-from msgs.vehicle import VehicleState
-from sim_player.as_paths import as_paths
-from sim_player.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
-from sim_player.paths import Paths
-from sim_player.planner import choose
-from sim_player.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
-from sim_player.scene import Ego, Scene
-from sim_player.signal_effects import PLAIN
-from sim_player.signal_levels import Terms, echo_terms, record_beam, with_electronics
-from sim_player.swept_echoes import TOLERANCE
-from sim_player.truth import scene_truth
-from sim_player.world import snapshot, wall_lines
+from msgs.values.frames import Pose2, wrap_angle
+from msgs.values.perception import SceneTruth
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState
+from sim_player.planner.plan import choose
+from sim_player.scene.description import Ego, Scene
+from sim_player.scene.world import snapshot, wall_lines
+from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
+from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
+from sim_player.signal.swept_echoes import TOLERANCE
+from sim_player.signal.switches import PLAIN
+from sim_player.trace.conversion import as_paths
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
+from sim_player.trace.truth import scene_truth
 
 
 @dataclass(frozen=True)

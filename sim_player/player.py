@@ -7,17 +7,17 @@ import math
 import msgspec
 import numpy as np
 
-from msgs.perception import SceneTruth
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.units import ns_from_s, s_from_ns
-from msgs.vehicle import VehicleState
-from sim_player.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
-from sim_player.planner import BUDGET_DB, Plan, choose
-from sim_player.ray_tracing import Paths, prepare, trace
-from sim_player.scene import Scene
-from sim_player.signal_effects import PLAIN, SignalEffects
-from sim_player.signal_levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
-from sim_player.truth import scene_truth
+from msgs.values.perception import SceneTruth
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState
+from sim_player.planner.plan import BUDGET_DB, Plan, choose
+from sim_player.scene.description import Scene
+from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
+from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
+from sim_player.signal.switches import PLAIN, SignalEffects
+from sim_player.trace.ray_tracing import Paths, prepare, trace
+from sim_player.trace.truth import scene_truth
 
 
 class ScenePlayer:

@@ -19,19 +19,20 @@ import zstandard
 from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 
-from mirrorwave.annotate_clouds import MOST_BYTES, MOST_POINTS, read_cloud
-from mirrorwave.annotate_manifest import load_manifest
+from mirrorwave.annotate.clouds import MOST_BYTES, MOST_POINTS, read_cloud
+from mirrorwave.annotate.manifest import load_manifest
 from mirrorwave.console import error_line, print_line, print_table
-from mirrorwave.import_dca1000 import read_config
-from mirrorwave.topic_echo import save_arrays
-from msgs import array_files, recording
-from msgs.array_files import load_arrays
-from msgs.recording import RecordingReader
-from msgs.vehicle import VehicleState
-from nodes.can_link import MAX_DBC_BYTES, load_dbc
-from nodes.can_log_file import MAX_LINE, MAX_OBJECT_BYTES, read_log
-from sim_player.meshes import load_mesh
-from sim_player.scene import MAX_BYTES, load_scene, scene_from_yaml
+from mirrorwave.convert.dca1000 import read_config
+from mirrorwave.diagnose.topic_echo import save_arrays
+from msgs.files import array_files
+from msgs.files.array_files import load_arrays
+from msgs.recording import mcap as recording
+from msgs.recording.mcap import RecordingReader
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import MAX_DBC_BYTES, load_dbc
+from nodes.can.log_file import MAX_LINE, MAX_OBJECT_BYTES, read_log
+from sim_player.scene.description import MAX_BYTES, load_scene, scene_from_yaml
+from sim_player.scene.meshes import load_mesh
 
 MIB = 1 << 20
 
@@ -227,7 +228,7 @@ def test_a_pickle_is_never_loaded() -> None:
 
 
 def test_a_publisher_cannot_name_a_file_outside_the_folder(tmp_path: Path) -> None:
-    from msgs.perception import Peaks
+    from msgs.values.perception import Peaks
 
     fields = {name: np.zeros(0, np.float32) for name in Peaks.__struct_fields__ if name != "stamp_ns"}
     message = type("Message", (), {"__struct_fields__": ("body",), "body": {"../../x": np.zeros(2), **fields}})()
@@ -268,23 +269,28 @@ def _size(count: int) -> str:
 
 
 def test_the_limits_of_the_page_are_those_of_the_code() -> None:
-    from mirrorwave import annotate_clouds, foreign_topic, import_dca1000
-    from models.perception import cards, onnx_model
-    from msgs import (
-        arrays,
-        codec,
-        curve_exporter,
-        curve_keys,
-        curve_link,
-        peer_messages,
-        sigmf_capture,
-        tally,
-        yaml_loader,
-    )
-    from msgs.topics import TOPICS
-    from nodes import bev_viewer, can_log_file, launch_file, logs
-    from nodes.viewer import door, server
-    from sim_player import meshes, scene
+    from mirrorwave.annotate import clouds as annotate_clouds
+    from mirrorwave.convert import dca1000 as import_dca1000
+    from mirrorwave.diagnose import foreign_topic
+    from models.perception import cards
+    from models.perception.detection import onnx_model
+    from msgs.bus import codec
+    from msgs.bus import sequencing as tally
+    from msgs.bus.topics import TOPICS
+    from msgs.files import yaml_loader
+    from msgs.link import curve as curve_link
+    from msgs.link import exporter as curve_exporter
+    from msgs.link import keys as curve_keys
+    from msgs.link import peer_messages
+    from msgs.recording import sigmf as sigmf_capture
+    from msgs.values import arrays
+    from nodes import bev_viewer
+    from nodes.can import log_file as can_log_file
+    from nodes.process import launch_file, logs
+    from nodes.viewer import connection_limiter as door
+    from nodes.viewer import server
+    from sim_player.scene import description as scene
+    from sim_player.scene import meshes
 
     promised = _limits()
     expected = {name: _size(topic.max_bytes) for name, topic in TOPICS.items()} | {
@@ -326,8 +332,8 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
 
 
 def test_the_folder_of_a_run_is_for_its_user_alone(tmp_path: Path) -> None:
-    from nodes.launch_file import LaunchFile, NodeEntry
-    from nodes.supervisor import _new_run_folder
+    from nodes.process.launch_file import LaunchFile, NodeEntry
+    from nodes.process.supervisor import _new_run_folder
 
     folder = _new_run_folder(tmp_path / "runs", LaunchFile(name="x", nodes={"a": NodeEntry(module="nodes.player")}))
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700

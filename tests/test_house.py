@@ -11,18 +11,18 @@ ROOT = Path(__file__).resolve().parents[1]
 FLOORS = {"msgs": 1, "models": 2, "sim_player": 3, "nodes": 4, "mirrorwave": 5}
 #: Modules of floor 1 that hold values only; floors 2 and 3 may use these and no other.
 VALUES = {
-    "msgs.units",
-    "msgs.arrays",
-    "msgs.array_files",
-    "msgs.whole_files",
-    "msgs.yaml_loader",
-    "msgs.known_names",
-    "msgs.wording",
-    "msgs.frames",
-    "msgs.radar",
-    "msgs.vehicle",
-    "msgs.perception",
-    "msgs.lidar",
+    "msgs.values.units",
+    "msgs.values.arrays",
+    "msgs.files.array_files",
+    "msgs.files.whole_files",
+    "msgs.files.yaml_loader",
+    "msgs.values.known_names",
+    "msgs.values.wording",
+    "msgs.values.frames",
+    "msgs.values.radar",
+    "msgs.values.vehicle",
+    "msgs.values.perception",
+    "msgs.values.lidar",
 }
 ROOMS = {
     "models.physics": {"models.physics"},
@@ -85,10 +85,10 @@ def test_imports_run_down(path: Path) -> None:
 @pytest.mark.parametrize(
     ("module", "source"),
     [
-        ("msgs.codec", "import models.physics.mirror"),
-        ("models.physics.mirror", "from msgs.zmq_bus import ZmqBus"),
+        ("msgs.bus.codec", "import models.physics.mirror"),
+        ("models.physics.mirror", "from msgs.bus.zmq import ZmqBus"),
         ("sim_player.player", "from msgs import codec"),
-        ("models.perception.peaks", "from models.training import losses"),
+        ("models.perception.detection.peaks", "from models.training import losses"),
         ("models.physics.mirror", "from models.perception import walls"),
         ("nodes.geometry", "def late():\n    import torch"),
         ("nodes.geometry", "import mirrorwave.cli"),
@@ -128,7 +128,7 @@ FORBIDDEN_CALLS = {
 }
 FORBIDDEN_MODULES = {"pickle", "marshal", "shelve", "dill", "cloudpickle", "joblib", "jsonpickle"}
 #: The one module that may wait for other machines: it asks for keys.
-NETWORK_MODULE = "msgs.curve_exporter"
+NETWORK_MODULE = "msgs.link.exporter"
 LOOPBACK = ("127.0.0.1", "::1", "localhost")
 
 
@@ -275,7 +275,7 @@ def test_the_law_of_doors_lets_pass_what_is_shut(source: str) -> None:
 def test_only_the_link_may_bind_what_it_is_told() -> None:
     source = "publisher.bind(address)"
     assert open_doors(NETWORK_MODULE, source) == []
-    assert open_doors("msgs.zmq_bus", source)
+    assert open_doors("msgs.bus.zmq", source)
 
 
 def test_launch_is_data() -> None:
@@ -284,7 +284,7 @@ def test_launch_is_data() -> None:
 
 
 def test_topics_name_each_message_once() -> None:
-    from msgs.topics import TOPICS
+    from msgs.bus.topics import TOPICS
 
     assert len({topic.type for topic in TOPICS.values()}) == len(TOPICS)
     for topic in TOPICS.values():

@@ -12,8 +12,8 @@ import numpy as np
 
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_samples
-from msgs.bus import Outgoing, Received
-from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 from nodes.node import Node
 
 

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 @dataclass(frozen=True, kw_only=True)
 class CompactUNetConfig:
-    """Shape of a `CompactUNet`; defaults fit `models.perception.encoding`."""
+    """Shape of a `CompactUNet`; defaults fit `models.perception.detection.encoding`."""
 
     in_channels: int = 5
     range_bins: int = 320

@@ -2,7 +2,7 @@
 
 A residual network without early pooling; each of its stages is brought back to the first one's resolution, and two 1x1
 heads read all of them together. Anchors are the cells of the map: three class logits (LOS, mirrored, noise) and the
-offset (range, azimuth) in cells from the anchor to the point. `models.perception.anchors` reads the answer.
+offset (range, azimuth) in cells from the anchor to the point. `models.perception.detection.anchors` reads the answer.
 """
 
 from __future__ import annotations

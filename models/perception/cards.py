@@ -7,14 +7,14 @@ from typing import Any, TypeVar
 
 import msgspec
 
-from msgs.known_names import with_known_names
+from msgs.files.shipped import WEIGHTS
+from msgs.values.known_names import with_known_names
 
 Card = TypeVar("Card")
 
 #: Larger files are no cards.
 MAX_CARD_BYTES = 1 << 24
 #: Learned files that come with the code.
-WEIGHTS = Path(__file__).parents[1] / "weights"
 
 
 def learned_path(name: str | Path, ending: str) -> Path:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from models.perception.confidence import Confidence
-from models.perception.detectors import Detector
-from models.perception.geometry import GeometryParams, recover_bev, warm
-from models.perception.memory import MemoryParams, ScanMemory
-from models.perception.ra_forming import FormingParams, RaFormer
-from msgs.perception import BevFrame, Peaks
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.vehicle import VehicleState
+from models.perception.detection.detectors import Detector
+from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.geometry.confidence import Confidence
+from models.perception.geometry.stage import GeometryParams, recover_bev, warm
+from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from msgs.values.perception import BevFrame, Peaks
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.vehicle import VehicleState
 
 
 class Chain:

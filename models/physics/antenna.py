@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msgs.radar import ArrayParams, ElementPattern, RadarSetup
+from msgs.values.radar import ArrayParams, ElementPattern, RadarSetup
 
 
 def element_field(element: ElementPattern, azimuth_rad: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:

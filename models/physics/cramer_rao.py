@@ -16,8 +16,8 @@ import numpy as np
 
 from models.physics.antenna import column_response, setup_weights
 from models.physics.waveform import WINDOW_TAPS, tone_profile, window_noise_gain
-from msgs.arrays import require_positive
-from msgs.radar import RadarSetup
+from msgs.values.arrays import require_positive
+from msgs.values.radar import RadarSetup
 
 #: Step of the central differences, in bins and in radians: errors of 1e-8 of a slope.
 _STEP = 1e-4

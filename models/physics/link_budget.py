@@ -11,12 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from models.physics.antenna import coarray_weights, column_response, element_field, row_field, setup_weights
-from models.physics.optics import direct_photons
+from models.physics.photons.optics import direct_photons
 from models.physics.waveform import window_noise_gain
-from msgs.arrays import require_positive
-from msgs.lidar import SpadParams
-from msgs.radar import RadarSetup, RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.values.arrays import require_positive
+from msgs.values.lidar import SpadParams
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 
 def radar_snr(

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from msgs.radar import RadarParams
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.values.radar import RadarParams
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 #: Range windows as taps on neighbouring FFT bins: a Hann window is a three-tap filter of the spectrum.
 #: Taps are normalised to unit coherent gain: a tone on a bin keeps its amplitude.

@@ -7,12 +7,12 @@ from collections.abc import Iterable
 import numpy as np
 from scipy.optimize import isotonic_regression
 
-from models.perception.calibration import ScoreTable
-from models.perception.detectors import Detector
-from models.perception.metrics import match_points
-from models.training.frames import Frame
-from msgs.frames import xy_from_polar
-from msgs.perception import PathClass
+from models.evaluation.metrics import match_points
+from models.perception.detection.detectors import Detector
+from models.perception.detection.score_calibration import ScoreTable
+from models.training.data.frames import Frame
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass
 
 #: A peak is true within this of a truth point of its class, one to one.
 GATE_M = 2.0

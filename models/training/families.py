@@ -9,9 +9,9 @@ import msgspec
 from torch import nn
 
 from models.networks import compact_unet, further_than_cfar, radar_tensor_network, swin_unet, unet
-from models.perception.encoding import BOTH, CHANNELS, COMPLEX, LOG_MAGNITUDE, Encoding
-from models.training.objectives import ObjectiveConfig
-from msgs.known_names import with_known_names
+from models.perception.detection.encoding import BOTH, CHANNELS, COMPLEX, LOG_MAGNITUDE, Encoding
+from models.training.objectives.objectives import ObjectiveConfig
+from msgs.values.known_names import with_known_names
 
 #: Input channels by name: those of the specification, of the released code, of both, and ours.
 INPUTS: dict[str, tuple[str, ...]] = {

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import msgspec
 
-from msgs.whole_files import whole as whole
-from msgs.whole_files import write_whole as write_whole
+from msgs.files.whole_files import whole as whole
+from msgs.files.whole_files import write_whole as write_whole
 
 
 def file_sha256(path: Path) -> str:

@@ -13,15 +13,15 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 
-from models.perception.confidence import FEATURES, PlaceConfidence, place_features, standardised
-from models.perception.detectors import Detector
-from models.perception.geometry import GeometryParams, fold_scan
-from models.perception.metrics import Counts, recovered_counts
-from models.perception.recovery import Residual
+from models.evaluation.metrics import Counts, recovered_counts
+from models.perception.detection.detectors import Detector
+from models.perception.geometry.confidence import FEATURES, PlaceConfidence, place_features, standardised
+from models.perception.geometry.recovery import Residual
+from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.training.calibration import calibration_error
-from models.training.frames import Frame
-from msgs.arrays import require_positive
-from msgs.perception import PathClass
+from models.training.data.frames import Frame
+from msgs.values.arrays import require_positive
+from msgs.values.perception import PathClass
 
 #: A place this near a true one is true; the gate of the recovered F1.
 REACH_M = 1.0

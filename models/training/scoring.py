@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from models.perception.metrics import Counts, dense_counts
-from models.perception.peaks import Points
-from models.training.datasets import PointLabels
-from msgs.frames import xy_from_polar
-from msgs.perception import PathClass
-from msgs.radar import RangeAzimuthGrid
+from models.evaluation.metrics import Counts, dense_counts
+from models.perception.detection.peaks import Points
+from models.training.data.samples import PointLabels
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid
 
 #: Threshold of the published evaluation on simulated maps.
 DEFAULT_THRESHOLD = 0.3

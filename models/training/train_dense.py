@@ -10,10 +10,10 @@ import numpy as np
 import torch
 from torch import nn
 
-from models.training.datasets import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
+from models.training.data.samples import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
 from models.training.families import FAMILIES, NetworkChoice
 from models.training.files import json_lines, write_whole
-from models.training.objectives import ObjectiveConfig, objective_of
+from models.training.objectives.objectives import ObjectiveConfig, objective_of
 from models.training.pretrained import load_initial
 from models.training.ranks import Ranks
 from models.training.run_folder import (
@@ -29,7 +29,7 @@ from models.training.run_folder import (
 )
 from models.training.schedules import ScheduleConfig, optimiser_of
 from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
-from msgs.perception import PathClass
+from msgs.values.perception import PathClass
 
 #: Thresholds of the validation of every epoch; the first is the least confident peak that is looked at.
 WATCHED_THRESHOLDS = (0.1, 0.2, DEFAULT_THRESHOLD, 0.4, 0.5, 0.6, 0.7, 0.8)

@@ -15,9 +15,9 @@ from models.vehicle.frame_check import FrameCheck, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, WheelSpeedsRule, period_ns
 from models.vehicle.quantity import Quantity
 from models.vehicle.signal_units import Dimension
-from msgs.arrays import MAX_STAMP_NS
-from msgs.units import s_from_ns
-from msgs.vehicle import VehicleState
+from msgs.values.arrays import MAX_STAMP_NS
+from msgs.values.units import s_from_ns
+from msgs.values.vehicle import VehicleState
 
 if TYPE_CHECKING:
     from cantools.database import Database

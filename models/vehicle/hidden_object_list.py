@@ -21,9 +21,9 @@ from models.vehicle.end_to_end import (
     signal_of,
 )
 from models.vehicle.mapping import MessageRule, period_ns
-from msgs.frames import wrap_angle
-from msgs.perception import BevFrame, HiddenObject, Visibility
-from msgs.radar import MAP_FAULTS
+from msgs.values.frames import wrap_angle
+from msgs.values.perception import BevFrame, HiddenObject, Visibility
+from msgs.values.radar import MAP_FAULTS
 
 if TYPE_CHECKING:
     from cantools.database import Database

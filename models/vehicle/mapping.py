@@ -10,7 +10,7 @@ import msgspec
 
 from models.vehicle.end_to_end import ChecksumRule, CounterRule
 from models.vehicle.signal_units import Dimension, known_units, parse_unit
-from msgs.units import ns_from_s
+from msgs.values.units import ns_from_s
 
 if TYPE_CHECKING:
     from cantools.database.can import Message

@@ -19,10 +19,10 @@ import msgspec
 import numpy as np
 from scipy.optimize import least_squares
 
-from msgs.arrays import require_positive
-from msgs.frames import Pose2, wrap_angle
-from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
-from msgs.vehicle import VehicleState
+from msgs.values.arrays import require_positive
+from msgs.values.frames import Pose2, wrap_angle
+from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
+from msgs.values.vehicle import VehicleState
 
 #: Unknowns before the walls (angle and place of each), in this order.
 UNKNOWNS = ("x_m", "y_m", "yaw_rad", "clock_offset_s", "yaw_rate_bias_rps", "speed_scale")

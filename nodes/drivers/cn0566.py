@@ -2,7 +2,7 @@
 
 The Pluto's TDD engine starts ramp, receive buffer and transmit buffer of each chirp together: only then does a sample
 belong to a known place on a ramp, and only then do beams add up coherently. What each number means:
-`models.perception.phaser`. The order of writes follows the maker's published examples; no board has confirmed it.
+`models.sensors.phaser`. The order of writes follows the maker's published examples; no board has confirmed it.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from models.perception.phaser import (
+from models.sensors.phaser import (
     BeamTable,
     PhaserCalibration,
     PhaserParams,
@@ -26,9 +26,9 @@ from models.perception.phaser import (
     radar_setup,
     synthesiser_words,
 )
-from msgs.radar import BeamGrid, RadarSetup
-from nodes.launch_file import read_yaml_mapping
-from nodes.validation import convert_at
+from msgs.values.radar import BeamGrid, RadarSetup
+from nodes.process.launch_file import read_yaml_mapping
+from nodes.process.validation import convert_at
 
 _LOG = logging.getLogger(__name__)
 

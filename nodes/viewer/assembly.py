@@ -7,13 +7,13 @@ from typing import Any
 
 import msgspec
 
-from msgs.perception import BevFrame, Peaks, SceneTruth
-from msgs.radar import RangeAzimuthMap
-from msgs.units import NANOSECONDS_PER_SECOND
-from msgs.vehicle import VehicleState
-from nodes.live_timing import Setup, on_one_clock
-from nodes.viewer.board import Board, WireMessage, json_text
+from msgs.values.perception import BevFrame, Peaks, SceneTruth
+from msgs.values.radar import RangeAzimuthMap
+from msgs.values.units import NANOSECONDS_PER_SECOND
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.view_latency import Setup, on_one_clock
 from nodes.viewer.driver_warnings import DriverWarning, warnings_json
+from nodes.viewer.newest import Board, WireMessage, json_text
 from nodes.viewer.trails import Past
 from nodes.viewer.view_model import map_json, map_tile, mask_tile, sensor_json, view_json
 from nodes.viewer.watch import Watch

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import msgspec
 import numpy as np
 
-from msgs.arrays import require_positive
-from msgs.frames import Pose2
-from msgs.perception import BevFrame, Track, Visibility
-from msgs.units import s_from_ns
-from msgs.vehicle import VehicleState, ego_motion
-from msgs.wording import counted
-from nodes.live_timing import ViewFigures, on_one_clock
+from msgs.values.arrays import require_positive
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, Track, Visibility
+from msgs.values.units import s_from_ns
+from msgs.values.vehicle import VehicleState, ego_motion
+from msgs.values.wording import counted
+from nodes.inputs.view_latency import ViewFigures, on_one_clock
 
 
 class Level(IntEnum):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 from typing import Any, NamedTuple
 
-from msgs.diagnostics import NodeState, NodeStatus, StageTime
-from msgs.topics import TOPICS
-from msgs.units import NANOSECONDS_PER_SECOND, s_from_ns
-from msgs.wording import counted
+from msgs.bus.topics import TOPICS
+from msgs.values.diagnostics import NodeState, NodeStatus, StageTime
+from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
+from msgs.values.wording import counted
 
 #: Rates are taken over this: two heartbeats a second against 3.3 scans would make them jump.
 WINDOW_NS = 10 * NANOSECONDS_PER_SECOND

@@ -34,9 +34,9 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from nodes.viewer.board import Board, Posted, json_text
-from nodes.viewer.door import BACKLOG, Door, PageSocket, Visit
-from nodes.viewer.kept_token import TokenFile
+from nodes.viewer.connection_limiter import BACKLOG, Door, PageSocket, Visit
+from nodes.viewer.newest import Board, Posted, json_text
+from nodes.viewer.page_token import TokenFile
 from nodes.viewer.view_model import COLOURS
 
 _LOG = logging.getLogger(__name__)

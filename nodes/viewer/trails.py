@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from models.perception.odometry import ScanOdometry
-from msgs.frames import Pose2
-from msgs.perception import BevFrame
-from msgs.units import NANOSECONDS_PER_SECOND
-from msgs.vehicle import VehicleState
+from models.perception.tracking.odometry import ScanOdometry
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame
+from msgs.values.units import NANOSECONDS_PER_SECOND
+from msgs.values.vehicle import VehicleState
 
 #: Length of a trail.
 TRAIL_NS = 5 * NANOSECONDS_PER_SECOND

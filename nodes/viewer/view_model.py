@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from models.perception.object_error import object_distances
-from msgs.lidar import LidarSetup
-from msgs.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, TruthObject, Visibility
-from msgs.radar import RadarSetup, RangeAzimuthMap
-from msgs.units import s_from_ns
-from msgs.vehicle import VehicleState
-from msgs.wording import counted
-from nodes.live_timing import Setup, last_beam_ns, scan_period_s
+from models.evaluation.object_error import object_distances
+from msgs.values.lidar import LidarSetup
+from msgs.values.perception import BevFrame, HiddenObject, Peaks, SceneTruth, Track, TruthObject, Visibility
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
+from msgs.values.units import s_from_ns
+from msgs.values.vehicle import VehicleState
+from msgs.values.wording import counted
+from nodes.inputs.view_latency import Setup, last_beam_ns, scan_period_s
 from nodes.viewer.trails import Past, trail_m
 
 #: Magic, version, kind, scan id, rows, columns, level of code 0 [0.01 dB], step per code [0.001 dB]; little-endian.
@@ -265,7 +265,7 @@ def _track_json(one: Track, past: Sequence[Past]) -> dict[str, Any]:
 
 
 def _object_json(one: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]:
-    """A recovered object, with the nearest hidden true one and both errors (`models.perception.object_error`)."""
+    """A recovered object, with the nearest hidden true one and both errors (`models.evaluation.object_error`)."""
     return {
         "nearest": None if truth is None else _nearest_json(one, truth),
         "id": one.id,

@@ -7,12 +7,12 @@ from typing import Any
 
 import msgspec
 
-from msgs.diagnostics import NodeStatus
-from msgs.lidar import LidarSetup
-from msgs.perception import BevFrame, Peaks
-from msgs.radar import RadarSetup, RangeAzimuthMap
-from msgs.vehicle import VehicleState
-from nodes.live_timing import Setup, ViewWatch, scan_period_s, views_text
+from msgs.values.diagnostics import NodeStatus
+from msgs.values.lidar import LidarSetup
+from msgs.values.perception import BevFrame, Peaks
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.view_latency import Setup, ViewWatch, scan_period_s, views_text
 from nodes.viewer.driver_warnings import DriverWarning, Facts, NodeFact, Warner, WarningParams
 from nodes.viewer.node_table import NodeTable
 from nodes.viewer.trails import Past, Trails

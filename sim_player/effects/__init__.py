@@ -13,8 +13,6 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from sim_player.echoes import Echoes
-from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
 from sim_player.effects import (
     adc,
     atmosphere,
@@ -44,11 +42,13 @@ from sim_player.effects import (
     vegetation,
     wall_transmission,
 )
-from sim_player.effects.tracing import Tracing
-from sim_player.world import World
+from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
+from sim_player.scene.world import World
+from sim_player.trace.echoes import Echoes
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 __all__ = ["ALL_EFFECTS", "EFFECTS", "PATHS", "PATH_EFFECTS", "SIGNAL_EFFECTS", "WEIGHTS", "WEIGHT_EFFECTS"]
 

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim_player.effects.noise_bounds import FAR_SIGMAS, wider
-from sim_player.receiver import converter_step, quantisation_power_mw
-from sim_player.world import World
+from sim_player.scene.world import World
+from sim_player.signal.receiver import converter_step, quantisation_power_mw
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "adc"
 ABOUT = "rounding of the converter"

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.physics.attenuation import gas_db_per_m, rain_db_per_m
-from sim_player.echoes import Echoes
-from sim_player.world import World
+from sim_player.scene.world import World
+from sim_player.trace.echoes import Echoes
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "atmosphere"
 ABOUT = "gases and rain along the paths"

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.echoes import Echoes, echo_amplitude, surface_echoes
-from sim_player.effect_names import TONE_S, bit
-from sim_player.effects.tracing import Tracing
-from sim_player.routes import dot, straight_routes
-from sim_player.world import World
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.world import World
+from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
+from sim_player.trace.routes import dot, straight_routes
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "diffuse_scattering"
 ABOUT = "diffuse return of rough walls in direct sight"

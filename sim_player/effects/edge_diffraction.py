@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from models.physics.diffraction import edge_field, wedge_terms
-from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
-from sim_player.effect_names import TONE_S, bit
-from sim_player.effects.tracing import Tracing
-from sim_player.legs import Passage, free_passage, passing_factor
-from sim_player.routes import Routes, join_routes, make_routes, norm
-from sim_player.world import Snapshot, World
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.world import Snapshot, World
+from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
+from sim_player.trace.routes import Routes, join_routes, make_routes, norm
+from sim_player.trace.segments import Passage, free_passage, passing_factor
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "edge_diffraction"
 ABOUT = "echoes bent around walls' ends and corners"

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.world import World
+from sim_player.scene.world import World
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "element_pattern"
 ABOUT = "gain falls off the element's axis"

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim_player.effects.noise_bounds import FAR_SIGMAS, wider
-from sim_player.receiver import flicker_ratio
-from sim_player.world import World
+from sim_player.scene.world import World
+from sim_player.signal.receiver import flicker_ratio
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "flicker"
 ABOUT = "1/f noise of the receiver at short range"

@@ -12,16 +12,16 @@ import numpy as np
 
 from models.physics.fresnel import coherent_power, half_space_reflection
 from models.physics.materials import permittivity
-from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
-from sim_player.effect_names import TONE_S, bit
-from sim_player.effects.tracing import Tracing
-from sim_player.legs import Passage, free_passage
-from sim_player.routes import Routes, dot, join_routes, make_routes, norm, plane_bounces
-from sim_player.scene import Surface
-from sim_player.world import Snapshot, World
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.description import Surface
+from sim_player.scene.world import Snapshot, World
+from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
+from sim_player.trace.routes import Routes, dot, join_routes, make_routes, norm, plane_bounces
+from sim_player.trace.segments import Passage, free_passage
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "ground_bounce"
 ABOUT = "echoes of objects by way of the ground"

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sim_player.effects.noise_bounds import FAR_SIGMAS
-from sim_player.receiver import iq_factors
-from sim_player.world import World
+from sim_player.scene.world import World
+from sim_player.signal.receiver import iq_factors
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "iq_imbalance"
 ABOUT = "gain and phase between I and Q"

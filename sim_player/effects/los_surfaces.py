@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
-from sim_player.effect_names import TONE_S, bit
-from sim_player.effects.tracing import Tracing
-from sim_player.legs import passage
-from sim_player.routes import NEAREST_M, dot, make_routes, straight_routes
-from sim_player.world import Snapshot, World
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.world import Snapshot, World
+from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
+from sim_player.trace.routes import NEAREST_M, dot, make_routes, straight_routes
+from sim_player.trace.segments import passage
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "los_surfaces"
 ABOUT = "flashes and structure of walls in direct sight"

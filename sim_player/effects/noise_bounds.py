@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from models.physics.waveform import window_noise_gain
-from msgs.radar import RadarParams
+from msgs.values.radar import RadarParams
 
 #: Noise draws reach this many rms once in 10^13 cells.
 FAR_SIGMAS = 5.5

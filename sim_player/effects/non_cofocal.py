@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.echoes import Echoes, object_echoes, same_target
-from sim_player.effect_names import TONE_S, bit
-from sim_player.effects.tracing import Tracing
-from sim_player.world import World
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.world import World
+from sim_player.trace.echoes import Echoes, object_echoes, same_target
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "non_cofocal"
 ABOUT = "echoes that return by another way than they went"

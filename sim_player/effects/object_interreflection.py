@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from msgs.perception import PathClass
-from sim_player.echoes import Echoes, centre_rcs_m2
-from sim_player.effect_names import TONE_S, bit
-from sim_player.effects.tracing import Tracing
-from sim_player.legs import passage
-from sim_player.routes import NEAREST_M, Routes, dot, norm
-from sim_player.world import Snapshot, World
+from msgs.values.perception import PathClass
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.world import Snapshot, World
+from sim_player.trace.echoes import Echoes, centre_rcs_m2
+from sim_player.trace.routes import NEAREST_M, Routes, dot, norm
+from sim_player.trace.segments import passage
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "object_interreflection"
 ABOUT = "echoes by way of two objects"

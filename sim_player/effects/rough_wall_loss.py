@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.echoes import Echoes
-from sim_player.world import World
+from sim_player.scene.world import World
+from sim_player.trace.echoes import Echoes
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "rough_wall_loss"
 ABOUT = "mirrors weakened by roughness"

@@ -15,16 +15,16 @@ from numba import njit
 from scipy.special import fresnel
 
 from models.physics.mirror import reflect
-from sim_player.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
-from sim_player.effect_names import TONE_S, bit
 from sim_player.effects.los_surfaces import flash_weight
-from sim_player.effects.tracing import Tracing
-from sim_player.legs import free_passage
-from sim_player.routes import Routes, dot, join_routes, make_routes, mirror_routes, norm, unit
-from sim_player.world import Snapshot, World
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.world import Snapshot, World
+from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
+from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, norm, unit
+from sim_player.trace.segments import free_passage
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "second_relay"
 ABOUT = "objects, the radar and walls seen by way of two walls"

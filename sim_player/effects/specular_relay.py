@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.echoes import Echoes, cofocal, object_echoes
-from sim_player.effect_names import TONE_S
-from sim_player.effects.tracing import Tracing
-from sim_player.world import World
+from sim_player.effects.names import TONE_S
+from sim_player.scene.world import World
+from sim_player.trace.echoes import Echoes, cofocal, object_echoes
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "specular_relay"
 ABOUT = "objects seen in one wall"

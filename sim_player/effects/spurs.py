@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.receiver import spur_profile
-from sim_player.world import World
+from sim_player.scene.world import World
+from sim_player.signal.receiver import spur_profile
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "spurs"
 ABOUT = "tones of the electronics"

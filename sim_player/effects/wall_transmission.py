@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.echoes import Echoes, cofocal, join_echoes, object_echoes
-from sim_player.effect_names import TONE_S, bit
-from sim_player.effects.tracing import Tracing
-from sim_player.legs import Passage
-from sim_player.routes import Routes
-from sim_player.world import World
+from sim_player.effects.names import TONE_S, bit
+from sim_player.scene.world import World
+from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes
+from sim_player.trace.routes import Routes
+from sim_player.trace.segments import Passage
+from sim_player.trace.snapshot import Tracing
 
 if TYPE_CHECKING:
-    from sim_player.chain import Chain
+    from sim_player.planner.ablation import Chain
 
 NAME = "wall_transmission"
 ABOUT = "objects seen through walls"

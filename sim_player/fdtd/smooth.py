@@ -11,7 +11,7 @@ import numpy as np
 
 from models.physics.fresnel import Polarisation, slab_reflection
 from models.physics.materials import permittivity
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.fdtd.scattering import Scattered, reflect_angles
 
 

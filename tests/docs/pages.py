@@ -24,9 +24,9 @@ import yaml
 from markdown_it import MarkdownIt
 
 from mirrorwave.cli import main
-from mirrorwave.node import collect_heartbeats
-from msgs.diagnostics import NodeState
-from msgs.zmq_bus import run_dir
+from mirrorwave.commands.graph.nodes import collect_heartbeats
+from msgs.bus.zmq import run_dir
+from msgs.values.diagnostics import NodeState
 
 ROOT = Path(__file__).resolve().parents[2]
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

@@ -11,8 +11,8 @@ from pathlib import Path
 import can
 
 from mirrorwave.cli import main
-from msgs.vehicle import VehicleState
-from nodes.can_link import load_dbc, load_mapping
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
 from tests.mirrorwave.test_can import write_drive
 from tests.mirrorwave.test_import_dca1000 import CFG, point, two_lanes

@@ -19,15 +19,17 @@ import msgspec
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper, save
 
-from models.perception.encoding import Encoding
-from models.perception.memory import MemoryParams
-from models.perception.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
+from models.perception.detection.encoding import Encoding
+from models.perception.detection.onnx_model import ClassScores, ModelCard, ScoresAt, card_path
+from models.perception.tracking.scan_state import MemoryParams
 from models.vehicle.can_state import CanDecoder
 from models.vehicle.hidden_object_list import HiddenObjectList
-from msgs.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.frames import xy_from_polar
-from msgs.lidar import LidarSetup, PhotonHistograms, SpadParams
-from msgs.perception import (
+from msgs.bus.topics import TOPICS
+from msgs.recording.mcap import RecordingWriter
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.frames import xy_from_polar
+from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
+from msgs.values.perception import (
     BevFrame,
     BevGrid,
     HiddenObject,
@@ -39,10 +41,16 @@ from msgs.perception import (
     TruthSurface,
     Wall,
 )
-from msgs.radar import ArrayParams, BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.recording import RecordingWriter
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
+from msgs.values.radar import (
+    ArrayParams,
+    BeamGrid,
+    RadarBeam,
+    RadarParams,
+    RadarSetup,
+    RangeAzimuthGrid,
+    RangeAzimuthMap,
+)
+from msgs.values.vehicle import VehicleState
 from nodes import (
     bev_viewer,
     can_out,
@@ -55,11 +63,11 @@ from nodes import (
     ra_former,
     radar_driver,
     recorder,
-    snapshot_recorder,
     vehicle_can,
 )
-from nodes.can_link import CanLink, checkout_path, load_dbc, load_mapping
+from nodes.can.bus import CanLink, checkout_path, load_dbc, load_mapping
 from nodes.node import Node
+from nodes.recording import snapshot_recorder
 from sim_player.car import SimulatedCar
 from tests.fuzz.strategies import Said, Step
 

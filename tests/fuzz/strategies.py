@@ -14,10 +14,10 @@ import numpy as np
 from hypothesis import strategies as st
 from msgspec import inspect
 
-from msgs.arrays import DTYPES
-from msgs.bus import Envelope, Received
-from msgs.codec import CodecError, decode, encode
-from msgs.topics import TOPICS
+from msgs.bus.codec import CodecError, decode, encode
+from msgs.bus.interface import Envelope, Received
+from msgs.bus.topics import TOPICS
+from msgs.values.arrays import DTYPES
 
 NAN, INF = float("nan"), float("inf")
 #: What msgpack carries at most, and what int64 does.

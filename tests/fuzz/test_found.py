@@ -8,22 +8,22 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.cfar import CfarParams
-from models.perception.coarray import _solve_each, require_bearable
-from models.perception.peaks import PeakParams
-from models.perception.photon_map import MOST_CELLS, MOST_TIMES
-from models.perception.pursuit import PursuitParams
-from models.perception.ridges import RidgeParams
-from msgs.arrays import MAX_STAMP_NS
-from msgs.bus import Envelope, Received
-from msgs.codec import encode
-from msgs.diagnostics import NodeState
-from msgs.lidar import SpadParams
-from msgs.peer_clock import ClockSample, PeerClock
-from msgs.peer_messages import PeerMessages
-from msgs.perception import MOST_PEAKS, Peaks
-from msgs.radar import PRESETS, ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, orthogonal_beams
-from msgs.vehicle import VehicleState
+from models.perception.detection.cfar import CfarParams
+from models.perception.detection.peaks import PeakParams
+from models.perception.detection.pursuit import PursuitParams
+from models.perception.detection.ridges import RidgeParams
+from models.perception.forming.coarray import _solve_each, require_bearable
+from models.perception.forming.photon_map import MOST_CELLS, MOST_TIMES
+from msgs.bus.codec import encode
+from msgs.bus.interface import Envelope, Received
+from msgs.link.peer_clock import ClockSample, PeerClock
+from msgs.link.peer_messages import PeerMessages
+from msgs.values.arrays import MAX_STAMP_NS
+from msgs.values.diagnostics import NodeState
+from msgs.values.lidar import SpadParams
+from msgs.values.perception import MOST_PEAKS, Peaks
+from msgs.values.radar import PRESETS, ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, orthogonal_beams
+from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry, lidar_former, player, ra_former
 from nodes.node import Node, load_node
 from tests.fuzz.cases import SETUP, SPAD, beam, lidar_talk, peaks, ra_map

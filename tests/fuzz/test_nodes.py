@@ -24,13 +24,15 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from models.perception.ra_forming import FormingParams, RaFormer
-from msgs.bus import Envelope, Outgoing, Received
-from msgs.codec import decode, encode
-from msgs.diagnostics import NodeState
-from msgs.radar import RadarSetup, RangeAzimuthGrid
-from nodes import bev_viewer, can_link, ra_former, radar_driver, snapshot_recorder
+from models.perception.forming.ra_forming import FormingParams, RaFormer
+from msgs.bus.codec import decode, encode
+from msgs.bus.interface import Envelope, Outgoing, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from nodes import bev_viewer, ra_former, radar_driver
+from nodes.can import bus as can_link
 from nodes.node import Node, load_node
+from nodes.recording import snapshot_recorder
 from tests.fuzz.cases import CASES, PERIOD_NS, PageStandIn, WhimsicalBus, WhimsicalDevice
 from tests.fuzz.strategies import Said, Step, carried, scripts, wrong_params
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from msgs.diagnostics import LogRecord, NodeState, NodeStatus
-from msgs.perception import BevFrame
-from msgs.zmq_bus import ZmqBus
+from msgs.bus.zmq import ZmqBus
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.values.perception import BevFrame
 
 #: Nothing is measured against this: it ends a test that would wait for ever.
 PATIENCE_S = 120.0

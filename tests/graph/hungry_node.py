@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from msgs.bus import Outgoing, Received
+from msgs.bus.interface import Outgoing, Received
 from nodes.node import Node
 
 PERIOD_NS = 50_000_000

@@ -35,21 +35,21 @@ from websockets.sync.client import ClientConnection, connect
 
 from benchmarks.faults import processes_of
 from mirrorwave.cli import main
-from models.perception.cards import WEIGHTS
-from models.perception.onnx_model import MAX_MODEL_BYTES
-from msgs.bus import Outgoing
-from msgs.diagnostics import NodeState
-from msgs.local_bus import LocalNetwork
-from msgs.perception import BevFrame
-from msgs.radar import RadarSetup, RangeAzimuthMap
-from msgs.recording import RecordingReader
-from msgs.topics import TOPICS, topic_facts
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus, socket_path
+from models.perception.detection.onnx_model import MAX_MODEL_BYTES
+from msgs.bus.interface import Outgoing
+from msgs.bus.local import LocalNetwork
+from msgs.bus.topics import TOPICS, topic_facts
+from msgs.bus.zmq import ZmqBus, socket_path
+from msgs.files.shipped import WEIGHTS
+from msgs.recording.mcap import RecordingReader
+from msgs.values.diagnostics import NodeState
+from msgs.values.perception import BevFrame
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry, player, ra_former
-from nodes.can_link import BusParams, CanLink, LogFrame, bus_frame, load_dbc, load_mapping
+from nodes.can.bus import BusParams, CanLink, LogFrame, bus_frame, load_dbc, load_mapping
 from nodes.node import InProcessGraph, load_node
-from nodes.supervisor import read_lock
+from nodes.process.supervisor import read_lock
 from nodes.vehicle_can import LogSource
 from sim_player.car import SimulatedCar
 from tests.graph.fault_tools import PATIENCE_S, ROOT, LiveGraph
@@ -534,7 +534,11 @@ def test_what_a_killed_graph_left_is_taken_over(note: Note) -> None:
 
 REFUSED = {
     "unknown module": ("nodes.nowhere", {}, "bad.module: no module named 'nodes.nowhere'"),
-    "no node": ("nodes.logs", {}, "bad.module: nodes.logs is no node, it must define Params and create(params)"),
+    "no node": (
+        "nodes.process.logs",
+        {},
+        "bad.module: nodes.process.logs is no node, it must define Params and create(params)",
+    ),
     "parameters": ("nodes.recorder", {"path": 3}, "bad.params.path: Expected str, got int"),
     "model": ("nodes.dense_predictor", {"model": "net.onnx"}, "net.onnx: sha256 must be "),
 }

@@ -15,11 +15,11 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from models.perception.objects import bev_to_json
-from msgs.perception import BevFrame
-from msgs.recording import RecordingReader, RecordingWriter
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import list_publishers, run_dir
+from models.perception.geometry.objects import bev_to_json
+from msgs.bus.zmq import list_publishers, run_dir
+from msgs.recording.mcap import RecordingReader, RecordingWriter
+from msgs.values.perception import BevFrame
+from msgs.values.vehicle import VehicleState
 
 SCANS = 5
 LAUNCH = """

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from mirrorwave.cli import main
-from models.perception.objects import bev_to_json
-from msgs.perception import BevFrame
-from msgs.recording import RecordingReader
+from models.perception.geometry.objects import bev_to_json
+from msgs.recording.mcap import RecordingReader
+from msgs.values.perception import BevFrame
 
 LAUNCH = """
 name: spine

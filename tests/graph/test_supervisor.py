@@ -19,9 +19,9 @@ from typing import Any
 import pytest
 
 from benchmarks.faults import processes_of
-from nodes.launch_file import LaunchFile, launch_from_mapping
-from nodes.liveness import Sample, sample
-from nodes.supervisor import Supervisor, read_lock
+from nodes.process.launch_file import LaunchFile, launch_from_mapping
+from nodes.process.liveness import Sample, sample
+from nodes.process.supervisor import Supervisor, read_lock
 
 pytestmark = pytest.mark.graph
 
@@ -132,7 +132,7 @@ def test_a_silent_node_is_replaced_by_what_it_is_at(
         now_s = time.monotonic()
         return Sample(now_s, "R", cpu_s=now_s, waited_s=0.0) if is_busy else sample(pid)
 
-    monkeypatch.setattr("nodes.supervisor.sample", with_a_core)
+    monkeypatch.setattr("nodes.process.supervisor.sample", with_a_core)
     launch = _launch(
         echo={"params": {"kind": "echo"}},
         toy={"params": {"kind": kind}, "hang_timeout_s": timeout_s, "after": ["echo"]},
@@ -157,7 +157,7 @@ SLOW = {"params": {"kind": "pause", "after_s": 1.5, "period_s": 0.01}, "hang_tim
 
 def test_a_silence_is_said_before_anybody_is_killed_for_it(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """And what the node is at: blocked, where it does not just wait for a core."""
-    monkeypatch.setattr("nodes.supervisor._SILENCE_INTERVAL_S", 0.0)
+    monkeypatch.setattr("nodes.process.supervisor._SILENCE_INTERVAL_S", 0.0)
     log = _Log()
     supervisor = Supervisor(_launch(slow=SLOW), run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
     answers = "slow answers again after"
@@ -172,7 +172,7 @@ def test_a_silence_is_said_before_anybody_is_killed_for_it(run_dir: Path, monkey
 
 
 def test_a_silence_is_said_once(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nodes.supervisor._SILENCE_INTERVAL_S", math.inf)
+    monkeypatch.setattr("nodes.process.supervisor._SILENCE_INTERVAL_S", math.inf)
     log = _Log()
     supervisor = Supervisor(_launch(slow=SLOW), run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
     log.rules = [("slow answers again after", 1, supervisor.request_stop)]
@@ -182,20 +182,20 @@ def test_a_silence_is_said_once(run_dir: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_a_crash_wakes_the_supervisor(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # nothing else does within the hour: nobody is heard, and READY stands in the pipe until it is read
-    monkeypatch.setattr("msgs.zmq_bus.ZmqBus.subscribe", lambda *_: None)
+    monkeypatch.setattr("msgs.bus.zmq.ZmqBus.subscribe", lambda *_: None)
     log = _Log()
     launch = _launch(crash={"params": {"kind": "crash"}, "restart": {"max_restarts": 3, "delay_s": 0.0}})
     supervisor = Supervisor(launch, run_dir, runs_dir=run_dir.parent / "runs", on_log=log)
-    log.rules = [("crash ready", 1, lambda: monkeypatch.setattr("nodes.supervisor.POLL_S", 3600.0))]
+    log.rules = [("crash ready", 1, lambda: monkeypatch.setattr("nodes.process.supervisor.POLL_S", 3600.0))]
     assert supervisor.run() == 1
     assert log.count("restart in 0 s") == 3
 
 
 def test_what_cannot_be_started_is_tried_again(run_dir: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import nodes.child
+    import nodes.process.child
 
     log, tries = _Log(), []
-    popen = nodes.child.subprocess.Popen
+    popen = nodes.process.child.subprocess.Popen
 
     def refuse_once(*arguments: Any, **options: Any) -> Any:
         tries.append(1)
@@ -203,7 +203,7 @@ def test_what_cannot_be_started_is_tried_again(run_dir: Path, monkeypatch: pytes
             raise BlockingIOError(11, "Resource temporarily unavailable")
         return popen(*arguments, **options)
 
-    monkeypatch.setattr(nodes.child.subprocess, "Popen", refuse_once)
+    monkeypatch.setattr(nodes.process.child.subprocess, "Popen", refuse_once)
     assert _run(_launch(tick={"params": {"ticks": 1}, "ends_graph": True}), run_dir, log) == 0
     assert log.count("cannot be started: [Errno 11] Resource temporarily unavailable; restart in 0 s") == 1
 
@@ -272,7 +272,7 @@ def test_two_graphs_do_not_share_a_directory(run_dir: Path) -> None:
 
 
 def test_the_graph_goes_on_without_its_terminal(run_dir: Path) -> None:
-    from nodes.launch_file import dump_launch
+    from nodes.process.launch_file import dump_launch
 
     folder = run_dir.parent
     launch = _launch(tick={"params": {"ticks": 10, "text": "hello\n"}, "ends_graph": True})
@@ -290,7 +290,7 @@ def test_the_graph_goes_on_without_its_terminal(run_dir: Path) -> None:
 
 
 def test_the_patience_with_a_process_may_change_while_it_is_asked_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
-    from nodes.child import Child
+    from nodes.process.child import Child
 
     sent: list[signal.Signals] = []
     monkeypatch.setattr(Child, "__init__", lambda self: vars(self).update(_asked_s=None, _told_s=None))
@@ -306,8 +306,8 @@ def test_the_patience_with_a_process_may_change_while_it_is_asked_to_stop(monkey
 _SCRIPT = """
 import sys
 from pathlib import Path
-from nodes.launch_file import read_launch_file
-from nodes.supervisor import Supervisor
+from nodes.process.launch_file import read_launch_file
+from nodes.process.supervisor import Supervisor
 folder = Path(sys.argv[1])
 say = lambda entry: print(entry["text"], flush=True)
 sys.exit(Supervisor(read_launch_file(folder / "toy.yaml"), folder / "run", runs_dir=folder / "runs", on_log=say).run())
@@ -316,7 +316,7 @@ sys.exit(Supervisor(read_launch_file(folder / "toy.yaml"), folder / "run", runs_
 
 @pytest.mark.parametrize("numbers", [[signal.SIGINT], [signal.SIGINT, signal.SIGINT], [signal.SIGKILL]])
 def test_no_process_is_left_behind(run_dir: Path, numbers: list[signal.Signals]) -> None:
-    from nodes.launch_file import dump_launch
+    from nodes.process.launch_file import dump_launch
 
     folder = run_dir.parent
     hang = {"params": {"kind": "hang", "after_s": 0.1}, "after": ["tick"]}

@@ -12,9 +12,9 @@ import pytest
 from benchmarks.link_stand import Side
 from benchmarks.net import Wire, why_no_namespaces
 from benchmarks.two_hosts import make_keys
-from msgs.diagnostics import NodeState
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus
+from msgs.bus.zmq import ZmqBus
+from msgs.values.diagnostics import NodeState
+from msgs.values.vehicle import VehicleState
 
 TOPIC = "vehicle/state"
 PATIENCE_S = 120.0

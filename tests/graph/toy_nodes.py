@@ -7,9 +7,9 @@ import time
 
 import msgspec
 
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.vehicle import VehicleState
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.vehicle import VehicleState
 from nodes.node import Node
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.legend import Legend
 from matplotlib.text import Text
 
-from mirrorwave.plot_style import PAGE_INCH
+from mirrorwave.plots.style import PAGE_INCH
 
 #: Smallest letters that are read without a magnifying glass, once a figure is shrunk to a page's width.
 LEAST_PT = 6.5

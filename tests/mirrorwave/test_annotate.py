@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from mirrorwave.annotate_clouds import read_cloud
-from mirrorwave.annotate_manifest import Pose, load_manifest
+from mirrorwave.annotate.clouds import read_cloud
+from mirrorwave.annotate.manifest import Pose, load_manifest
 from mirrorwave.cli import main
-from models.perception.registration import pose_error
-from models.training.frames import DataSet
+from models.annotation.registration import pose_error
+from models.training.data.frames import DataSet
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
 
@@ -152,7 +152,7 @@ def street() -> np.ndarray:
 
 def test_clouds_of_all_formats_are_read(tmp_path: Path) -> None:
     """PLY, PCD and XYZ through the library, NPY as it is, millimetres as metres; what is not finite is left out."""
-    from models.perception.registration import import_open3d
+    from models.annotation.registration import import_open3d
 
     o3d = import_open3d()
     points = street()
@@ -170,7 +170,7 @@ def test_clouds_of_all_formats_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize("as_text", [False, True])
 def test_a_cloud_that_is_cut_off_is_refused(tmp_path: Path, suffix: str, as_text: bool) -> None:
     """open3d fills what is missing with chance numbers: no cut in the points or the header may come through."""
-    from models.perception.registration import import_open3d
+    from models.annotation.registration import import_open3d
 
     o3d = import_open3d()
     path = tmp_path / f"a.{suffix}"

@@ -11,9 +11,9 @@ import pytest
 
 from mirrorwave.api import Perception, View, scan_beams, views
 from mirrorwave.cli import main
-from models.perception.objects import bev_to_json
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.recording import RecordingWriter
+from models.perception.geometry.objects import bev_to_json
+from msgs.recording.mcap import RecordingWriter
+from msgs.values.radar import RadarBeam, RadarSetup
 from nodes.player import Params, scene_player
 
 SCENE = "launch/scenes/corner.yaml"

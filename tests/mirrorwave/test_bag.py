@@ -16,11 +16,11 @@ from pathlib import Path
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.launch import code_of_recordings
-from msgs.recording import Losses, RecordingReader, RecordingWriter, TopicLoss, info
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus
-from nodes.launch_file import launch_from_mapping, parse_yaml
+from mirrorwave.commands.graph.launch import code_of_recordings
+from msgs.bus.zmq import ZmqBus
+from msgs.recording.mcap import Losses, RecordingReader, RecordingWriter, TopicLoss, info
+from msgs.values.vehicle import VehicleState
+from nodes.process.launch_file import launch_from_mapping, parse_yaml
 
 #: Nothing is measured against this: it ends a test that would wait for ever.
 PATIENCE_S = 120.0

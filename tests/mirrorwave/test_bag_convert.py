@@ -18,12 +18,14 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from mirrorwave.bag_convert import Format, convert, format_of
 from mirrorwave.cli import main
 from mirrorwave.console import progress_bar
-from mirrorwave.convert_shapes import Odometry, wall_line_m
-from msgs.diagnostics import LogRecord, NodeState, NodeStatus
-from msgs.perception import (
+from mirrorwave.convert.formats import Format, convert, format_of
+from mirrorwave.convert.shapes import Odometry, wall_line_m
+from msgs.recording.mcap import RecordingReader, RecordingWriter
+from msgs.recording.sigmf import SigmfCapture
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.values.perception import (
     BevFrame,
     BevGrid,
     HiddenObject,
@@ -34,10 +36,8 @@ from msgs.perception import (
     TruthSurface,
     Wall,
 )
-from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
-from msgs.recording import RecordingReader, RecordingWriter
-from msgs.sigmf_capture import SigmfCapture
-from msgs.vehicle import VehicleState
+from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
+from msgs.values.vehicle import VehicleState
 
 GRID = BevGrid(x_min_m=0.0, y_min_m=-2.0, cell_m=1.0, rows=4, columns=6)
 SETUP = RadarSetup(

@@ -18,23 +18,23 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 
-from mirrorwave import replay_graph
-from mirrorwave.bag_options import span_ns
 from mirrorwave.cli import main
-from mirrorwave.replay import Position, Replay, ReplayParams, Schedule, Summary, whole_scans
-from mirrorwave.replay_graph import NodeLoss, ReplayedGraph
-from mirrorwave.replay_keys import Key, Keyboard, keys_of
-from msgs import zmq_bus
-from msgs.bus import Envelope, Received
-from msgs.codec import encode_inline, json_schema
-from msgs.diagnostics import NodeState, NodeStatus, ShedCount, TopicCount
-from msgs.perception import BevFrame, BevGrid
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.recording import Recorded, RecordingReader, RecordingWriter
-from msgs.tally import Tally
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus
-from nodes.beam_queue import MOST_SCANS_WAITING, BeamQueue
+from mirrorwave.commands.captures.bag_options import span_ns
+from mirrorwave.replay import listeners as replay_graph
+from mirrorwave.replay.keys import Key, Keyboard, keys_of
+from mirrorwave.replay.listeners import NodeLoss, ReplayedGraph
+from mirrorwave.replay.schedule import Position, Replay, ReplayParams, Schedule, Summary, whole_scans
+from msgs.bus import zmq as zmq_bus
+from msgs.bus.codec import encode_inline, json_schema
+from msgs.bus.interface import Envelope, Received
+from msgs.bus.sequencing import Tally
+from msgs.bus.zmq import ZmqBus
+from msgs.recording.mcap import Recorded, RecordingReader, RecordingWriter
+from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, TopicCount
+from msgs.values.perception import BevFrame, BevGrid
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.beam_queue import MOST_SCANS_WAITING, BeamQueue
 from nodes.node import Stop
 
 ANSWER = "perception/hidden_objects"

@@ -9,9 +9,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.patches import Polygon
 
-from mirrorwave.bev_picture import box_corners_m, draw_bev
-from mirrorwave.plot_style import DIRECT_AREA, FOLLOWED, MIRROR_IMAGE, RECOVERED, SEEN_DIRECTLY, TRUTH
-from msgs.perception import (
+from mirrorwave.plots.bird_eye_view import box_corners_m, draw_bev
+from mirrorwave.plots.style import DIRECT_AREA, FOLLOWED, MIRROR_IMAGE, RECOVERED, SEEN_DIRECTLY, TRUTH
+from msgs.values.perception import (
     BevFrame,
     BevGrid,
     HiddenObject,
@@ -23,7 +23,7 @@ from msgs.perception import (
     Visibility,
     Wall,
 )
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from tests.mirrorwave.figures import assert_readable_at_page_width, legends_of
 
 PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"

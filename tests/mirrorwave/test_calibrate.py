@@ -11,27 +11,27 @@ import numpy as np
 import pytest
 import yaml
 
-from mirrorwave.calibrate_capture import Capture
-from mirrorwave.calibrate_drive import Guess, _formed
-from mirrorwave.calibrate_radar import measure_noise
+from mirrorwave.calibrate.capture import Capture
+from mirrorwave.calibrate.drive import Guess, _formed
+from mirrorwave.calibrate.radar import measure_noise
 from mirrorwave.cli import main
-from mirrorwave.sim import write_recording
+from mirrorwave.commands.sim.group import write_recording
 from models.vehicle.mounting import Motion
-from msgs.bus import Envelope, Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.frames import Pose2, polar_from_xy
-from msgs.perception import PathClass, Peaks
-from msgs.radar import RadarSetup
-from msgs.recording import RecordingReader, RecordingWriter
-from msgs.sigmf_capture import write_capture
-from msgs.vehicle import VehicleState
+from msgs.bus.interface import Envelope, Outgoing, Received
+from msgs.recording.mcap import RecordingReader, RecordingWriter
+from msgs.recording.sigmf import write_capture
+from msgs.values.diagnostics import NodeState
+from msgs.values.frames import Pose2, polar_from_xy
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import RadarSetup
+from msgs.values.vehicle import VehicleState
 from nodes import player as player_node
 from nodes.ra_former import Params, RaFormerNode
 from nodes.vehicle_can import Params as VehicleCanParams
 from sim_player.drive import Drive, DrivePlayer
-from sim_player.front_end import FrontEnd, Spur
 from sim_player.player import ScenePlayer
-from sim_player.scene import Scene, SceneObject, SceneRadar, Surface, load_scene, scene_to_yaml
+from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface, load_scene, scene_to_yaml
+from sim_player.scene.front_end import FrontEnd, Spur
 from tests.vehicle.test_mounting import (
     AZIMUTH_STD_RAD,
     LATE_S,

@@ -15,8 +15,8 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from msgs.vehicle import VehicleState
-from nodes.can_link import load_dbc, load_mapping
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
 from tests.captures import DATA, needs
 from tests.perception.test_yaw_rate_bias import drive, town, turns

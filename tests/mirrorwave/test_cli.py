@@ -17,8 +17,8 @@ from typer.main import get_command
 from mirrorwave.cli import app, main
 from mirrorwave.completion import complete_nodes
 from mirrorwave.console import error_line, exit_code_of
-from msgs.recording import RecordingWriter, info
-from msgs.vehicle import VehicleState
+from msgs.recording.mcap import RecordingWriter, info
+from msgs.values.vehicle import VehicleState
 
 
 @pytest.fixture(autouse=True)
@@ -100,7 +100,7 @@ def test_trim_keeps_the_span(recording: Path, tmp_path: Path) -> None:
 
 @pytest.mark.graph
 def test_play_publishes_unless_somebody_does(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from msgs.zmq_bus import ZmqBus, run_dir
+    from msgs.bus.zmq import ZmqBus, run_dir
 
     assert main(["bag", "play", str(recording), "--rate", "10"]) == 0
     assert "10 messages played" in capsys.readouterr().out
@@ -114,7 +114,7 @@ def test_play_publishes_unless_somebody_does(recording: Path, capsys: pytest.Cap
 
 
 def test_topic_list_covers_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    from msgs.topics import TOPICS
+    from msgs.bus.topics import TOPICS
 
     assert main(["topic", "list", "--json"]) == 0
     assert [row["topic"] for row in json.loads(capsys.readouterr().out)] == list(TOPICS)

@@ -10,16 +10,17 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from mirrorwave import cli, compare_run
-from mirrorwave.compare_evaluation import Score, score
-from mirrorwave.compare_figures import draw_comparison
-from mirrorwave.compare_report import Reach, Report, Row, make_report, markdown, roughness_loss_db, write_report
-from mirrorwave.compare_run import Plan, SceneResult, Seen, run_plan
-from mirrorwave.compare_scene import sensors_of
-from mirrorwave.compare_sensors import SENSORS, Sight, SpadSensor, count_threshold
-from mirrorwave.tradeoff_report import Interval
-from sim_player.comparison_scenes import Corner, corner_scene, shown_points
-from sim_player.scene import load_scene
+from mirrorwave import cli
+from mirrorwave.studies.compare import runner as compare_run
+from mirrorwave.studies.compare.evaluation import Score, score
+from mirrorwave.studies.compare.figures import draw_comparison
+from mirrorwave.studies.compare.report import Reach, Report, Row, make_report, markdown, roughness_loss_db, write_report
+from mirrorwave.studies.compare.runner import Plan, SceneResult, Seen, run_plan
+from mirrorwave.studies.compare.scene import sensors_of
+from mirrorwave.studies.compare.sensors import SENSORS, Sight, SpadSensor, count_threshold
+from mirrorwave.studies.tradeoff.report import Interval
+from sim_player.generate.comparison_scenes import Corner, corner_scene, shown_points
+from sim_player.scene.description import load_scene
 from tests.mirrorwave.figures import assert_readable_at_page_width
 
 PLAN = Plan(

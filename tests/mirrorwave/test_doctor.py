@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from mirrorwave.doctor import Status, check_graph, check_packages, check_run_dir, check_weights
-from mirrorwave.node import node_row
-from msgs.diagnostics import NodeState, NodeStatus, TopicCount
+from mirrorwave.commands.graph.doctor import Status, check_graph, check_packages, check_run_dir, check_weights
+from mirrorwave.commands.graph.nodes import node_row
+from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
 
 
 def _beat(uptime_s: float, cpu_s: float, messages: int) -> NodeStatus:

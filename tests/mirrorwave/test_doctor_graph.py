@@ -19,10 +19,10 @@ import psutil
 import pytest
 import zmq
 
-from mirrorwave import doctor_graph
 from mirrorwave.cli import main
-from mirrorwave.doctor import Finding, Status, check_graph, check_weights
-from mirrorwave.doctor_graph import (
+from mirrorwave.commands.graph.doctor import Finding, Status, check_graph, check_weights
+from mirrorwave.diagnose import doctor_graph
+from mirrorwave.diagnose.doctor_graph import (
     _check_node,
     _check_topics,
     _Graph,
@@ -31,11 +31,11 @@ from mirrorwave.doctor_graph import (
     check_room,
     graph_findings,
 )
-from msgs.diagnostics import NodeState, NodeStatus, TopicCount
-from msgs.topics import SENSOR_TOPICS
-from msgs.zmq_bus import socket_path
-from nodes.live_timing import ViewWatch
-from nodes.supervisor import read_lock
+from msgs.bus.topics import SENSOR_TOPICS
+from msgs.bus.zmq import socket_path
+from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
+from nodes.inputs.view_latency import ViewWatch
+from nodes.process.supervisor import read_lock
 
 PATIENCE_S = 120.0
 #: Holds two heartbeats, and so a rate.

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from mirrorwave.ending import HUNG_UP, INTERRUPTED, TERMINATED, is_until_told
-from msgs.recording import info
+from mirrorwave.exit_signals import HUNG_UP, INTERRUPTED, TERMINATED, is_until_told
+from msgs.recording.mcap import info
 
 pytestmark = pytest.mark.graph
 
@@ -64,10 +64,10 @@ nodes:
     params: {kind: tick, period_s: 0.01}
 """
 #: A module whose import stands for a phase: the command line's own, its verbs', the verb's set-up, its work.
-PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "msgs.recording"]
-LAUNCH = ["typer", "mirrorwave.completion", "nodes.launch_file", "nodes.supervisor", "msgs.zmq_bus"]
-RECORD = ["typer", "mirrorwave.completion", "msgs.zmq_bus", "nodes.recorder"]
-NODE = ["psutil", "msgs.bus", "nodes.validation", "msgs.zmq_bus", "tests.graph.toy_nodes"]
+PROCESS = ["typer", "mirrorwave.completion", "mirrorwave.offline", "msgs.recording.mcap"]
+LAUNCH = ["typer", "mirrorwave.completion", "nodes.process.launch_file", "nodes.process.supervisor", "msgs.bus.zmq"]
+RECORD = ["typer", "mirrorwave.completion", "msgs.bus.zmq", "nodes.recorder"]
+NODE = ["psutil", "msgs.bus.interface", "nodes.process.validation", "msgs.bus.zmq", "tests.graph.toy_nodes"]
 CODES = {signal.SIGINT: INTERRUPTED, signal.SIGTERM: TERMINATED, signal.SIGHUP: HUNG_UP}
 
 

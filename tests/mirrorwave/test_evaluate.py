@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.evaluate_methods import build_method, overridden, parse_method, peaks_above
-from mirrorwave.evaluate_run import run_methods, sweep, truth_of_labels
-from models.perception.cfar import CfarParams
-from models.perception.evaluation import measures
-from models.perception.geometry import GeometryParams
-from models.perception.onnx_model import DEFAULT_MODEL, load_card
-from models.training.frames import DataSet, fixed_splits
-from sim_player.dataset import Recipe, write_dataset
+from mirrorwave.studies.evaluate.methods import build_method, overridden, parse_method, peaks_above
+from mirrorwave.studies.evaluate.runner import run_methods, sweep, truth_of_labels
+from models.evaluation.frame_scores import measures
+from models.perception.detection.cfar import CfarParams
+from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.geometry.stage import GeometryParams
+from models.training.data.frames import DataSet, fixed_splits
+from sim_player.dataset.writer import Recipe, write_dataset
 
 
 @pytest.fixture(scope="module")

@@ -11,15 +11,22 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.evaluate_objects import ObjectRequest, measured, tables
-from mirrorwave.evaluate_objects_run import ObjectPlan, ObjectSet, image_truth, measure_place, read_sets, run_objects
-from mirrorwave.profile_chain import ProfileParts, profile_setting
-from mirrorwave.tradeoff_settings import Setting
-from models.perception.object_metrics import FOUND_M
-from msgs.radar import RadarSetup
-from sim_player.labelled_beams import LabelledPlace
-from sim_player.places import draw_place
-from sim_player.scene import scene_to_yaml
+from mirrorwave.commands.learn.evaluate_objects import ObjectRequest, measured, tables
+from mirrorwave.studies.evaluate.objects import (
+    ObjectPlan,
+    ObjectSet,
+    image_truth,
+    measure_place,
+    read_sets,
+    run_objects,
+)
+from mirrorwave.studies.tradeoff.profile_chain import ProfileParts, profile_setting
+from mirrorwave.studies.tradeoff.settings import Setting
+from models.evaluation.object_metrics import FOUND_M
+from msgs.values.radar import RadarSetup
+from sim_player.dataset.labelled_beams import LabelledPlace
+from sim_player.generate.places import draw_place
+from sim_player.scene.description import scene_to_yaml
 
 SEED, PLACES = 5, 3
 WORDS = ("eval", "--objects", "--profile", "cfar", "--profile", "fast", "--seed", str(SEED), "--places", str(PLACES))
@@ -132,7 +139,8 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
     sets = read_sets()
     small = {name: ObjectSet(seed=seed, places=1, effects="basic") for name, seed in (("a", 1), ("b", 2))}
     monkeypatch.setattr(
-        "mirrorwave.evaluate_objects.read_sets", lambda: msgspec.structs.replace(sets, sets=small, false_cost=0.25)
+        "mirrorwave.commands.learn.evaluate_objects.read_sets",
+        lambda: msgspec.structs.replace(sets, sets=small, false_cost=0.25),
     )
     request = ObjectRequest(
         sets=["a", "b"], profiles=["cfar"], places=None, moving=False, effects="all", seed=0, draws=5, workers=1,

@@ -12,12 +12,12 @@ import pytest
 from matplotlib.figure import Figure
 
 from benchmarks import peak_refinement, severity, soak, walls_and_corners
-from mirrorwave.evaluate_figures import draw_curves as draw_precision
-from mirrorwave.evaluate_figures import draw_groups
-from mirrorwave.plot_style import legend_below, legend_beside, legend_of_figure, new_figure, save
-from mirrorwave.tradeoff_figures import draw_front, draw_stages
-from mirrorwave.tradeoff_report import Report
-from mirrorwave.training_curves import draw_curves as draw_training
+from mirrorwave.plots.style import legend_below, legend_beside, legend_of_figure, new_figure, save
+from mirrorwave.plots.training_curves import draw_curves as draw_training
+from mirrorwave.studies.evaluate.figures import draw_curves as draw_precision
+from mirrorwave.studies.evaluate.figures import draw_groups
+from mirrorwave.studies.tradeoff.figures import draw_front, draw_stages
+from mirrorwave.studies.tradeoff.report import Report
 from tests.mirrorwave.figures import assert_legends_off_data, assert_readable_at_page_width, legends_of
 
 

@@ -15,13 +15,14 @@ import pytest
 
 from mirrorwave import offline
 from mirrorwave.cli import main
-from msgs import mcap_file, whole_files
-from msgs.codec import encode_inline
-from msgs.recording import RecordingReader, RecordingWriter, copy_recording, info, whole_recording
-from msgs.vehicle import VehicleState
-from msgs.whole_files import named, whole, write_whole
-from sim_player.dataset import write_dataset
-from sim_player.shards import Recipe, shard_arrays
+from msgs.bus.codec import encode_inline
+from msgs.files import whole_files
+from msgs.files.whole_files import named, whole, write_whole
+from msgs.recording import mcap_writer as mcap_file
+from msgs.recording.mcap import RecordingReader, RecordingWriter, copy_recording, info, whole_recording
+from msgs.values.vehicle import VehicleState
+from sim_player.dataset.shards import Recipe, shard_arrays
+from sim_player.dataset.writer import write_dataset
 from tests.msgs.test_codec import EXAMPLES
 
 SCENE = "launch/scenes/two_hidden_vehicles.yaml"

@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.graph import GraphNode, GraphPicture, Link, launch_picture, layers, text_lines
-from mirrorwave.graph_drawing import _boxes, _layout, _places, dot_text, svg_text
+from mirrorwave.commands.graph.graph import GraphNode, GraphPicture, Link, launch_picture, layers, text_lines
+from mirrorwave.diagnose.graph_drawing import _boxes, _layout, _places, dot_text, svg_text
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -73,7 +73,7 @@ def test_what_a_link_carries_is_in_its_parameters() -> None:
     ("text", "reason"),
     [
         ("name: x\nnodes: {a: {module: nodes.nothing}}", "a.module: no module named 'nodes.nothing'"),
-        ("name: x\nnodes: {a: {module: nodes.child}}", "a.module: nodes.child is no node"),
+        ("name: x\nnodes: {a: {module: nodes.process.child}}", "a.module: nodes.process.child is no node"),
         ("name: x\nnodes: {a: {module: nodes.geometry, params: {nope: 1}}}", "nope"),
         ("", "expected a mapping"),
     ],

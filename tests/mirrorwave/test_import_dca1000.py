@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from mirrorwave.cli import main
-from models.perception.cfar import CfarParams, detect
-from models.perception.dca1000 import array_params, frame_samples, parse_cfg
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
-from msgs.units import SPEED_OF_LIGHT_MPS
+from models.perception.detection.cfar import CfarParams, detect
+from models.sensors.dca1000 import array_params, frame_samples, parse_cfg
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 from tests.captures import DATA, needs
 
 AWR = DATA / "awr_77ghz_openradar" / "doppler_example_1.npy"

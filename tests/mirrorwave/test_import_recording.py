@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from mirrorwave.cli import main
-from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
-from msgs.recording import RecordingReader, info
-from msgs.sigmf_capture import write_capture
-from msgs.vehicle import VehicleState
+from msgs.recording.mcap import RecordingReader, info
+from msgs.recording.sigmf import write_capture
+from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
+from msgs.values.vehicle import VehicleState
 from tests.mirrorwave.test_can import DBC, MAPPING, write_drive
 
 #: The drive of `write_drive`: seconds, its frames at 50 Hz, and states that are valid.

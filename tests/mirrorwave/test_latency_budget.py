@@ -9,12 +9,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from mirrorwave import latency_budget
-from mirrorwave.latency_budget import Timed, measure, pick, reason, timed_profiles
-from mirrorwave.launch import launch
+from mirrorwave.commands.graph.launch import launch
 from mirrorwave.profiles import profile_names
-from mirrorwave.tradeoff_report import Interval, Report, Row, Times
-from mirrorwave.tradeoff_settings import Setting, profiles
+from mirrorwave.studies.tradeoff import latency_budget
+from mirrorwave.studies.tradeoff.latency_budget import Timed, measure, pick, reason, timed_profiles
+from mirrorwave.studies.tradeoff.report import Interval, Report, Row, Times
+from mirrorwave.studies.tradeoff.settings import Setting, profiles
 from models.training.files import json_lines
 
 app = typer.Typer()

@@ -6,7 +6,7 @@ import threading
 import time
 from typing import Any
 
-from mirrorwave.launch import LogPrinter
+from mirrorwave.commands.graph.launch import LogPrinter
 
 
 def entry(number: int) -> dict[str, Any]:

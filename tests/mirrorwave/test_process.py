@@ -13,12 +13,12 @@ import pytest
 from mirrorwave.api import views
 from mirrorwave.cli import main
 from models.perception.chain import Chain
-from models.perception.detectors import CfarDetector
-from models.perception.objects import bev_to_json
-from models.perception.tracking import track_to_json
-from msgs.radar import BeamGrid
-from msgs.recording import RecordingWriter, info
-from msgs.vehicle import VehicleState
+from models.perception.detection.detectors import CfarDetector
+from models.perception.geometry.objects import bev_to_json
+from models.perception.tracking.tracker import track_to_json
+from msgs.recording.mcap import RecordingWriter, info
+from msgs.values.radar import BeamGrid
+from msgs.values.vehicle import VehicleState
 from nodes.player import Params, scene_player, truth_beside
 
 SCENE = "launch/scenes/corner.yaml"

@@ -12,19 +12,19 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-import mirrorwave.launch as launch_verb
+import mirrorwave.commands.graph.launch as launch_verb
 from mirrorwave.cli import main
 from mirrorwave.offline import launch_for
-from mirrorwave.profile_chain import ProfileParts, profile_setting
-from mirrorwave.profiles import LAUNCH_DIR, over_default, profile_names, read_profile
-from models.perception.cards import WEIGHTS
-from models.perception.confidence import FittedConfidences, load_confidence
-from models.perception.detectors import CfarDetector, NetworkDetector
-from models.perception.onnx_model import DEFAULT_MODEL
-from msgs.radar import RadarSetup
+from mirrorwave.profiles import over_default, profile_names, read_profile
+from mirrorwave.studies.tradeoff.profile_chain import ProfileParts, profile_setting
+from models.perception.detection.detectors import CfarDetector, NetworkDetector
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.perception.geometry.confidence import FittedConfidences, load_confidence
+from msgs.files.shipped import LAUNCH, WEIGHTS
+from msgs.values.radar import RadarSetup
 from nodes.geometry import Params, parts_of
-from nodes.launch_file import LaunchFile, read_launch_file
-from sim_player.labelled_beams import LabelledPlace
+from nodes.process.launch_file import LaunchFile, read_launch_file
+from sim_player.dataset.labelled_beams import LabelledPlace
 from tests.captures import DATA, needs
 
 ALLEY = DATA / "sigmf_alley"
@@ -52,21 +52,21 @@ def _app() -> Any:
 
 def test_launch_runs_the_default_profile_where_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Live and offline run the same parameters, or a replay would not give the bytes of `process`."""
-    live = run_launch(monkeypatch, str(LAUNCH_DIR / "corner.yaml"))
+    live = run_launch(monkeypatch, str(LAUNCH / "corner.yaml"))
     offline = launch_for(Path("capture.mcap"), "default", [])
     for name in ("ra_former", "dense_predictor", "geometry"):
         assert live.nodes[name].params == offline.nodes[name].params == read_profile("default").get(name, {})
 
 
 def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytest.MonkeyPatch) -> None:
-    file = str(LAUNCH_DIR / "corner.yaml")
+    file = str(LAUNCH / "corner.yaml")
     named = run_launch(monkeypatch, file, "--profile", "balanced")
     assert named.nodes["dense_predictor"].params == read_profile("balanced")["dense_predictor"]
     overridden = run_launch(monkeypatch, file, "-p", "geometry.confidence=none")
     assert overridden.nodes["geometry"].params == {"confidence": "none"}
-    millimetre = over_default(read_launch_file(LAUNCH_DIR / "corner_77ghz.yaml")).nodes
+    millimetre = over_default(read_launch_file(LAUNCH / "corner_77ghz.yaml")).nodes
     assert millimetre["dense_predictor"].params["method"] == "cfar"
-    assert over_default(read_launch_file(LAUNCH_DIR / "two_hosts_sensor.yaml")).nodes.keys()
+    assert over_default(read_launch_file(LAUNCH / "two_hosts_sensor.yaml")).nodes.keys()
 
 
 def test_default_is_what_was_chosen() -> None:

@@ -8,8 +8,8 @@ import msgspec
 import pytest
 
 from mirrorwave.reference import fields_of, main, node_modules, pages
-from msgs.perception import Track
-from nodes.launch_file import read_launch_file
+from msgs.values.perception import Track
+from nodes.process.launch_file import read_launch_file
 from nodes.recorder import Params as RecorderParams
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from mirrorwave.scoreboard import KEPT_SCANS, Scoreboard
-from msgs.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
+from mirrorwave.plots.scoreboard import KEPT_SCANS, Scoreboard
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
 
 GRID = BevGrid(rows=1, columns=1)
 

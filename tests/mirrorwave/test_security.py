@@ -14,7 +14,7 @@ import psutil
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.security_checks import (
+from mirrorwave.diagnose.security_checks import (
     Grade,
     Risk,
     all_findings,
@@ -26,9 +26,9 @@ from mirrorwave.security_checks import (
     check_user,
     check_zeromq,
 )
-from msgs.curve_keys import generate, load_own
-from nodes.launch_file import NodeEntry, read_launch_file
-from nodes.supervisor import LOCK_NAME
+from msgs.link.keys import generate, load_own
+from nodes.process.launch_file import NodeEntry, read_launch_file
+from nodes.process.supervisor import LOCK_NAME
 
 OUTSIDE = "tcp://192.0.2.1:7000"
 BOUND = "tcp://192.0.2.9:7000"

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from mirrorwave.sim_dataset import (
+from mirrorwave.commands.sim.dataset import (
     ExecutorOption,
     PlacesOption,
     PresetOption,
@@ -19,7 +19,7 @@ from mirrorwave.sim_dataset import (
     parse_slurm,
     statistics,
 )
-from sim_player.dataset import Recipe, write_dataset
+from sim_player.dataset.writer import Recipe, write_dataset
 
 
 @pytest.fixture(scope="module")
@@ -53,10 +53,10 @@ def test_dataset_says_what_it_did(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 def test_options_are_those_of_the_simulator() -> None:
-    from msgs.radar import PRESETS
-    from sim_player.executors import EXECUTORS
-    from sim_player.shards import PLACES
-    from sim_player.shifted import SHIFTS
+    from msgs.values.radar import PRESETS
+    from sim_player.dataset.executors import EXECUTORS
+    from sim_player.dataset.shards import PLACES
+    from sim_player.generate.domain_shift import SHIFTS
 
     assert tuple(option.value for option in PlacesOption) == PLACES
     assert tuple(option.value for option in ExecutorOption) == EXECUTORS

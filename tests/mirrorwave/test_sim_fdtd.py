@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 import typer
 
-from mirrorwave import sim_fdtd
+from mirrorwave.commands.sim import fdtd as sim_fdtd
+from mirrorwave.commands.sim.fdtd import reflectance, wall
 from mirrorwave.console import error_line, exit_code_of
-from mirrorwave.sim_fdtd import reflectance, wall
 from sim_player.fdtd import Experiment
-from sim_player.reflectance import Entry
+from sim_player.fdtd.reflectance import Entry
 
 
 def run(command: Callable[..., None], line: str) -> None:
@@ -98,7 +98,7 @@ def test_a_rebuild_writes_table_and_card(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     entries = [Entry("asphalt", band, "te", 0.0, (0.0, 45.0)) for band in (10e9, 77e9)]
-    monkeypatch.setattr("sim_player.reflectance.table_entries", lambda: entries)
+    monkeypatch.setattr("sim_player.fdtd.reflectance.table_entries", lambda: entries)
     run(reflectance, f"--rebuild --workers 1 --json --out {tmp_path / 'a.npz'}")
     card = json.loads(capsys.readouterr().out)["card"]
     assert card["command"] == "mirrorwave sim reflectance --rebuild"

@@ -17,10 +17,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks.faults import processes_of
-from mirrorwave.ending import HUNG_UP
+from mirrorwave.exit_signals import HUNG_UP
 from mirrorwave.terminal import READER_LEFT
-from msgs.recording import RecordingReader, info
-from nodes.recording_files import recorded_files
+from msgs.recording.mcap import RecordingReader, info
+from nodes.recording.files import recorded_files
 
 pytestmark = pytest.mark.graph
 

@@ -12,10 +12,10 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.top import MAX_HEARTBEATS, GraphWatch, _picture
-from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.radar import BeamGrid, RadarSetup
-from nodes.live_timing import last_beam_ns
+from mirrorwave.commands.graph.top import MAX_HEARTBEATS, GraphWatch, _picture
+from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.radar import BeamGrid, RadarSetup
+from nodes.inputs.view_latency import last_beam_ns
 from nodes.viewer.node_table import MAX_NODES
 from tests.nodes.test_bev_viewer import frame
 
@@ -133,7 +133,7 @@ def test_a_quiet_domain_is_an_error(quiet_domain: Path, option: str, capsys: pyt
 
 @pytest.mark.graph
 def test_one_object_after_one_window(quiet_domain: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from msgs.zmq_bus import ZmqBus, run_dir
+    from msgs.bus.zmq import ZmqBus, run_dir
 
     ended = threading.Event()
 

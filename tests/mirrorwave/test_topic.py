@@ -16,17 +16,17 @@ import numpy as np
 import pytest
 import zmq
 
-from mirrorwave import topic as topic_verbs
 from mirrorwave.cli import main
-from mirrorwave.foreign_topic import decode_foreign
-from mirrorwave.topic_delay import DelayWatch
-from mirrorwave.topic_echo import CsvLines, field_of, parse_condition, text_lines
-from msgs.bus import Envelope, Received
-from msgs.diagnostics import NodeState, NodeStatus, TopicCount
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import run_dir
-from nodes.live_timing import last_beam_ns
+from mirrorwave.commands.graph import topics as topic_verbs
+from mirrorwave.diagnose.foreign_topic import decode_foreign
+from mirrorwave.diagnose.topic_delay import DelayWatch
+from mirrorwave.diagnose.topic_echo import CsvLines, field_of, parse_condition, text_lines
+from msgs.bus.interface import Envelope, Received
+from msgs.bus.zmq import run_dir
+from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.view_latency import last_beam_ns
 from tests.nodes.test_bev_viewer import frame
 
 S = 1_000_000_000
@@ -62,7 +62,7 @@ def speaker() -> Iterator[Callable[[Callable[[int, int], dict[str, msgspec.Struc
     threads: list[threading.Thread] = []
 
     def start(messages: Callable[[int, int], dict[str, msgspec.Struct]]) -> None:
-        from msgs.zmq_bus import ZmqBus
+        from msgs.bus.zmq import ZmqBus
 
         def speak() -> None:
             bus = ZmqBus("speaker", run_dir("default"))
@@ -423,8 +423,8 @@ NO_GRAPH = "mirrorwave: no graph runs in domain 'default': start one with `mirro
 def test_without_a_graph_one_line_says_so(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("mirrorwave.running_graph.FIND_S", 0.2)
-    monkeypatch.setattr("mirrorwave.topic.FIND_S", 0.2)
+    monkeypatch.setattr("mirrorwave.diagnose.running_graph.FIND_S", 0.2)
+    monkeypatch.setattr("mirrorwave.commands.graph.topics.FIND_S", 0.2)
     monkeypatch.chdir(tmp_path)
     assert main(words) == 1
     said = capsys.readouterr()

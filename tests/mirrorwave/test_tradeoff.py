@@ -14,15 +14,24 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from mirrorwave.tradeoff import tradeoff
-from mirrorwave.tradeoff_report import Interval, Report, Row, Times, latency_ms, measuring_ms, read_report, with_front
-from mirrorwave.tradeoff_run import BEFORE, PARAMS, PARTS, Plan, peak_memory_mib, run_plan
-from mirrorwave.tradeoff_settings import Setting, read_settings
-from models.perception.cfar import CfarParams, cfar_peaks
-from models.perception.onnx_model import DEFAULT_MODEL
-from msgs.perception import Peaks
-from msgs.radar import RangeAzimuthMap
-from nodes.validation import convert_at
+from mirrorwave.commands.learn.tradeoff import tradeoff
+from mirrorwave.studies.tradeoff.report import (
+    Interval,
+    Report,
+    Row,
+    Times,
+    latency_ms,
+    measuring_ms,
+    read_report,
+    with_front,
+)
+from mirrorwave.studies.tradeoff.runner import BEFORE, PARAMS, PARTS, Plan, peak_memory_mib, run_plan
+from mirrorwave.studies.tradeoff.settings import Setting, read_settings
+from models.perception.detection.cfar import CfarParams, cfar_peaks
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from msgs.values.perception import Peaks
+from msgs.values.radar import RangeAzimuthMap
+from nodes.process.validation import convert_at
 
 app = typer.Typer()
 app.command()(tradeoff)
@@ -133,7 +142,7 @@ def test_a_row_that_fails_on_the_way_takes_none_with_it(tmp_path: Path, monkeypa
 
     rows = [Setting(switch="profile", value="default"), Setting(switch="a", value="b", params={"geometry": {}})]
     rows[1].params["dense_predictor"] = {"method": "cfar"}
-    monkeypatch.setattr("models.perception.detectors.cfar_peaks", fails)
+    monkeypatch.setattr("models.perception.detection.detectors.cfar_peaks", fails)
     results = run_plan(Plan(rows=rows, frames=1, repeats=1), tmp_path)
     assert list(results[0].times_ms) == ["default"]
     assert results[0].failed == {"a: b": "broken in two lines"}

@@ -7,8 +7,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from mirrorwave import tradeoff_simulator, tradeoff_simulator_cases
-from mirrorwave.tradeoff_simulator import (
+from mirrorwave.studies.tradeoff import simulator as tradeoff_simulator
+from mirrorwave.studies.tradeoff import simulator_cases as tradeoff_simulator_cases
+from mirrorwave.studies.tradeoff.simulator import (
     SimulatorPlan,
     SimulatorReport,
     SimulatorRow,
@@ -18,9 +19,9 @@ from mirrorwave.tradeoff_simulator import (
     simulator_plan,
     write_simulator_report,
 )
-from mirrorwave.tradeoff_simulator_cases import BODIES, GROUPS, SAME_DB
-from mirrorwave.tradeoff_simulator_figures import draw_simulator
-from sim_player.scene import Scene, scene_from_yaml
+from mirrorwave.studies.tradeoff.simulator_cases import BODIES, GROUPS, SAME_DB
+from mirrorwave.studies.tradeoff.simulator_figures import draw_simulator
+from sim_player.scene.description import Scene, scene_from_yaml
 
 PLAN = SimulatorPlan(
     seed=3,

@@ -10,12 +10,12 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from mirrorwave.evaluate_methods import build_method, parse_method
-from mirrorwave.train_confidence import confidence
-from models.perception.confidence import load_confidence
-from models.perception.onnx_model import DEFAULT_MODEL, load_card
-from models.training.frames import DataSet
-from sim_player.dataset import write_dataset
+from mirrorwave.commands.learn.train_confidence import confidence
+from mirrorwave.studies.evaluate.methods import build_method, parse_method
+from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.geometry.confidence import load_confidence
+from models.training.data.frames import DataSet
+from sim_player.dataset.writer import write_dataset
 
 app = typer.Typer()
 app.command()(confidence)

@@ -6,13 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mirrorwave.export import export
-from mirrorwave.train import dense
-from models.perception.onnx_model import DensePredictor
-from models.training.frames import fixed_splits
+from mirrorwave.commands.learn.export import export
+from mirrorwave.commands.learn.train import dense
+from models.perception.detection.onnx_model import DensePredictor
+from models.training.data.frames import fixed_splits
+from models.training.data.xradarnlos import POINTS_FOLDER, REAL_RANGE_M, SPECTRUM, grid_of, import_folder
 from models.training.train_dense import load_best
-from models.training.xradarnlos import POINTS_FOLDER, REAL_RANGE_M, SPECTRUM, grid_of, import_folder
-from sim_player.dataset import write_dataset
+from sim_player.dataset.writer import write_dataset
 
 
 def test_from_data_set_to_a_model_that_loads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,9 +10,9 @@ import typer
 from click.testing import Result
 from typer.testing import CliRunner
 
-from mirrorwave.train_residual import CURVES_PICTURE, MODEL_FILE, SAMPLES, residual
-from models.perception.residual_model import LearnedResidual
-from sim_player.dataset import write_dataset
+from mirrorwave.commands.learn.train_residual import CURVES_PICTURE, MODEL_FILE, SAMPLES, residual
+from models.perception.geometry.residual_model import LearnedResidual
+from sim_player.dataset.writer import write_dataset
 
 app = typer.Typer()
 app.command()(residual)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
 
-from mirrorwave.true_sight import direct_sight, mirror_sight, true_segments
-from msgs.perception import SceneTruth, TruthSurface, Wall
+from mirrorwave.plots.visibility import direct_sight, mirror_sight, true_segments
+from msgs.values.perception import SceneTruth, TruthSurface, Wall
 
 #: A wall across the way, 10 m ahead, 5 m to either side: its ends stand at atan(1/2) = 26.57 degrees.
 ACROSS = (np.array([[10.0, -5.0]]), np.array([[10.0, 5.0]]))

@@ -11,16 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mirrorwave.playback import MAX_SPEED, Playback
-from mirrorwave.view import view
-from mirrorwave.view_log import _Marks, overview_json, read_log
-from msgs.diagnostics import NodeState, NodeStatus
-from msgs.perception import BevFrame, BevGrid, SceneTruth, Track
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
-from msgs.recording import RecordingReader, RecordingWriter
-from msgs.vehicle import VehicleState
-from nodes.viewer.board import Board
+from mirrorwave.commands.captures.view import view
+from mirrorwave.replay.playback import MAX_SPEED, Playback
+from mirrorwave.replay.view_log import _Marks, overview_json, read_log
+from msgs.recording.mcap import RecordingReader, RecordingWriter
+from msgs.values.diagnostics import NodeState, NodeStatus
+from msgs.values.perception import BevFrame, BevGrid, SceneTruth, Track
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 from nodes.viewer.driver_warnings import DriverWarning, Level
+from nodes.viewer.newest import Board
 from nodes.viewer.server import Play, Seek, Step
 
 SCANS = 20

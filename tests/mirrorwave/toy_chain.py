@@ -5,8 +5,8 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from msgs.bus import Outgoing, Received
-from msgs.perception import BevFrame, BevGrid, Peaks
+from msgs.bus.interface import Outgoing, Received
+from msgs.values.perception import BevFrame, BevGrid, Peaks
 from nodes.node import Node
 
 PERIOD_NS = 100_000_000

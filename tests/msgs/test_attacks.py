@@ -11,7 +11,7 @@ import pytest
 from benchmarks import attacks_hangup, attacks_ipc, attacks_link
 from benchmarks.link_stand import Stand
 from benchmarks.raw_peers import scripts
-from msgs.zmq_bus import make_run_dir
+from msgs.bus.zmq import make_run_dir
 
 TRIES = 1
 #: What the exporting process may open.

@@ -16,15 +16,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from msgs.arrays import DTYPES, MAX_STAMP_NS
-from msgs.bus import Envelope
-from msgs.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
-from msgs.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
-from msgs.lidar import LidarSetup, PhotonHistograms, SpadParams
-from msgs.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
-from msgs.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.topics import TOPICS
-from msgs.vehicle import MOST_SPEED_MPS, VehicleState
+from msgs.bus.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
+from msgs.bus.interface import Envelope
+from msgs.bus.topics import TOPICS
+from msgs.values.arrays import DTYPES, MAX_STAMP_NS
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime, TopicCount
+from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
+from msgs.values.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import MOST_SPEED_MPS, VehicleState
 
 RANDOM = np.random.default_rng(7)
 GRID = RangeAzimuthGrid(range_bins=6, azimuth_bins=4)

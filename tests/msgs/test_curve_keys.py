@@ -13,8 +13,8 @@ import zmq
 import zmq.auth
 from rich.console import Console
 
-from msgs import curve_keys
-from msgs.curve_keys import generate, is_loopback, load_allowed, load_own, load_public
+from msgs.link import keys as curve_keys
+from msgs.link.keys import generate, is_loopback, load_allowed, load_own, load_public
 
 Spoil = Callable[[Path], object]
 

@@ -14,17 +14,17 @@ import numpy as np
 import pytest
 import zmq
 
-from msgs.bus import Envelope, Forwarded, Received
-from msgs.codec import decode, encode, topic_frame
-from msgs.curve_exporter import Exporter
-from msgs.curve_importer import Importer, Server
-from msgs.curve_keys import KeyPair
-from msgs.curve_link import CLOCK, STAMP, queue_messages
-from msgs.diagnostics import LogRecord
-from msgs.local_bus import LocalNetwork
-from msgs.peer_clock import shifted
-from msgs.topics import TOPICS, topic_facts
-from msgs.vehicle import VehicleState
+from msgs.bus.codec import decode, encode, topic_frame
+from msgs.bus.interface import Envelope, Forwarded, Received
+from msgs.bus.local import LocalNetwork
+from msgs.bus.topics import TOPICS, topic_facts
+from msgs.link.curve import CLOCK, STAMP, queue_messages
+from msgs.link.exporter import Exporter
+from msgs.link.importer import Importer, Server
+from msgs.link.keys import KeyPair
+from msgs.link.peer_clock import shifted
+from msgs.values.diagnostics import LogRecord
+from msgs.values.vehicle import VehicleState
 from tests.msgs.test_codec import CASES, assert_same
 
 #: Ends a test that hangs; every wait below ends as soon as what it waits for is there.
@@ -102,11 +102,11 @@ class Bench:
 @pytest.fixture
 def bench(monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
     # what waits for seconds in a car need not do so here
-    monkeypatch.setattr("msgs.curve_importer._CONNECT_AGAIN_NS", 300_000_000)
-    monkeypatch.setattr("msgs.curve_importer._SETTLED_NS", 600_000_000)
-    monkeypatch.setattr("msgs.curve_importer._PING_NS", 20_000_000)
-    monkeypatch.setattr("msgs.curve_importer._FIRST_PING_NS", 15_000_000)
-    monkeypatch.setattr("msgs.curve_exporter._STRANGER_NS", 50_000_000)
+    monkeypatch.setattr("msgs.link.importer._CONNECT_AGAIN_NS", 300_000_000)
+    monkeypatch.setattr("msgs.link.importer._SETTLED_NS", 600_000_000)
+    monkeypatch.setattr("msgs.link.importer._PING_NS", 20_000_000)
+    monkeypatch.setattr("msgs.link.importer._FIRST_PING_NS", 15_000_000)
+    monkeypatch.setattr("msgs.link.exporter._STRANGER_NS", 50_000_000)
     bench = Bench()
     yield bench
     for end in list(bench.ends):
@@ -398,9 +398,9 @@ def test_a_peer_that_pauses_is_said_to_be_silent_and_nothing_is_lost(
     bench: Bench, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its process waits for a core or is busy: the connection stands, and what waits there comes."""
-    monkeypatch.setattr("msgs.curve_importer._SILENCE_NS", 200_000_000)
+    monkeypatch.setattr("msgs.link.importer._SILENCE_NS", 200_000_000)
     # what comes is all there, whenever the link asks
-    monkeypatch.setattr("msgs.curve_importer._SETTLED_NS", 50_000_000)
+    monkeypatch.setattr("msgs.link.importer._SETTLED_NS", 50_000_000)
     exporter, importer = bench.linked("vehicle/state")
     exporter.send(speed(0))
     bench.until(lambda: bench.came)

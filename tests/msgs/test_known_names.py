@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 import pytest
 
-from msgs.known_names import with_known_names
+from msgs.values.known_names import with_known_names
 
 
 class Colour(StrEnum):

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from msgs.lidar import MOST_PULSES, SPAD_LIMITS, LidarSetup, SpadParams
+from msgs.values.lidar import MOST_PULSES, SPAD_LIMITS, LidarSetup, SpadParams
 
 
 def test_every_number_has_limits_that_hold_table_2() -> None:

@@ -8,15 +8,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.bus import Bus, Received
-from msgs.codec import CodecError
-from msgs.diagnostics import LogRecord, TopicCount
-from msgs.local_bus import Faults, LocalNetwork
-from msgs.perception import Peaks
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.tally import Tally
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
+from msgs.bus.codec import CodecError
+from msgs.bus.interface import Bus, Received
+from msgs.bus.local import Faults, LocalNetwork
+from msgs.bus.sequencing import Tally
+from msgs.bus.topics import TOPICS
+from msgs.values.diagnostics import LogRecord, TopicCount
+from msgs.values.perception import Peaks
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.vehicle import VehicleState
 
 
 def state(stamp_ns: int) -> VehicleState:

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.peer_clock import ClockSample, PeerClock, shifted
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
+from msgs.bus.topics import TOPICS
+from msgs.link.peer_clock import ClockSample, PeerClock, shifted
+from msgs.values.vehicle import VehicleState
 from tests.msgs.test_codec import EXAMPLES
 
 S, MS = 1_000_000_000, 1_000_000

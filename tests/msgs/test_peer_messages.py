@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from msgs.bus import Envelope
-from msgs.codec import encode
-from msgs.peer_clock import ClockSample, PeerClock
-from msgs.peer_messages import MAX_ORIGINS, PeerMessages
-from msgs.vehicle import VehicleState
+from msgs.bus.codec import encode
+from msgs.bus.interface import Envelope
+from msgs.link.peer_clock import ClockSample, PeerClock
+from msgs.link.peer_messages import MAX_ORIGINS, PeerMessages
+from msgs.values.vehicle import VehicleState
 
 TOPIC = "vehicle/state"
 S = 1_000_000_000

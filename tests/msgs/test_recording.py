@@ -21,10 +21,10 @@ from mcap.records import Message
 from mcap.stream_reader import CRCValidationError, StreamReader
 from mcap.writer import CompressionType, Writer
 
-from msgs import mcap_file, recording
-from msgs.diagnostics import LogRecord
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.recording import (
+from msgs.bus.topics import TOPICS
+from msgs.recording import mcap as recording
+from msgs.recording import mcap_writer as mcap_file
+from msgs.recording.mcap import (
     RAW_TOPIC,
     Encoded,
     Losses,
@@ -35,8 +35,9 @@ from msgs.recording import (
     copy_recording,
     info,
 )
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
+from msgs.values.diagnostics import LogRecord
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.vehicle import VehicleState
 from tests.msgs.test_codec import CASES
 
 METADATA = {"scene": "corner", "config": "{}"}
@@ -201,8 +202,8 @@ FULL_CHILD = """
 import resource, sys
 from pathlib import Path
 import numpy as np
-from msgs.radar import RadarBeam
-from msgs.recording import RecordingWriter
+from msgs.values.radar import RadarBeam
+from msgs.recording.mcap import RecordingWriter
 resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
 writer = RecordingWriter(Path(sys.argv[1]), {})
 try:
@@ -300,8 +301,8 @@ def test_damaged_chunk_is_left_out_and_the_rest_read(tmp_path: Path) -> None:
 CHILD = """
 import sys, time
 from pathlib import Path
-from msgs.recording import RecordingWriter
-from msgs.vehicle import VehicleState
+from msgs.recording.mcap import RecordingWriter
+from msgs.values.vehicle import VehicleState
 writer = RecordingWriter(Path(sys.argv[1]), {"run": "7"})
 for index in range(10_000):
     writer.write("vehicle/state", VehicleState(stamp_ns=index), publisher="car", sequence=index, sent_ns=index * 10**8)

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from msgs.zmq_bus import make_run_dir
-from nodes.launch_file import launch_from_mapping
-from nodes.snapshot_trigger import TriggerFile, find_recorders
-from nodes.supervisor import LOCK_NAME, Supervisor, read_lock
+from msgs.bus.zmq import make_run_dir
+from nodes.process.launch_file import launch_from_mapping
+from nodes.process.supervisor import LOCK_NAME, Supervisor, read_lock
+from nodes.recording.snapshot_trigger import TriggerFile, find_recorders
 
 
 @pytest.mark.parametrize("mode", [0o770, 0o777, 0o702, 0o1777])

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import sigmf
 
-from msgs.radar import ArrayParams, BeamGrid, ElementPattern, RadarBeam, RadarParams, RadarSetup
-from msgs.sigmf_capture import SigmfCapture, write_capture
+from msgs.recording.sigmf import SigmfCapture, write_capture
+from msgs.values.radar import ArrayParams, BeamGrid, ElementPattern, RadarBeam, RadarParams, RadarSetup
 from tests.captures import DATA, needs
 
 ALLEY = DATA / "sigmf_alley" / "alley.sigmf-meta"

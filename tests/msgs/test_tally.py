@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import tracemalloc
 
-from msgs.bus import Envelope
-from msgs.codec import encode
-from msgs.diagnostics import LogRecord
-from msgs.tally import MAX_PUBLISHERS, Tally, latch
+from msgs.bus.codec import encode
+from msgs.bus.interface import Envelope
+from msgs.bus.sequencing import MAX_PUBLISHERS, Tally, latch
+from msgs.values.diagnostics import LogRecord
 
 TOPIC = "log"
 S = 1_000_000_000

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from msgs.frames import Pose2, polar_from_xy, wrap_angle, xy_from_polar
-from msgs.perception import BevGrid, Peaks, Wall
-from msgs.radar import (
+from msgs.values.frames import Pose2, polar_from_xy, wrap_angle, xy_from_polar
+from msgs.values.perception import BevGrid, Peaks, Wall
+from msgs.values.radar import (
     ArrayParams,
     BeamGrid,
     ElementPattern,
@@ -21,8 +21,8 @@ from msgs.radar import (
     RangeAzimuthGrid,
     RangeAzimuthMap,
 )
-from msgs.units import db_from_ratio, ns_from_s, ratio_from_db, s_from_ns
-from msgs.vehicle import VehicleState, ego_motion
+from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db, s_from_ns
+from msgs.values.vehicle import VehicleState, ego_motion
 
 METRES = st.floats(-200.0, 200.0)
 ANGLES = st.floats(-3.1, 3.1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from msgs.wording import counted
+from msgs.values.wording import counted
 
 
 @pytest.mark.parametrize(

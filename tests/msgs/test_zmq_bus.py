@@ -19,13 +19,13 @@ import numpy as np
 import pytest
 import zmq
 
-from msgs.bus import Received
-from msgs.diagnostics import LogRecord, TopicCount
-from msgs.perception import Peaks
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus, list_publishers, run_dir, socket_path
+from msgs.bus.interface import Received
+from msgs.bus.topics import TOPICS
+from msgs.bus.zmq import ZmqBus, list_publishers, run_dir, socket_path
+from msgs.values.diagnostics import LogRecord, TopicCount
+from msgs.values.perception import Peaks
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.vehicle import VehicleState
 
 #: Ends a test that hangs; every wait below normally ends within some 50 ms.
 PATIENCE_S = 60.0
@@ -223,8 +223,8 @@ def test_one_call_is_bounded(meeting: Path) -> None:
 CHILD = """
 import sys, time
 from pathlib import Path
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus
+from msgs.values.vehicle import VehicleState
+from msgs.bus.zmq import ZmqBus
 bus = ZmqBus("driver", Path(sys.argv[1]))
 for stamp in range(10_000):
     bus.publish("vehicle/state", VehicleState(stamp_ns=stamp))

@@ -5,7 +5,7 @@ import torch
 from torch import nn
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig, _fold_range, _shuffle
-from models.perception.encoding import Encoding
+from models.perception.detection.encoding import Encoding
 
 SMALL = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 12, 16), attention_heads=2)
 

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from models.networks.further_than_cfar import COMPACT, FULL, FurtherThanCfar, FurtherThanCfarConfig
-from models.training.focal import binary_focal_loss
+from models.training.objectives.focal import binary_focal_loss
 
 TINY = FurtherThanCfarConfig(
     range_bins=64, columns=32, widths=(4, 4, 8, 8), blocks=(1, 1, 1, 1), pyramid_width=8, segmentation_width=8

@@ -9,9 +9,9 @@ import pytest
 import torch
 
 from models.networks.radar_tensor_network import COMPACT, FULL, RadarTensorNetwork, RadarTensorNetworkConfig
-from models.perception.anchors import anchor_points
-from models.training.anchor_targets import anchor_loss, anchor_targets
-from models.training.datasets import PointLabels
+from models.perception.detection.anchors import anchor_points
+from models.training.data.samples import PointLabels
+from models.training.objectives.anchors import anchor_loss, anchor_targets
 
 TINY = RadarTensorNetworkConfig(
     range_bins=32, columns=16, anchor_stride=2, widths=(4, 6, 8), blocks=(1, 1, 1), neck_width=6

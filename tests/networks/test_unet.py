@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from models.networks.unet import COMPACT, FULL, UNet, UNetConfig
-from models.training.losses import heatmap_focal_loss
+from models.training.objectives.losses import heatmap_focal_loss
 
 TINY = UNetConfig(range_bins=16, columns=8, widths=(4, 6, 8))
 #: Squares of 2 x 2 cells as channels.

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 BOARD_URI, CONVERTER_URI = "ip:board.test", "ip:converter.test"
 SPACING_M = 0.015

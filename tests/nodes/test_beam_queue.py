@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.bus import Envelope, Received
-from msgs.radar import RadarBeam
-from nodes.beam_queue import MOST_SCANS_WAITING, SHED_IN_A_ROW, BeamQueue
+from msgs.bus.interface import Envelope, Received
+from msgs.values.radar import RadarBeam
+from nodes.inputs.beam_queue import MOST_SCANS_WAITING, SHED_IN_A_ROW, BeamQueue
 
 BEAMS = 25
 

@@ -17,16 +17,16 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from msgs.diagnostics import NodeState
-from msgs.local_bus import LocalNetwork
-from msgs.perception import BevFrame, BevGrid, SceneTruth
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
-from msgs.vehicle import VehicleState
+from msgs.bus.local import LocalNetwork
+from msgs.values.diagnostics import NodeState
+from msgs.values.perception import BevFrame, BevGrid, SceneTruth
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 from nodes.bev_viewer import BevViewer, Params, create
 from nodes.node import InProcessGraph, Node
 from nodes.viewer import server as server_module
 from nodes.viewer.assembly import Assembly
-from nodes.viewer.board import Board, json_text
+from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import MAX_CLIENT_MESSAGE_BYTES, MAX_CLIENT_MESSAGES_PER_S, Play, Seek, ViewerServer
 
 PATIENCE_S = 60.0

@@ -11,8 +11,8 @@ import pytest
 from mirrorwave.cli import main
 from models.vehicle.end_to_end import Algorithm, ChecksumRule, CounterRule
 from models.vehicle.mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
-from nodes.can_link import load_decoder, load_mapping
-from nodes.launch_file import parse_yaml
+from nodes.can.bus import load_decoder, load_mapping
+from nodes.process.launch_file import parse_yaml
 
 GOOD = """speed: {message: MW_SPEED, signals: [SPEED], low: -80.0, high: 80.0}
 yaw_rate: {message: MW_MOTION, signals: [YAW_RATE], low: -2.0, high: 2.0}

@@ -17,14 +17,14 @@ import pytest
 from mirrorwave.cli import main
 from models.vehicle.end_to_end import crc8_sae_j1850
 from models.vehicle.hidden_object_list import HiddenObjectList
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.local_bus import LocalNetwork
-from msgs.perception import BevFrame, BevGrid, HiddenObject
+from msgs.bus.interface import Outgoing, Received
+from msgs.bus.local import LocalNetwork
+from msgs.values.diagnostics import NodeState
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject
 from nodes import can_out
-from nodes.can_link import BusParams, CanLink
-from nodes.launch_file import read_launch_file
+from nodes.can.bus import BusParams, CanLink
 from nodes.node import InProcessGraph, Node, load_node
+from nodes.process.launch_file import read_launch_file
 
 DBC = Path("launch/can/mirrorwave_out.dbc")
 DATABASE = cantools.database.load_file(DBC)

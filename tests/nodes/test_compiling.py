@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from nodes.compiling import NOTICE, compile_notice
+from nodes.process.compiling import NOTICE, compile_notice
 
 
 def test_compiling_is_said_once_and_what_is_there_is_silent() -> None:

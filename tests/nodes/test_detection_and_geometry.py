@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 
 from benchmarks.yaw_bias import limited
-from models.perception.cfar import CfarParams
-from models.perception.detectors import NetworkDetector, detector_name
-from models.perception.named import NamedParams
-from models.perception.onnx_model import DEFAULT_MODEL, load_card
-from models.perception.peaks import PeakParams
-from models.perception.ra_forming import RaFormer
-from models.perception.refinement import RefinementParams
-from msgs.bus import Envelope, Received
-from msgs.diagnostics import NodeState
-from msgs.perception import BevFrame, Peaks
-from msgs.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.vehicle import VehicleState
+from models.perception.detection.cfar import CfarParams
+from models.perception.detection.detectors import NetworkDetector, detector_name
+from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
+from models.perception.detection.peaks import PeakParams
+from models.perception.detection.refinement import RefinementParams
+from models.perception.detection.ridge_matching import NamedParams
+from models.perception.forming.ra_forming import RaFormer
+from msgs.bus.interface import Envelope, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.perception import BevFrame, Peaks
+from msgs.values.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
 from tests.perception.test_confidence import model, scan_of

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.frames import Pose2
-from msgs.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Visibility, Wall
-from msgs.radar import MAP_FAULTS
-from msgs.vehicle import VehicleState
-from nodes.live_timing import ViewFigures
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Visibility, Wall
+from msgs.values.radar import MAP_FAULTS
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.view_latency import ViewFigures
 from nodes.viewer.driver_warnings import (
     FLAG_WORDS,
     DriverWarning,

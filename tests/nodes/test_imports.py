@@ -13,14 +13,14 @@ HEAVY = ("numba", "scipy", "onnxruntime", "trimesh", "matplotlib", "torch", "ric
 MOVERS = (
     "nodes.player",
     "nodes.recorder",
-    "nodes.snapshot_recorder",
+    "nodes.recording.snapshot_recorder",
     "nodes.link",
     "nodes.radar_driver",
     "nodes.vehicle_can",
     "nodes.can_out",
     "nodes.car_sim",
     "nodes.bev_viewer",
-    "nodes.supervisor",
+    "nodes.process.supervisor",
 )
 #: Modules that one process imports in turn, and what must not have come along with them.
 CHAINS = {
@@ -31,7 +31,7 @@ CHAINS = {
     "radar and geometry": [
         ("nodes.ra_former", ("onnxruntime", "scipy.optimize", "scipy.ndimage", "scipy.sparse", "sim_player")),
         # what the player of a radar's scene brings along
-        ("sim_player.player", ("onnxruntime", "scipy.optimize", "scipy.ndimage", "sim_player.spad_lidar")),
+        ("sim_player.player", ("onnxruntime", "scipy.optimize", "scipy.ndimage", "sim_player.lidar.spad")),
         ("nodes.geometry", ("onnxruntime", "scipy.ndimage", "matplotlib")),
     ],
 }

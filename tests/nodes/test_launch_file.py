@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from nodes.launch_file import (
+from nodes.node import load_node
+from nodes.process.launch_file import (
     MAX_BYTES,
     LaunchFile,
     Restart,
@@ -23,7 +24,6 @@ from nodes.launch_file import (
     with_recorder,
     without_viewers,
 )
-from nodes.node import load_node
 
 
 def _launch(**nodes: dict) -> LaunchFile:

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from mirrorwave.sim import write_recording
-from msgs.bus import Envelope, Received
-from msgs.diagnostics import NodeState
-from msgs.lidar import LidarSetup, PhotonHistograms
-from msgs.perception import SceneTruth
+from mirrorwave.commands.sim.group import write_recording
+from msgs.bus.interface import Envelope, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.perception import SceneTruth
 from nodes.lidar_former import LidarFormerNode, Params, create
 from nodes.player import Params as PlayerParams
 from nodes.player import capture_events, moved, scene_events, scene_player

@@ -14,18 +14,18 @@ from typing import Any
 
 import pytest
 
-from msgs.bus import Bus, Envelope, Forwarded
-from msgs.codec import encode
-from msgs.curve_keys import generate
-from msgs.diagnostics import LogRecord, NodeState
-from msgs.local_bus import LocalNetwork
-from msgs.radar import RadarSetup
-from msgs.tally import MAX_LATCHED
-from msgs.vehicle import VehicleState
-from msgs.zmq_bus import ZmqBus
-from nodes.launch_file import merged, read_launch_file
+from msgs.bus.codec import encode
+from msgs.bus.interface import Bus, Envelope, Forwarded
+from msgs.bus.local import LocalNetwork
+from msgs.bus.sequencing import MAX_LATCHED
+from msgs.bus.zmq import ZmqBus
+from msgs.link.keys import generate
+from msgs.values.diagnostics import LogRecord, NodeState
+from msgs.values.radar import RadarSetup
+from msgs.values.vehicle import VehicleState
 from nodes.link import Link
 from nodes.node import Heartbeat, Stop, load_node, run_loop
+from nodes.process.launch_file import merged, read_launch_file
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 60.0

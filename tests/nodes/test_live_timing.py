@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from msgs.diagnostics import SAMPLES_LIMIT, StageTime
-from msgs.radar import BeamGrid, RadarSetup
-from nodes.live_timing import ViewWatch, last_beam_ns, on_one_clock, stage_figures, views_text
+from msgs.values.diagnostics import SAMPLES_LIMIT, StageTime
+from msgs.values.radar import BeamGrid, RadarSetup
+from nodes.inputs.view_latency import ViewWatch, last_beam_ns, on_one_clock, stage_figures, views_text
 from nodes.node import StageClock
 
 MS = 1_000_000

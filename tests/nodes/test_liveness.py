@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from nodes.liveness import LATE_S, Doing, Sample, Silence, sample
+from nodes.process.liveness import LATE_S, Doing, Sample, Silence, sample
 
 #: Distance of two looks at a silent process.
 STEP_S = 0.05

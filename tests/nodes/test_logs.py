@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from msgs.local_bus import LocalNetwork
-from nodes.logs import LINES_AT_ONCE, LINES_PER_S, BusLogHandler, JsonLog, LineSplitter, parse_line
+from msgs.bus.local import LocalNetwork
 from nodes.node import Heartbeat, NodeState
+from nodes.process.logs import LINES_AT_ONCE, LINES_PER_S, BusLogHandler, JsonLog, LineSplitter, parse_line
 
 FORGED = (
     ('{"text": "x"}', "output", "x"),
@@ -59,7 +59,7 @@ def test_a_line_without_end_takes_no_memory() -> None:
 
 
 def test_the_log_is_for_its_owner_alone_and_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nodes.logs._FILE_BYTES", 1000)
+    monkeypatch.setattr("nodes.process.logs._FILE_BYTES", 1000)
     log = JsonLog(tmp_path / "log.jsonl")
     for number in range(500):
         log.write({"text": str(number)})

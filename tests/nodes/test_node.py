@@ -9,12 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from msgs.bus import Outgoing, Received
-from msgs.diagnostics import NodeState, NodeStatus
-from msgs.local_bus import LocalNetwork
-from msgs.vehicle import VehicleState
-from nodes.logs import BusLogHandler, LineSplitter, parse_line
+from msgs.bus.interface import Outgoing, Received
+from msgs.bus.local import LocalNetwork
+from msgs.values.diagnostics import NodeState, NodeStatus
+from msgs.values.vehicle import VehicleState
 from nodes.node import Heartbeat, InProcessGraph, Node, StageClock, Stop, load_node, run_loop
+from nodes.process.logs import BusLogHandler, LineSplitter, parse_line
 from tests.graph import toy_nodes
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,7 +44,7 @@ class _StopAfter(toy_nodes.Echo):
         (TOY, {"tocks": 1}, r"^toy\.params: .*unknown field tocks; known are kind, period_s, ticks, "),
         (TOY, {"kind": "nonsense"}, "toy.kind must be one of"),
         ("nodes.no_such_node", {}, "no module named 'nodes.no_such_node'"),
-        ("nodes.logs", {}, r"is no node, it must define Params and create"),
+        ("nodes.process.logs", {}, r"is no node, it must define Params and create"),
         ("../evil", {}, "dotted module name"),
     ],
 )

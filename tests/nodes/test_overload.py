@@ -13,15 +13,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.bus import Bus, Envelope, Received
-from msgs.diagnostics import NodeState
-from msgs.local_bus import Faults, LocalNetwork
-from msgs.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
-from nodes.live_timing import DEADLINE_S, last_beam_ns
+from msgs.bus.interface import Bus, Envelope, Received
+from msgs.bus.local import Faults, LocalNetwork
+from msgs.values.diagnostics import NodeState
+from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
+from nodes.inputs.view_latency import DEADLINE_S, last_beam_ns
 from nodes.node import Node, _turn
 from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
 from nodes.viewer.assembly import LATE_MAP_PERIOD_NS, Assembly
-from nodes.viewer.board import Board
+from nodes.viewer.newest import Board
 from tests.nodes.test_bev_viewer import frame, ra_map
 
 MS = 1_000_000

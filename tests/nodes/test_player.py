@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from mirrorwave.sim import write_recording, write_sigmf
-from msgs.local_bus import LocalNetwork
-from msgs.perception import SceneTruth
-from msgs.radar import RadarBeam, RadarSetup
-from msgs.recording import RecordingWriter
-from msgs.vehicle import VehicleState
+from mirrorwave.commands.sim.group import write_recording, write_sigmf
+from msgs.bus.local import LocalNetwork
+from msgs.recording.mcap import RecordingWriter
+from msgs.values.perception import SceneTruth
+from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph
 from nodes.player import SENSED_TOPICS, Params, capture_events, create, scene_events, scene_of, scene_player
 

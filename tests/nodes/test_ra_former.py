@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.bus import Envelope, Outgoing, Received
-from msgs.diagnostics import NodeState
-from msgs.radar import RadarBeam, RadarParams, RadarSetup
-from msgs.vehicle import VehicleState
+from msgs.bus.interface import Envelope, Outgoing, Received
+from msgs.values.diagnostics import NodeState
+from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
+from msgs.values.vehicle import VehicleState
 from nodes.ra_former import PATIENCE_NS, Params, RaFormerNode, create
 
 SETUP = RadarSetup(radar=RadarParams(chirps_per_beam=8))

@@ -11,17 +11,17 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.phaser import PhaserParams
-from models.perception.ra_forming import RaFormer
-from msgs.bus import Outgoing
-from msgs.diagnostics import NodeState
-from msgs.local_bus import LocalNetwork
-from msgs.radar import RadarSetup, RangeAzimuthMap
-from msgs.sigmf_capture import SigmfCapture, write_capture
+from models.perception.forming.ra_forming import RaFormer
+from models.sensors.phaser import PhaserParams
+from msgs.bus.interface import Outgoing
+from msgs.bus.local import LocalNetwork
+from msgs.recording.sigmf import SigmfCapture, write_capture
+from msgs.values.diagnostics import NodeState
+from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from nodes import radar_driver
 from nodes.drivers import cn0566
-from nodes.launch_file import read_launch_file
 from nodes.node import InProcessGraph, load_node
+from nodes.process.launch_file import read_launch_file
 from nodes.ra_former import Params as FormerParams
 from nodes.ra_former import create as create_former
 from tests.nodes.phaser_stand_in import BOARD_URI, CONVERTER_URI, StandInKit, library_on
@@ -352,7 +352,7 @@ def test_the_launch_file_fits_the_node() -> None:
 
 
 def test_a_beam_fits_its_topic() -> None:
-    from msgs.topics import topic_facts
+    from msgs.bus.topics import topic_facts
 
     params = PhaserParams(chirps_per_beam=256)
     assert 4 * params.chirps_per_beam * params.samples_per_chirp < topic_facts("radar/beam").max_bytes

@@ -13,16 +13,16 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs import mcap_file
-from msgs.diagnostics import LogRecord, NodeState
-from msgs.local_bus import LocalNetwork
-from msgs.recording import RAW_TOPIC, Losses, RecordingReader, TopicLoss, info
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
+from msgs.bus.local import LocalNetwork
+from msgs.bus.topics import TOPICS
+from msgs.recording import mcap_writer as mcap_file
+from msgs.recording.mcap import RAW_TOPIC, Losses, RecordingReader, TopicLoss, info
+from msgs.values.diagnostics import LogRecord, NodeState
+from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph
 from nodes.recorder import Params, Recorder, create
-from nodes.snapshot_recorder import SnapshotRecorder
-from nodes.snapshot_trigger import TriggerFile, find_recorders
+from nodes.recording.snapshot_recorder import SnapshotRecorder
+from nodes.recording.snapshot_trigger import TriggerFile, find_recorders
 from tests.graph import toy_nodes
 from tests.msgs.test_codec import EXAMPLES
 

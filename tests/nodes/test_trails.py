@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from msgs.frames import Pose2
-from msgs.perception import BevFrame, BevGrid, Track
-from msgs.vehicle import VehicleState
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, BevGrid, Track
+from msgs.values.vehicle import VehicleState
 from nodes.viewer.trails import MAX_PAST, TRAIL_NS, Trails, trail_m
 
 S = 1_000_000_000

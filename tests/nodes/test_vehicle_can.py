@@ -14,14 +14,14 @@ import can
 import msgspec
 import pytest
 
-from msgs.diagnostics import NodeState
-from msgs.local_bus import LocalNetwork
-from msgs.vehicle import VehicleState
+from msgs.bus.local import LocalNetwork
+from msgs.values.diagnostics import NodeState
+from msgs.values.vehicle import VehicleState
 from nodes import car_sim, player, vehicle_can
-from nodes.can_link import BusParams, CanLink, LogFrame, frame_stamp_ns, load_dbc, load_decoder, load_mapping
-from nodes.can_log_file import read_log
-from nodes.launch_file import read_launch_file
+from nodes.can.bus import BusParams, CanLink, LogFrame, frame_stamp_ns, load_dbc, load_decoder, load_mapping
+from nodes.can.log_file import read_log
 from nodes.node import InProcessGraph, load_node
+from nodes.process.launch_file import read_launch_file
 from sim_player.car import SimulatedCar
 from tests.ports import free_udp_port
 

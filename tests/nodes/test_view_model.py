@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from matplotlib import colormaps
 
-from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.lidar import LidarSetup, SpadParams
-from msgs.perception import (
+from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.lidar import LidarSetup, SpadParams
+from msgs.values.perception import (
     BevFrame,
     BevGrid,
     HiddenObject,
@@ -28,10 +28,10 @@ from msgs.perception import (
     TruthSurface,
     Wall,
 )
-from msgs.radar import PRESETS, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.vehicle import VehicleState
+from msgs.values.radar import PRESETS, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 from nodes.viewer import view_model
-from nodes.viewer.board import json_text
+from nodes.viewer.newest import json_text
 from nodes.viewer.node_table import MAX_ENTRIES, MAX_HEARTBEATS, MAX_NODES, SILENT_NS, NodeTable
 from nodes.viewer.view_model import MAX_TRACKS, STEP_DB, ellipse, map_json, map_tile, mask_tile, summary_text, view_json
 

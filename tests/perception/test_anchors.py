@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.anchors import anchor_cells, anchor_points
+from models.perception.detection.anchors import anchor_cells, anchor_points
 
 
 def quiet(rows: int = 8, columns: int = 8) -> np.ndarray:

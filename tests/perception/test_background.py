@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.perception.background import background_of, background_quality, load_background, mean_chirp
-from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
+from models.perception.forming.background import background_of, background_quality, load_background, mean_chirp
+from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup
 
 SAMPLES, SCANS, NOISE_CODES, LEAKAGE_CODES = 256, 32, 10.0, 500.0
 SETUP = RadarSetup(

@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.calibration import calibrated, calibrated_peaks, check_table
-from msgs.perception import Peaks
+from models.perception.detection.score_calibration import calibrated, calibrated_peaks, check_table
+from msgs.values.perception import Peaks
 
 TABLE = ((0.0, 0.0), (0.5, 0.2), (1.0, 1.0))
 

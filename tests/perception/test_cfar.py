@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from models.perception.cfar import CfarParams, cfar_mask, cfar_peaks, classify_behind_walls, detect
-from models.perception.ridges import RidgeParams, side_lobes
-from msgs.frames import polar_from_xy
-from msgs.perception import PathClass, Peaks
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.detection.cfar import CfarParams, cfar_mask, cfar_peaks, classify_behind_walls, detect
+from models.perception.detection.ridges import RidgeParams, side_lobes
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
 

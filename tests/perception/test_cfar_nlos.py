@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from models.perception.cfar_nlos import CfarNlosParams, privileged_peaks
-from msgs.perception import PathClass, Peaks
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.detection.cfar_nlos import CfarNlosParams, privileged_peaks
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
 #: A wall's echo at 12 m, -20 deg, and an image behind it at 31 m, 15 deg.

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.clustering import NOISE, dbscan, fits_box
+from models.perception.geometry.clustering import NOISE, dbscan, fits_box
 
 
 def brute_force(points: np.ndarray, eps: float, min_points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

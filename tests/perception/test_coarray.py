@@ -10,9 +10,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator, CoherenceTest, beam_matrix, ideal_beams
+from models.perception.forming.coarray import AzimuthInterpolator, CoherenceTest, beam_matrix, ideal_beams
 from models.physics.antenna import element_field, row_field, setup_weights, steering_weights, two_way_pattern
-from msgs.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
 
 SETUP = RadarSetup()
 GRID = RangeAzimuthGrid()

@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases
-from models.perception.ra_forming import FormingParams, RaFormer
+from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases
+from models.perception.forming.ra_forming import FormingParams, RaFormer
 from models.physics.antenna import setup_weights
-from msgs.radar import PRESETS, ArrayParams, RangeAzimuthGrid
+from msgs.values.radar import PRESETS, ArrayParams, RangeAzimuthGrid
 
 SETUP = PRESETS["77ghz"]
 COLUMNS = SETUP.array.columns

@@ -11,12 +11,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.association import DirectReturns, RecoveryParams
-from models.perception.confidence import FEATURES, PlaceConfidence, load_confidence, place_features
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.recovery import NO_WALL, Recovered
-from msgs.frames import polar_from_xy
-from msgs.perception import Peaks, Wall
+from models.perception.geometry.association import DirectReturns, RecoveryParams
+from models.perception.geometry.confidence import FEATURES, PlaceConfidence, load_confidence, place_features
+from models.perception.geometry.recovery import NO_WALL, Recovered
+from models.perception.geometry.stage import GeometryParams, recover_bev
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import Peaks, Wall
 from nodes import geometry
 
 FACADE = Wall(normal=(-1.0, 0.0), offset_m=20.0, ends_m=((20.0, -10.0), (20.0, 10.0)), inliers=9, angle_std_rad=0.01)

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.digital_array import DigitalArrayParams, form_digital_map, range_doppler
-from msgs.radar import RangeAzimuthGrid
+from models.perception.forming.digital_array import DigitalArrayParams, form_digital_map, range_doppler
+from msgs.values.radar import RangeAzimuthGrid
 from tests.captures import DATA, needs
 
 AWR = DATA / "awr_77ghz_openradar" / "doppler_example_1.npy"

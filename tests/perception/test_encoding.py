@@ -4,8 +4,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.encoding import CHANNELS, Encoding, encode_columns, encode_map, sample_columns
-from msgs.radar import PRESETS, RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.detection.encoding import CHANNELS, Encoding, encode_columns, encode_map, sample_columns
+from msgs.values.radar import PRESETS, RangeAzimuthGrid, RangeAzimuthMap
 
 ENCODING = Encoding()
 LEVEL, SHADOW, CONTRAST = range(3)

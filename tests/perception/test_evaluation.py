@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.evaluation import (
+from models.evaluation.frame_scores import (
     CAP_M,
     COUNTED,
     FrameAnswer,
@@ -22,8 +22,8 @@ from models.perception.evaluation import (
     score_frames,
     sweep_thresholds,
 )
-from models.perception.metrics import Counts
-from msgs.perception import PathClass
+from models.evaluation.metrics import Counts
+from msgs.values.perception import PathClass
 
 NOTHING = np.zeros((0, 2))
 

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from models.perception.folding import MAX_CHIRPS_PER_GROUP, fold_chirps, group_edges
+from models.perception.forming.slow_time_sums import MAX_CHIRPS_PER_GROUP, fold_chirps, group_edges
 
 
 def _codes(chirps: int, samples: int, seed: int = 7) -> np.ndarray:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from models.perception.geometry import GeometryParams, made_up_peaks, recover_bev
+from models.perception.geometry.stage import GeometryParams, made_up_peaks, recover_bev
 
 #: In a process of its own, where nothing has been compiled or loaded yet.
 CHILD = """
@@ -14,7 +14,7 @@ import importlib
 import numpy as np
 from numba.core.dispatcher import Dispatcher
 from benchmarks.geometry_speed import place_peaks
-from models.perception.geometry import GeometryParams, recover_bev, warm
+from models.perception.geometry.stage import GeometryParams, recover_bev, warm
 
 ROOMS = ("perception.lines", "perception.segments", "perception.arcs", "perception.clustering",
          "perception.observability", "physics.mirror")

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.lines import SCATTER_WIDTH_M, LineFit, claimed, fit_line, line_gain
+from models.perception.geometry.lines import SCATTER_WIDTH_M, LineFit, claimed, fit_line, line_gain
 
 
 def cloud(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

@@ -8,9 +8,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator
-from models.perception.geometry import condition_flags
-from models.perception.map_quality import (
+from models.perception.detection.peaks import PeakParams, find_peaks
+from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
     array_deviation,
     drowned_beams,
@@ -18,11 +18,11 @@ from models.perception.map_quality import (
     lost_chirps,
     silent_beams,
 )
-from models.perception.peaks import PeakParams, find_peaks
-from models.perception.ra_forming import RaFormer, ScanProfiles, form_map
+from models.perception.forming.ra_forming import RaFormer, ScanProfiles, form_map
+from models.perception.geometry.stage import condition_flags
 from models.physics.antenna import coarray_weights, setup_weights
-from msgs.codec import decode_inline, encode_inline
-from msgs.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.bus.codec import decode_inline, encode_inline
+from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 SETUP = RadarSetup()
 BEAMS, RANGES = 25, 96

@@ -11,19 +11,19 @@ import numpy as np
 import pytest
 
 from models.perception.chain import Chain
-from models.perception.detectors import CfarDetector
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.memory import MemoryParams, ScanMemory
-from models.perception.odometry import MOST_WAITING, Odometry, ScanOdometry, standing
-from models.perception.ra_forming import FormingParams, RaFormer
-from models.perception.tracking import track_to_json
-from msgs.bus import Envelope, Received
-from msgs.frames import Pose2, polar_from_xy
-from msgs.perception import Peaks
-from msgs.vehicle import VehicleState
+from models.perception.detection.detectors import CfarDetector
+from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.geometry.stage import GeometryParams, recover_bev
+from models.perception.tracking.odometry import MOST_WAITING, Odometry, ScanOdometry, standing
+from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from models.perception.tracking.tracker import track_to_json
+from msgs.bus.interface import Envelope, Received
+from msgs.values.frames import Pose2, polar_from_xy
+from msgs.values.perception import Peaks
+from msgs.values.vehicle import VehicleState
 from nodes import geometry
-from nodes.launch_file import read_launch_file
 from nodes.player import Params, scene_player
+from nodes.process.launch_file import read_launch_file
 
 START_NS, PERIOD_NS, STATE_NS = 5_000_000_000, 300_000_000, 20_000_000
 SCANS = 6

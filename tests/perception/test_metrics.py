@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.metrics import (
+from models.evaluation.metrics import (
     Counts,
     chamfer,
     dense_counts,
@@ -15,7 +15,7 @@ from models.perception.metrics import (
     match_points,
     recovered_counts,
 )
-from msgs.perception import HiddenObject, PathClass, SceneTruth, TruthObject
+from msgs.values.perception import HiddenObject, PathClass, SceneTruth, TruthObject
 
 NONE = np.zeros((0, 2))
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.named import NamedParams, named_peaks
-from models.perception.peaks import PeakParams
-from models.perception.ridges import RidgeParams, find_ridges
-from msgs.perception import PathClass
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.detection.peaks import PeakParams
+from models.perception.detection.ridge_matching import NamedParams, named_peaks
+from models.perception.detection.ridges import RidgeParams, find_ridges
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
 NOISE_MW = 1e-13

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.noise_floor import NoiseFloor, NoiseMeter
-from msgs.radar import RadarBeam, RadarParams, RadarSetup
-from msgs.units import ratio_from_db
+from models.perception.forming.noise_floor import NoiseFloor, NoiseMeter
+from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
+from msgs.values.units import ratio_from_db
 
 RADAR = RadarParams(chirps_per_beam=32, samples_per_chirp=1024, noise_figure_db=11.0)
 SETUP = RadarSetup(radar=RADAR)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.metrics import match_objects
-from models.perception.object_error import centre_error_m, face_error_m
-from msgs.perception import HiddenObject, SceneTruth, TruthObject
+from models.evaluation.metrics import match_objects
+from models.evaluation.object_error import centre_error_m, face_error_m
+from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
 
 #: A car of 4 m by 2 m along x, its centre at (10, 5), that drives at 2 m/s along y.
 CAR = TruthObject(

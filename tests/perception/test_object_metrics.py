@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.evaluation import bootstrap_weights
-from models.perception.metrics import match_objects
-from models.perception.object_error import object_distances
-from models.perception.object_metrics import (
+from models.evaluation.frame_scores import bootstrap_weights
+from models.evaluation.metrics import match_objects
+from models.evaluation.object_error import object_distances
+from models.evaluation.object_metrics import (
     HiddenRow,
     ImageTruth,
     ObjectScores,
@@ -22,7 +22,7 @@ from models.perception.object_metrics import (
     object_report,
     scan_row,
 )
-from msgs.perception import HiddenObject, SceneTruth, TruthObject
+from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
 
 SHOWN = ImageTruth(direct=False, mirrored=True, snr_db=30.0, single_snr_db=30.0)
 IN_SIGHT = ImageTruth(direct=True, mirrored=True, snr_db=30.0, single_snr_db=None)

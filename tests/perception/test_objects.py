@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from models.perception.objects import ObjectParams, bev_to_json, form_objects, joint_score
-from models.perception.recovery import Recovered
-from msgs.perception import BevFrame, BevGrid, HiddenObject, HiddenPoint, Wall
+from models.perception.geometry.objects import ObjectParams, bev_to_json, form_objects, joint_score
+from models.perception.geometry.recovery import Recovered
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, HiddenPoint, Wall
 
 OCCLUDER = Wall(normal=(0.0, -1.0), offset_m=5.0, ends_m=((4.0, 5.0), (24.0, 5.0)), inliers=9)
 

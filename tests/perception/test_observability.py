@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.observability import VisibilityParams, observability, sensitivity_db
+from models.perception.geometry.observability import VisibilityParams, observability, sensitivity_db
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
-from msgs.perception import BevGrid, Visibility, Wall
-from msgs.radar import PRESETS, RadarParams, RadarSetup
+from msgs.values.perception import BevGrid, Visibility, Wall
+from msgs.values.radar import PRESETS, RadarParams, RadarSetup
 
 GRID = BevGrid()
 

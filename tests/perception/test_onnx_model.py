@@ -9,14 +9,14 @@ import torch
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.networks.radar_tensor_network import RadarTensorNetwork, RadarTensorNetworkConfig
-from models.perception.anchors import anchor_points
-from models.perception.detectors import NetworkDetector
-from models.perception.encoding import Encoding, encode_map
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.onnx_model import ClassScores, DensePredictor, ModelCard, ScoresAt, card_path
-from models.perception.peaks import local_maxima
-from models.training.export_onnx import PARITY, Exported, export_onnx, write_card
-from msgs.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.detection.anchors import anchor_points
+from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.encoding import Encoding, encode_map
+from models.perception.detection.onnx_model import ClassScores, DensePredictor, ModelCard, ScoresAt, card_path
+from models.perception.detection.peaks import local_maxima
+from models.perception.geometry.stage import GeometryParams, recover_bev
+from models.training.export.onnx import PARITY, Exported, export_onnx, write_card
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=64)
 ENCODING = Encoding(range_bins=32, columns=8)

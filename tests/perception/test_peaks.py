@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.peaks import PeakParams, find_peaks, local_maxima, polar_covariance
-from msgs.perception import MOST_PEAKS, PathClass
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.detection.peaks import PeakParams, find_peaks, local_maxima, polar_covariance
+from msgs.values.perception import MOST_PEAKS, PathClass
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator, ideal_beams
-from models.perception.phaser import (
+from models.perception.forming.coarray import AzimuthInterpolator, ideal_beams
+from models.perception.forming.ra_forming import BeamFolder, FormingParams
+from models.physics.waveform import beat_frequency_hz
+from models.sensors.phaser import (
     PHASE_STEP_DEG,
     PhaserCalibration,
     PhaserParams,
@@ -17,10 +19,8 @@ from models.perception.phaser import (
     radar_setup,
     synthesiser_words,
 )
-from models.perception.ra_forming import BeamFolder, FormingParams
-from models.physics.waveform import beat_frequency_hz
-from msgs.radar import BeamGrid, RadarBeam, RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.values.radar import BeamGrid, RadarBeam, RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 from tests.captures import DATA, needs
 
 BURST = DATA / "xband_cn0566_fmcw" / "hex"

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import poisson
 
-from models.perception.cfar import PHOTON_CFAR
-from models.perception.detectors import PhotonDetector
-from models.perception.observability import VisibilityParams, observability
-from models.perception.photon_map import photon_map, project_counts
-from models.physics.photon_counting import draw_histogram
-from msgs.lidar import LidarSetup, PhotonHistograms, SpadParams
-from msgs.perception import BevGrid, Visibility
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
-from msgs.units import SPEED_OF_LIGHT_MPS
+from models.perception.detection.cfar import PHOTON_CFAR
+from models.perception.detection.detectors import PhotonDetector
+from models.perception.forming.photon_map import photon_map, project_counts
+from models.perception.geometry.observability import VisibilityParams, observability
+from models.physics.photons.counting import draw_histogram
+from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
+from msgs.values.perception import BevGrid, Visibility
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 GATED = SpadParams(arming="gated")
 AZIMUTHS = 64

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.published_geometry import PublishedParams, published_walls, recover_published
-from msgs.frames import polar_from_xy
-from msgs.perception import PathClass, Peaks
+from models.perception.geometry.published import PublishedParams, published_walls, recover_published
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import PathClass, Peaks
 
 
 def peaks_of(direct: np.ndarray, images: np.ndarray) -> Peaks:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from models.perception.pursuit import PursuitParams, pursued_peaks
-from models.training.targets import gaussian_heatmap
+from models.perception.detection.pursuit import PursuitParams, pursued_peaks
+from models.training.objectives.heatmaps import gaussian_heatmap
 
 SHARP = PursuitParams(blur=(0.0, 0.0))
 

@@ -12,14 +12,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.coarray import beam_matrix, ideal_beams
-from models.perception.ra_forming import BeamFolder, EgoCorrection, FormingParams, RaFormer, ego_correction
+from models.perception.forming.coarray import beam_matrix, ideal_beams
+from models.perception.forming.ra_forming import BeamFolder, EgoCorrection, FormingParams, RaFormer, ego_correction
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_samples
-from msgs.frames import Pose2
-from msgs.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.units import SPEED_OF_LIGHT_MPS
-from msgs.vehicle import VehicleState, ego_motion
+from msgs.values.frames import Pose2
+from msgs.values.radar import RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from msgs.values.vehicle import VehicleState, ego_motion
 
 RADAR = RadarParams(sample_rate_hz=375e6, samples_per_chirp=2048, chirps_per_beam=16)
 SETUP = RadarSetup(radar=RADAR)

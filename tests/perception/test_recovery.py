@@ -5,9 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.association import RecoveryParams, associate_crossing, seen_through
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.recovery import (
+from models.perception.geometry.association import RecoveryParams, associate_crossing, seen_through
+from models.perception.geometry.recovery import (
     NO_WALL,
     DirectReturns,
     cartesian_covariance,
@@ -16,10 +15,11 @@ from models.perception.recovery import (
     reflection_state,
     wall_arrays,
 )
-from models.perception.rejection import hidden_mask
+from models.perception.geometry.rejection import hidden_mask
+from models.perception.geometry.stage import GeometryParams, recover_bev
 from models.physics.mirror import reflect, wall_from_ends
-from msgs.frames import polar_from_xy, xy_from_polar
-from msgs.perception import PathClass, Peaks, Wall
+from msgs.values.frames import polar_from_xy, xy_from_polar
+from msgs.values.perception import PathClass, Peaks, Wall
 
 FACADE = ((20.0, -10.0), (20.0, 10.0))
 

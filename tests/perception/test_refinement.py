@@ -6,13 +6,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator
-from models.perception.peaks import PeakParams, peaks_at
-from models.perception.ra_forming import ScanProfiles, form_map
-from models.perception.refinement import EchoRefiner, RefinementParams, refined_peaks
+from models.perception.detection.peaks import PeakParams, peaks_at
+from models.perception.detection.refinement import EchoRefiner, RefinementParams, refined_peaks
+from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.forming.ra_forming import ScanProfiles, form_map
 from models.physics.cramer_rao import azimuth_response, raw_bound
 from models.physics.waveform import WINDOW_TAPS, tone_profile
-from msgs.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
 SETUP = RadarSetup()
 GRID = RangeAzimuthGrid()

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.registration import (
+from models.annotation.registration import (
     PlacedCloud,
     RegistrationParams,
     import_open3d,
@@ -21,8 +21,8 @@ from models.perception.registration import (
     register,
     rounded_pose,
 )
-from sim_player.lidar_cloud import LidarParams, Viewpoint, lidar_cloud, rigid
-from sim_player.scene import Scene, scene_from_yaml
+from sim_player.lidar.clouds import LidarParams, Viewpoint, lidar_cloud, rigid
+from sim_player.scene.description import Scene, scene_from_yaml
 
 PARAMS = RegistrationParams()
 LIDAR = LidarParams(channels=48, azimuths=600)

@@ -11,9 +11,9 @@ import pytest
 import torch
 
 from models.networks.residual_reflect_net import ResidualReflectNet
-from models.perception.onnx_model import card_path
-from models.perception.recovery import ReflectionState
-from models.perception.residual_model import (
+from models.perception.detection.onnx_model import card_path
+from models.perception.geometry.recovery import ReflectionState
+from models.perception.geometry.residual_model import (
     LearnedResidual,
     ResidualCard,
     ResidualFrame,
@@ -21,8 +21,8 @@ from models.perception.residual_model import (
     image_frames,
     in_frames,
 )
-from models.training.export_onnx import write_card
-from models.training.export_residual import PARITY_M, export_residual_onnx
+from models.training.export.onnx import write_card
+from models.training.export.residual import PARITY_M, export_residual_onnx
 
 #: A facade 12 m ahead that the radar looks at along its normal.
 STATE = ReflectionState(

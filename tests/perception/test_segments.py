@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.lines import fit_line, line_gain
-from models.perception.segments import FINALISTS, Limits, best_segment, left_over, next_on_line, supported
+from models.perception.geometry.lines import fit_line, line_gain
+from models.perception.geometry.wall_search import FINALISTS, Limits, best_segment, left_over, next_on_line, supported
 
 LIMITS = Limits(4, 6.5, 2.5, math.radians(6.0), 0.5, 9.0)
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.slice_labels import (
+from models.annotation.slice_labels import (
     Disc,
     PointLabel,
     SliceParams,

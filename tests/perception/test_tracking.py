@@ -7,11 +7,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.odometry import Odometry, OdometryParams, Placed, standing
-from models.perception.tracking import Estimate, Tracker, TrackerParams, assign, motion_noise, sightings
-from msgs.frames import Pose2
-from msgs.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Wall
-from msgs.vehicle import VehicleState, ego_motion
+from models.perception.tracking.odometry import Odometry, OdometryParams, Placed, standing
+from models.perception.tracking.tracker import Estimate, Tracker, TrackerParams, assign, motion_noise, sightings
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Wall
+from msgs.values.vehicle import VehicleState, ego_motion
 
 PERIOD_NS = 300_000_000
 EYE: Covariance = ((0.09, 0.0), (0.0, 0.09))

@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.odometry import Placed
-from models.perception.wall_map import WallMap, WallMapParams
-from models.perception.walls import WallParams, find_walls
-from msgs.frames import Pose2, polar_from_xy
-from msgs.perception import Wall
+from models.perception.geometry.walls import WallParams, find_walls
+from models.perception.tracking.odometry import Placed
+from models.perception.tracking.wall_map import WallMap, WallMapParams
+from msgs.values.frames import Pose2, polar_from_xy
+from msgs.values.perception import Wall
 
 PERIOD_NS = 300_000_000
 #: Errors of a return: 0.06 m along its ray, 0.7 degrees across.

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.clustering import dbscan
-from models.perception.recovery import cartesian_covariance
-from models.perception.walls import WallParams, find_walls, fit_line
-from msgs.frames import polar_from_xy, xy_from_polar
-from msgs.perception import Wall
+from models.perception.geometry.clustering import dbscan
+from models.perception.geometry.recovery import cartesian_covariance
+from models.perception.geometry.walls import WallParams, find_walls, fit_line
+from msgs.values.frames import polar_from_xy, xy_from_polar
+from msgs.values.perception import Wall
 
 RANGE_STD_M, AZIMUTH_STD_RAD = 0.1, math.radians(1.5)
 

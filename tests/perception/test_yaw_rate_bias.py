@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks.yaw_bias import limited, made_drive, run
-from models.perception.odometry import Odometry, OdometryParams
-from models.perception.yaw_rate_bias import BiasParams, BiasSource, YawRateBias
-from msgs.vehicle import VehicleState
+from models.perception.tracking.odometry import Odometry, OdometryParams
+from models.perception.tracking.yaw_rate_bias import BiasParams, BiasSource, YawRateBias
+from msgs.values.vehicle import VehicleState
 
 STEP_S = 0.02
 BIAS_RPS = math.radians(-0.41)

@@ -16,7 +16,7 @@ from models.physics.antenna import (
     steering_weights,
     two_way_pattern,
 )
-from msgs.radar import ArrayParams, ElementPattern, RadarSetup
+from msgs.values.radar import ArrayParams, ElementPattern, RadarSetup
 
 WAVELENGTH_M = 0.03
 HORIZON = np.zeros(1)

@@ -13,7 +13,7 @@ from models.physics.cramer_rao import (
     windowed_bound,
 )
 from models.physics.waveform import window_noise_gain
-from msgs.radar import BeamGrid, RadarParams, RadarSetup
+from msgs.values.radar import BeamGrid, RadarParams, RadarSetup
 
 SETUP = RadarSetup()
 BEAM_NOISE_MW = 1e-3

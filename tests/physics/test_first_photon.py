@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, kstest
 
-from models.physics.first_photon import (
+from models.physics.photons.first_photon import (
     bins_of_ticks,
     first_photon_histogram,
     first_photon_probability,

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.special import erfc
 
-from models.physics.first_photon import first_photon_probability
 from models.physics.link_budget import (
     half_range,
     map_noise_gain,
@@ -20,10 +19,11 @@ from models.physics.link_budget import (
     spad_snr,
     spad_threshold,
 )
+from models.physics.photons.first_photon import first_photon_probability
 from models.physics.roughness import specular_gain
-from msgs.lidar import SpadParams
-from msgs.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.values.lidar import SpadParams
+from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 
 XBAND = RadarSetup()
 AT_77_GHZ = msgspec.structs.replace(XBAND, radar=RadarParams(carrier_hz=77e9))

@@ -9,7 +9,7 @@ import pytest
 
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import wall_names
-from models.physics.optics import (
+from models.physics.photons.optics import (
     OBJECT_ALBEDO,
     OPTICAL,
     confocal_photons,
@@ -21,8 +21,8 @@ from models.physics.optics import (
     optical_reflectance,
     photons_per_pulse,
 )
-from msgs.lidar import SpadParams
-from sim_player.scene import OBJECT_KINDS
+from msgs.values.lidar import SpadParams
+from sim_player.scene.description import OBJECT_KINDS
 
 WAVELENGTH_M = 850e-9
 GLASS, IRON = 1.51, 2.95 + 3.46j

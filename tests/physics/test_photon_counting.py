@@ -15,8 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2, chi2_contingency, kstest
 
-from models.physics.first_photon import bins_of_ticks
-from models.physics.photon_counting import (
+from models.physics.photons.counting import (
     comb,
     detections,
     draw_histogram,
@@ -24,8 +23,9 @@ from models.physics.photon_counting import (
     exact_closed_form,
     expected_histogram,
 )
-from models.physics.photon_flux import flux_table, pulses_of, time_at
-from msgs.lidar import SpadParams
+from models.physics.photons.first_photon import bins_of_ticks
+from models.physics.photons.flux import flux_table, pulses_of, time_at
+from msgs.values.lidar import SpadParams
 
 SPAD = SpadParams()
 #: A near path that dims what follows, a weak one, and one so late that its dead time reaches the next period.

@@ -18,7 +18,7 @@ from models.physics.waveform import (
     tone_profile,
     window_noise_gain,
 )
-from msgs.radar import RadarParams
+from msgs.values.radar import RadarParams
 
 RADAR = RadarParams()
 LENGTHS_M = np.array([0.0, 0.2, 10.0, 31.234, 2 * 50 * RADAR.range_bin_m, 100.0, 218.0])

@@ -11,8 +11,8 @@ import pytest
 
 from models.vehicle.can_state import CanDecoder, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule, SignRule
-from msgs.vehicle import VehicleState
-from nodes.can_link import load_dbc, load_mapping
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import CarShape, SimulatedCar
 
 DATABASE = load_dbc(Path("launch/can/mirrorwave.dbc"))

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from msgs.radar import RadarSetup
-from sim_player.cells import cells_of
+from msgs.values.radar import RadarSetup
+from sim_player.planner.cells import cells_of
 
 CELLS = cells_of(RadarSetup())
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from sim_player.comparison_scenes import (
+from sim_player.generate.comparison_scenes import (
     TRUTH_SPACING_M,
     WALLS,
     Corner,
@@ -16,7 +16,7 @@ from sim_player.comparison_scenes import (
     shown_points,
     with_sensor,
 )
-from sim_player.scene import check_scene
+from sim_player.scene.description import check_scene
 
 CORNERS = {
     "near": Corner(range_m=7.0),

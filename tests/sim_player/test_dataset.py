@@ -18,11 +18,14 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-import sim_player.shards as shards
-from msgs.perception import PathClass
-from msgs.radar import RadarSetup, RangeAzimuthGrid
-from msgs.units import ratio_from_db
-from sim_player.dataset import (
+import sim_player.dataset.shards as shards
+from msgs.values.perception import PathClass
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.units import ratio_from_db
+from sim_player.dataset.executors import Executor, map_jobs
+from sim_player.dataset.labelled_scan import labelled_scan
+from sim_player.dataset.statistics import dataset_statistics, histogram, read_records
+from sim_player.dataset.writer import (
     Recipe,
     ShardDone,
     clean_profiles,
@@ -34,16 +37,13 @@ from sim_player.dataset import (
     simulate_profiles,
     write_dataset,
 )
-from sim_player.dataset_statistics import dataset_statistics, histogram, read_records
-from sim_player.effect_names import bit
-from sim_player.executors import Executor, map_jobs
-from sim_player.labelled_scan import labelled_scan
-from sim_player.paths import Paths
-from sim_player.places import draw_place, random_place
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import Ego, Scene, SceneObject, Surface, scene_from_yaml
-from sim_player.streets import random_street
-from sim_player.truth import labelled
+from sim_player.effects.names import bit
+from sim_player.generate.places import draw_place, random_place
+from sim_player.generate.streets import random_street
+from sim_player.scene.description import Ego, Scene, SceneObject, Surface, scene_from_yaml
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.truth import labelled
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Cheap scenes in small shards.
@@ -276,7 +276,7 @@ def test_interrupted_run_goes_on_to_the_same_bytes(tmp_path: Path, streets: Path
 _KILLED = """
 import sys, time
 from pathlib import Path
-from sim_player.dataset import Recipe, write_dataset
+from sim_player.dataset.writer import Recipe, write_dataset
 def hear(shard):
     print(shard.shard, flush=True)
     time.sleep(600.0)
@@ -300,7 +300,7 @@ _ORPHANS = """
 import sys
 sys.path.insert(0, sys.argv[1])
 from nap import nap
-from sim_player.executors import Executor, map_jobs
+from sim_player.dataset.executors import Executor, map_jobs
 for number in map_jobs(nap, [0.0, 600.0, 600.0, 600.0], workers=2):
     print(number, flush=True)
 """

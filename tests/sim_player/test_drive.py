@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.frames import Pose2
-from msgs.vehicle import ego_motion
+from msgs.values.frames import Pose2
+from msgs.values.vehicle import ego_motion
 from sim_player.drive import Drive, DrivePlayer
-from sim_player.front_end import FrontEnd
 from sim_player.player import ScenePlayer
-from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.scene.front_end import FrontEnd
 
 SPEED_MPS, YAW_RATE_DPS = 5.0, 12.0
 WALL = Surface(role="relay", material="concrete", polyline_m=((20.0, -12.0), (20.0, 14.0)), height_m=5.0)

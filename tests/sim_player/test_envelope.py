@@ -6,15 +6,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.radar import RadarSetup
-from sim_player.effect_names import ALL_EFFECTS
-from sim_player.envelope import Envelope, _overlap_kernel, swept_pattern
-from sim_player.front_end import NO_FAULTS
-from sim_player.paths import Paths
-from sim_player.places import random_place
-from sim_player.ray_tracing import prepare, trace
-from sim_player.signal_effects import ALL, IDEAL, PLAIN
-from sim_player.signal_levels import kernel_profiles
+from msgs.values.radar import RadarSetup
+from sim_player.effects.names import ALL_EFFECTS
+from sim_player.generate.places import random_place
+from sim_player.planner.bounds import Envelope, _overlap_kernel, swept_pattern
+from sim_player.scene.front_end import NO_FAULTS
+from sim_player.signal.levels import kernel_profiles
+from sim_player.signal.switches import ALL, IDEAL, PLAIN
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import prepare, trace
 
 SETUP = RadarSetup()
 STATIC = msgspec.structs.replace(

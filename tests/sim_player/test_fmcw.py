@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from models.physics.waveform import beat_samples
-from msgs.radar import RadarParams, RadarSetup
-from sim_player.fmcw import (
+from msgs.values.radar import RadarParams, RadarSetup
+from sim_player.signal.fmcw import (
     beam_codes,
     chirp_beats,
     literal_beats,

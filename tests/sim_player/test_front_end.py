@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from models.physics.waveform import range_profile
-from msgs.radar import BeamGrid, RadarParams, RadarSetup
-from sim_player.fmcw import beam_codes, noise_bank
-from sim_player.front_end import FrontEnd, Spur
-from sim_player.receiver import (
+from msgs.values.radar import BeamGrid, RadarParams, RadarSetup
+from sim_player.scene.front_end import FrontEnd, Spur
+from sim_player.signal.fmcw import beam_codes, noise_bank
+from sim_player.signal.levels import noise_density_mw, noise_profiles, record_beam
+from sim_player.signal.receiver import (
     LEAKAGE_LENGTH_M,
     convert,
     converter_step,
@@ -25,8 +26,7 @@ from sim_player.receiver import (
     spur_profile,
     thermal_noise,
 )
-from sim_player.signal_effects import SignalEffects
-from sim_player.signal_levels import noise_density_mw, noise_profiles, record_beam
+from sim_player.signal.switches import SignalEffects
 
 RADAR = RadarParams(samples_per_chirp=512, chirps_per_beam=32)
 SETUP = RadarSetup(radar=RADAR)

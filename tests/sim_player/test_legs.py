@@ -10,7 +10,7 @@ import pytest
 from models.physics.curved_mirror import arc_points
 from models.physics.fresnel import stack_transmission
 from models.physics.mirror import crosses
-from sim_player.legs import (
+from sim_player.trace.segments import (
     BODY,
     TABLE_STEPS,
     VOLUME,

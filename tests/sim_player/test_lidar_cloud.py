@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.perception.registration import moved
-from sim_player.lidar_cloud import (
+from models.annotation.registration import moved
+from sim_player.lidar.clouds import (
     GROUND,
     NOTHING,
     WALL,
@@ -19,7 +19,7 @@ from sim_player.lidar_cloud import (
     nearest_hits,
     ray_directions,
 )
-from sim_player.scene import load_scene, scene_from_yaml
+from sim_player.scene.description import load_scene, scene_from_yaml
 
 SCENES = Path(__file__).parents[2] / "launch" / "scenes"
 

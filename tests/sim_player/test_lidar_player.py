@@ -8,12 +8,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.perception import PathClass
-from sim_player.lidar_player import BLOCK, LidarPlayer
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import Scene, load_scene
-from sim_player.spad_lidar import SpadOptions, Way, expected_histograms
-from sim_player.truth import scene_truth
+from msgs.values.perception import PathClass
+from sim_player.lidar.player import BLOCK, LidarPlayer
+from sim_player.lidar.spad import SpadOptions, Way, expected_histograms
+from sim_player.scene.description import Scene, load_scene
+from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.truth import scene_truth
 
 FOLDER = Path(__file__).parents[2] / "launch" / "scenes"
 

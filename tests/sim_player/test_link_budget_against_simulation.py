@@ -7,20 +7,20 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator
-from models.perception.photon_map import photon_map
+from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.forming.photon_map import photon_map
 from models.physics.fresnel import half_space_reflection
 from models.physics.link_budget import map_noise_gain, photon_snr, radar_snr
 from models.physics.materials import permittivity
-from models.physics.photon_counting import expected_histogram
+from models.physics.photons.counting import expected_histogram
 from models.physics.roughness import specular_gain
-from msgs.lidar import LidarSetup, PhotonHistograms, SpadParams
-from msgs.radar import RadarSetup, RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
-from sim_player.labelled_scan import clean_profiles, noise_power_mw, profile_noise
-from sim_player.paths import Paths
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import PRESETS, Scene, SceneObject, SceneRadar, Surface
+from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, profile_noise
+from sim_player.scene.description import PRESETS, Scene, SceneObject, SceneRadar, Surface
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import prepare, trace
 
 EDGE_M = 0.05
 GRID = RangeAzimuthGrid()

@@ -11,9 +11,9 @@ import pytest
 from benchmarks import physics_anchors as anchors
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
-from sim_player import mesh_rcs
-from sim_player.mesh_rcs import mesh_centres, mesh_field, mesh_rcs_m2, patch_field, patches
-from sim_player.meshes import Mesh, box, cylinder, dihedral, mesh_from_arrays, plate, sphere, trihedral
+from sim_player.scene.meshes import Mesh, box, cylinder, dihedral, mesh_from_arrays, plate, sphere, trihedral
+from sim_player.trace import mesh_rcs
+from sim_player.trace.mesh_rcs import mesh_centres, mesh_field, mesh_rcs_m2, patch_field, patches
 
 XBAND_M, WBAND_M = (299_792_458.0 / carrier_hz for carrier_hz in anchors.CARRIERS_HZ)
 X = np.array([1.0, 0.0, 0.0])

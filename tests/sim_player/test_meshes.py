@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_player import meshes
-from sim_player.meshes import Mesh, Unit, load_mesh, mesh_from_arrays, primitive_mesh
+from sim_player.scene import meshes
+from sim_player.scene.meshes import Mesh, Unit, load_mesh, mesh_from_arrays, primitive_mesh
 
 FILES = Path(__file__).parents[1] / "data" / "meshes"
 CAR = {"two_box_car.obj": "m", "two_box_car_mm.ply": "mm", "two_box_car_mm.stl": "mm", "two_box_car.glb": "m"}

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sim_player.objects import CENTRE_HEIGHT_M, mean_rcs_m2, scattering_centres, seen_rcs_m2
-from sim_player.scene import OBJECT_KINDS
+from sim_player.scene.description import OBJECT_KINDS
+from sim_player.scene.road_users import CENTRE_HEIGHT_M, mean_rcs_m2, scattering_centres, seen_rcs_m2
 
 CLASSES = list(OBJECT_KINDS)
 

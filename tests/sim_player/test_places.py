@@ -10,12 +10,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.perception import PathClass
-from sim_player import relays
-from sim_player.front_end import FrontEnd
-from sim_player.hiding import Boxes, Walls, chords, hidden, images, indoors
-from sim_player.objects import scattering_centres, seen_rcs_m2
-from sim_player.places import (
+from msgs.values.perception import PathClass
+from sim_player.generate import wall_kinds as relays
+from sim_player.generate.placement import Boxes, Walls, chords, hidden, images, indoors
+from sim_player.generate.places import (
     CLASS_SHARE,
     GROUND_SHARE,
     MOST_SPEED_MPS,
@@ -24,10 +22,12 @@ from sim_player.places import (
     draw_place,
     random_place,
 )
-from sim_player.ray_tracing import prepare, trace
-from sim_player.relays import FINISHES, Line, build, kinds_at
-from sim_player.scene import OBJECT_KINDS, Scene, Surface, check_scene, scene_from_yaml, scene_to_yaml
-from sim_player.truth import hidden_objects
+from sim_player.generate.wall_kinds import FINISHES, Line, build, kinds_at
+from sim_player.scene.description import OBJECT_KINDS, Scene, Surface, check_scene, scene_from_yaml, scene_to_yaml
+from sim_player.scene.front_end import FrontEnd
+from sim_player.scene.road_users import scattering_centres, seen_rcs_m2
+from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.truth import hidden_objects
 
 COUNT = 200
 FIRST = (12.0, -3.0)

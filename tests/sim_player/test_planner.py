@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from models.physics.waveform import window_noise_gain
-from sim_player import planner
-from sim_player.cells import cells_of
-from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
-from sim_player.front_end import FrontEnd, Spur
-from sim_player.places import random_place
-from sim_player.planner import Plan, choose, chosen, clean_profiles, plan_effects, plan_world, planned_profiles
-from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
-from sim_player.signal_levels import noise_density_mw, noise_profiles
-from sim_player.world import prepare
+from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
+from sim_player.generate.places import random_place
+from sim_player.planner.cells import cells_of
+from sim_player.planner.plan import Plan, choose, chosen, clean_profiles, plan_effects, plan_world, planned_profiles
+from sim_player.planner.plan import plan as planner
+from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.scene.front_end import FrontEnd, Spur
+from sim_player.scene.world import prepare
+from sim_player.signal.levels import noise_density_mw, noise_profiles
 
 WALL = Surface(
     role="relay", material="concrete", polyline_m=((20.0, -10.0), (20.0, 15.0)), height_m=6.0, thickness_mm=300

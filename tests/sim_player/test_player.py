@@ -10,14 +10,14 @@ import pytest
 
 from models.physics.antenna import setup_weights
 from models.physics.mirror import blocked
-from msgs.perception import PathClass
-from msgs.radar import RadarParams, RadarSetup
-from sim_player.dataset import clean_profiles
-from sim_player.fmcw import beam_weights, chirp_beats
+from msgs.values.perception import PathClass
+from msgs.values.radar import RadarParams, RadarSetup
+from sim_player.dataset.writer import clean_profiles
 from sim_player.player import ScenePlayer
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import Ego, Scene, SceneObject, Surface, load_scene
-from sim_player.truth import hidden_objects
+from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
+from sim_player.signal.fmcw import beam_weights, chirp_beats
+from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.truth import hidden_objects
 
 FOLDER = Path(__file__).parents[2] / "launch" / "scenes"
 HIDDEN_COUNT = {

@@ -13,13 +13,13 @@ from models.physics.attenuation import gas_db_per_m, rain_db_per_m, vegetation_d
 from models.physics.fresnel import coherent_power, half_space_reflection, slab_reflection, stack_reflection
 from models.physics.materials import permittivity
 from models.physics.mirror import reflect, specular_points
-from msgs.perception import PathClass
-from msgs.radar import RadarParams, RadarSetup
-from sim_player.as_paths import weights
-from sim_player.echoes import Echoes
-from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, bit
-from sim_player.ray_tracing import Paths, echo_amplitude, prepare, snapshot, trace, trace_each
-from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from msgs.values.perception import PathClass
+from msgs.values.radar import RadarParams, RadarSetup
+from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, bit
+from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.trace.conversion import weights
+from sim_player.trace.echoes import Echoes
+from sim_player.trace.ray_tracing import Paths, echo_amplitude, prepare, snapshot, trace, trace_each
 
 RADAR = RadarParams()
 

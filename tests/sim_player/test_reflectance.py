@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from models.physics.fresnel import coherent_power, stack_reflection
-from sim_player import reflectance
-from sim_player.reflectance import (
+from sim_player.fdtd import reflectance
+from sim_player.fdtd.reflectance import (
     BANDS_HZ,
     MEASURED,
     POLARISATIONS,

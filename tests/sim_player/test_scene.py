@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_player.scene import OBJECT_KINDS, SceneObject, load_scene, scene_from_yaml, scene_to_yaml
+from sim_player.scene.description import OBJECT_KINDS, SceneObject, load_scene, scene_from_yaml, scene_to_yaml
 
 SCENES = sorted((Path(__file__).parents[2] / "launch" / "scenes").glob("*.yaml"))
 MESHES = Path(__file__).parents[1] / "data" / "meshes"

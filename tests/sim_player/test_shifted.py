@@ -9,14 +9,12 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.training.frames import DataSet
-from msgs.radar import RadarSetup
-from sim_player.dataset import Recipe, read_shard, write_dataset
-from sim_player.labelled_scan import noise_power_mw, profile_noise
-from sim_player.places import random_place
-from sim_player.relays import known
-from sim_player.shards import draw_scene
-from sim_player.shifted import (
+from models.training.data.frames import DataSet
+from msgs.values.radar import RadarSetup
+from sim_player.dataset.labelled_scan import noise_power_mw, profile_noise
+from sim_player.dataset.shards import draw_scene
+from sim_player.dataset.writer import Recipe, read_shard, write_dataset
+from sim_player.generate.domain_shift import (
     HARD,
     RADAR_ROOM_M,
     BoardFaults,
@@ -25,7 +23,9 @@ from sim_player.shifted import (
     faulty_profiles,
     shifted_scene,
 )
-from sim_player.streets import random_street
+from sim_player.generate.places import random_place
+from sim_player.generate.streets import random_street
+from sim_player.generate.wall_kinds import known
 
 SETUP = RadarSetup()
 BEAMS = len(SETUP.beams)

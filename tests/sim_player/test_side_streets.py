@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msgs.frames import Pose2
+from msgs.values.frames import Pose2
 from sim_player.drive import DrivePlayer
-from sim_player.hiding import Walls
-from sim_player.scene import check_scene, scene_to_yaml
-from sim_player.side_streets import (
+from sim_player.generate.placement import Walls
+from sim_player.generate.side_streets import (
     CROSSING,
     LAYOUTS,
     MANNERS,
@@ -20,6 +19,7 @@ from sim_player.side_streets import (
     direct_sight,
     random_side_street,
 )
+from sim_player.scene.description import check_scene, scene_to_yaml
 
 COUNT = 24
 STREETS = [random_side_street(5, index) for index in range(COUNT)]

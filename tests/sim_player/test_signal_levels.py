@@ -10,15 +10,12 @@ import pytest
 
 from models.physics.antenna import element_field, one_way_pattern, setup_weights, steering_weights
 from models.physics.waveform import beat_samples
-from msgs.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup
-from msgs.units import SPEED_OF_LIGHT_MPS
-from sim_player.dataset import clean_profiles, profile_noise
-from sim_player.fmcw import beam_codes, beam_weights, chirp_beats, noise_bank, slow_time_terms
-from sim_player.front_end import FrontEnd, Spur
-from sim_player.literal import literal_echoes
-from sim_player.paths import Paths
-from sim_player.signal_effects import ALL, IDEAL, PLAIN, SignalEffects, sweep_ratio
-from sim_player.signal_levels import (
+from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.dataset.writer import clean_profiles, profile_noise
+from sim_player.scene.front_end import FrontEnd, Spur
+from sim_player.signal.fmcw import beam_codes, beam_weights, chirp_beats, noise_bank, slow_time_terms
+from sim_player.signal.levels import (
     beam_beats,
     beat_terms,
     echo_profiles,
@@ -28,7 +25,10 @@ from sim_player.signal_levels import (
     received_samples,
     record_beam,
 )
-from sim_player.swept_echoes import cardinal_functions, chebyshev_instants, squint_swing_rad, swept_echoes
+from sim_player.signal.literal import literal_echoes
+from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_instants, squint_swing_rad, swept_echoes
+from sim_player.signal.switches import ALL, IDEAL, PLAIN, SignalEffects, sweep_ratio
+from sim_player.trace.paths import Paths
 
 FAULTS = FrontEnd(coupling_db=-18.0, coupling_phase_deg=40.0, iq_gain_db=0.5, iq_phase_deg=3.0)
 STATIC = SignalEffects(mutual_coupling=True, squint=True, chirp_overlap=True)

@@ -9,15 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.physics.optics import OBJECT_ALBEDO, OPTICAL, fresnel_power, matt_albedo, photons_per_pulse
-from msgs.lidar import LidarSetup, SpadParams
-from msgs.perception import PathClass
-from msgs.radar import RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
-from sim_player.optical_surfaces import _cut, _split
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import Scene, SceneObject, SceneRadar, Surface
-from sim_player.spad_lidar import (
+from models.physics.photons.optics import OBJECT_ALBEDO, OPTICAL, fresnel_power, matt_albedo, photons_per_pulse
+from msgs.values.lidar import LidarSetup, SpadParams
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.lidar.optical_surfaces import _cut, _split
+from sim_player.lidar.spad import (
     OpticalPaths,
     SpadOptions,
     Way,
@@ -28,6 +26,8 @@ from sim_player.spad_lidar import (
     plan_optics,
     spad_histograms,
 )
+from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface
+from sim_player.trace.ray_tracing import prepare, trace
 
 #: Azimuths -60, 0, 60 deg: the middle one looks straight ahead.
 AHEAD = RangeAzimuthGrid(azimuth_bins=3)

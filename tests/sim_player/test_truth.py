@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from models.physics.mirror import reflect
-from msgs.perception import PathClass
-from msgs.radar import RangeAzimuthGrid
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid
 from sim_player.player import ScenePlayer
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import Ego, Scene, SceneObject, Surface
-from sim_player.truth import SEPARATION_CELLS, best_power_mw, hidden_objects, object_images, thin, visible_paths
+from sim_player.scene.description import Ego, Scene, SceneObject, Surface
+from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.truth import SEPARATION_CELLS, best_power_mw, hidden_objects, object_images, thin, visible_paths
 
 RELAY = Surface(role="relay", material="concrete", polyline_m=((22.0, -9.0), (22.0, 14.0)), height_m=6.0)
 CORNER = Surface(role="occluder", material="brick", polyline_m=((1.0, 3.5), (8.0, 3.5), (8.0, 20.0)), height_m=6.0)

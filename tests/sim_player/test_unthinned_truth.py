@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_player.dataset import Recipe, read_shard, write_dataset
-from sim_player.truth import visible_paths
-from sim_player.unthinned_truth import DrawnScene, labelled_paths, trace_again
+from sim_player.dataset.writer import Recipe, read_shard, write_dataset
+from sim_player.trace.truth import visible_paths
+from sim_player.trace.unthinned_truth import DrawnScene, labelled_paths, trace_again
 
 
 @pytest.mark.parametrize("recipe", [Recipe(), Recipe(places="street_v1"), Recipe(effects=("los_objects",))])

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.registration import import_open3d, planar_cloud, plane_hold, pose_error
-from models.perception.slice_labels import in_sight
-from sim_player.lidar_cloud import LidarParams, Viewpoint, lidar_cloud, rigid
-from sim_player.scene import scene_from_yaml
+from models.annotation.registration import import_open3d, planar_cloud, plane_hold, pose_error
+from models.annotation.slice_labels import in_sight
+from sim_player.lidar.clouds import LidarParams, Viewpoint, lidar_cloud, rigid
+from sim_player.scene.description import scene_from_yaml
 from tests.stability.catalogue import Errors
 
 CORRIDOR = """
@@ -22,7 +22,7 @@ surfaces:
 
 
 @pytest.mark.hard(
-    where="models.perception.registration.plane_hold",
+    where="models.annotation.registration.plane_hold",
     naive="open3d's information matrix, which knows no normals",
     bound=0.01,
     unit="of a unit slide resisted",
@@ -43,7 +43,7 @@ def test_a_corridor_holds_nothing_along_itself(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.registration.pose_error",
+    where="models.annotation.registration.pose_error",
     naive="arc cosine of the trace",
     bound=1e-12,
     unit="rad",
@@ -57,7 +57,7 @@ def test_two_poses_that_are_nearly_one(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.slice_labels.in_sight",
+    where="models.annotation.slice_labels.in_sight",
     naive="own wall in the way like any other",
     bound=0.0,
     unit="of 400 points",

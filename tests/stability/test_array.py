@@ -8,13 +8,13 @@ import mpmath
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
-from models.perception.observability import VisibilityParams, observability
+from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
+from models.perception.geometry.observability import VisibilityParams, observability
 from models.physics.antenna import coupling_matrix, one_way_pattern, setup_weights, two_way_pattern
 from models.physics.cramer_rao import azimuth_response, fisher_information, window_covariance, windowed_bound
 from models.physics.waveform import tone_profile
-from msgs.perception import BevGrid, Visibility, Wall
-from msgs.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
+from msgs.values.perception import BevGrid, Visibility, Wall
+from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
 from tests.stability.catalogue import Errors
 
 GRID = RangeAzimuthGrid()
@@ -54,7 +54,7 @@ def _noise_gain(setup: RadarSetup, missing: tuple[int, ...] = ()) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.coarray",
+    where="models.perception.forming.coarray",
     naive="least squares on the beams that came",
     bound=4.0,
     unit="dB",
@@ -67,7 +67,7 @@ def test_a_gap_of_three_beams(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.coarray",
+    where="models.perception.forming.coarray",
     naive="least squares",
     bound=4.0,
     unit="dB",
@@ -127,7 +127,7 @@ def _largest_db(values: np.ndarray) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.coarray",
+    where="models.perception.forming.coarray",
     naive="zeros in its place",
     bound=2e-4,
     unit="dB",
@@ -148,7 +148,7 @@ def test_a_missing_beam(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.coarray",
+    where="models.perception.forming.coarray",
     naive="one coherent fit, untested",
     bound=0.2,
     unit="dB",
@@ -167,7 +167,7 @@ def test_a_mover(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.coarray",
+    where="models.perception.forming.coarray",
     naive="exact phases assumed",
     bound=2e-5,
     unit="",
@@ -188,7 +188,7 @@ def test_quantised_phases(bits: int, errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.coarray",
+    where="models.perception.forming.coarray",
     naive="energies summed in float32",
     bound=0.0,
     unit="of movers",
@@ -350,7 +350,7 @@ def test_what_no_sample_tells_has_no_finite_bound() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.observability",
+    where="models.perception.geometry.observability",
     naive="both cross products on the wedge's side",
     bound=0.0,
     unit="of the cells in sight",

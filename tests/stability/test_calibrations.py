@@ -7,18 +7,18 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.background import background_of
-from models.perception.noise_floor import _median_mean
+from models.perception.forming.background import background_of
+from models.perception.forming.noise_floor import _median_mean
 from models.vehicle.mounting import Motion
-from msgs.units import ns_from_s
-from msgs.vehicle import VehicleState
+from msgs.values.units import ns_from_s
+from msgs.values.vehicle import VehicleState
 from tests.stability.catalogue import Errors
 
 EPOCH_NS = 1_763_750_000_123_456_789
 
 
 @pytest.mark.hard(
-    where="models.perception.background.background_of",
+    where="models.perception.forming.background.background_of",
     naive="plain mean over scans",
     bound=3.0,
     unit="rms of the background's noise",
@@ -40,7 +40,7 @@ def test_lorry_in_the_open_field(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.noise_floor._median_mean",
+    where="models.perception.forming.noise_floor._median_mean",
     naive="mean power of the bins",
     bound=0.1,
     unit="dB",

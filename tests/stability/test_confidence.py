@@ -9,13 +9,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.association import DirectReturns, RecoveryParams
-from models.perception.confidence import CLIP, FEATURES, LARGEST, PlaceConfidence, place_features
-from models.perception.geometry import GeometryParams, fold_scan, recover_bev
-from models.perception.recovery import NO_WALL, Recovered
+from models.perception.geometry.association import DirectReturns, RecoveryParams
+from models.perception.geometry.confidence import CLIP, FEATURES, LARGEST, PlaceConfidence, place_features
+from models.perception.geometry.recovery import NO_WALL, Recovered
+from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
 from models.training.fit_confidence import FitConfig, fit_weights
-from msgs.frames import polar_from_xy
-from msgs.perception import Peaks, Wall
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import Peaks, Wall
 
 FACADE = [[12.0, y] for y in np.linspace(-6.0, 6.0, 13)]
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.evaluate_methods import build_method, parse_method
-from mirrorwave.evaluate_run import checked_frames, run_methods, truth_of_labels
-from models.perception.evaluation import FrameScores, bootstrap_weights, estimates
-from models.perception.onnx_model import DEFAULT_MODEL
-from models.training.frames import DataSet
-from models.training.xradarnlos import POINTS_FOLDER, SPECTRUM, import_folder
-from msgs.radar import RangeAzimuthGrid
+from mirrorwave.studies.evaluate.methods import build_method, parse_method
+from mirrorwave.studies.evaluate.runner import checked_frames, run_methods, truth_of_labels
+from models.evaluation.frame_scores import FrameScores, bootstrap_weights, estimates
+from models.perception.detection.onnx_model import DEFAULT_MODEL
+from models.training.data.frames import DataSet
+from models.training.data.xradarnlos import POINTS_FOLDER, SPECTRUM, import_folder
+from msgs.values.radar import RangeAzimuthGrid
 
 
 def write_maps(folder: Path, grid: dict[str, float] | None = None, spoil: bool = False) -> Path:

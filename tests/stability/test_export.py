@@ -14,11 +14,11 @@ import torch
 from onnx import TensorProto, helper
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
-from models.perception.encoding import Encoding
-from models.perception.onnx_model import DensePredictor, ModelCard, card_path
-from models.training.export_onnx import Exported, export_onnx, parity, write_card
-from models.training.quantize import quantize_int8
-from msgs.radar import RangeAzimuthGrid
+from models.perception.detection.encoding import Encoding
+from models.perception.detection.onnx_model import DensePredictor, ModelCard, card_path
+from models.training.export.onnx import Exported, export_onnx, parity, write_card
+from models.training.export.quantize import quantize_int8
+from msgs.values.radar import RangeAzimuthGrid
 
 CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
 

@@ -7,19 +7,19 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.arcs import ArcParams
-from models.perception.association import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
-from models.perception.clustering import dbscan
-from models.perception.geometry import GeometryParams, fold_scan, recover_bev
-from models.perception.mirrors import RADAR, hits, wall_arrays
-from models.perception.objects import ObjectParams, form_objects
-from models.perception.published_geometry import PublishedParams, recover_published
-from models.perception.recovery import NO_WALL, Recovered, cartesian_covariance, folded
-from models.perception.walls import WallParams, find_walls
+from models.perception.geometry.arcs import ArcParams
+from models.perception.geometry.association import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
+from models.perception.geometry.clustering import dbscan
+from models.perception.geometry.mirrors import RADAR, hits, wall_arrays
+from models.perception.geometry.objects import ObjectParams, form_objects
+from models.perception.geometry.published import PublishedParams, recover_published
+from models.perception.geometry.recovery import NO_WALL, Recovered, cartesian_covariance, folded
+from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
+from models.perception.geometry.walls import WallParams, find_walls
 from models.physics.curved_mirror import arc_points, fermat_points
 from models.physics.mirror import reflect, wall_from_ends
-from msgs.frames import polar_from_xy, xy_from_polar
-from msgs.perception import PathClass, Peaks, Wall
+from msgs.values.frames import polar_from_xy, xy_from_polar
+from msgs.values.perception import PathClass, Peaks, Wall
 from tests.stability.catalogue import Errors
 
 RANGE_STD_M, AZIMUTH_STD_RAD = 0.06, math.radians(0.7)
@@ -233,7 +233,7 @@ def centre_hit_share(image_m: np.ndarray, one: Wall) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.mirrors",
+    where="models.perception.geometry.mirrors",
     naive="circle about its centre",
     bound=1e-12,
     unit="m",
@@ -251,7 +251,7 @@ def test_all_but_flat_arc_is_its_chord(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.association",
+    where="models.perception.geometry.association",
     naive="difference of two arctan2",
     bound=0.0,
     unit="rad",
@@ -279,7 +279,7 @@ def face_of(points_m: np.ndarray, variance_m2: float = 1e-6) -> Recovered:
 
 
 @pytest.mark.hard(
-    where="models.perception.objects",
+    where="models.perception.geometry.objects",
     naive="mean of the directions from point to point",
     bound=1e-12,
     unit="rad",
@@ -296,7 +296,7 @@ def test_yaw_of_a_face_across_the_view(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.objects",
+    where="models.perception.geometry.objects",
     naive="E[p p'] - E[p] E[p]'",
     bound=0.0,
     unit="boxes",
@@ -326,7 +326,7 @@ def is_positive(covariance: np.ndarray) -> bool:
 
 
 @pytest.mark.hard(
-    where="models.perception.recovery",
+    where="models.perception.geometry.recovery",
     naive="(J C) J' in float32",
     bound=0.0,
     unit="peaks",
@@ -348,7 +348,7 @@ def test_covariance_of_far_peaks_with_fine_range(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.objects",
+    where="models.perception.geometry.objects",
     naive="int64 sum over the number",
     bound=1.0,
     unit="ns",

@@ -8,9 +8,9 @@ from mpmath import mp, mpf
 from scipy.special import ndtri
 
 from models.physics.link_budget import photon_snr, spad_threshold
-from msgs.lidar import SpadParams
-from msgs.radar import RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
+from msgs.values.lidar import SpadParams
+from msgs.values.radar import RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 from tests.stability.catalogue import Errors
 
 EPS = 2.0**-52

@@ -12,15 +12,15 @@ import msgspec
 import numpy as np
 import pytest
 
-from msgs.bus import Envelope
-from msgs.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
-from msgs.diagnostics import LogRecord
-from msgs.local_bus import LocalNetwork
-from msgs.radar import RadarBeam, RadarParams, RadarSetup
-from msgs.recording import RecordingReader, RecordingWriter, info
-from msgs.sigmf_capture import SigmfCapture, write_capture
-from msgs.topics import TOPICS
-from msgs.vehicle import VehicleState
+from msgs.bus.codec import CodecError, decode, decode_inline, encode, encode_inline, json_schema, to_builtins
+from msgs.bus.interface import Envelope
+from msgs.bus.local import LocalNetwork
+from msgs.bus.topics import TOPICS
+from msgs.recording.mcap import RecordingReader, RecordingWriter, info
+from msgs.recording.sigmf import SigmfCapture, write_capture
+from msgs.values.diagnostics import LogRecord
+from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
+from msgs.values.vehicle import VehicleState
 
 ENVELOPE = {"protocol": 1, "publisher": "rogue", "topic": "vehicle/state", "sequence": 0, "sent_ns": 0}
 

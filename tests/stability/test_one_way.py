@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator, ideal_beams
-from models.perception.phaser import PhaserCalibration, PhaserParams, beam_table, radar_params, radar_setup
-from msgs.radar import BeamGrid
+from models.perception.forming.coarray import AzimuthInterpolator, ideal_beams
+from models.sensors.phaser import PhaserCalibration, PhaserParams, beam_table, radar_params, radar_setup
+from msgs.values.radar import BeamGrid
 from tests.stability.catalogue import Errors
 
 PARAMS = PhaserParams()
@@ -31,7 +31,7 @@ def _map_error(weights: np.ndarray | None, real: np.ndarray, azimuth_deg: float)
 
 
 @pytest.mark.hard(
-    where="models.perception.phaser",
+    where="models.sensors.phaser",
     naive="weights of the phases that were asked for",
     bound=2e-5,
     unit="of the peak",

@@ -7,7 +7,7 @@ import pytest
 from mpmath import mp, mpf
 
 from models.physics.fresnel import half_space_reflection
-from models.physics.optics import diffuse_reflectance, fresnel_power
+from models.physics.photons.optics import diffuse_reflectance, fresnel_power
 from tests.stability.catalogue import Errors
 
 EPS = 2.0**-52
@@ -22,7 +22,7 @@ def printed_power(index: float, cosine: float) -> mpf:
 
 
 @pytest.mark.hard(
-    where="models.physics.optics",
+    where="models.physics.photons.optics",
     naive="TE and TM added",
     bound=64 * EPS,
     unit="",
@@ -41,7 +41,7 @@ def test_printed_fresnel_power_near_normal_incidence(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.optics",
+    where="models.physics.photons.optics",
     naive="1 - exp(-g^2)",
     bound=16 * EPS,
     unit="",

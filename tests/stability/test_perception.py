@@ -24,24 +24,24 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.special import gamma
 
+from models.evaluation.frame_scores import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
+from models.evaluation.metrics import chamfer, match_objects, match_points
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.networks.residual_reflect_net import ResidualReflectNet
-from models.perception.cfar import CfarParams, cell_averaging_mask, cfar_mask, detect, ordered_statistic_alpha
-from models.perception.clustering import dbscan
-from models.perception.confidence import FEATURES, PlaceConfidence
-from models.perception.encoding import Encoding, encode_columns
-from models.perception.evaluation import CAP_M, FrameScores, bootstrap_weights, capped_chamfer, estimates
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.metrics import chamfer, match_objects, match_points
-from models.perception.onnx_model import DensePredictor, ModelCard
-from models.perception.peaks import PeakParams, peaks_at
-from models.perception.walls import WallParams, find_walls, fit_line
+from models.perception.detection.cfar import CfarParams, cell_averaging_mask, cfar_mask, detect, ordered_statistic_alpha
+from models.perception.detection.encoding import Encoding, encode_columns
+from models.perception.detection.onnx_model import DensePredictor, ModelCard
+from models.perception.detection.peaks import PeakParams, peaks_at
+from models.perception.geometry.clustering import dbscan
+from models.perception.geometry.confidence import FEATURES, PlaceConfidence
+from models.perception.geometry.stage import GeometryParams, recover_bev
+from models.perception.geometry.walls import WallParams, find_walls, fit_line
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
-from models.training.export_onnx import Exported, export_onnx, write_card
-from models.training.quantize import quantize_int8
-from msgs.frames import polar_from_xy
-from msgs.perception import Peaks, SceneTruth, TruthObject
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from models.training.export.onnx import Exported, export_onnx, write_card
+from models.training.export.quantize import quantize_int8
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import Peaks, SceneTruth, TruthObject
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from tests.stability.catalogue import Errors
 
 RADAR = np.zeros(2)
@@ -271,7 +271,7 @@ def slope_line(points_m: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 @pytest.mark.hard(
-    where="models.perception.lines",
+    where="models.perception.geometry.lines",
     naive="regression of y on x",
     bound=1e-12,
     unit="m",
@@ -286,7 +286,7 @@ def test_vertical_wall(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.lines",
+    where="models.perception.geometry.lines",
     naive="second moments about the origin in float32",
     bound=1e-11,
     unit="rad",
@@ -304,7 +304,7 @@ def test_wall_far_from_the_origin(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.lines",
+    where="models.perception.geometry.lines",
     naive="running sums in float32",
     bound=1e-10,
     unit="m",
@@ -321,7 +321,7 @@ def test_wall_of_1e5_points(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.lines",
+    where="models.perception.geometry.lines",
     naive="residual variance over n - 2",
     bound=1e-15,
     unit="m",
@@ -348,7 +348,7 @@ def test_few_points_are_no_wall(count: int) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.walls",
+    where="models.perception.geometry.walls",
     naive="least squares through all points",
     bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 20.0),
     unit="m",
@@ -370,7 +370,7 @@ def test_wall_among_80_percent_outliers(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.walls",
+    where="models.perception.geometry.walls",
     naive="one principal axis a cluster",
     bound=3.0 * math.hypot(0.05, 0.08) * math.sqrt(4.0 / 15.0),
     unit="m",
@@ -410,7 +410,7 @@ def flooded(points_m: np.ndarray, eps_m: float) -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.clustering",
+    where="models.perception.geometry.clustering",
     naive="regions grown by recursion",
     bound=0.0,
     unit="points",
@@ -461,7 +461,7 @@ def parabola_bin(power: np.ndarray, row: int) -> float:
 
 @pytest.mark.parametrize("edge", ["first", "last"])
 @pytest.mark.hard(
-    where="models.perception.peaks",
+    where="models.perception.detection.peaks",
     naive="parabola over neighbours modulo the map",
     bound=1e-6,
     unit="bins",
@@ -476,7 +476,7 @@ def test_peak_on_the_edge_of_the_map(errors: Errors, edge: str) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.peaks",
+    where="models.perception.detection.peaks",
     naive="square of a complex64 magnitude",
     bound=1e-6,
     unit="bins",
@@ -496,7 +496,7 @@ def naive_power(values: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.cfar",
+    where="models.perception.detection.cfar",
     naive="square of a complex64 magnitude",
     bound=0.0,
     unit="peaks",
@@ -518,7 +518,7 @@ def test_detections_of_an_enormous_map(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.cfar",
+    where="models.perception.detection.cfar",
     naive="integral image in float32",
     bound=0.0,
     unit="cells",
@@ -553,7 +553,7 @@ def test_cell_averaging_beside_a_strong_echo(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.cfar",
+    where="models.perception.detection.cfar",
     naive="n! (n - k + a)! / ((n - k)! (n + a)!)",
     bound=1e-11,
     unit="",
@@ -574,7 +574,7 @@ def test_ordered_statistic_rate_without_factorials(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.metrics",
+    where="models.evaluation.metrics",
     naive="assign first, drop what is too far",
     bound=0.0,
     unit="pairs",
@@ -590,7 +590,7 @@ def test_gate_belongs_into_the_assignment(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.metrics",
+    where="models.evaluation.metrics",
     naive="infinite cost beyond the gate",
     bound=0.0,
     unit="pairs",
@@ -608,7 +608,7 @@ def test_a_prediction_out_of_everyones_reach(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.evaluation",
+    where="models.evaluation.frame_scores",
     naive="mean of the least distances",
     bound=0.0,
     unit="m",
@@ -626,7 +626,7 @@ def test_chamfer_of_an_empty_set(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.metrics",
+    where="models.evaluation.metrics",
     naive="a.a - 2 a.b + b.b in float32",
     bound=1e-13,
     unit="m",
@@ -645,7 +645,7 @@ def test_chamfer_of_close_points_far_away(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.evaluation",
+    where="models.evaluation.frame_scores",
     naive="mean +- 1.96 s / sqrt(n)",
     bound=0.0,
     unit="m",
@@ -663,7 +663,7 @@ def test_interval_of_one_frame(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.confidence",
+    where="models.perception.geometry.confidence",
     naive="e^z / (1 + e^z)",
     bound=1e-15,
     unit="",
@@ -746,7 +746,7 @@ STEP = {"fp32": 2.0**-17, "fp16": 2.0**-8, "int8": 2.0**-6}
         pytest.param(
             name,
             marks=pytest.mark.hard(
-                where="models.perception.encoding",
+                where="models.perception.detection.encoding",
                 naive="10 log10(abs(z)^2 / noise) in float32",
                 bound=step,
                 unit="",

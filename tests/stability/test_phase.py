@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from models.perception.ra_forming import BeamFolder, FormingParams, ego_correction
+from models.perception.forming.ra_forming import BeamFolder, FormingParams, ego_correction
 from models.physics.waveform import beat_phase_rad, beat_samples, tone_profile
-from msgs.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
-from msgs.vehicle import VehicleState
-from sim_player.fmcw import literal_beats, slow_time_terms, sum_tones
-from sim_player.literal import literal_echoes
-from sim_player.paths import Paths
-from sim_player.signal_effects import PLAIN
+from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from msgs.values.vehicle import VehicleState
+from sim_player.signal.fmcw import literal_beats, slow_time_terms, sum_tones
+from sim_player.signal.literal import literal_echoes
+from sim_player.signal.switches import PLAIN
+from sim_player.trace.paths import Paths
 from tests.stability.catalogue import Errors
 
 TURN_RAD = 2.0 * np.pi
@@ -142,7 +142,7 @@ def test_a_beat_over_its_chirp(errors: Errors) -> None:
 
 
 @both_bands(
-    where="sim_player.fmcw",
+    where="sim_player.signal.fmcw",
     naive="f_c t with t over the frame, in float32",
     bounds=(3.2e-10, 2.4e-9),
     source="four roundings of f_c T_c + S T_c^2 / 2, 56,500 (422,000) turns, in float64",
@@ -186,7 +186,7 @@ def moving_path(length_m: float, speed_mps: float) -> Paths:
 
 
 @pytest.mark.hard(
-    where="sim_player.literal",
+    where="sim_player.signal.literal",
     naive="f_c (t - tau(t)) with absolute time in float32",
     bound=2.4e-9,
     unit="rad",
@@ -209,7 +209,7 @@ def test_last_chirp_of_a_frame_of_a_moving_path(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.fmcw",
+    where="sim_player.signal.fmcw",
     naive="f_c (L + 2 v t) / c of every chirp in float32",
     bound=2e-5,
     unit="rad rms",
@@ -233,7 +233,7 @@ def test_slow_time_of_a_frame(errors: Errors) -> None:
 
 
 @both_bands(
-    where="models.perception.ra_forming",
+    where="models.perception.forming.ra_forming",
     naive="4 pi v t cos(azimuth) / lambda in float32",
     bounds=(4.3e-8, 4.3e-8),
     source="both parts rounded to complex64, half a step of 6e-8 each; the turns in float64 add 1e-11",
@@ -342,7 +342,7 @@ def test_hann_window_one_bin_off(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.fmcw",
+    where="sim_player.signal.fmcw",
     naive="grid step taken from the fraction of a turn",
     bound=1e-9,
     unit="of the tone",

@@ -11,10 +11,10 @@ import pytest
 from mpmath import mp, mpf
 from scipy.special import ndtr
 
-from models.physics.dead_time import regained
-from models.physics.photon_counting import comb, expected_histogram
-from models.physics.photon_flux import counts_between, pulses_of
-from msgs.lidar import SpadParams
+from models.physics.photons.counting import comb, expected_histogram
+from models.physics.photons.dead_time import regained
+from models.physics.photons.flux import counts_between, pulses_of
+from msgs.values.lidar import SpadParams
 from tests.stability.catalogue import Errors
 
 EPS = 2.0**-52
@@ -26,7 +26,7 @@ def worst(found: np.ndarray, wanted: list) -> float:
 
 
 @pytest.mark.hard(
-    where="models.physics.photon_flux",
+    where="models.physics.photons.flux",
     naive="differences of the distribution",
     bound=1e-10,
     unit="",
@@ -46,7 +46,7 @@ def test_far_behind_a_pulse(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.photon_counting",
+    where="models.physics.photons.counting",
     naive="differences of the distribution",
     bound=450 * 600 * EPS / 2,
     unit="",
@@ -64,7 +64,7 @@ def test_bins_behind_total_pile_up(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.photon_counting",
+    where="models.physics.photons.counting",
     naive="period number times period, modulo the tick, in float64",
     bound=1e-12,
     unit="ticks",
@@ -82,7 +82,7 @@ def test_ticks_of_a_run_after_450_000_periods(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.dead_time",
+    where="models.physics.photons.dead_time",
     naive="1 - (1 - e^-m) / m",
     bound=8 * EPS,
     unit="",

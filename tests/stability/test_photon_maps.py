@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.photon_map import photon_map, project_counts
-from models.physics.photon_counting import draw_histogram
-from msgs.lidar import LidarSetup, PhotonHistograms, SpadParams
-from msgs.radar import RangeAzimuthGrid
-from msgs.units import SPEED_OF_LIGHT_MPS
+from models.perception.forming.photon_map import photon_map, project_counts
+from models.physics.photons.counting import draw_histogram
+from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
+from msgs.values.radar import RangeAzimuthGrid
+from msgs.values.units import SPEED_OF_LIGHT_MPS
 from tests.stability.catalogue import Errors
 
 SPAD = SpadParams(arming="gated")
@@ -25,7 +25,7 @@ def counts() -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.photon_map",
+    where="models.perception.forming.photon_map",
     naive="counts less the mean count of the period, over its root",
     bound=0.14,
     unit="",

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from models.physics.first_photon import (
+from models.physics.photons.first_photon import (
     bins_of_ticks,
     first_photon_histogram,
     first_photon_probability,
@@ -39,7 +39,7 @@ def worst(found: np.ndarray, wanted: list[mpf]) -> float:
 
 
 @pytest.mark.hard(
-    where="models.physics.first_photon",
+    where="models.physics.photons.first_photon",
     naive="differences of the distribution",
     bound=8 * EPS,
     unit="",
@@ -55,7 +55,7 @@ def test_hardly_any_light(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.first_photon",
+    where="models.physics.photons.first_photon",
     naive="differences of the distribution",
     bound=600 * EPS,
     unit="",
@@ -71,7 +71,7 @@ def test_total_pile_up(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.first_photon",
+    where="models.physics.photons.first_photon",
     naive="-log(1 - h / n)",
     bound=8 * EPS,
     unit="",
@@ -89,7 +89,7 @@ def test_one_count_in_a_million_million_periods(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.first_photon",
+    where="models.physics.photons.first_photon",
     naive="sums of counts in float32",
     bound=1e-9,
     unit="",
@@ -108,7 +108,7 @@ def test_the_last_of_a_million_million_counts(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.first_photon",
+    where="models.physics.photons.first_photon",
     naive="floor(tick x 55 ps / bin width) in float64",
     bound=0.0,
     unit="of the events on an edge",

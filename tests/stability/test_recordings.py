@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from msgs.diagnostics import LogRecord
-from msgs.radar import RadarBeam
-from msgs.recording import RecordingReader, RecordingWriter, copy_recording
-from msgs.vehicle import VehicleState
+from msgs.recording.mcap import RecordingReader, RecordingWriter, copy_recording
+from msgs.values.diagnostics import LogRecord
+from msgs.values.radar import RadarBeam
+from msgs.values.vehicle import VehicleState
 
 TURN_NS = 500_000_000
 #: Takes a recovered file where its bytes are looked at elsewhere.

@@ -7,10 +7,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator
-from models.perception.detectors import NetworkDetector
-from models.perception.refinement import EchoRefiner, RefinementParams, _sinc_slope
-from msgs.radar import BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from models.perception.detection.detectors import NetworkDetector
+from models.perception.detection.refinement import EchoRefiner, RefinementParams, _sinc_slope
+from models.perception.forming.coarray import AzimuthInterpolator
+from msgs.values.radar import BeamGrid, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from tests.stability.catalogue import Errors
 
 SETUP = RadarSetup()
@@ -64,7 +64,7 @@ def test_no_noise_stated() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.refinement",
+    where="models.perception.detection.refinement",
     naive="inverse of the Fisher information alone",
     bound=0.0,
     unit="echoes",
@@ -86,7 +86,7 @@ def test_covariance_of_echoes_in_one_place(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.refinement",
+    where="models.perception.detection.refinement",
     naive="(cos(pi x) - sinc(x)) / x",
     bound=1e-11,
     unit="1/bin",

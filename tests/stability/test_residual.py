@@ -10,15 +10,21 @@ import pytest
 import torch
 
 from models.networks.residual_reflect_net import ResidualReflectNet
-from models.perception.geometry import GeometryParams, recover_bev
-from models.perception.published_geometry import PublishedParams, recover_published
-from models.perception.recovery import ReflectionState
-from models.perception.residual_model import MAX_SHIFT_M, LearnedResidual, ResidualCard, image_frames, in_frames
-from models.training.export_onnx import write_card
-from models.training.export_residual import export_residual_onnx
-from msgs.bus import Envelope, Received
-from msgs.frames import polar_from_xy
-from msgs.perception import Peaks
+from models.perception.geometry.published import PublishedParams, recover_published
+from models.perception.geometry.recovery import ReflectionState
+from models.perception.geometry.residual_model import (
+    MAX_SHIFT_M,
+    LearnedResidual,
+    ResidualCard,
+    image_frames,
+    in_frames,
+)
+from models.perception.geometry.stage import GeometryParams, recover_bev
+from models.training.export.onnx import write_card
+from models.training.export.residual import export_residual_onnx
+from msgs.bus.interface import Envelope, Received
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import Peaks
 from nodes import geometry
 
 

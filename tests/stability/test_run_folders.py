@@ -8,11 +8,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.calibration import check_table
+from models.perception.detection.score_calibration import check_table
 from models.training.calibration import fit_table
-from models.training.export_onnx import require_onnx
+from models.training.data.frames import DataSet, Splits, fixed_splits
+from models.training.export.onnx import require_onnx
 from models.training.files import whole
-from models.training.frames import DataSet, Splits, fixed_splits
 from models.training.run_folder import BEST, CONFIG, load_config, load_state
 
 SHARD = {

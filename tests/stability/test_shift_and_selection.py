@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.cfar_nlos import CfarNlosParams, privileged_peaks
-from msgs.perception import PathClass
-from msgs.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from sim_player.labelled_scan import profile_noise
-from sim_player.scene import Scene, SceneObject
-from sim_player.shifted import ShiftParams, draw_faults, faulty_profiles, shifted_scene
+from models.perception.detection.cfar_nlos import CfarNlosParams, privileged_peaks
+from msgs.values.perception import PathClass
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from sim_player.dataset.labelled_scan import profile_noise
+from sim_player.generate.domain_shift import ShiftParams, draw_faults, faulty_profiles, shifted_scene
+from sim_player.scene.description import Scene, SceneObject
 
 SETUP = RadarSetup()
 GRID = RangeAzimuthGrid()

@@ -7,23 +7,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from models.perception.cfar import CfarParams, cell_averaging_mask
-from models.perception.digital_array import DigitalArrayParams, range_doppler
-from models.perception.encoding import Encoding, encode_columns
-from models.perception.folding import SATURATION_CODE, fold_chirps, group_edges
-from models.perception.peaks import PeakParams, peaks_at
-from models.perception.ra_forming import FormingParams, RaFormer
+from models.perception.detection.cfar import CfarParams, cell_averaging_mask
+from models.perception.detection.encoding import Encoding, encode_columns
+from models.perception.detection.peaks import PeakParams, peaks_at
+from models.perception.forming.digital_array import DigitalArrayParams, range_doppler
+from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.slow_time_sums import SATURATION_CODE, fold_chirps, group_edges
 from models.physics.waveform import beat_samples, range_profile, window_noise_gain
-from msgs.perception import PathClass, Peaks
-from msgs.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.vehicle import VehicleState
-from sim_player.fmcw import noise_bank
-from sim_player.front_end import FrontEnd, Spur
-from sim_player.literal import literal_echoes
-from sim_player.paths import Paths
-from sim_player.receiver import convert, flicker_ratio, spur_profile
-from sim_player.signal_effects import ALL, SignalEffects
-from sim_player.signal_levels import beam_beats, beat_terms, kernel_profiles, record_beam
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
+from sim_player.scene.front_end import FrontEnd, Spur
+from sim_player.signal.fmcw import noise_bank
+from sim_player.signal.levels import beam_beats, beat_terms, kernel_profiles, record_beam
+from sim_player.signal.literal import literal_echoes
+from sim_player.signal.receiver import convert, flicker_ratio, spur_profile
+from sim_player.signal.switches import ALL, SignalEffects
+from sim_player.trace.paths import Paths
 from tests.stability.catalogue import Errors
 
 
@@ -80,7 +80,7 @@ def test_rails(code: int) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.ra_forming",
+    where="models.perception.forming.ra_forming",
     naive="no window",
     bound=0.015,
     unit="of the echo",
@@ -124,7 +124,7 @@ def _bin_noise_mw(setup: RadarSetup, codes_rms: float, averaged: int = 1) -> flo
 
 
 @pytest.mark.hard(
-    where="models.perception.ra_forming",
+    where="models.perception.forming.ra_forming",
     naive="mean square less squared mean, float32",
     bound=0.1,
     unit="",
@@ -143,7 +143,7 @@ def test_noise_under_a_huge_offset(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.ra_forming",
+    where="models.perception.forming.ra_forming",
     naive="spread between chirps",
     bound=0.41,
     unit="",
@@ -164,7 +164,7 @@ def test_welch_with_zero_variance(chirps: int, errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.ra_forming",
+    where="models.perception.forming.ra_forming",
     naive="median over ln 2",
     bound=0.02,
     unit="",
@@ -182,7 +182,7 @@ def test_welch_of_many_chirps(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.folding",
+    where="models.perception.forming.slow_time_sums",
     naive="sum of int16",
     bound=0.0,
     unit="codes",
@@ -198,7 +198,7 @@ def test_sums_of_128_chirps_at_full_scale(code: int, errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.folding",
+    where="models.perception.forming.slow_time_sums",
     naive="sum of int32",
     bound=0.0,
     unit="codes",
@@ -217,7 +217,7 @@ def test_sums_beyond_32_bits(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.folding",
+    where="models.perception.forming.slow_time_sums",
     naive="|code| >= 32767 in int16",
     bound=0.0,
     unit="of the samples",
@@ -232,7 +232,7 @@ def test_saturation_at_the_lower_rail(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.receiver",
+    where="sim_player.signal.receiver",
     naive="cast without a clip",
     bound=0.5,
     unit="codes",
@@ -248,7 +248,7 @@ def test_converter_past_full_scale(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.digital_array",
+    where="models.perception.forming.digital_array",
     naive="transformed as it is",
     bound=0.0,
     unit="of the cells",
@@ -267,7 +267,7 @@ def test_a_float_capture_that_is_not_finite(value: float, errors: Errors) -> Non
 
 
 @pytest.mark.hard(
-    where="models.perception.digital_array",
+    where="models.perception.forming.digital_array",
     naive="mean of complex64",
     bound=0.06,
     unit="",
@@ -281,7 +281,7 @@ def test_what_stands_still_at_a_million(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.cfar",
+    where="models.perception.detection.cfar",
     naive="integral image in float32",
     bound=3e-7,
     unit="",
@@ -337,7 +337,7 @@ def _peak_at(ra_map: RangeAzimuthMap, cell: tuple[int, int]) -> Peaks:
 
 
 @pytest.mark.hard(
-    where="models.perception.peaks",
+    where="models.perception.detection.peaks",
     naive="10 log10(power / noise)",
     bound=1e-12,
     unit="dB",
@@ -354,7 +354,7 @@ def test_level_of_nothing_over_nothing(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.peaks",
+    where="models.perception.detection.peaks",
     naive="parabola through the logarithms",
     bound=1e-12,
     unit="bins",
@@ -372,7 +372,7 @@ def test_peak_of_a_single_cell(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.encoding",
+    where="models.perception.detection.encoding",
     naive="less the mean, over the spread",
     bound=1e-6,
     unit="",
@@ -391,7 +391,7 @@ def test_maps_without_contrast(level: float, expected: float, errors: Errors) ->
 
 
 @pytest.mark.hard(
-    where="sim_player.receiver",
+    where="sim_player.signal.receiver",
     naive="corner over |f|",
     bound=1e-15,
     unit="",
@@ -408,7 +408,7 @@ def test_flicker_at_zero_frequency(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="sim_player.receiver",
+    where="sim_player.signal.receiver",
     naive="sin(pi f T_f) / (N sin(pi f T_c)), twice",
     bound=1e-9,
     unit="",

@@ -9,11 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from sim_player.effect_names import ALL_EFFECTS
-from sim_player.paths import Paths
-from sim_player.planner import plan_effects, planned_profiles
-from sim_player.ray_tracing import prepare, trace
-from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.effects.names import ALL_EFFECTS
+from sim_player.planner.plan import plan_effects, planned_profiles
+from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import prepare, trace
 
 GROUND = Surface(role="ground", material="asphalt")
 CAR = SceneObject(class_="car", x_m=12.0, y_m=3.0)

@@ -8,17 +8,17 @@ import mpmath
 import numpy as np
 import pytest
 
-from models.perception.coarray import AzimuthInterpolator
-from models.perception.metrics import match_objects
-from models.perception.ra_forming import ScanProfiles, form_map
+from models.evaluation.metrics import match_objects
+from models.perception.forming.coarray import AzimuthInterpolator
+from models.perception.forming.ra_forming import ScanProfiles, form_map
 from models.vehicle.can_state import StampMapper
-from msgs.frames import Pose2
-from msgs.perception import HiddenObject, SceneTruth, TruthObject
-from msgs.radar import RadarSetup
-from msgs.units import ns_from_s, s_from_ns
-from msgs.vehicle import VehicleState, ego_motion
-from nodes.live_timing import ViewWatch, last_beam_ns, latency_ns
-from nodes.state_history import StateHistory
+from msgs.values.frames import Pose2
+from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
+from msgs.values.radar import RadarSetup
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState, ego_motion
+from nodes.inputs.state_history import StateHistory
+from nodes.inputs.view_latency import ViewWatch, last_beam_ns, latency_ns
 from tests.stability.catalogue import Errors
 
 EPOCH_NS = 1_763_750_000_123_456_789
@@ -40,7 +40,7 @@ def radius_m(speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> tuple[f
 
 
 @pytest.mark.hard(
-    where="msgs.vehicle.ego_motion",
+    where="msgs.values.vehicle.ego_motion",
     naive="circle of radius v / w",
     bound=4e-15,
     unit="m",
@@ -58,7 +58,7 @@ def test_all_but_straight(errors: Errors) -> None:
 
 @pytest.mark.parametrize(("yaw_rate_rps", "elapsed_s"), [(0.0, 0.3), (0.0, 0.0)], ids=["straight", "no time"])
 @pytest.mark.hard(
-    where="msgs.vehicle.ego_motion",
+    where="msgs.values.vehicle.ego_motion",
     naive="circle of radius v / w",
     bound=0.0,
     unit="m",
@@ -76,7 +76,7 @@ def test_no_turn(errors: Errors, yaw_rate_rps: float, elapsed_s: float) -> None:
 
 @pytest.mark.parametrize("elapsed_s", [86_400.0, -86_400.0], ids=["forwards", "backwards"])
 @pytest.mark.hard(
-    where="msgs.vehicle.ego_motion",
+    where="msgs.values.vehicle.ego_motion",
     naive="steps of 0.1 s along the heading",
     bound=43_200.0 * 2.0**-52 * 60.0,
     unit="m",
@@ -92,7 +92,7 @@ def test_a_day_on_a_circle(errors: Errors, elapsed_s: float) -> None:
 
 
 @pytest.mark.hard(
-    where="msgs.frames.Pose2",
+    where="msgs.values.frames.Pose2",
     naive="running sums in float32",
     bound=1e6 * (2.0 + 1.0 + 1.0) * 2.0**-52 * 200.0,
     unit="m",
@@ -111,7 +111,7 @@ def test_a_million_steps(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="msgs.frames.Pose2",
+    where="msgs.values.frames.Pose2",
     naive="difference of two headings",
     bound=1e-15,
     unit="rad",
@@ -126,7 +126,7 @@ def test_turn_across_the_heading_wrap(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.metrics",
+    where="models.evaluation.metrics",
     naive="difference of unsigned stamps",
     bound=1e-14,
     unit="m",
@@ -152,7 +152,7 @@ def test_object_measured_before_its_scene(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="nodes.state_history",
+    where="nodes.inputs.state_history",
     naive="the last that came",
     bound=0.0,
     unit="m/s",
@@ -170,7 +170,7 @@ def test_vehicle_state_held_up_on_its_way(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.ra_forming",
+    where="models.perception.forming.ra_forming",
     naive="interpolation between float64 epochs",
     bound=0.5,
     unit="ns",
@@ -205,7 +205,7 @@ def interpolated(at: float, x: np.ndarray, y: np.ndarray) -> mpmath.mpf:
 
 
 @pytest.mark.hard(
-    where="nodes.live_timing",
+    where="nodes.inputs.view_latency",
     naive="difference of seconds since 1970",
     bound=0.0,
     unit="ns",
@@ -224,7 +224,7 @@ def test_latency_of_a_view(errors: Errors) -> None:
 
 @pytest.mark.parametrize("jump_s", [3600.0, -3600.0], ids=["forwards", "backwards"])
 @pytest.mark.hard(
-    where="nodes.live_timing",
+    where="nodes.inputs.view_latency",
     naive="deadline against now less stamp",
     bound=0.0,
     unit="views",
@@ -246,7 +246,7 @@ def test_views_of_a_clock_that_jumps(errors: Errors, jump_s: float) -> None:
 
 
 @pytest.mark.hard(
-    where="nodes.live_timing",
+    where="nodes.inputs.view_latency",
     naive="difference of scan numbers",
     bound=0.0,
     unit="views",
@@ -261,7 +261,7 @@ def test_scan_numbers_that_jump(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="nodes.live_timing",
+    where="nodes.inputs.view_latency",
     naive="views over the time watched",
     bound=0.0,
     unit="1/s",

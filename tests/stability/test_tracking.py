@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.odometry import Odometry, OdometryParams, standing
-from models.perception.tracking import MEASURED, Estimate, Tracker, motion_noise
-from msgs.frames import Pose2
-from msgs.perception import BevFrame, BevGrid, HiddenObject, Track
-from msgs.vehicle import VehicleState, ego_motion
+from models.perception.tracking.odometry import Odometry, OdometryParams, standing
+from models.perception.tracking.tracker import MEASURED, Estimate, Tracker, motion_noise
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
+from msgs.values.vehicle import VehicleState, ego_motion
 from tests.stability.catalogue import Errors
 
 EPOCH_NS = 1_763_750_000_123_456_789
@@ -49,7 +49,7 @@ def vague(rng: np.random.Generator) -> np.ndarray:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.Estimate.updated",
+    where="models.perception.tracking.tracker.Estimate.updated",
     naive="(I - K H) P",
     bound=0.0,
     unit="of 2,000 updates",
@@ -69,7 +69,7 @@ def test_sharp_place_of_a_vague_object(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.tracking.Estimate",
+    where="models.perception.tracking.tracker.Estimate",
     naive="(I - K H) P",
     bound=0.0,
     unit="smallest eigenvalue below zero",
@@ -93,7 +93,7 @@ def test_twenty_thousand_scans_of_a_standing_object(errors: Errors) -> None:
 
 @pytest.mark.parametrize("elapsed_s", [-1e-6, -0.3, -30.0])
 @pytest.mark.hard(
-    where="models.perception.tracking.Estimate.at",
+    where="models.perception.tracking.tracker.Estimate.at",
     naive="noise of a negative time",
     bound=0.0,
     unit="m^2 below zero",
@@ -110,7 +110,7 @@ def test_back_in_time(errors: Errors, elapsed_s: float) -> None:
 
 @pytest.mark.parametrize("elapsed_ns", [0, 1], ids=["no time", "a nanosecond"])
 @pytest.mark.hard(
-    where="models.perception.tracking.Estimate",
+    where="models.perception.tracking.tracker.Estimate",
     naive="velocity as way over time",
     bound=8.0,
     unit="m/s",
@@ -134,7 +134,7 @@ def last_track(stamps_ns: list[int]) -> tuple[Track, ...]:
 
 @pytest.mark.parametrize("jump_ns", [YEAR_NS, -YEAR_NS, 10_000_000_000, -10_000_000_000], ids=str)
 @pytest.mark.hard(
-    where="models.perception.tracking.Tracker",
+    where="models.perception.tracking.tracker.Tracker",
     naive="tracks go on over the jump",
     bound=1.0,
     unit="m",
@@ -160,7 +160,7 @@ def test_a_scan_that_comes_twice_or_late_changes_nothing() -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.odometry.Odometry",
+    where="models.perception.tracking.odometry.Odometry",
     naive="steps along the heading",
     bound=1e6 * 2.0**-52 * (60.0 + 30.0 * math.pi),
     unit="m",
@@ -180,7 +180,7 @@ def test_a_million_states_round_and_round(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.odometry.Odometry.at",
+    where="models.perception.tracking.odometry.Odometry.at",
     naive="place and heading in the middle between two poses",
     bound=1e-12,
     unit="rad",
@@ -208,7 +208,7 @@ def test_heading_between_two_states_across_the_seam(errors: Errors) -> None:
 
 @pytest.mark.parametrize("jump_ns", [YEAR_NS, -YEAR_NS, 5_000_000_000, -5_000_000_000], ids=str)
 @pytest.mark.hard(
-    where="models.perception.odometry.Odometry",
+    where="models.perception.tracking.odometry.Odometry",
     naive="motion goes on over the jump",
     bound=1e-9,
     unit="m",

@@ -9,14 +9,14 @@ import pytest
 import torch
 from torch.nn import functional
 
-from models.perception.encoding import Encoding, encode_columns
-from models.training.anchor_targets import anchor_loss, anchor_targets
-from models.training.datasets import PointLabels
+from models.perception.detection.encoding import Encoding, encode_columns
+from models.training.data.samples import PointLabels
 from models.training.fit_confidence import FitConfig, _Loss
-from models.training.focal import binary_focal_loss
-from models.training.losses import heatmap_focal_loss
-from models.training.objectives import Heatmaps, ObjectiveConfig
-from models.training.targets import gaussian_heatmap
+from models.training.objectives.anchors import anchor_loss, anchor_targets
+from models.training.objectives.focal import binary_focal_loss
+from models.training.objectives.heatmaps import gaussian_heatmap
+from models.training.objectives.losses import heatmap_focal_loss
+from models.training.objectives.objectives import Heatmaps, ObjectiveConfig
 from tests.stability.catalogue import Errors
 
 ENCODING = Encoding(range_bins=8, columns=8)
@@ -41,7 +41,7 @@ def number(value: float) -> float:
 
 @pytest.mark.parametrize("logit", [-1e4, 1e4])
 @pytest.mark.hard(
-    where="models.training.losses",
+    where="models.training.objectives.losses",
     naive="log of the sigmoid",
     bound=1e-6,
     unit="",
@@ -58,7 +58,7 @@ def test_focal_loss_of_sure_and_wrong(errors: Errors, logit: float) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.losses",
+    where="models.training.objectives.losses",
     naive="sigmoid clamped to 1e-6 .. 1 - 1e-6",
     bound=1e-6,
     unit="",
@@ -79,7 +79,7 @@ def test_gradient_of_sure_and_wrong(errors: Errors) -> None:
 
 @pytest.mark.parametrize("logit", [-1e4, 1e4])
 @pytest.mark.hard(
-    where="models.training.focal",
+    where="models.training.objectives.focal",
     naive="log of the sigmoid",
     bound=1e-6,
     unit="",
@@ -103,7 +103,7 @@ def labels_of(row: list[float], column: list[float], path_class: int = 0) -> Poi
 
 
 @pytest.mark.hard(
-    where="models.training.objectives",
+    where="models.training.objectives.objectives",
     naive="cross-entropy of the sigmoid",
     bound=1e-6,
     unit="",
@@ -118,7 +118,7 @@ def test_plain_segmentation_of_sure_and_wrong(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.losses",
+    where="models.training.objectives.losses",
     naive="mean over the peaks",
     bound=1e-6,
     unit="",
@@ -134,7 +134,7 @@ def test_focal_loss_without_a_peak(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.anchor_targets",
+    where="models.training.objectives.anchors",
     naive="mean over the anchors of points",
     bound=1e-6,
     unit="",
@@ -153,7 +153,7 @@ def test_anchors_of_an_empty_batch(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.training.anchor_targets",
+    where="models.training.objectives.anchors",
     naive="log of exp(z) / sum(exp(z))",
     bound=1e-6,
     unit="",
@@ -182,7 +182,7 @@ def exact_focal(logits: torch.Tensor, heatmap: torch.Tensor) -> float:
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16], ids=["float16", "bfloat16"])
 @pytest.mark.hard(
-    where="models.training.losses",
+    where="models.training.objectives.losses",
     naive="the loss in the answer's own type",
     bound=1e-5,
     unit="",
@@ -203,7 +203,7 @@ def test_focal_loss_of_half_precision_answers(errors: Errors, dtype: torch.dtype
 
 
 @pytest.mark.hard(
-    where="models.training.focal",
+    where="models.training.objectives.focal",
     naive="the loss in the answer's own type",
     bound=2e-6,
     unit="",
@@ -229,7 +229,7 @@ def sliced_heatmap(shape: tuple[int, int], row: int, column: int) -> np.ndarray:
 
 @pytest.mark.parametrize("cell", [(0, 0), (31, 15)], ids=["first", "last"])
 @pytest.mark.hard(
-    where="models.training.targets",
+    where="models.training.objectives.heatmaps",
     naive="kernel on heatmap[i - r : i + r + 1]",
     bound=math.exp(-0.5 * 5.4**2) + 1e-7,
     unit="",
@@ -290,7 +290,7 @@ def test_encoding_is_finite_and_bounded(name: str, noise_power_mw: float) -> Non
 
 
 @pytest.mark.hard(
-    where="models.perception.encoding",
+    where="models.perception.detection.encoding",
     naive="abs(z)^2 in float32",
     bound=1e-5,
     unit="",

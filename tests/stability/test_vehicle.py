@@ -13,12 +13,12 @@ import pytest
 from models.vehicle.can_state import AGE_PERIODS, CanDecoder, StampMapper, Verdict
 from models.vehicle.end_to_end import counter_step
 from models.vehicle.mapping import CanMapping, MessageRule, QuantityRule
-from nodes.can_link import frame_stamp_ns
+from nodes.can.bus import frame_stamp_ns
 from tests.stability.catalogue import Errors
 
 
 @pytest.mark.hard(
-    where="nodes.can_link",
+    where="nodes.can.bus",
     naive="seconds in float32",
     bound=120.0 + 128.0,
     unit="ns",

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.float64_chain import Answer, Comparison, DoubleChain, compare, double, single, view_bytes
-from models.perception.onnx_model import DensePredictor
-from models.perception.ra_forming import RaFormer
-from msgs.radar import RadarBeam, RadarSetup
+from models.perception.detection.onnx_model import DensePredictor
+from models.perception.forming.ra_forming import RaFormer
+from msgs.values.radar import RadarBeam, RadarSetup
+from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.fdtd.cpml import CpmlParams
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
-from sim_player.labelled_beams import LabelledPlace
 
 SEED, PLACES = 11, 3
 

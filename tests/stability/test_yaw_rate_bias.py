@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from models.perception.odometry import Odometry
-from models.perception.yaw_rate_bias import BiasSource, DrivingBias, YawRateBias
-from msgs.vehicle import MOST_SPEED_MPS, MOST_YAW_RATE_RPS, VehicleState
+from models.perception.tracking.odometry import Odometry
+from models.perception.tracking.yaw_rate_bias import BiasSource, DrivingBias, YawRateBias
+from msgs.values.vehicle import MOST_SPEED_MPS, MOST_YAW_RATE_RPS, VehicleState
 from tests.perception.test_yaw_rate_bias import BIAS_RPS, drive, learnt, town, turns
 from tests.stability.catalogue import Errors
 
@@ -28,7 +28,7 @@ def bias_after(states: list[VehicleState]) -> float:
 
 
 @pytest.mark.hard(
-    where="models.perception.yaw_rate_bias",
+    where="models.perception.tracking.yaw_rate_bias",
     naive="mean of speed * steering over every block",
     bound=0.0,
     unit="rad/s",
@@ -47,7 +47,7 @@ def test_a_steering_angle_that_overflows_in_a_product(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.perception.yaw_rate_bias",
+    where="models.perception.tracking.yaw_rate_bias",
     naive="stamps of the epoch as seconds in float32",
     bound=1e-12,
     unit="rad/s",

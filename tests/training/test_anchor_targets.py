@@ -7,10 +7,10 @@ import pytest
 import torch
 from torch import Tensor
 
-from models.perception.anchors import NOISE, anchor_points
-from models.training.anchor_targets import anchor_loss, anchor_targets
-from models.training.datasets import PointLabels
-from models.training.focal import binary_focal_loss
+from models.perception.detection.anchors import NOISE, anchor_points
+from models.training.data.samples import PointLabels
+from models.training.objectives.anchors import anchor_loss, anchor_targets
+from models.training.objectives.focal import binary_focal_loss
 
 LOS, MIRRORED = 0, 1
 NO_POINTS = PointLabels(row=np.zeros(0), column=np.zeros(0), path_class=np.zeros(0, np.uint8))

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.perception.slice_labels import SliceLabels
-from models.training.annotation import frame_points, mean_map, on_map, write_frame
-from models.training.frames import DataSet
-from models.training.xradarnlos import KINDS, REAL_RANGE_M, Kind, import_folder
-from msgs.perception import PathClass
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
+from models.annotation.annotated_capture import frame_points, mean_map, on_map, write_frame
+from models.annotation.slice_labels import SliceLabels
+from models.training.data.frames import DataSet
+from models.training.data.xradarnlos import KINDS, REAL_RANGE_M, Kind, import_folder
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
 

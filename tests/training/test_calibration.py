@@ -6,10 +6,10 @@ from typing import cast
 import numpy as np
 import pytest
 
-from models.perception.calibration import calibrated, check_table
+from models.perception.detection.score_calibration import calibrated, check_table
 from models.training.calibration import calibration_error, fit_table, peak_outcomes
-from models.training.frames import Frame
-from msgs.radar import RangeAzimuthMap
+from models.training.data.frames import Frame
+from msgs.values.radar import RangeAzimuthMap
 
 
 def drawn(count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

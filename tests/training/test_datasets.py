@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models.perception.coarray import beam_matrix
-from models.perception.encoding import Encoding
-from models.training.datasets import (
+from models.perception.detection.encoding import Encoding
+from models.perception.forming.coarray import beam_matrix
+from models.training.data.frames import FrameLabels, Scan, fixed_splits
+from models.training.data.samples import (
     DataConfig,
     DenseSample,
     Perturbation,
@@ -18,9 +19,8 @@ from models.training.datasets import (
     perturb_scan,
     shuffled_batches,
 )
-from models.training.frames import FrameLabels, Scan, fixed_splits
-from msgs.radar import PRESETS, RangeAzimuthGrid
-from sim_player.dataset import write_dataset
+from msgs.values.radar import PRESETS, RangeAzimuthGrid
+from sim_player.dataset.writer import write_dataset
 
 GRID = RangeAzimuthGrid(azimuth_bins=64, range_bins=32)
 ENCODING = Encoding(range_bins=32, columns=8)

@@ -10,7 +10,7 @@ from torch import nn
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
 from models.networks.radar_tensor_network import RadarTensorNetwork, RadarTensorNetworkConfig
-from models.training.export_onnx import PARITY, Exported, export_onnx, parity
+from models.training.export.onnx import PARITY, Exported, export_onnx, parity
 
 CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
 ANCHORS = RadarTensorNetworkConfig(

@@ -10,19 +10,19 @@ import pytest
 import torch
 
 from models.networks.compact_unet import CompactUNetConfig
-from models.perception.encoding import Encoding
-from models.perception.onnx_model import DensePredictor, load_card
-from models.perception.pursuit import PursuitParams, pursued_peaks
+from models.perception.detection.encoding import Encoding
+from models.perception.detection.onnx_model import DensePredictor, load_card
+from models.perception.detection.pursuit import PursuitParams, pursued_peaks
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile
-from models.training import export_onnx
-from models.training.datasets import DataConfig
-from models.training.export_onnx import PARITY, ExportConfig, export_run
+from models.training.data.frames import DataSet
+from models.training.data.samples import DataConfig
+from models.training.export import onnx as export_onnx
+from models.training.export.onnx import PARITY, ExportConfig, export_run
 from models.training.families import NetworkChoice
-from models.training.frames import DataSet
 from models.training.run_folder import BEST, CONFIG, SUMMARY
 from models.training.train_dense import EpochReport, RunConfig, RunSummary, TrainDenseConfig, load_best
-from msgs.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid(range_bins=48, azimuth_bins=128)
 ENCODING = Encoding(range_bins=32, columns=16)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import approx_fprime
 
-from models.perception.confidence import FEATURES
+from models.perception.geometry.confidence import FEATURES
 from models.training.fit_confidence import (
     FitConfig,
     ScenePlaces,

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.training.frames import DataSet, Splits, fixed_splits
-from msgs.radar import PRESETS, RangeAzimuthGrid
-from sim_player.dataset import write_dataset
+from models.training.data.frames import DataSet, Splits, fixed_splits
+from msgs.values.radar import PRESETS, RangeAzimuthGrid
+from sim_player.dataset.writer import write_dataset
 
 GRID = RangeAzimuthGrid(range_bins=16, azimuth_bins=8)
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from models.training.losses import heatmap_focal_loss
-from models.training.targets import gaussian_heatmap
+from models.training.objectives.heatmaps import gaussian_heatmap
+from models.training.objectives.losses import heatmap_focal_loss
 
 
 def eq_23(logits: torch.Tensor, heatmap: torch.Tensor) -> torch.Tensor:

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from models.networks.compact_unet import CompactUNet, CompactUNetConfig
-from models.training.export_onnx import Exported, export_onnx
-from models.training.quantize import quantize_int8
+from models.training.export.onnx import Exported, export_onnx
+from models.training.export.quantize import quantize_int8
 
 CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
 MAPS = np.random.default_rng(0).standard_normal((4, 5, 32, 8)).astype(np.float32)

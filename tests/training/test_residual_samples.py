@@ -10,8 +10,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.training.frames import Frame, FrameLabels
-from models.training.residual_samples import (
+from models.training.data.frames import Frame, FrameLabels
+from models.training.data.residual_samples import (
     GEOMETRIES,
     FoldedImages,
     SampleConfig,
@@ -23,9 +23,9 @@ from models.training.residual_samples import (
     truth_peaks,
     with_truth,
 )
-from msgs.frames import polar_from_xy
-from msgs.perception import PathClass, Peaks
-from msgs.radar import RangeAzimuthMap
+from msgs.values.frames import polar_from_xy
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import RangeAzimuthMap
 
 WALL_X_M = 12.0
 #: On the facade, a metre apart, as much left as right.

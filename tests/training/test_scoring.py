@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.perception.metrics import Counts
-from models.perception.peaks import Points, heatmap_points
-from models.training.datasets import PointLabels
+from models.evaluation.metrics import Counts
+from models.perception.detection.peaks import Points, heatmap_points
+from models.training.data.samples import PointLabels
 from models.training.scoring import DetectionTally, positions_m
-from msgs.perception import PathClass
-from msgs.radar import RangeAzimuthGrid
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid
 
 GRID = RangeAzimuthGrid(range_bins=64, azimuth_bins=64)
 

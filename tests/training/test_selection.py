@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from models.training.selection import Selection, kind_counts, parse_selection, select
+from models.training.data.selection import Selection, kind_counts, parse_selection, select
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.training.targets import class_heatmaps, gaussian_heatmap
+from models.training.objectives.heatmaps import class_heatmaps, gaussian_heatmap
 
 SHAPE = (40, 30)
 cells = st.tuples(st.floats(-20, 60), st.floats(-20, 50))

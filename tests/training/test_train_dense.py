@@ -11,15 +11,15 @@ import pytest
 import torch
 
 from models.networks.compact_unet import CompactUNetConfig
-from models.perception.encoding import Encoding
-from models.training.datasets import DataConfig, Perturbation, SampleFormer, TrainingData
+from models.perception.detection.encoding import Encoding
+from models.training.data.frames import FrameLabels, Scan
+from models.training.data.samples import DataConfig, Perturbation, SampleFormer, TrainingData
 from models.training.families import NetworkChoice, choice_of
-from models.training.frames import FrameLabels, Scan
 from models.training.run_folder import CURVES, SUMMARY
 from models.training.schedules import ScheduleConfig
 from models.training.train_dense import DenseTraining, EpochReport, TrainDenseConfig, load_best
-from msgs.radar import RangeAzimuthGrid
-from sim_player.dataset import write_dataset
+from msgs.values.radar import RangeAzimuthGrid
+from sim_player.dataset.writer import write_dataset
 
 GRID = RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
 ENCODING = Encoding(range_bins=32, columns=8)

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import torch
 
-from models.perception.onnx_model import card_path
-from models.perception.residual_model import LearnedResidual, load_residual_card
-from models.training.export_residual import export_residual_onnx, export_residual_run
-from models.training.residual_samples import FoldedImages, SampleConfig
+from models.perception.detection.onnx_model import card_path
+from models.perception.geometry.residual_model import LearnedResidual, load_residual_card
+from models.training.data.residual_samples import FoldedImages, SampleConfig
+from models.training.export.residual import export_residual_onnx, export_residual_run
 from models.training.run_folder import BEST, CURVES, LAST
 from models.training.train_residual import (
     ResidualEpoch,

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mirrorwave.evaluate_run import truth_of_labels
-from models.training.frames import DataSet
-from models.training.xradarnlos import (
+from mirrorwave.studies.evaluate.runner import truth_of_labels
+from models.training.data.frames import DataSet
+from models.training.data.xradarnlos import (
     POINTS_FOLDER,
     REAL_RANGE_M,
     SPECTRUM,
@@ -21,8 +21,8 @@ from models.training.xradarnlos import (
     noise_of,
     resampled,
 )
-from msgs.frames import xy_from_polar
-from msgs.perception import PathClass
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass
 
 AZIMUTH_RAD = np.radians(np.linspace(-60.0, 60.0, 256))
 SIM_RANGE_M = np.linspace(0.0, 109.4, 512)

@@ -10,12 +10,12 @@ import pytest
 
 from benchmarks.side_street import drift, drive, ways
 from benchmarks.side_street_drives import BIAS_RPS, CAR, PERIOD_S, SCANS, logged, read_states
-from models.perception.odometry import Placed, ScanOdometry, standing
-from models.perception.tracking import Tracker
-from msgs.frames import Pose2
-from msgs.perception import BevFrame, BevGrid, HiddenObject, Track
-from msgs.units import ns_from_s
-from msgs.vehicle import VehicleState
+from models.perception.tracking.odometry import Placed, ScanOdometry, standing
+from models.perception.tracking.tracker import Tracker
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
+from msgs.values.units import ns_from_s
+from msgs.values.vehicle import VehicleState
 from tests.captures import DATA, needs
 
 REAL = DATA / "can_motec_subaru"

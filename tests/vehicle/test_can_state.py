@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from models.vehicle.can_state import AGE_PERIODS, MAX_STAMP_NS, CanDecoder, StampMapper, StateReporter, Verdict
 from models.vehicle.end_to_end import CounterRule
 from models.vehicle.mapping import CanMapping, DbcRange, MessageRule, QuantityRule, SignRule, WheelSpeedsRule
-from msgs.codec import encode_inline
-from msgs.vehicle import VehicleState
-from nodes.can_link import decode_frame, load_dbc, load_decoder, load_mapping
-from nodes.can_log_file import read_log
+from msgs.bus.codec import encode_inline
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import decode_frame, load_dbc, load_decoder, load_mapping
+from nodes.can.log_file import read_log
 from sim_player.car import CarFrame, SimulatedCar
 from tests.captures import DATA, needs
 

@@ -9,7 +9,7 @@ import pytest
 from models.vehicle.end_to_end import ChecksumRule, CounterRule, checksum_byte, checksum_of
 from models.vehicle.frame_check import FrameCheck, Verdict
 from models.vehicle.mapping import MessageRule
-from nodes.can_link import load_dbc, load_mapping
+from nodes.can.bus import load_dbc, load_mapping
 
 DBC, MAPPING = Path("launch/can/mirrorwave.dbc"), Path("launch/can/mirrorwave.yaml")
 

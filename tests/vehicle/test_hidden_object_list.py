@@ -22,9 +22,9 @@ from models.vehicle.hidden_object_list import (
     worst_std_m,
 )
 from models.vehicle.mapping import CanMapping, QuantityRule
-from msgs.perception import BevFrame, BevGrid, HiddenObject
-from msgs.radar import MAP_FAULTS
-from msgs.vehicle import VehicleState
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject
+from msgs.values.radar import MAP_FAULTS
+from msgs.values.vehicle import VehicleState
 
 DBC = Path("launch/can/mirrorwave_out.dbc")
 DATABASE = cantools.database.load_file(DBC)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from models.vehicle.mounting import Motion, MountingParams, Sighting, solve_mounting
-from msgs.frames import Pose2, polar_from_xy, xy_from_polar
-from msgs.units import ns_from_s
-from msgs.vehicle import VehicleState
+from msgs.values.frames import Pose2, polar_from_xy, xy_from_polar
+from msgs.values.units import ns_from_s
+from msgs.values.vehicle import VehicleState
 from sim_player.drive import Drive
 
 START_NS, PERIOD_S, LATE_S = 1_763_750_000_123_456_789, 0.3, 0.08

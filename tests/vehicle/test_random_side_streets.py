@@ -22,7 +22,7 @@ from benchmarks.random_side_streets import (
     states_of,
     summary_of,
 )
-from msgs.perception import SceneTruth, Track, TruthObject
+from msgs.values.perception import SceneTruth, Track, TruthObject
 from sim_player.drive import Drive
 
 NONE = np.zeros((0, 3), np.float32)

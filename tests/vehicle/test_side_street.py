@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 from benchmarks import side_street
 from benchmarks.side_street import SCAN_BY_SCAN, STANDING, TRACKED, Said, Scan, line, row, said
-from models.perception.odometry import standing
-from msgs.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
+from models.perception.tracking.odometry import standing
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
 
 NONE = np.zeros((0, 3), np.float32)
 

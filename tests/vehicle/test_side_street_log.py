@@ -12,9 +12,9 @@ import pytest
 
 from benchmarks import side_street
 from benchmarks.side_street_drives import UnsuitableError, _require_sight, logged, moved, street
-from msgs.frames import Pose2
-from msgs.units import ns_from_s
-from msgs.vehicle import VehicleState
+from msgs.values.frames import Pose2
+from msgs.values.units import ns_from_s
+from msgs.values.vehicle import VehicleState
 from sim_player.drive import DrivePlayer
 
 DBC, MAPPING = "launch/can/mirrorwave.dbc", "launch/can/mirrorwave.yaml"

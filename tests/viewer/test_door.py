@@ -16,10 +16,10 @@ from pathlib import Path
 import pytest
 
 from nodes.bev_viewer import Params, create
-from nodes.logs import BusLogHandler, install_handlers
-from nodes.viewer import door as door_module
+from nodes.process.logs import BusLogHandler, install_handlers
+from nodes.viewer import connection_limiter as door_module
 from nodes.viewer import server as server_module
-from nodes.viewer.board import Board, json_text
+from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import ViewerServer
 
 PATIENCE_S = 60.0

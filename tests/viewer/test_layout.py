@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
-from msgs.vehicle import VehicleState
+from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.vehicle import VehicleState
 from nodes.viewer.assembly import Assembly
-from nodes.viewer.board import Board
+from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
 from tests.viewer import test_page
 

@@ -15,14 +15,14 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.object_error import centre_error_m, face_error_m
-from msgs.lidar import LidarSetup
-from msgs.perception import BevFrame, BevGrid, HiddenObject, Peaks, Track
-from msgs.radar import RangeAzimuthGrid, RangeAzimuthMap
-from msgs.vehicle import VehicleState
-from nodes.live_timing import last_beam_ns
+from models.evaluation.object_error import centre_error_m, face_error_m
+from msgs.values.lidar import LidarSetup
+from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Peaks, Track
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
+from nodes.inputs.view_latency import last_beam_ns
 from nodes.viewer.assembly import Assembly
-from nodes.viewer.board import Board
+from nodes.viewer.newest import Board
 from nodes.viewer.server import ViewerServer
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)
@@ -128,10 +128,10 @@ def server(board: Board) -> Iterator[ViewerServer]:
 @pytest.fixture(scope="module")
 def corner() -> list[Any]:
     """One scan of the demo scene through the real chain: map, peaks, truth, view, vehicle's state."""
-    from models.perception.cfar import CfarParams
-    from models.perception.detectors import CfarDetector
-    from models.perception.geometry import GeometryParams, recover_bev
-    from models.perception.ra_forming import FormingParams, RaFormer
+    from models.perception.detection.cfar import CfarParams
+    from models.perception.detection.detectors import CfarDetector
+    from models.perception.forming.ra_forming import FormingParams, RaFormer
+    from models.perception.geometry.stage import GeometryParams, recover_bev
     from nodes.player import Params, scene_player
 
     player = scene_player(Params(scene=SCENE, chirps_per_beam=8))
@@ -331,7 +331,7 @@ def test_the_page_says_which_sensor_it_looks_through(server: ViewerServer, board
 
 
 def test_the_vehicle_and_nodes_are_shown(server: ViewerServer, board: Board, open_page: Open) -> None:
-    from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+    from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
 
     assembly = Assembly(board)
     assembly.take(VehicleState(stamp_ns=0, speed_mps=5.0, yaw_rate_rps=0.2), 0)
@@ -381,8 +381,8 @@ def test_the_page_says_when_the_graph_has_gone(board: Board, open_page: Open) ->
 @contextlib.contextmanager
 def played(path: Path) -> Iterator[ViewerServer]:
     """A recording under the page, as `mirrorwave view` serves it."""
-    from mirrorwave.playback import Playback
-    from msgs.recording import RecordingReader
+    from mirrorwave.replay.playback import Playback
+    from msgs.recording.mcap import RecordingReader
 
     board = Board()
     with RecordingReader(path) as reader:
@@ -611,8 +611,8 @@ def test_truth_is_absent_where_nobody_knows_it(server: ViewerServer, board: Boar
 
 def test_what_peers_say_is_text_and_never_markup(board: Board, open_page: Open) -> None:
     """Names, reasons, flags and titles of a hostile peer: no element of theirs, no script, no violated policy."""
-    from msgs.diagnostics import NodeState, NodeStatus, ShedCount, StageTime
-    from msgs.perception import SceneTruth, TruthObject
+    from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime
+    from msgs.values.perception import SceneTruth, TruthObject
 
     evil = "<img src=x onerror=alert(1)><script>window.evil = 1</script>"
     none = np.zeros((0, 3), np.float32)

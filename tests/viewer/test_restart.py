@@ -23,11 +23,11 @@ from typing import Any
 
 import pytest
 
-from nodes.launch_file import launch_from_mapping, with_origin, without_metadata
-from nodes.supervisor import Supervisor
-from nodes.viewer import kept_token
-from nodes.viewer.board import Board
-from nodes.viewer.kept_token import TokenFile
+from nodes.process.launch_file import launch_from_mapping, with_origin, without_metadata
+from nodes.process.supervisor import Supervisor
+from nodes.viewer import page_token as kept_token
+from nodes.viewer.newest import Board
+from nodes.viewer.page_token import TokenFile
 from nodes.viewer.server import ViewerServer
 
 CHROMIUM = next((path for name in ("chromium", "chromium-browser") if (path := shutil.which(name))), None)

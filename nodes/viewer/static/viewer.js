@@ -314,7 +314,7 @@ function noRow(columns, text) {
 function showObjects() {
   const { view } = state;
   const rows = view.objects.map((one) => {
-    // the viewer says which hidden true object is nearest, and both errors (models/perception/object_error.py)
+    // the viewer says which hidden true object is nearest, and both errors (models/evaluation/object_error.py)
     const truth = one.nearest;
     return row(
       cell(`#${one.id}`), cell(`${one.at[0].toFixed(1)}, ${one.at[1].toFixed(1)} m`), cell(`±${one.ellipse[0].toFixed(1)} m`),

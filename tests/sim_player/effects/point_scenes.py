@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from msgs.radar import RadarParams
-from sim_player.echoes import Echoes
+from msgs.values.radar import RadarParams
 from sim_player.effects import PATH_EFFECTS, PATHS
-from sim_player.effects.tracing import Tracing
-from sim_player.legs import Passage
-from sim_player.routes import Routes
-from sim_player.scene import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
-from sim_player.world import Snapshot, World, prepare, snapshot
+from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.scene.world import Snapshot, World, prepare, snapshot
+from sim_player.trace.echoes import Echoes
+from sim_player.trace.routes import Routes
+from sim_player.trace.segments import Passage
+from sim_player.trace.snapshot import Tracing
 
 RADAR = RadarParams()
 WAVENUMBER = 2.0 * math.pi / RADAR.wavelength_m

@@ -10,8 +10,8 @@ import pytest
 from scipy.special import fresnel
 
 from sim_player.effects.edge_diffraction import NAME, edges_of
-from sim_player.effects.tracing import Tracing
-from sim_player.world import World, snapshot
+from sim_player.scene.world import World, snapshot
+from sim_player.trace.snapshot import Tracing
 from tests.sim_player.effects.point_scenes import (
     RADAR,
     WAVENUMBER,

@@ -9,7 +9,7 @@ import pytest
 
 from models.physics.materials import permittivity
 from sim_player.effects.ground_bounce import NAME
-from sim_player.scene import Surface
+from sim_player.scene.description import Surface
 from tests.sim_player.effects.point_scenes import RADAR, WAVENUMBER, points_world, traced, unit_weight, wall
 
 GROUND = Surface(role="ground", material="asphalt")

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from msgs.perception import PathClass
+from msgs.values.perception import PathClass
 from sim_player.effects.los_objects import NAME
-from sim_player.scene import Scene, SceneObject
-from sim_player.world import prepare
+from sim_player.scene.description import Scene, SceneObject
+from sim_player.scene.world import prepare
 from tests.sim_player.effects.point_scenes import points_world, traced, unit_weight, wall
 
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from msgs.perception import PathClass
-from sim_player.as_paths import as_paths
+from msgs.values.perception import PathClass
 from sim_player.effects.non_cofocal import NAME
-from sim_player.scene import Ego, SceneRadar
+from sim_player.scene.description import Ego, SceneRadar
+from sim_player.trace.conversion import as_paths
 from tests.sim_player.effects.point_scenes import points_world, traced, unit_weight, wall
 
 POINT = (6.0, 5.0, 1.0)

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from msgs.perception import PathClass
+from msgs.values.perception import PathClass
 from sim_player.effects.object_interreflection import NAME
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, wall
 

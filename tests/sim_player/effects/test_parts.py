@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from sim_player.effect_names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS, bit
 from sim_player.effects import EFFECTS, PATHS, WEIGHTS
-from sim_player.signal_effects import SignalEffects
+from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS, bit
+from sim_player.signal.switches import SignalEffects
 
 FOLDER = Path(__file__).resolve().parents[3] / "sim_player" / "effects"
 SHARED = {"__init__", "tracing", "noise_bounds"}

@@ -1,0 +1,1 @@
+"""Labels for radar captures from LiDAR clouds."""

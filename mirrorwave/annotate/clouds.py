@@ -1,0 +1,190 @@
+"""LiDAR clouds from files, in metres, checked at the door."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import re
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from models.annotation.registration import import_open3d
+from msgs.files.array_files import load_array
+
+SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
+MOST_POINTS = 20_000_000
+#: A file of as many points, each with a hundred bytes of numbers or words.
+MOST_BYTES = 1 << 31
+#: Longest side of a plausible cloud. The same numbers read in metres and in millimetres rarely both pass.
+EXTENT_M = (2.0, 1000.0)
+#: Bytes of a number in PLY, by both of its names.
+PLY_BYTES = {
+    "char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2,
+    "int": 4, "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8,
+}  # fmt: skip
+#: Words that lines of a PLY header begin with.
+PLY_WORDS = {"ply", "format", "comment", "obj_info", "element", "property", "end_header"}
+#: open3d cuts lines of a PCD here.
+LONGEST_LINE = 1000
+_WORD = re.compile(rb"[^ \t\r]+")
+_COLOUR = re.compile(r"\x1b\[[\d;]*m")
+#: Largest numbers of a PCD header, and how much LZF can pack at most.
+PCD_MOST = {"SIZE": 8, "COUNT": 1024, "WIDTH": MOST_POINTS, "HEIGHT": MOST_POINTS, "POINTS": MOST_POINTS}
+MOST_LZF = 100
+
+
+def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, int]:
+    """Points [N, 3] of a cloud in metres, and how many were left out because they are not finite.
+
+    Raises ValueError that names file, rule and value: another format, unreadable, empty, more than `MOST_POINTS`,
+    an extent that no street has (which is how millimetres read as metres show).
+    """
+    if path.suffix.lower() not in SUFFIXES:
+        raise ValueError(f"{path}: format must be one of {', '.join(SUFFIXES)}, got {path.suffix!r}")
+    if not path.is_file():
+        raise FileNotFoundError(2, "no such cloud", str(path))
+    if path.stat().st_size > MOST_BYTES:
+        raise ValueError(f"{path}: at most {MOST_BYTES} bytes are read, got {path.stat().st_size}")
+    points = _npy_points(path) if path.suffix.lower() == ".npy" else _open3d_points(path)
+    if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or points.dtype.kind not in "fiu":
+        raise ValueError(
+            f"{path}: points must be numbers of shape (N, 3) with N > 0, got {points.dtype} {points.shape}"
+        )
+    _require_bearable(path, len(points))
+    points_m = points[:, :3].astype(np.float64) * (1e-3 if unit == "mm" else 1.0)
+    finite = np.isfinite(points_m).all(axis=1)
+    if not finite.any():
+        raise ValueError(f"{path}: points must be finite, none of {len(points)} is")
+    points_m = points_m[finite]
+    # a few far strays must not decide
+    low, high = np.quantile(points_m, [0.02, 0.98], axis=0)
+    extent_m = float((high - low).max())
+    if not EXTENT_M[0] <= extent_m <= EXTENT_M[1]:
+        raise ValueError(
+            f"{path}: extent must be {EXTENT_M[0]:g}..{EXTENT_M[1]:g} m, got {extent_m:.4g} m with unit {unit}: "
+            f"is it {'m' if unit == 'mm' else 'mm'}?"
+        )
+    return points_m, int(np.count_nonzero(~finite))
+
+
+def _require_bearable(path: Path, count: int) -> None:
+    if count > MOST_POINTS:
+        raise ValueError(f"{path}: points must be at most {MOST_POINTS}, got {count}")
+
+
+def _npy_points(path: Path) -> np.ndarray:
+    try:
+        return load_array(path)
+    except (ValueError, OSError) as error:
+        raise ValueError(f"{path}: must be a readable numpy array: {' '.join(str(error).split())}") from None
+
+
+def _open3d_points(path: Path) -> np.ndarray:
+    """Points as open3d reads them; ValueError where it does not understand the file.
+
+    It makes room for all that a header promises, and what it did not read has the numbers that stood in memory:
+    promises that are not kept are refused before. What it fails to read it only prints.
+    """
+    _refuse_promises(path)
+    o3d = import_open3d()
+    printed = io.StringIO()
+    with (
+        contextlib.redirect_stdout(printed),
+        o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Warning),
+    ):
+        try:
+            cloud = o3d.io.read_point_cloud(str(path), remove_nan_points=False, remove_infinite_points=False)
+        except (MemoryError, RuntimeError) as error:
+            raise ValueError(f"{path}: cannot be read: {' '.join(str(error).split())}") from None
+    if said := " ".join(_COLOUR.sub("", printed.getvalue()).split()):
+        raise ValueError(f"{path}: cannot be read: {said}")
+    return np.asarray(cloud.points)
+
+
+def _refuse_promises(path: Path) -> None:
+    """ValueError for too many points, and for a PLY or PCD that holds fewer bytes or lines than its header promises."""
+    kind, content = path.suffix.lower(), path.read_bytes()
+    if kind == ".xyz":
+        _require_bearable(path, content.count(b"\n"))
+        return
+    end = b"\nend_header" if kind == ".ply" else b"\nDATA"
+    start = content.find(b"\n", content.find(end) + 1) + 1
+    if end not in content or not start:
+        raise ValueError(f"{path}: header must end with {end.decode().strip()}, it does not")
+    rows = [line.split() for line in content[:start].decode("latin-1").splitlines() if line.split()]
+    if kind == ".ply":
+        _refuse_odd_ply(path, rows)
+    count, row_bytes, words = _ply_promise(rows) if kind == ".ply" else _pcd_promise(rows)
+    _require_bearable(path, count)
+    if kind == ".pcd":
+        _refuse_large_pcd(path, rows, content[start : start + 8], len(content) - start)
+    held = len(content) - start if row_bytes else _lines_of(words, content[start:])
+    if held < count * max(row_bytes, 1):
+        raise ValueError(f"{path}: header promises {count} points, the file ends before: it is cut off")
+
+
+def _lines_of(words: int, text: bytes) -> int:
+    """Lines of at least so many words, as open3d finds them; it skips all others."""
+    lines = (line for line in text.split(b"\n") if len(line) <= LONGEST_LINE and b"\0" not in line)
+    return sum(len(_WORD.findall(line)) >= words for line in lines)
+
+
+def _refuse_odd_ply(path: Path, rows: list[list[str]]) -> None:
+    """ValueError where a PLY header could be read in another way: its words may stand in any lines."""
+    for row in rows:
+        is_odd = row[0] == "element" and not (len(row) == 3 and row[2].isascii() and row[2].isdecimal())
+        if is_odd or row[0] not in PLY_WORDS:
+            raise ValueError(f"{path}: no line of a PLY header: {' '.join(row)[:80]!r}")
+
+
+def _refuse_large_pcd(path: Path, rows: list[list[str]], head: bytes, held: int) -> None:
+    """ValueError where a PCD asks for memory that its points cannot need: open3d gives it unasked."""
+    fields = {row[0]: row[1:] for row in rows if len(row) > 1}
+    numbers = {name: [int(word) if word.isdecimal() else -1 for word in fields.get(name, [])] for name in PCD_MOST}
+    for name in ("SIZE", "WIDTH", "HEIGHT", "POINTS"):
+        # open3d takes by chance what a header does not say
+        if not numbers[name]:
+            raise ValueError(f"{path}: {name} must be said before DATA, it is not")
+    for name, most in PCD_MOST.items():
+        if not all(0 <= one <= most for one in numbers[name]):
+            raise ValueError(f"{path}: {name} must be whole numbers of at most {most}, got {' '.join(fields[name])}")
+    if fields.get("DATA", [""])[0] == "binary_compressed":
+        packed, unpacked = (int.from_bytes(head[at : at + 4], "little") for at in (0, 4))
+        needed = int(numbers["POINTS"][0]) * sum(_pcd_sizes(fields))
+        if packed > held - 8 or not needed <= unpacked <= min(MOST_LZF * packed, MOST_BYTES):
+            raise ValueError(f"{path}: {packed} bytes that unpack to {unpacked} are promised, the file holds {held}")
+
+
+def _ply_promise(rows: list[list[str]]) -> tuple[int, int, int]:
+    """Points of a PLY header, and the bytes of each (0: a line of text) or its words."""
+    count = row_bytes = words = 0
+    element = ""
+    is_text = any(row[:2] == ["format", "ascii"] for row in rows)
+    for row in rows:
+        if row[0] == "element":
+            element = row[1]
+            count = int(row[2]) if element == "vertex" else count
+        elif row[0] == "property" and element == "vertex" and len(row) == 3:
+            row_bytes += PLY_BYTES.get(row[1], 0)
+            words += 1
+    return count, 0 if is_text else row_bytes, words
+
+
+def _pcd_promise(rows: list[list[str]]) -> tuple[int, int, int]:
+    """Points of a PCD header, and the bytes of each (0: a line of text) or its words; compressed ones: none."""
+    fields = {row[0]: row[1:] for row in rows if len(row) > 1}
+    kind = fields.get("DATA", [""])[0]
+    count = int(fields["POINTS"][0]) if fields.get("POINTS", [""])[0].isdecimal() else 0
+    if kind == "binary_compressed":
+        return 0, 0, 0
+    words = sum(int(one) for one in fields.get("COUNT", ["1"] * len(fields.get("SIZE", []))) if one.isdecimal())
+    return count, sum(_pcd_sizes(fields)) if kind == "binary" else 0, words
+
+
+def _pcd_sizes(fields: dict[str, list[str]]) -> list[int]:
+    """Bytes of each field of a PCD point."""
+    sizes = [int(size) for size in fields.get("SIZE", []) if size.isdecimal()]
+    counts = [int(one) for one in fields.get("COUNT", ["1"] * len(sizes)) if one.isdecimal()]
+    return [size * one for size, one in zip(sizes, counts, strict=False)]

@@ -1,0 +1,1 @@
+"""Calibration of radar, mounting and clock from captures."""

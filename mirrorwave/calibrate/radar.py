@@ -1,0 +1,131 @@
+"""What a capture says of the radar alone: its open-field background, its noise floor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from mirrorwave.calibrate.capture import Capture, complete_scans
+from models.perception.forming.background import (
+    MIN_SCANS,
+    BackgroundQuality,
+    background_of,
+    background_quality,
+    mean_chirp,
+)
+from models.perception.forming.noise_floor import NoiseFloor, NoiseMeter
+from msgs.values.units import db_from_ratio
+
+
+def measure_background(
+    capture: Capture, scans: int, on_scan: Callable[[], None] = lambda: None
+) -> tuple[np.ndarray, BackgroundQuality]:
+    """Background complex64 [beams, samples] in codes and its quality, of up to so many complete scans.
+
+    Raises ValueError naming the file where it has too few.
+    """
+    setup = capture.setup
+    shape = setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2
+    found = []
+    for scan in complete_scans(capture.beams(), len(setup.beams), on_scan, scans):
+        for beam in scan:
+            if beam.samples.shape != shape or beam.full_scale_dbm != setup.full_scale_dbm:
+                raise ValueError(
+                    f"{capture.path}: beam {beam.beam_index} of scan {beam.scan_id} is not of the set-up: "
+                    f"samples {beam.samples.shape}, full_scale_dbm {beam.full_scale_dbm!r}"
+                )
+        found.append(np.stack([mean_chirp(beam) for beam in scan]))
+    if len(found) < MIN_SCANS:
+        raise ValueError(f"{capture.path}: a background needs at least {MIN_SCANS} complete scans, got {len(found)}")
+    chirps = np.stack(found)
+    background, outlier_share = background_of(chirps)
+    try:
+        return background, background_quality(chirps, setup, outlier_share)
+    except ValueError as error:
+        raise ValueError(f"{capture.path}: {error}") from None
+
+
+def measure_noise(capture: Capture, scans: int, on_scan: Callable[[], None] = lambda: None) -> NoiseFloor:
+    """Noise floor of up to so many scans; ValueError naming the file."""
+    try:
+        meter, seen = NoiseMeter(capture.setup), set[int]()
+        for beam in capture.beams():
+            if beam.scan_id not in seen and len(seen) == scans:
+                break
+            meter.add(beam)
+            seen.add(beam.scan_id)
+            if beam.beam_index == beam.beam_count - 1:
+                on_scan()
+        return meter.result()
+    except ValueError as error:
+        raise ValueError(str(error) if str(capture.path) in str(error) else f"{capture.path}: {error}") from None
+
+
+def receiver_of(floor: NoiseFloor) -> dict[str, Any]:
+    """The `radar` block of a scene whose receiver has this floor."""
+    front_end: dict[str, Any] = {}
+    if floor.flicker_corner_hz > 0.0:
+        front_end["flicker_corner_hz"] = float(f"{floor.flicker_corner_hz:.6g}")
+    if floor.spurs:
+        front_end["spurs"] = [
+            {"frequency_hz": float(f"{spur.frequency_hz:.9g}"), "power_dbm": round(spur.power_dbm, 3)}
+            for spur in floor.spurs
+        ]
+    block: dict[str, Any] = {"noise_figure_db": round(floor.noise_figure_db, 4)}
+    return {**block, "front_end": front_end} if front_end else block
+
+
+def scene_with_receiver(path: Path, floor: NoiseFloor) -> str:
+    """The scene of a file as YAML, with this receiver; other faults of its front end stay as they are."""
+    from sim_player.scene.description import check_scene, load_scene, scene_to_yaml
+    from sim_player.scene.front_end import Spur
+
+    scene = load_scene(path)
+    spurs = tuple(Spur(frequency_hz=spur.frequency_hz, power_dbm=spur.power_dbm) for spur in floor.spurs)
+    front_end = msgspec.structs.replace(scene.radar.front_end, flicker_corner_hz=floor.flicker_corner_hz, spurs=spurs)
+    radar = msgspec.structs.replace(scene.radar, noise_figure_db=floor.noise_figure_db, front_end=front_end)
+    scene = msgspec.structs.replace(scene, radar=radar)
+    check_scene(scene)
+    return scene_to_yaml(scene)
+
+
+def draw_background(background: np.ndarray, capture: Capture, path: Path) -> None:
+    """Power of the background against range and beam."""
+    from mirrorwave.plots.style import new_figure, save
+
+    radar = capture.setup.radar
+    spectra = np.fft.fft(background, axis=1) / radar.samples_per_chirp
+    if capture.setup.beat_sign < 0:
+        spectra = np.roll(spectra[:, ::-1], 1, axis=1)
+    power = np.abs(spectra[:, : min(512, radar.samples_per_chirp // 2)]) ** 2
+    power_dbm = 10.0 * np.log10(np.maximum(power, 1e-30)) + db_from_ratio(capture.setup.milliwatt_per_code_squared)
+    figure = new_figure(9.0, 5.0)
+    axes = figure.subplots()
+    range_m = radar.range_bin_m * np.arange(power.shape[1])
+    azimuth_deg = np.array(capture.setup.beams.azimuth_deg)
+    image = axes.pcolormesh(range_m, azimuth_deg, power_dbm, shading="nearest")
+    figure.colorbar(image, label="dBm per bin")
+    axes.set(xlabel="range [m]", ylabel="beam azimuth [deg]", title="Open-field background")
+    save(figure, path)
+
+
+def draw_noise(floor: NoiseFloor, path: Path) -> None:
+    """Floor against range, measured and modelled, and the level of each beam."""
+    from mirrorwave.plots.style import legend_below, new_figure, save
+
+    figure = new_figure(10.0, 4.6)
+    against_range, beams = figure.subplots(1, 2)
+    range_m = [band.range_m for band in floor.bands]
+    against_range.semilogx(range_m, [band.measured_dbm for band in floor.bands], "o", label="measured")
+    against_range.semilogx(range_m, [band.modelled_dbm for band in floor.bands], "-", label="model")
+    against_range.set(xlabel="range [m]", ylabel="level of a bin of a beam [dBm]", title="Noise floor")
+    legend_below(against_range, columns=2)
+    beams.plot(floor.beam_power_dbm, "o")
+    beams.set(xlabel="beam", ylabel="white noise over the band [dBm]", title="Beams")
+    for axes in (against_range, beams):
+        axes.grid(alpha=0.3)
+    save(figure, path)

@@ -1,0 +1,1 @@
+"""Verbs on captures, recordings and CAN logs."""

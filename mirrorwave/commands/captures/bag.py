@@ -1,0 +1,290 @@
+"""`mirrorwave bag`: record, inspect, replay, recover, trim and convert recordings."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mirrorwave.commands.captures.bag_options import (
+    EndS,
+    File,
+    MaxParts,
+    MinFree,
+    Out,
+    Raw,
+    SnapshotBytes,
+    SnapshotS,
+    SplitDuration,
+    SplitSize,
+    StartS,
+    Topics,
+    command_line,
+    recorder_params,
+    require_new_recording,
+    require_seconds,
+    span_ns,
+    split_topics,
+    stop_by_signal,
+)
+from mirrorwave.commands.captures.bag_play import play
+from mirrorwave.console import (
+    DEFAULT_DOMAIN,
+    AsJson,
+    Domain,
+    ExitCode,
+    print_json,
+    print_line,
+    print_table,
+    progress_bar,
+    require_new_file,
+)
+from mirrorwave.convert import formats as bag_convert
+from mirrorwave.convert.formats import Conversion, Format
+from mirrorwave.diagnose.running_graph import is_running, no_graph, require_graph
+from msgs.values.wording import counted
+
+app = typer.Typer(help="Record, inspect, replay, recover, trim and convert recordings (MCAP).", no_args_is_help=True)
+app.command()(play)
+
+
+@app.command()
+def record(
+    out: Out,
+    topics: Topics = None,
+    raw: Raw = False,
+    duration: Annotated[float | None, typer.Option("--duration", metavar="S", min=0.1, help="Stop after S s.")] = None,
+    split_size: SplitSize = None,
+    split_duration: SplitDuration = None,
+    max_parts: MaxParts = None,
+    snapshot: SnapshotS = None,
+    snapshot_bytes: SnapshotBytes = None,
+    min_free: MinFree = None,
+    domain: Domain = DEFAULT_DOMAIN,
+) -> None:
+    """Record a running graph until Ctrl-C (docs/recording.md); exit code 3 if messages are missing."""
+    from msgs.bus.zmq import ZmqBus, run_dir
+    from nodes.node import Heartbeat, Stop, run_loop
+    from nodes.recorder import Params
+
+    options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
+    meeting_place = run_dir(domain)
+    params = Params(
+        path=str(out),
+        topics=split_topics(topics),
+        raw=raw,
+        metadata={"command": command_line(), **_launch_of(meeting_place)},
+        run_dir=str(meeting_place),
+        **options,
+    )
+    require_new_recording(out, options)
+    require_seconds("--duration", duration)
+    # a recorder alone would record its own heartbeats
+    require_graph(domain)
+    name = f"bag_record-{os.getpid()}"
+    bus = ZmqBus(name, meeting_place)
+    try:
+        bus.want_all()
+        recorder = _recorder(params)
+        run_loop(recorder, bus, stop_by_signal(Stop(), duration), Heartbeat(bus, name))
+    finally:
+        bus.close()
+    _report_recorded(recorder)
+
+
+def _recorder(params: Any) -> Any:
+    """The node; on its own it has nothing to stay for once the disk has refused."""
+    from nodes.recorder import Recorder, create
+
+    return create(params) if params.snapshot_s is not None else Recorder(params, ends_when_refused=True)
+
+
+def _launch_of(run_dir: Path) -> dict[str, str]:
+    """The launch file of the graph that runs in a directory, as it was resolved; nothing where none is found."""
+    from nodes.process.launch_file import dump_launch, read_launch_file, without_metadata
+    from nodes.process.supervisor import read_lock
+
+    try:
+        launch = read_launch_file(Path(read_lock(run_dir)["run"]) / "launch.yaml")
+    except (KeyError, OSError, ValueError):
+        return {}
+    return {"launch": dump_launch(without_metadata(launch))}
+
+
+def _report_recorded(recorder: Any) -> None:
+    missing = recorder.lost + getattr(recorder, "missed", 0)
+    for path in recorder.paths:
+        print_line(str(path))
+    print_line(f"{counted(recorder.messages, 'message')}, {missing} missing")
+    if recorder.refused:
+        print_line(recorder.refused)
+    if missing or recorder.refused:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+
+
+@app.command()
+def snapshot(
+    timeout: Annotated[float, typer.Option("--timeout", metavar="S", min=0.1, help="Wait S s for the answer.")] = 60.0,
+    as_json: AsJson = False,
+    domain: Domain = DEFAULT_DOMAIN,
+) -> None:
+    """Have each recorder that was started with --snapshot write what it holds; done when it is written."""
+    from msgs.bus.zmq import run_dir
+    from nodes.recording.snapshot_trigger import ask, find_recorders
+
+    recorders = find_recorders(run_dir(domain))
+    if not recorders and not is_running(domain):
+        raise no_graph(domain)
+    if not recorders:
+        raise ValueError(f"domain {domain!r}: no recorder with --snapshot runs here")
+    answers = [ask(path, timeout) for path in recorders]
+    if as_json:
+        print_json(answers)
+    else:
+        for answer in answers:
+            held = f"{counted(answer.messages, 'message')}, the last {answer.span_s:.1f} s"
+            print_line(answer.error or f"{answer.path}: {held}")
+    if any(answer.error for answer in answers):
+        raise typer.Exit(ExitCode.FAILED)
+    if any(answer.lost for answer in answers):
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+
+
+@app.command()
+def info(
+    file: File,
+    as_json: AsJson = False,
+    config: Annotated[bool, typer.Option("--config", help="Print the launch file of the recorded graph.")] = False,
+) -> None:
+    """What a recording holds, its checksums verified; exit code 3 if something is missing or damaged."""
+    from msgs.recording import mcap as recording
+
+    found = recording.info(file)
+    if config:
+        if "launch" not in found.metadata:
+            raise ValueError(f"{file}: holds no launch file: recorded without a graph of `mirrorwave launch`")
+        print_line(found.metadata["launch"].rstrip())
+    elif as_json:
+        print_json(found)
+    else:
+        _print_info(found)
+    if found.loss or (found.losses and (found.losses.total or found.losses.ended)):
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+
+
+@app.command()
+def recover(file: File, out: Out) -> None:
+    """Copy all that is readable into a new, complete recording; exit code 3 if something was lost, 1 if all was."""
+    from msgs.recording.mcap import copy_recording
+
+    require_new_file(out)
+    count, loss = copy_recording(file, out)
+    _report_copy(out, count, loss)
+
+
+@app.command()
+def trim(
+    file: File,
+    out: Out,
+    start: StartS = 0.0,
+    end: EndS = None,
+    topics: Topics = None,
+    compress: Annotated[bool, typer.Option("--compress", help="Compress with zstd.")] = False,
+) -> None:
+    """Copy a span of time, or some topics, into a new recording."""
+    from msgs.recording import mcap as recording
+
+    require_new_file(out)
+    with recording.RecordingReader(file) as reader:
+        start_ns, end_ns = span_ns(reader.start_ns, start, end)
+        wanted = split_topics(topics)
+        for topic in wanted or ():
+            if topic not in reader.types:
+                raise ValueError(f"{file}: holds no topic {topic!r}; it holds {', '.join(reader.types) or 'none'}")
+    count, loss = recording.copy_recording(
+        file, out, topics=wanted, start_ns=start_ns, end_ns=end_ns, compress=compress
+    )
+    _report_copy(out, count, loss)
+
+
+@app.command()
+def convert(
+    file: File,
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="New file (foxglove, sigmf) or folder (ros2, numpy).")],
+    to: Annotated[Format | None, typer.Option("--to", help="Format; follows from OUT's suffix if left out.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Convert a recording for other tools (docs/convert.md); exit code 3 if something was missing or damaged."""
+    require_new_file(out)
+    found = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
+    if as_json:
+        print_json(found)
+    else:
+        _print_conversion(found)
+    if found.loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+
+
+def _print_conversion(found: Conversion) -> None:
+    print_line(f"{found.out}: {found.format.value}, {counted(sum(found.converted.values()), 'message')} converted")
+    parts = (("converted", found.converted), ("not converted", found.not_converted), ("left out", found.left_out))
+    rows = [(what, became, count) for became, counts in parts for what, count in counts.items()]
+    print_table(("TOPIC", "WHAT BECAME OF IT", "MESSAGES"), rows)
+    if found.loss:
+        print_line(f"loss: {found.loss}")
+
+
+def _report_copy(out: Path, count: int, loss: str | None) -> None:
+    print_line(f"{out}: {counted(count, 'message')}" + (f"; the source had lost some: {loss}" if loss else ""))
+    if loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS if count else ExitCode.FAILED)
+
+
+def _print_info(found: Any) -> None:
+    print_line(f"{found.path}: {found.size_bytes / (1 << 20):.1f} MiB, {found.duration_s:.2f} s")
+    complete, checksums = "yes" if found.complete else "no", "good" if found.checksums_agree else "bad"
+    print_line(f"complete: {complete}, checksums: {checksums}")
+    for line in _origin(found.metadata):
+        print_line(line)
+    if found.loss:
+        print_line(f"loss: {found.loss}")
+    columns = ("TOPIC", "TYPE", "MESSAGES", "BYTES", "HZ", "PUBLISHERS")
+    rows = [
+        (topic.topic, topic.type or None, topic.messages, topic.bytes, topic.rate_hz, ", ".join(topic.publishers))
+        for topic in found.topics
+    ]
+    print_table(columns, rows)
+    _print_losses(found.losses)
+
+
+#: Where a recording comes from: of a graph, or of a simulated scene.
+_ORIGIN = ("started_utc", "part", "command", "scene", "seed")
+
+
+def _origin(metadata: dict[str, str]) -> list[str]:
+    """Where a recording comes from, as far as it says so; written by anybody, so nothing is taken for granted."""
+    lines = [f"{key}: {metadata[key]}" for key in _ORIGIN if key in metadata]
+    try:
+        machine = json.loads(metadata.get("machine", ""))
+        lines.append(f"machine: {machine['processor']}, {counted(machine['cores'], 'core')}, {machine['kernel']}")
+    except (ValueError, KeyError, TypeError):
+        pass
+    if "launch" in metadata:
+        lines.append("launch file: yes (--config prints it)")
+    return lines
+
+
+def _print_losses(losses: Any) -> None:
+    if losses is None:
+        return
+    if losses.ended:
+        print_line(f"ended early: {losses.ended}")
+    if not losses.topics:
+        print_line("missing messages: none")
+        return
+    print_line(f"missing messages: {losses.total}")
+    rows = [(topic.topic, topic.lost, topic.rejected, topic.outdated, topic.missed) for topic in losses.topics]
+    print_table(("TOPIC", "LOST", "REJECTED", "OUTDATED", "NOT WRITTEN"), rows)

@@ -1,0 +1,280 @@
+"""`mirrorwave calibrate`: what a recording says of the radar, its mounting and its clock, in files the graph reads."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.console import (
+    AsJson,
+    ExitCode,
+    print_json,
+    print_line,
+    print_table,
+    progress_bar,
+    require_new_file,
+    require_picture,
+)
+from msgs.values.wording import counted
+
+if TYPE_CHECKING:
+    from mirrorwave.calibrate.drive import Solved
+    from models.vehicle.mounting import Known, Mounting
+
+app = typer.Typer(
+    no_args_is_help=True, help="Background and noise of the radar; its pose on the vehicle; its clock against CAN."
+)
+
+CaptureFile = Annotated[Path, typer.Argument(metavar="CAPTURE", help="SigMF capture or MCAP recording with raw beams.")]
+DriveFile = Annotated[
+    Path, typer.Argument(metavar="RECORDING", help="MCAP recording of a drive: vehicle/state, raw beams or peaks.")
+]
+Out = Annotated[Path, typer.Option(metavar="FILE", help="Result; must not exist.")]
+Plot = Annotated[Path | None, typer.Option("--plot", metavar="PNG", help="Picture of the result.")]
+Scans = Annotated[int, typer.Option(min=1, help="Scans to read at most.")]
+Pose = Annotated[
+    tuple[float, float, float] | None,
+    typer.Option(metavar="X_M Y_M YAW_DEG", help="Pose of the radar on the vehicle as far as it is known."),
+]
+
+
+@app.command()
+def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = None, as_json: AsJson = False) -> None:
+    """Open-field background of every beam, for `ra_former.background`."""
+    import numpy as np
+
+    from mirrorwave.calibrate.capture import Capture
+    from mirrorwave.calibrate.radar import draw_background, measure_background
+    from msgs.files.whole_files import whole
+
+    _require_suffix(out, ".npy")
+    _require_new(out, plot)
+    source = Capture(capture)
+    with progress_bar("scans", min(scans, source.scan_count())) as advance:
+        values, quality = measure_background(source, scans, advance)
+    with whole(out) as part, part.open("wb") as file:
+        np.save(file, values)
+    if plot is not None:
+        draw_background(values, source, plot)
+    if as_json:
+        print_json({"out": str(out), "quality": quality, "loss": source.loss})
+    else:
+        print_line(
+            f"static: {quality.leakage_dbm:.1f} dBm at {quality.leakage_range_m:.2f} m, {quality.removed_db:.1f} dB of "
+            f"it removed from scans it was not made of (down to {quality.left_dbm:.1f} dBm, their noise)"
+        )
+        print_line(
+            f"noise: {quality.scan_noise_dbm:.1f} dBm per bin of a scan's beam, {quality.noise_dbm:.1f} dBm after "
+            f"{counted(quality.scans, 'scan')} (10 log N: {quality.expected_noise_dbm:.1f} dBm)"
+        )
+        print_line(f"left out as moving: {100.0 * quality.outlier_share:.3f} % of cells")
+        print_line(f"wrote {out}; use it with -p ra_former.background={out}")
+    _end(source.loss, as_json)
+
+
+@app.command()
+def noise(
+    capture: CaptureFile,
+    out: Out,
+    scene: Annotated[
+        Path | None, typer.Option(metavar="SCENE", help="Write this scene with the receiver, not the receiver alone.")
+    ] = None,
+    scans: Scans = 20,
+    plot: Plot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Noise floor, noise figure, 1/f corner and spurs of the receiver, for the simulator."""
+    import yaml
+
+    from mirrorwave.calibrate.capture import Capture
+    from mirrorwave.calibrate.radar import draw_noise, measure_noise, receiver_of, scene_with_receiver
+    from msgs.files.whole_files import write_whole
+
+    _require_new(out, plot)
+    source = Capture(capture)
+    with progress_bar("scans", min(scans, source.scan_count())) as advance:
+        floor = measure_noise(source, scans, advance)
+    text = (
+        yaml.safe_dump({"radar": receiver_of(floor)}, sort_keys=False)
+        if scene is None
+        else scene_with_receiver(scene, floor)
+    )
+    write_whole(out, text.encode())
+    if plot is not None:
+        draw_noise(floor, plot)
+    if as_json:
+        print_json({"out": str(out), "floor": floor, "loss": source.loss})
+    else:
+        bands = [band for band in floor.bands if band.range_m >= 0.01][::3]
+        print_table(
+            ("range_m", "measured_dbm", "model_dbm"),
+            [(band.range_m, f"{band.measured_dbm:.2f}", f"{band.modelled_dbm:.2f}") for band in bands],
+        )
+        print_line(
+            f"white: {floor.power_dbm:.2f} dBm over the band, {floor.bin_dbm:.2f} dBm per bin of a beam, noise figure "
+            f"{floor.noise_figure_db:.2f} dB; beams differ by {floor.beam_spread_db:.2f} dB at most"
+        )
+        print_line(
+            f"1/f corner: {floor.flicker_corner_hz / 1e3:.1f} kHz; rms from the model {floor.model_rms_db:.2f} dB"
+        )
+        for spur in floor.spurs:
+            print_line(f"spur: {spur.power_dbm:.1f} dBm at {spur.frequency_hz / 1e6:.4f} MHz")
+        print_line(f"wrote {out}")
+    _end(source.loss, as_json)
+
+
+@app.command()
+def extrinsic(
+    recording: DriveFile,
+    out: Out,
+    prior: Pose = None,
+    clock_offset_s: Annotated[
+        float | None, typer.Option(help="Clock offset, where it is known; else found as well.")
+    ] = None,
+    plot: Plot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Pose of the radar on the vehicle, from straight walls seen while driving."""
+    from mirrorwave.calibrate.drive import DriveParams
+
+    _require_new(out, plot)
+    params = DriveParams(prior=_pose(prior), clock_offset_s=clock_offset_s)
+    solved = _solved(recording, params, plot, "Walls in the odometry frame")
+    one = solved.mounting
+    if not one.yaw_rad.observed:
+        raise ValueError(
+            f"{recording}: this drive does not tell the radar's yaw (standard deviation "
+            f"{math.degrees(one.yaw_rad.std):.2f} deg): see more walls for longer"
+        )
+    pose = one.vehicle_from_radar
+    params_file = {"ra_former": {"vehicle_from_radar": {"x_m": pose.x_m, "y_m": pose.y_m, "yaw_rad": pose.yaw_rad}}}
+    _write_params(out, params_file, one)
+    _say_mounting(one, out, solved.loss, as_json)
+
+
+@app.command()
+def clock(
+    recording: DriveFile,
+    out: Out,
+    pose: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(metavar="X_M Y_M YAW_DEG", help="Pose of the radar, where it is known; else found as well."),
+    ] = None,
+    plot: Plot = None,
+    as_json: AsJson = False,
+) -> None:
+    """Offset of the radar's clock from that of vehicle/state, from a drive with changing speed or yaw rate."""
+    from mirrorwave.calibrate.drive import DriveParams
+
+    _require_new(out, plot)
+    params = DriveParams(prior=_pose(pose), known_pose=pose is not None)
+    solved = _solved(recording, params, plot, "Walls in the odometry frame")
+    one = solved.mounting
+    if not one.clock_offset_s.observed:
+        raise ValueError(
+            f"{recording}: this drive does not tell the clock's offset (standard deviation "
+            f"{1e3 * one.clock_offset_s.std:.0f} ms): speed changed by {one.drive.speed_span_mps:.1f} m/s, yaw rate by "
+            f"{one.drive.yaw_rate_span_dps:.1f} deg/s; drive with changing speed and yaw rate"
+        )
+    _write_params(out, {"vehicle_can": {"clock_offset_s": one.clock_offset_s.value}}, one)
+    _say_mounting(one, out, solved.loss, as_json)
+
+
+def _solved(recording: Path, params: Any, plot: Path | None, title: str) -> Solved:
+    """The mounting of a recording, and its picture."""
+    from mirrorwave.calibrate.capture import Capture
+    from mirrorwave.calibrate.drive import PASSES, draw_drive, solve_drive
+
+    source = Capture(recording)
+    with progress_bar("scans", PASSES * source.scan_count()) as advance:
+        solved = solve_drive(recording, params, advance)
+    if plot is not None:
+        draw_drive(solved, list(source.messages(("vehicle/state",))), plot, title)
+    return solved
+
+
+def _pose(values: tuple[float, float, float] | None) -> Any:
+    from msgs.values.frames import Pose2
+
+    return Pose2() if values is None else Pose2(values[0], values[1], math.radians(values[2]))
+
+
+def _write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
+    """A file for `launch --params-file`, with what its figures rest on as comments."""
+    import yaml
+
+    from msgs.files.whole_files import write_whole
+
+    seen = f"{counted(one.sightings, 'sighting')} of {counted(len(one.walls), 'wall')}"
+    notes = [
+        f"# {counted(one.scans, 'scan')}, {seen}, rms {one.rms_m:.3f} m",
+        *(f"# {line}" for line in _lines(one)),
+    ]
+    write_whole(out, ("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False)).encode())
+
+
+def _lines(one: Mounting) -> list[str]:
+    """What is known and what is not, a line each."""
+    degree = math.degrees(1.0)
+    return [
+        _line("x", one.x_m, "m", 1.0),
+        _line("y", one.y_m, "m", 1.0),
+        _line("yaw", one.yaw_rad, "deg", degree),
+        _line("clock offset", one.clock_offset_s, "ms", 1e3),
+    ]
+
+
+def _line(name: str, known: Known, unit: str, factor: float) -> str:
+    value, std = factor * known.value, factor * known.std
+    if known.observed:
+        return f"{name}: {value:.3f} {unit}, standard deviation {std:.3f}"
+    if known.std == 0.0:
+        return f"{name}: {value:.3f} {unit}, as given"
+    return f"{name}: {value:.3f} {unit}, as given: this drive does not tell (standard deviation {std:.3f})"
+
+
+def _say_mounting(one: Mounting, out: Path, loss: str | None, as_json: bool) -> None:
+    if as_json:
+        print_json({"out": str(out), "mounting": one, "loss": loss})
+    else:
+        print_table(
+            ("wall", "sightings", "points", "rms_m"),
+            [(index, wall.sightings, wall.points, wall.rms_m) for index, wall in enumerate(one.walls)],
+        )
+        print_line(
+            f"drive: {one.drive.way_m:.1f} m, turned {one.drive.turned_deg:.0f} deg, "
+            f"speed over {one.drive.speed_span_mps:.1f} m/s, yaw rate over {one.drive.yaw_rate_span_dps:.1f} deg/s"
+        )
+        print_line(
+            f"odometry: yaw rate bias {math.degrees(one.yaw_rate_bias_rps):.3f} deg/s, "
+            f"speed times {one.speed_scale:.4f}"
+        )
+        print_line(f"rms off the walls: {one.rms_before_m:.3f} m as given, {one.rms_m:.3f} m as found")
+        for line in _lines(one):
+            print_line(line)
+        print_line(f"wrote {out}")
+    _end(loss, as_json)
+
+
+def _require_suffix(out: Path, suffix: str) -> None:
+    if out.suffix != suffix:
+        raise ValueError(f"{out}: the name must end in {suffix}")
+
+
+def _require_new(out: Path, plot: Path | None) -> None:
+    require_new_file(out)
+    if plot is not None:
+        require_picture(plot)
+        require_new_file(plot)
+
+
+def _end(loss: str | None, as_json: bool) -> None:
+    """Exit code 3 where the recording lacks something."""
+    if loss is None:
+        return
+    if not as_json:
+        print_line(loss)
+    raise typer.Exit(ExitCode.DONE_WITH_LOSS)

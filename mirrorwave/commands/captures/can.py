@@ -1,0 +1,365 @@
+"""`mirrorwave can`: what the car's CAN bus, or a log of it, says of the vehicle's motion."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table
+from mirrorwave.terminal import ends_with_reader
+from msgs.values.wording import counted
+
+if TYPE_CHECKING:
+    from mirrorwave.diagnose.can_signals import SignalReport
+    from models.vehicle.can_state import CanDecoder, Judged
+    from msgs.values.vehicle import VehicleState
+    from nodes.can.bus import BusParams, LogFrame
+
+app = typer.Typer(help="Look at the vehicle's CAN bus and at logs of it.", no_args_is_help=True)
+
+_DBC = Path("launch/can/mirrorwave.dbc")
+_MAPPING = Path("launch/can/mirrorwave.yaml")
+Dbc = Annotated[Path, typer.Option("--dbc", help="The car's DBC.")]
+Mapping = Annotated[Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")]
+#: Faults of one kind and message closer than this are one event.
+_EVENT_GAP_S = 1.0
+#: Longer lists are cut on the terminal; --json keeps them whole.
+_SHOWN_EVENTS = 40
+#: How often a live bus is read, and how many gaps between frames of a message its period is taken from.
+_POLL_S, _KEPT_GAPS = 0.005, 1000
+
+
+class LogReport:
+    """What a log says: states, sampled, and events: runs of frames that do not count, spans that are not valid."""
+
+    def __init__(self, decoder: CanDecoder, every_s: float) -> None:
+        # here: other verbs of this module need no numpy
+        from models.perception.tracking.odometry import Odometry
+
+        self._decoder, self._every_s = decoder, every_s
+        self.samples: list[dict[str, Any]] = []
+        self.events: list[dict[str, Any]] = []
+        self.frames = self.states = self.valid_states = 0
+        self.start_ns: int | None = None
+        self.duration_s = 0.0
+        self.loss = ""
+        self._slot = -1
+        self._invalid: dict[str, Any] | None = None
+        self._odometry = Odometry()
+
+    def read(self, frames: Iterable[LogFrame]) -> None:
+        """Take in a log; one that cannot be read on leaves its reason in `loss`."""
+        from mirrorwave.convert.can_log import log_states
+
+        for stamp_ns, judged, states in log_states(self._decoder, _until_error(frames, self)):
+            self.frames += 1
+            if stamp_ns < 0:
+                continue
+            self.start_ns = stamp_ns if self.start_ns is None else self.start_ns
+            self.duration_s = max(self.duration_s, self._time_s(stamp_ns))
+            self._note_frame(judged, stamp_ns)
+            for state in states:
+                self._note_state(state)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, as JSON has it."""
+        return {
+            "frames": self.frames,
+            "duration_s": self.duration_s,
+            "frames_by_verdict": {str(verdict): count for verdict, count in sorted(self._decoder.counts.items())},
+            "state_count": self.states,
+            "valid_state_count": self.valid_states,
+            "states": self.samples,
+            "events": self.events,
+            "yaw_rate_bias": self._odometry.yaw_rate_bias._asdict(),
+            "warnings": list(self._decoder.warnings),
+            "loss": self.loss or None,
+        }
+
+    @property
+    def yaw_rate_bias(self) -> str:
+        """What the drive shows of the gyroscope's bias."""
+        return str(self._odometry.yaw_rate_bias)
+
+    def _time_s(self, stamp_ns: int) -> float:
+        return 1e-9 * (stamp_ns - (self.start_ns or 0))
+
+    def _note_frame(self, judged: Judged, stamp_ns: int) -> None:
+        from models.vehicle.can_state import HARMLESS
+
+        if judged.verdict in HARMLESS:
+            return
+        time_s = self._time_s(stamp_ns)
+        for event in reversed(self.events):
+            same = event["message"] == judged.message and event["event"] == str(judged.verdict)
+            if same and time_s - event["to_s"] <= _EVENT_GAP_S:
+                event.update(to_s=time_s, count=event["count"] + 1)
+                return
+        self.events.append(_event(str(judged.verdict), time_s, judged.message, judged.why))
+
+    def _note_state(self, state: VehicleState) -> None:
+        time_s = self._time_s(state.stamp_ns)
+        self.states += 1
+        self.valid_states += state.valid
+        self._odometry.add(state)
+        # the first state of each interval; without intervals, every one
+        slot = int(time_s / self._every_s) if self._every_s else self.states
+        if slot != self._slot:
+            self._slot = slot
+            self.samples.append({"time_s": time_s, **_state_row(state)})
+        if state.valid:
+            self._invalid = None
+        elif self._invalid is None:
+            self._invalid = _event("state not valid", time_s, "", state.reason)
+            self.events.append(self._invalid)
+        else:
+            self._invalid.update(to_s=time_s, count=self._invalid["count"] + 1)
+
+
+def _event(kind: str, time_s: float, message: str, why: str) -> dict[str, Any]:
+    return {"event": kind, "from_s": time_s, "to_s": time_s, "count": 1, "message": message, "why": why}
+
+
+def _state_row(state: VehicleState) -> dict[str, Any]:
+    return {
+        "speed_mps": state.speed_mps,
+        "yaw_rate_rps": state.yaw_rate_rps,
+        "steering_rad": state.steering_rad,
+        "valid": state.valid,
+        "reason": state.reason,
+        "age_s": state.age_s,
+    }
+
+
+def _until_error(frames: Iterable[LogFrame], report: LogReport | SignalReport) -> Iterator[LogFrame]:
+    try:
+        yield from frames
+    except ValueError as error:
+        report.loss = str(error)
+
+
+@app.command()
+def decode(
+    log: Annotated[Path, typer.Argument(help="Log: candump (.log), ASC, BLF, CSV or TRC.")],
+    dbc: Dbc = _DBC,
+    mapping: Mapping = _MAPPING,
+    channel: Annotated[str | None, typer.Option("--channel", help="Only frames of this channel of the log.")] = None,
+    every: Annotated[float, typer.Option("--every", metavar="S", min=0.0, help="Show a state each S seconds.")] = 1.0,
+    signals: Annotated[
+        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
+    from nodes.can.bus import checkout_path, load_decoder
+    from nodes.can.log_file import read_log
+
+    if signals:
+        _decode_signals(log, dbc, channel, every, as_json)
+        return
+    report = LogReport(load_decoder(checkout_path(str(dbc)), checkout_path(str(mapping))), every)
+    report.read(read_log(log, channel))
+    if report.frames == 0:
+        raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
+    if as_json:
+        print_json({"log": str(log), **report.as_dict()})
+    else:
+        _print_report(report)
+    if report.loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+    if not report.valid_states:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _print_report(report: LogReport) -> None:
+    columns = ("time_s", "speed_mps", "yaw_rate_rps", "steering_rad", "valid", "reason")
+    print_table([name.upper() for name in columns], [[row[name] for name in columns] for row in report.samples])
+    print_line("")
+    if report.events:
+        keys = ("event", "from_s", "to_s", "count", "message", "why")
+        shown = report.events[:_SHOWN_EVENTS]
+        print_table([name.upper() for name in keys], [[event[name] for name in keys] for event in shown])
+        if len(report.events) > len(shown):
+            print_line(f"... {len(report.events)} events in all")
+        print_line("")
+    facts = report.as_dict()
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in facts["frames_by_verdict"].items())
+    print_line(f"{counted(report.frames, 'frame')} in {report.duration_s:.2f} s: {verdicts}")
+    print_line(f"{report.valid_states} of {counted(report.states, 'state')} valid")
+    print_line(report.yaw_rate_bias)
+    if any("outside the DBC's" in event["why"] for event in report.events):
+        print_line("where the DBC's range of a signal is wrong, dbc_range of the mapping overrules it")
+    if report.loss:
+        print_line(f"the log breaks off: {report.loss}")
+
+
+def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, as_json: bool) -> None:
+    """All that a DBC knows of a log; exit code 1 if it knows none of its frames."""
+    from mirrorwave.diagnose.can_signals import SignalReport
+    from nodes.can.bus import checkout_path, load_dbc
+    from nodes.can.log_file import read_log
+
+    report = SignalReport(load_dbc(checkout_path(str(dbc))), every_s)
+    report.read(_until_error(read_log(log, channel), report))
+    if report.frames == 0:
+        raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
+    if as_json:
+        print_json({"log": str(log), **report.as_dict()})
+    else:
+        _print_signals(report)
+    if report.loss:
+        raise typer.Exit(ExitCode.DONE_WITH_LOSS)
+    if not report.known:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _print_signals(report: SignalReport) -> None:
+    columns = ("message", "frames", "period_ms", "longest_gap_ms", "verdicts", "last values")
+    print_table([name.upper() for name in columns], [_signals_row(row) for row in report.messages()])
+    print_line("")
+    print_line(f"{report.known} of {counted(report.frames, 'frame')} in {report.duration_s:.2f} s are of this DBC")
+    if report.loss:
+        print_line(f"the log breaks off: {report.loss}")
+
+
+def _signals_row(row: dict[str, Any]) -> list[Any]:
+    verdicts = ", ".join(f"{count} {verdict}" for verdict, count in row["frames_by_verdict"].items())
+    values = " ".join(f"{name}={value:g}" for name, value in row["signals"].items())
+    return [
+        f"{row['message']} ({row['id']:#x})",
+        row["frames"],
+        row["period_ms"],
+        row["longest_gap_ms"],
+        verdicts,
+        values,
+    ]
+
+
+@app.command()
+def monitor(
+    interface: Annotated[str, typer.Option("--interface", "-i", help="python-can's name of it.")] = "socketcan",
+    channel: Annotated[str, typer.Option("--channel", "-c", help="Bus, as the interface names it.")] = "can0",
+    bitrate: Annotated[int | None, typer.Option("--bitrate", help="Bits per second, where it must be set.")] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option("--option", "-o", metavar="KEY=VALUE", help="For the interface; may be repeated."),
+    ] = None,
+    dbc: Dbc = _DBC,
+    mapping: Mapping = _MAPPING,
+    every: Annotated[float, typer.Option("--every", metavar="S", min=0.01, help="A line each S seconds.")] = 0.5,
+    duration: Annotated[float | None, typer.Option("--duration", metavar="S", help="Stop after S seconds.")] = None,
+    signals: Annotated[
+        bool, typer.Option("--signals", help="Every signal of the DBC instead of the vehicle state; needs no mapping.")
+    ] = False,
+    as_json: AsJson = False,
+) -> None:
+    """The vehicle state of a live bus, line by line; exit code 1 if it was never valid."""
+    from nodes.vehicle_can import Params, create
+
+    params = Params(
+        interface=interface, channel=channel, bitrate=bitrate, options=_options(option or []),
+        dbc=str(dbc), mapping=str(mapping),
+    )  # fmt: skip
+    if signals:
+        _monitor_signals(params, every, duration, as_json)
+        return
+    node = create(params)
+    was_valid = False
+    try:
+        with ends_with_reader():
+            for state in _live_states(node, every, duration):
+                was_valid = was_valid or state.valid
+                if as_json:
+                    print_json(_state_row(state))
+                else:
+                    print_line(_state_line(state))
+    finally:
+        node.close()
+    if not was_valid:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _monitor_signals(params: BusParams, every_s: float, duration_s: float | None, as_json: bool) -> None:
+    """All messages of a DBC on a live bus, each interval; exit code 1 if none came."""
+    from mirrorwave.diagnose.can_signals import SignalReport
+    from nodes.can.bus import CanLink, checkout_path, load_dbc
+    from nodes.vehicle_can import LiveSource, Params
+
+    assert isinstance(params, Params)
+    report = SignalReport(load_dbc(checkout_path(params.dbc)), None, _KEPT_GAPS)
+    source = LiveSource(CanLink(params))
+    start_s = time.monotonic()
+    try:
+        with ends_with_reader():
+            for _ in _ticks(every_s, duration_s, lambda: report.read(source.frames(time.monotonic_ns()))):
+                row = {"time_s": time.monotonic() - start_s, "trouble": source.trouble, "frames": report.frames}
+                if as_json:
+                    print_json({**row, "known_frames": report.known, "messages": report.messages()})
+                else:
+                    _print_signals_now(row, report)
+    finally:
+        source.close()
+    if not report.known:
+        raise typer.Exit(ExitCode.FAILED)
+
+
+def _ticks(every_s: float, duration_s: float | None, poll: Callable[[], None]) -> Iterator[None]:
+    """Each `every_s`, `poll` being called all the while."""
+    start_s = time.monotonic()
+    due_s = every_s
+    while duration_s is None or time.monotonic() - start_s < duration_s:
+        poll()
+        if time.monotonic() - start_s >= due_s:
+            due_s += every_s
+            yield
+        time.sleep(_POLL_S)
+
+
+def _print_signals_now(row: dict[str, Any], report: SignalReport) -> None:
+    trouble = f"; {row['trouble']}" if row["trouble"] else ""
+    print_line(
+        f"--- {row['time_s']:.1f} s: {report.known} of {counted(row['frames'], 'frame')} are of this DBC{trouble}"
+    )
+    for message in report.messages():
+        name, frames, period_ms, _, verdicts, values = _signals_row(message)
+        every = "" if period_ms is None else f" every {period_ms:g} ms"
+        print_line(f"{name}: {counted(frames, 'frame')}{every}, {verdicts}: {values}")
+
+
+def _live_states(node: Any, every_s: float, duration_s: float | None) -> Iterator[VehicleState]:
+    """The newest state, each `every_s`; Ctrl-C ends it."""
+    start_s = time.monotonic()
+    last: VehicleState | None = None
+    lines = 0
+    while duration_s is None or time.monotonic() - start_s < duration_s:
+        for _, state in node.step([], time.monotonic_ns()):
+            last = state
+        if last is not None and time.monotonic() - start_s >= (lines + 1) * every_s:
+            lines += 1
+            yield last
+        time.sleep(max(0.0, 1e-9 * (node.due_ns(time.monotonic_ns()) - time.monotonic_ns())))
+
+
+def _state_line(state: VehicleState) -> str:
+    motion = (
+        f"speed {state.speed_mps:8.3f} m/s  yaw rate {state.yaw_rate_rps:8.4f} rad/s  "
+        f"steering {state.steering_rad:7.3f} rad"
+    )
+    return f"{motion}  {'valid' if state.valid else 'NOT VALID: ' + state.reason}"
+
+
+def _options(texts: list[str]) -> dict[str, Any]:
+    """`key=value` with values as YAML has them: numbers are numbers."""
+    from nodes.process.launch_file import parse_yaml
+
+    options = {}
+    for text in texts:
+        key, equals, value = text.partition("=")
+        if not (key and equals):
+            raise ValueError(f"--option {text}: expected key=value")
+        options[key] = parse_yaml(value, f"--option {text}")
+    return options

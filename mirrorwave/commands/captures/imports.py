@@ -1,0 +1,181 @@
+"""`mirrorwave import`: captures and logs of others as data sets and recordings."""
+
+from __future__ import annotations
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from mirrorwave.console import AsJson, ExitCode, print_json, print_line, print_table, progress_bar, require_new_file
+from msgs.values.wording import counted
+
+app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others in.")
+
+
+class KindOption(StrEnum):
+    """What the folder holds."""
+
+    SIM = "sim"
+    REAL = "real"
+
+
+class DeviceOption(StrEnum):
+    """Device whose lanes the file was written from."""
+
+    XWR14XX = "xwr14xx"
+    XWR16XX = "xwr16xx"
+    XWR18XX = "xwr18xx"
+
+
+@app.callback()
+def _group() -> None:
+    """Bring captures and logs of others in."""
+
+
+@app.command()
+def xradarnlos(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder in the published layout.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Data set to write; must be empty or new.")],
+    kind: Annotated[KindOption, typer.Option(help="Simulated maps (.npy, .npz) or captures (Welch spectra).")] = (
+        KindOption.SIM
+    ),
+    keys: Annotated[
+        str, typer.Option(metavar="LOS,IMAGE,TRUE", help="Arrays of a simulated points file, by what they are.")
+    ] = "L,G,T",
+    skip_broken: Annotated[bool, typer.Option(help="Count captures that cannot be read; exit code 3.")] = False,
+    as_json: AsJson = False,
+) -> int:
+    """The published simulated maps or real captures as a data set of maps, for `train` and `eval`."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from models.training.data.xradarnlos import SimKeys, import_folder
+
+    named = [name.strip() for name in keys.split(",")]
+    if len(named) != 3 or not all(named) or len(set(named)) != 3:
+        raise ValueError(f"--keys must be three different names with commas between them, got {keys!r}")
+    if not folder.is_dir():
+        raise NotADirectoryError(20, "must be a folder", str(folder))
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as progress:
+        task = progress.add_task("captures", total=None)
+        summary = import_folder(
+            folder,
+            out,
+            kind.value,
+            SimKeys(direct=named[0], image=named[1], true_place=named[2]),
+            skip_broken,
+            lambda done, total: progress.update(task, completed=done, total=total),
+        )
+    for reason in summary.broken:
+        typer.echo(f"mirrorwave: left out: {reason}", err=True)
+    if as_json:
+        print_json({"folder": str(out), "kind": kind.value, **vars(summary)})
+    else:
+        print_line(
+            f"{out}: {counted(summary.frames, 'frame')}, {summary.los_points} LOS and "
+            f"{counted(summary.mirrored_points, 'mirrored point')}, "
+            f"{counted(summary.negative_cells, 'cell')} below zero, {counted(len(summary.broken), 'capture')} left out"
+        )
+    return ExitCode.DONE_WITH_LOSS if summary.broken else ExitCode.DONE
+
+
+@app.command()
+def dca1000(
+    capture: Annotated[Path, typer.Argument(metavar="CAPTURE.bin", help="Raw samples as the DCA1000 stored them.")],
+    config: Annotated[Path, typer.Option(metavar="FILE", help="Chirps: a TI .cfg, or .json with the same commands.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for maps, picture and summary; empty or new.")],
+    device: Annotated[
+        DeviceOption | None, typer.Option(help='Device, where FILE does not name it ("% Platform:").')
+    ] = None,
+    remove_static: Annotated[bool, typer.Option(help="Take off what stands still.")] = False,
+    mirrored: Annotated[bool, typer.Option(help="Receivers run to the right as the radar looks.")] = False,
+    min_range_m: Annotated[float, typer.Option(metavar="M", help="List no return nearer than this.")] = 0.0,
+    returns: Annotated[int, typer.Option(metavar="N", help="Strongest returns to list a frame.")] = 5,
+    as_json: AsJson = False,
+) -> int:
+    """Raw frames of a 77 GHz board as range-azimuth maps, with a picture and the strongest returns."""
+    from mirrorwave.convert.dca1000 import ImportParams, import_capture, read_config
+    from models.sensors.dca1000 import frames_of
+
+    params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
+    chirps = read_config(config, device.value if device else None)
+    found = frames_of(capture.stat().st_size, chirps, str(capture))
+    with progress_bar("frames", found.whole) as advance:
+        summary = import_capture(capture, config, chirps, out, params, found, advance)
+    if found.loss:
+        typer.echo(f"mirrorwave: {capture}: {found.loss}", err=True)
+    if as_json:
+        print_json({"folder": str(out), **summary})
+    else:
+        names = ("range_m", "azimuth_deg", "closing_speed_mps", "snr_db")
+        print_table(
+            ("frame", *names),
+            [
+                [each["frame"], *(one[name] for name in names)]
+                for each in summary["per_frame"]
+                for one in each["returns"]
+            ],
+        )
+        print_line(f"{out}: {counted(found.whole, 'map')}, ra_map.png and summary.json")
+    return ExitCode.DONE_WITH_LOSS if found.loss else ExitCode.DONE
+
+
+@app.command()
+def can(
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="candump (.log), ASC, BLF, CSV or TRC, also gzipped.")],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of vehicle/state.")],
+    dbc: Annotated[Path, typer.Option("--dbc", help="The car's DBC.")] = Path("launch/can/mirrorwave.dbc"),
+    mapping: Annotated[
+        Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")
+    ] = Path("launch/can/mirrorwave.yaml"),
+    channel: Annotated[str | None, typer.Option("--channel", help="Only frames of this channel of the log.")] = None,
+    start_ns: Annotated[
+        int | None, typer.Option("--start-ns", metavar="N", help="Stamp of the first frame, to fit another recording.")
+    ] = None,
+    as_json: AsJson = False,
+) -> int:
+    """A CAN log as a recording of the vehicle's state; exit code 3 if the log breaks off."""
+    from mirrorwave.convert.logs import CanSource, import_can
+    from nodes.can.bus import checkout_path
+
+    require_new_file(out)
+    source = CanSource(
+        log=log,
+        dbc=checkout_path(str(dbc)),
+        mapping=checkout_path(str(mapping)),
+        channel=channel,
+        start_ns=start_ns,
+    )
+    found = import_can(source, out)
+    if found["loss"]:
+        typer.echo(f"mirrorwave: the log breaks off: {found['loss']}", err=True)
+    if as_json:
+        print_json({"recording": str(out), **found})
+    else:
+        verdicts = ", ".join(f"{count} {verdict}" for verdict, count in found["frames_by_verdict"].items())
+        print_line(f"{out}: {counted(found['states'], 'state')}, {found['valid_states']} valid")
+        print_line(f"{counted(found['frames'], 'frame')}: {verdicts}")
+    return ExitCode.DONE_WITH_LOSS if found["loss"] else ExitCode.DONE
+
+
+@app.command()
+def sigmf(
+    capture: Annotated[Path, typer.Argument(metavar="META", help="Capture: its .sigmf-meta, .sigmf-data or stem.")],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="New recording of set-up and raw beams.")],
+    as_json: AsJson = False,
+) -> int:
+    """A SigMF capture as a recording; one that does not fit is refused, naming the field."""
+    from mirrorwave.convert.logs import import_sigmf
+    from msgs.recording.sigmf import SigmfCapture
+
+    require_new_file(out)
+    with progress_bar("beams", len(SigmfCapture.open(capture, verify=False))) as advance:
+        found = import_sigmf(capture, out, advance)
+    if as_json:
+        print_json({"recording": str(out), **found})
+    else:
+        print_line(f"{out}: {counted(found['beams'], 'beam')}, {counted(found['truth'], 'truth')}")
+    return ExitCode.DONE

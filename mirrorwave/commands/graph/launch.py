@@ -1,0 +1,214 @@
+"""`mirrorwave launch`: a graph of processes from a launch file."""
+
+from __future__ import annotations
+
+import os
+import queue
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from mirrorwave.commands.captures.bag_options import (
+    MaxParts,
+    MinFree,
+    Raw,
+    SnapshotBytes,
+    SnapshotS,
+    SplitDuration,
+    SplitSize,
+    command_line,
+    recorder_params,
+    require_new_recording,
+)
+from mirrorwave.completion import complete_launch_files, complete_profiles
+from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
+from mirrorwave.exit_signals import told_by_signal
+from msgs.values.wording import counted
+
+_COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
+_LEVEL_STYLES = {"warning": "yellow", "error": "bold red", "critical": "bold red"}
+
+
+def launch(
+    file: Annotated[Path, typer.Argument(help="Launch file (YAML).", autocompletion=complete_launch_files)],
+    param: Annotated[
+        list[str] | None, typer.Option("--param", "-p", metavar="NODE.KEY=VALUE", help="Override; may be repeated.")
+    ] = None,
+    params_file: Annotated[Path | None, typer.Option(help="YAML mapping of node to parameters.")] = None,
+    profile: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME", help="Named parameters: fast, balanced, accurate, ...", autocompletion=complete_profiles
+        ),
+    ] = None,
+    latency_budget_ms: Annotated[
+        float | None,
+        typer.Option(metavar="N", help="The most accurate profile whose views come N ms after the last beam."),
+    ] = None,
+    measure: Annotated[bool, typer.Option("--measure", help="Time the profiles anew, whatever is remembered.")] = False,
+    duration: Annotated[
+        float | None, typer.Option("--duration", metavar="S", help="Stop S seconds after all nodes are ready.")
+    ] = None,
+    record: Annotated[Path | None, typer.Option("--record", metavar="OUT", help="Record to this MCAP file.")] = None,
+    raw: Raw = False,
+    split_size: SplitSize = None,
+    split_duration: SplitDuration = None,
+    max_parts: MaxParts = None,
+    snapshot: SnapshotS = None,
+    snapshot_bytes: SnapshotBytes = None,
+    min_free: MinFree = None,
+    headless: Annotated[bool, typer.Option("--headless", help="Leave out viewers.")] = False,
+    runs_dir: Annotated[Path, typer.Option(help="Where each run gets a folder for its log.")] = Path("runs"),
+    domain: Domain = DEFAULT_DOMAIN,
+) -> None:
+    """Run the graph of a launch file until it ends or Ctrl-C; exit code 3 if its recording lacks messages."""
+    from mirrorwave.profiles import over_default, with_profile
+    from nodes.process.launch_file import read_launch_file, read_yaml_mapping, with_overrides, with_params
+
+    graph = read_launch_file(file)
+    if profile is not None and latency_budget_ms is not None:
+        raise ValueError("--profile and --latency-budget-ms must not be given together: a budget picks the profile")
+    if latency_budget_ms is not None:
+        profile = _profile_within(latency_budget_ms, measure)
+    graph = over_default(graph) if profile is None else with_profile(graph, profile)
+    if params_file is not None:
+        graph = with_params(graph, read_yaml_mapping(params_file), str(params_file))
+    graph = with_overrides(graph, param or ())
+    options = recorder_params(split_size, split_duration, max_parts, snapshot, snapshot_bytes, min_free)
+    if record is None and (raw or options):
+        raise ValueError("--raw and the options of recording need --record OUT")
+    options |= {"raw": True} if raw else {}
+    raise typer.Exit(run_graph(graph, domain, duration, record, options, headless=headless, runs_dir=runs_dir))
+
+
+def _profile_within(budget_ms: float, measure: bool) -> str:
+    """The profile that a budget picks here; says which and why."""
+    from mirrorwave.studies.tradeoff.latency_budget import pick, reason, require_budget, timed_profiles
+
+    require_budget(budget_ms)
+    timed = timed_profiles(measure)
+    chosen = pick(budget_ms, timed)
+    print_line(reason(budget_ms, chosen, timed))
+    return chosen.profile
+
+
+def run_graph(
+    graph: Any,
+    domain: str = DEFAULT_DOMAIN,
+    duration_s: float | None = None,
+    record: Path | None = None,
+    options: dict[str, Any] | None = None,
+    *,
+    headless: bool = False,
+    runs_dir: Path = Path("runs"),
+) -> int:
+    """Supervise a `LaunchFile`, one coloured log on the terminal; returns the graph's exit code.
+
+    `record` names a recording of it all, `options` the recorder's parameters; where it lacks messages the code is 3.
+    """
+    from msgs.bus.zmq import run_dir
+    from nodes.process.launch_file import with_origin, with_recorder, without_viewers
+    from nodes.process.supervisor import Supervisor
+    from nodes.recording.files import recorded_files
+
+    if headless:
+        graph = without_viewers(graph)
+    if record is not None:
+        record = record.absolute()
+        require_new_recording(record, options or {})
+        graph = with_recorder(graph, record, options)
+    graph = with_origin(graph, command_line(), run_dir(domain))
+    earlier = [] if record is None else recorded_files(record)
+    with LogPrinter(log_lines(list(graph.nodes))) as printer:
+        supervisor = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer)
+        with told_by_signal(supervisor.request_stop):
+            code = supervisor.run()
+            if record is not None and code == ExitCode.DONE:
+                code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])
+    return code
+
+
+def code_of_recordings(files: list[Path]) -> int:
+    """3 where one of the recordings lacks messages or ended too early, each said in a line, else 0."""
+    from msgs.recording.mcap import Losses, RecordingReader
+
+    code = ExitCode.DONE
+    for path in files:
+        with RecordingReader(path) as reader:
+            losses = reader.losses or Losses()
+            if reader.loss or losses.ended or losses.total:
+                missing = counted(losses.total, "message is missing", "messages are missing")
+                print_line(f"{path}: {reader.loss or losses.ended or missing}")
+                code = ExitCode.DONE_WITH_LOSS
+    return code
+
+
+class LogPrinter:
+    """Shows log entries from a thread of its own: a terminal that is held (Ctrl-S, a pager) holds no graph up.
+
+    What comes while `most` entries wait is left out and counted in a line; the log file has it all. At its end it waits
+    until all has been shown.
+    """
+
+    def __init__(self, show: Callable[[dict[str, Any]], None], most: int = 1000) -> None:
+        self._show = show
+        self._entries: queue.Queue[dict[str, Any] | None] = queue.Queue(most)
+        self._left_out = 0
+        self._thread = threading.Thread(target=self._run, name="log", daemon=True)
+        self._thread.start()
+
+    def __call__(self, entry: dict[str, Any]) -> None:
+        """Have `entry` shown; never waits."""
+        try:
+            if self._left_out:
+                text = f"{counted(self._left_out, 'line')} left out: the terminal did not take them"
+                self._entries.put_nowait({"node": "launch", "level": "warning", "text": text})
+                self._left_out = 0
+            self._entries.put_nowait(entry)
+        except queue.Full:
+            self._left_out += 1
+
+    def __enter__(self) -> LogPrinter:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._entries.put(None)
+        self._thread.join()
+
+    def _run(self) -> None:
+        # the terminal may have gone: its lines are taken all the same
+        is_there = True
+        while (entry := self._entries.get()) is not None:
+            try:
+                if is_there:
+                    self._show(entry)
+            except OSError:
+                is_there = False
+
+
+def log_lines(nodes: list[str]) -> Callable[[dict[str, Any]], None]:
+    """A printer of log entries: `[node] text` in the node's colour, warnings and errors in theirs."""
+    from rich.console import Console
+    from rich.text import Text
+
+    class Terminal(Console):
+        def on_broken_pipe(self) -> None:
+            """The graph goes on without its terminal, where rich would end the process."""
+            with open(os.devnull, "wb") as nowhere:
+                os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+    console = Terminal(highlight=False)
+    styles = {name: _COLOURS[index % len(_COLOURS)] for index, name in enumerate(nodes)}
+
+    def show(entry: dict[str, Any]) -> None:
+        name = str(entry.get("node", ""))
+        level_style = _LEVEL_STYLES.get(entry["level"], "")
+        line = Text.assemble((f"[{name}] ", styles.get(name, "bold")), (printable(entry["text"]), level_style))
+        console.print(line, soft_wrap=True)
+        sys.stdout.flush()
+
+    return show

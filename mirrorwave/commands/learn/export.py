@@ -1,0 +1,60 @@
+"""`mirrorwave export`: a trained network as the file and card that the vehicle loads."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from mirrorwave.console import AsJson, print_json, print_line, print_table
+
+
+def export(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder of `mirrorwave train dense`.")],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="ONNX file; its card is written beside it.")],
+    data: Annotated[Path | None, typer.Option(metavar="DIR", help="Data set of the run, if it moved.")] = None,
+    test: Annotated[Path | None, typer.Option(metavar="DIR", help="Data set whose scenes all score the card.")] = None,
+    split: Annotated[
+        Literal["train", "validation", "test", "all"], typer.Option(help="Without --test: split that scores the card.")
+    ] = "test",
+    precision: Annotated[
+        Literal["fp32", "fp16", "int8"], typer.Option(help="Numbers inside the network; input and output stay fp32.")
+    ] = "fp32",
+    calibration: Annotated[int, typer.Option(min=1, help="Training maps that set the ranges of int8.")] = 64,
+    range_bins: Annotated[
+        int | None, typer.Option(min=1, help="Only the nearest range bins, for less time; default: as trained.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Write the best network of a run as ONNX, with a card that says how it was made and how good it is."""
+    from rich.console import Console
+
+    from models.training.export.onnx import ExportConfig, export_run
+
+    config = ExportConfig(
+        data_dir=data,
+        test_dir=test,
+        split=split,
+        precision=precision,
+        calibration_maps=calibration,
+        range_bins=range_bins,
+    )
+    with Console(stderr=True).status("reading the run") as status:
+        card = export_run(run, out, config, report=status.update)
+    if as_json:
+        print_json(card)
+        return
+    print_table(
+        ("threshold", "macro_f1", "los_precision", "los_recall", "mirrored_precision", "mirrored_recall"),
+        [
+            (s.threshold, s.macro_f1, s.los.precision, s.los.recall, s.mirrored.precision, s.mirrored.recall)
+            for s in card.scores
+        ],
+    )
+    print_line(f"{out}: {card.network}, {card.parameters} parameters, {card.precision}, sha256 {card.sha256}")
+    if card.fidelity is not None:
+        print_line(
+            f"largest difference from torch {card.fidelity.largest_difference:.2g}, "
+            f"{card.fidelity.lost_points:+.2f} points of Macro-F1 lost to precision"
+        )

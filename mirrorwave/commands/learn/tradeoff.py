@@ -1,0 +1,120 @@
+"""`mirrorwave tradeoff`: what every choice costs in time and buys in accuracy, measured on this machine."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from mirrorwave.console import AsJson, print_json, print_line, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from mirrorwave.studies.tradeoff.report import Report
+    from mirrorwave.studies.tradeoff.runner import Plan
+    from mirrorwave.studies.tradeoff.settings import Setting
+
+#: Frames and repetitions for a coffee, and for the record.
+QUICK, FULL = (24, 2), (240, 2)
+
+
+def tradeoff(
+    full: Annotated[
+        bool, typer.Option("--full/--quick", help="240 places for the record, or 24 for a coffee.")
+    ] = False,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="A run that was stopped goes on in it.")] = Path(
+        "runs/tradeoff"
+    ),
+    networks: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Further networks: what `make results` leaves in runs/table.")
+    ] = None,
+    settings: Annotated[Path | None, typer.Option(metavar="FILE", help="Rows; default launch/tradeoff.yaml.")] = None,
+    row: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Only `unfiltered` and rows of this name or switch.")
+    ] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="Places; default 24, or 240.")] = None,
+    repeats: Annotated[int | None, typer.Option(min=1, help="Times each is timed; default 2.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the places, and of the order of the stages.")] = 11,
+    simulator: Annotated[bool, typer.Option("--simulator", help="The simulator's own choices instead.")] = False,
+    memory: Annotated[bool, typer.Option(help="Measure peak memory, a process a row.")] = True,
+    as_json: AsJson = False,
+) -> None:
+    """Every switch that trades accuracy for time, on the same raw beams in one run: JSON, Markdown, figures."""
+    if simulator:
+        _simulator(out, full, seed, as_json)
+        return
+    from mirrorwave.studies.tradeoff.figures import draw_front, draw_stages
+    from mirrorwave.studies.tradeoff.report import make_report, write_report
+    from mirrorwave.studies.tradeoff.runner import Plan, peak_memory_mib, run_plan
+    from mirrorwave.studies.tradeoff.settings import DEFAULT_SETTINGS, read_settings
+
+    rows = _chosen(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
+    count, often = FULL if full else QUICK
+    plan = Plan(rows=rows, frames=frames or count, repeats=repeats or often, seed=seed)
+    with progress_bar("places", plan.frames) as tick:
+        results = run_plan(plan, out, tick)
+    failed = {name for result in results for name in result.failed}
+    running = [one for one in plan.rows if one.name not in failed] if memory else []
+    with progress_bar("memory", len(running)) as tick:
+        memory_mib = peak_memory_mib(running, tick)
+    report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or []))
+    write_report(report, out)
+    draw_front(report, out / "front.png")
+    draw_stages(report, out / "stages.png")
+    _show(report, out, as_json)
+
+
+def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
+    """Signal levels, effect budgets, rays and FDTD cells against the most complete answer."""
+    import msgspec
+
+    from mirrorwave.studies.tradeoff.simulator import (
+        run_simulator,
+        simulator_markdown,
+        simulator_plan,
+        write_simulator_report,
+    )
+    from mirrorwave.studies.tradeoff.simulator_figures import draw_simulator
+
+    with progress_bar("cases", len(simulator_plan(full, seed).jobs)) as tick:
+        report = run_simulator(out, full, seed, tick)
+    write_simulator_report(report, out)
+    draw_simulator(report, out / "tradeoff-simulator.png")
+    if as_json:
+        print_json(msgspec.to_builtins(report))
+        return
+    print_line(simulator_markdown(report))
+    print_line(f"{out}: tradeoff-simulator.json, .md, .png")
+
+
+def _chosen(rows: list[Setting], names: list[str]) -> list[Setting]:
+    """The base and the rows asked for; all where none is."""
+    from mirrorwave.studies.tradeoff.settings import BASE
+
+    known = {name for row in rows for name in (row.name, row.switch)}
+    for name in names:
+        if name not in known:
+            raise ValueError(f"--row must be one of {', '.join(sorted(known))}, got {name!r}")
+    return [row for row in rows if not names or row.name == BASE or {row.name, row.switch} & set(names)]
+
+
+def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str]) -> str:
+    """What gives the same run again."""
+    words = ["mirrorwave", "tradeoff", "--frames", str(plan.frames), "--repeats", str(plan.repeats)]
+    words += ["--seed", str(plan.seed)]
+    words += ["--networks", str(networks)] if networks else []
+    words += ["--settings", str(settings)] if settings else []
+    return shlex.join([*words, *(word for name in names for word in ("--row", name))])
+
+
+def _show(report: Report, out: Path, as_json: bool) -> None:
+    import msgspec
+
+    from mirrorwave.studies.tradeoff.report import COLUMNS, cells
+
+    if as_json:
+        print_json(msgspec.to_builtins(report))
+        return
+    print_table(COLUMNS, [cells(row) for row in report.rows])
+    print_line(f"{out}: tradeoff.json, tradeoff.md, front.png, stages.png")

@@ -1,0 +1,233 @@
+"""`mirrorwave sim dataset` and `mirrorwave sim statistics`: labelled data sets, and what is in them."""
+
+from __future__ import annotations
+
+import sys
+import time
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.console import AsJson, print_json, print_line, print_table
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from sim_player.dataset.shards import ShardDone
+    from sim_player.dataset.statistics import Statistics
+
+
+class PlacesOption(StrEnum):
+    """Series of scenes."""
+
+    ANY = "any"
+    STREET = "street"
+    PARKING_LOT = "parking_lot"
+    RESIDENTIAL_BLOCK = "residential_block"
+    MIXED_INTERSECTION = "mixed_intersection"
+    STREET_V1 = "street_v1"
+
+
+class PresetOption(StrEnum):
+    """Radars."""
+
+    XBAND = "xband"
+    MILLIMETRE = "77ghz"
+
+
+class ShiftOption(StrEnum):
+    """What a series differs in from the one that networks are trained on."""
+
+    NONE = "none"
+    HARD = "hard"
+
+
+class ExecutorOption(StrEnum):
+    """Where shards are made."""
+
+    LOCAL = "local"
+    RAY = "ray"
+    SLURM = "slurm"
+
+
+def dataset(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shards.")],
+    count: Annotated[int, typer.Option(min=1, help="Scenes to simulate.")],
+    seed: int = 0,
+    places: Annotated[
+        PlacesOption, typer.Option(help="Type of place; street_v1: the first series of random streets.")
+    ] = PlacesOption.ANY,
+    preset: Annotated[PresetOption, typer.Option(help="Radar.")] = PresetOption.XBAND,
+    effects: Annotated[
+        str | None,
+        typer.Option(metavar="auto|all|basic|LIST", help="Default auto; basic for street_v1.", show_default=False),
+    ] = None,
+    budget_db: Annotated[float, typer.Option(help="What planned effects may leave out, in any cell.")] = -20.0,
+    shift: Annotated[
+        ShiftOption, typer.Option(help="hard: rougher walls, clutter, gain and phase errors, dead beams.")
+    ] = ShiftOption.NONE,
+    executor: Annotated[
+        ExecutorOption, typer.Option(help="Processes here, a Ray cluster (RAY_ADDRESS), a Slurm job array.")
+    ] = ExecutorOption.LOCAL,
+    workers: Annotated[int, typer.Option(min=1, help="Shards made at a time.")] = 1,
+    slurm: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="Slurm parameter (partition, timeout_min, ...).")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Labelled range profiles of random places; resumable, the same bytes for any executor and number of workers."""
+    from sim_player.dataset.writer import Recipe, write_dataset
+
+    recipe = Recipe(
+        places=places.value,
+        preset=preset.value,
+        effects=parse_effects(effects),
+        budget_db=budget_db,
+        shift=shift.value,
+    )
+    report = _Report(out, count)
+    with report.progress:
+        write_dataset(
+            out,
+            count,
+            seed,
+            recipe,
+            workers=workers,
+            on_shard=report.hear,
+            executor=executor.value,
+            slurm=parse_slurm(slurm or []),
+        )
+    if as_json:
+        print_json(report.summary() | {"series": recipe.described(seed)})
+    else:
+        print_line(report.line())
+
+
+def statistics(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Data set of `mirrorwave sim dataset`.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="PAGE", help="Page to write (.html); its contact sheet (.png) goes beside.")
+    ] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Places, walls, objects, ranges, bounces, SNR, roughness and effects of a data set, as numbers or as a page."""
+    from sim_player.dataset.statistics import dataset_statistics
+
+    if out is not None and out.suffix != ".html":
+        raise ValueError(f"--out must be an .html file, got {out}")
+    found = dataset_statistics(folder)
+    if out is not None:
+        from mirrorwave.plots.dataset_page import write_page
+
+        write_page(folder, found, out)
+    if as_json:
+        print_json(found)
+        return
+    _print_statistics(found)
+    if out is not None:
+        print_line(f"{out} and {out.with_suffix('.png').name}: page and contact sheet")
+
+
+def parse_effects(text: str | None) -> str | tuple[str, ...] | None:
+    """`auto`, `all`, `basic`, or names with commas between them."""
+    if text is None or text in ("auto", "all", "basic"):
+        return text
+    return tuple(sorted({name.strip() for name in text.split(",") if name.strip()}))
+
+
+def parse_slurm(texts: list[str]) -> dict[str, Any]:
+    """KEY=VALUE texts; a value that is a whole number becomes one."""
+    found: dict[str, Any] = {}
+    for text in texts:
+        key, separator, value = text.partition("=")
+        if not (key.isidentifier() and separator and value):
+            raise ValueError(f"--slurm must be KEY=VALUE, got {text!r}")
+        found[key] = int(value) if value.lstrip("-").isdigit() else value
+    return found
+
+
+class _Report:
+    """What has been done so far, and how fast; rates count only what this run made."""
+
+    def __init__(self, out: Path, count: int) -> None:
+        self.out, self.count = out, count
+        self.scenes = {"kept": 0, "made": 0, "rewritten": 0}
+        self.rewritten: list[dict[str, str]] = []
+        self.start_s = time.perf_counter()
+        self.progress = _progress()
+        self.task = self.progress.add_task("simulating", total=count, speed="")
+
+    def hear(self, shard: ShardDone) -> None:
+        """One more shard."""
+        self.scenes[shard.state] += shard.scenes
+        if shard.state == "rewritten":
+            self.rewritten.append({"shard": shard.shard, "reason": shard.reason})
+            typer.echo(f"mirrorwave: {self.out / shard.shard}: made again: {shard.reason}", err=True)
+        done, rate = sum(self.scenes.values()), self.rate
+        speed = f"{rate:.2f} scenes/s, {_duration((self.count - done) / rate)} left" if rate else ""
+        self.progress.update(self.task, completed=done, speed=speed)
+
+    @property
+    def made(self) -> int:
+        """Scenes simulated in this run."""
+        return self.scenes["made"] + self.scenes["rewritten"]
+
+    @property
+    def seconds(self) -> float:
+        """Time since the start."""
+        return time.perf_counter() - self.start_s
+
+    @property
+    def rate(self) -> float:
+        """Scenes a second."""
+        return self.made / self.seconds
+
+    def summary(self) -> dict[str, Any]:
+        """What a script asks."""
+        return {
+            "folder": str(self.out),
+            "scenes": self.count,
+            "kept": self.scenes["kept"],
+            "made": self.made,
+            "rewritten": self.rewritten,
+            "seconds": round(self.seconds, 3),
+            "scenes_per_s": round(self.rate, 4),
+        }
+
+    def line(self) -> str:
+        """The same for people."""
+        kept = f", {self.scenes['kept']} there already" if self.scenes["kept"] else ""
+        again = f", {len(self.rewritten)} shards made again" if self.rewritten else ""
+        return f"{self.out}: {self.count} scenes in {_duration(self.seconds)}, {self.rate:.2f} a second{kept}{again}"
+
+
+def _progress() -> Progress:
+    """A bar on stderr with scenes a second and the time left."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[speed]}"))
+    return Progress(*columns, console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+
+
+def _duration(seconds: float) -> str:
+    """Seconds as 4 s, 2 min 05 s, 1 h 02 min."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60:02d} s"
+    return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def _print_statistics(found: Statistics) -> None:
+    """The numbers that fit a terminal."""
+    points = ", ".join(f"{number} {name}" for name, number in found.points.items())
+    print_line(f"{found.scenes} scenes, points: {points}; nothing hidden in {100 * found.nothing_hidden_share:.1f} %")
+    for title, counts in (("places", found.places), ("walls", found.relays), ("points by way", found.orders)):
+        print_line(f"{title}: " + ", ".join(f"{name} {number}" for name, number in counts.items()))
+    rows = [(name, one.direct, one.hidden, one.unseen) for name, one in found.objects.items()]
+    print_table(("object", "direct", "mirrors alone", "no points"), rows)
+    print_table(("effect", "share of scenes"), [(name, round(share, 3)) for name, share in found.effects.items()])

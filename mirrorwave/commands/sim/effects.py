@@ -1,0 +1,181 @@
+"""`mirrorwave sim effects` and `sim paths`: what a scene calls for, and every way its echoes take."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.completion import complete_scenes
+from mirrorwave.console import AsJson, print_json, print_line, print_table
+from msgs.values.wording import counted
+
+if TYPE_CHECKING:
+    from sim_player.lidar.spad import OpticPlan
+    from sim_player.planner.plan import Plan
+
+SceneFile = Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)]
+Budget = Annotated[
+    float, typer.Option("--budget-db", help="Most that any cell may be off, relative to noise or what stands there.")
+]
+Effects = Annotated[
+    str, typer.Option("--effects", help="auto (what the scene calls for), all, basic, or names with commas between.")
+]
+
+
+def effects(
+    scene: SceneFile,
+    budget_db: Budget = -20.0,
+    choice: Effects = "auto",
+    seed: int = 0,
+    as_json: AsJson = False,
+) -> None:
+    """Which effects a scene calls for, what each could change, and why it is used or skipped."""
+    import msgspec
+
+    from sim_player.effects.names import ALL_EFFECTS
+    from sim_player.lidar.spad import plan_optics
+    from sim_player.planner.plan import choose, chosen, plan_world
+    from sim_player.scene.description import load_scene
+    from sim_player.trace.ray_tracing import BASIC_EFFECTS, prepare
+
+    loaded = load_scene(scene)
+    world = prepare(loaded, seed)
+    if loaded.radar.preset == "spad":
+        if (budget_db, choice) != (-20.0, "auto"):
+            raise ValueError(f"{scene}: --effects and --budget-db must stay at their defaults, radar.preset is 'spad'")
+        _tell_light(plan_optics(world, loaded.lidar), as_json)
+        return
+    if choice == "auto":
+        plan = plan_world(world, loaded.setup, budget_db, thorough=True)
+    else:
+        found = choose(world, loaded.setup, choice, budget_db)
+        plan = found or chosen(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
+    if as_json:
+        rows = msgspec.to_builtins(plan.effects)
+        print_json({"budget_db": plan.budget_db, "effects": rows, "paths": len(plan.echoes), "traced": plan.traced})
+        return
+    _print_plan(plan, loaded.name)
+
+
+#: What the plain signal chain has.
+_PLAIN_SIGNAL = frozenset({"motion", "element_pattern", "quantised_phases", "thermal_noise", "adc"})
+
+
+def _tell_light(plans: Sequence[OpticPlan], as_json: bool) -> None:
+    """What light comes to a LiDAR, and how its photons are counted."""
+    import msgspec
+
+    if as_json:
+        print_json({"contributions": msgspec.to_builtins(plans)})
+        return
+    rows = [(one.name, "used" if one.used else "skipped", f"{one.bound:.3g}", one.reason) for one in plans]
+    print_table(("contribution", "", "detections", "why"), rows)
+
+
+def _print_plan(plan: Plan, name: str) -> None:
+    """One row an effect and a line of sums."""
+    rows = [
+        (e.name, "used" if e.used else "skipped", _db(e.bound_db), f"{1e3 * e.cost_s:.1f}", e.reason)
+        for e in plan.effects
+    ]
+    print_table(("effect", "", "bound dB", "cost ms", "why"), rows)
+    if not len(plan.echoes):
+        typer.echo(f"{name}: no echo reaches the radar, its map holds noise alone", err=True)
+    effects = f"{sum(e.used for e in plan.effects)} of {counted(len(plan.effects), 'effect')}"
+    used = f"{effects}, {len(plan.echoes)} of {counted(plan.traced, 'path')}"
+    if math.isinf(plan.budget_db):
+        print_line(f"{name}: {used}; chosen by hand, nothing bounded")
+        return
+    spent = "nothing" if plan.spent_db is None else f"{plan.spent_db:.0f} dB"
+    print_line(f"{name}: {used}; what was left out changes {spent} at most (budget {plan.budget_db:g} dB)")
+
+
+def _db(value: float | None) -> str:
+    return "-" if value is None else f"{value:.0f}"
+
+
+def paths(
+    scene: SceneFile,
+    budget_db: Budget = -20.0,
+    choice: Effects = "all",
+    seed: int = 0,
+    strongest: Annotated[int | None, typer.Option(min=1, help="Only so many, the strongest first.")] = None,
+    plot: Annotated[Path | None, typer.Option(help="Picture of the ways (PNG).")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Every echo the tracer finds: its way, length, direction and weight."""
+    import numpy as np
+
+    from sim_player.planner.plan import choose
+    from sim_player.scene.description import load_scene
+    from sim_player.trace.ray_tracing import prepare, trace
+    from sim_player.trace.truth import best_power_mw
+    from sim_player.trace.vertices import ways_out
+
+    loaded = load_scene(scene)
+    if loaded.radar.preset == "spad":
+        raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
+    world = prepare(loaded, seed)
+    plan = choose(world, loaded.setup, choice, budget_db)
+    found = trace(world) if plan is None else plan.paths
+    power_mw = best_power_mw(loaded.setup, found)
+    order = np.argsort(-power_mw, kind="stable")
+    kept = order if strongest is None else order[:strongest]
+    found, power_mw = found.take(kept), power_mw[kept]
+    ways = ways_out(world, found)
+    if plot is not None:
+        from mirrorwave.plots.scene import draw_paths
+
+        draw_paths(plot, loaded, found, ways, power_mw)
+    if as_json:
+        print_json([_path_row(found, index, ways[index]) for index in range(len(found))])
+        return
+    rows = [_path_line(found, index, float(power_mw[index])) for index in range(min(len(found), 40))]
+    print_table(("kind", "order", "length m", "azimuth deg", "dBm", "object", "wall", "by way of"), rows)
+    more = f", the strongest {len(rows)} shown" if len(found) > len(rows) else ""
+    print_line(f"{loaded.name}: {counted(len(found), 'path')}{more}{'' if plot is None else f'; picture: {plot}'}")
+
+
+def _path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
+    """One path as the contract has it (DESIGN section 4), with the effects it needs."""
+    weight = complex(found.amplitude[index])
+    return {
+        "kind": _kind(found, index),
+        "order": int(found.order[index]),
+        "points_m": way.tolist(),
+        "virtual_m": found.virtual_m[index].tolist(),
+        "length_m": float(found.length_m[index]),
+        "amplitude": [weight.real, weight.imag],
+        "surface": int(found.surface[index]),
+        "object": int(found.thing[index]),
+        "effects": _needs(found, index),
+    }
+
+
+def _path_line(found: Any, index: int, power_mw: float) -> tuple[object, ...]:
+    return (
+        _kind(found, index),
+        int(found.order[index]),
+        f"{found.length_m[index]:.2f}",
+        f"{math.degrees(found.azimuth_rad[index]):.1f}",
+        f"{10.0 * math.log10(max(power_mw, 1e-30)):.0f}",
+        int(found.thing[index]),
+        int(found.surface[index]),
+        ", ".join(_needs(found, index)),
+    )
+
+
+def _kind(found: Any, index: int) -> str:
+    from msgs.values.perception import PathClass
+
+    return "mnlos" if found.kind[index] == PathClass.MIRRORED else "los"
+
+
+def _needs(found: Any, index: int) -> list[str]:
+    from sim_player.effects.names import PATH_EFFECTS, bit
+
+    return [name for name in PATH_EFFECTS if int(found.needs[index]) & bit(name)]

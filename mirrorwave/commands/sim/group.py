@@ -1,0 +1,127 @@
+"""`mirrorwave sim`: captures and datasets from simulated scenes."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from mirrorwave.commands.sim.dataset import dataset, statistics
+from mirrorwave.commands.sim.effects import Budget, Effects, effects, paths
+from mirrorwave.commands.sim.fdtd import reflectance, wall
+from mirrorwave.commands.sim.lidar import lidar
+from mirrorwave.commands.sim.material import material
+from mirrorwave.completion import complete_scenes
+from mirrorwave.console import compile_line, print_line, require_new_file
+from msgs.values.wording import counted
+
+if TYPE_CHECKING:
+    from msgs.bus.interface import Outgoing
+    from msgs.values.radar import RadarSetup
+
+app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, labelled datasets, materials, effects.")
+#: Endings of what `sim run` writes; without one it is SigMF, two files of that name.
+_CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
+for verb in (effects, paths, material, reflectance, wall, dataset, statistics, lidar):
+    app.command()(verb)
+
+
+@app.command()
+def run(
+    scene: Annotated[Path, typer.Argument(help="Scene file (YAML).", autocompletion=complete_scenes)],
+    out: Annotated[Path, typer.Option(help="Capture to write: NAME.mcap, or NAME.sigmf-meta for SigMF.")],
+    scans: Annotated[int, typer.Option(min=1)] = 1,
+    seed: int = 0,
+    chirps_per_beam: Annotated[int | None, typer.Option(min=1, help="Fewer chirps, smaller files.")] = None,
+    object_speed_mps: Annotated[float | None, typer.Option(help="Speed of every object along its heading.")] = None,
+    ego_speed_mps: Annotated[float | None, typer.Option(help="Speed of the radar.")] = None,
+    phase_jitter_rad: Annotated[float, typer.Option(help="Standard deviation of a random phase per beam.")] = 0.0,
+    choice: Effects = "auto",
+    budget_db: Budget = -20.0,
+) -> None:
+    """Record what the radar or the LiDAR of a scene would measure, with the truth."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    from msgs.files.whole_files import require_room
+    from nodes import player
+    from sim_player.player import ScenePlayer
+
+    require_new_file(out)
+    if out.suffix not in ("", *_CAPTURES):
+        raise ValueError(f"--out {out}: a capture's name must end in {' or '.join(_CAPTURES)}, got {out.suffix!r}")
+    params = player.Params(
+        scene=str(scene),
+        seed=seed,
+        scans=scans,
+        chirps_per_beam=chirps_per_beam,
+        object_speed_mps=object_speed_mps,
+        ego_speed_mps=ego_speed_mps,
+        phase_jitter_rad=phase_jitter_rad,
+        effects=choice,
+        budget_db=budget_db,
+    )
+    with compile_line():
+        source = player.scene_player(params)
+    total = scans * (2 * len(source.setup.beams) + 1) if isinstance(source, ScenePlayer) else None
+    if not isinstance(source, ScenePlayer) and out.suffix != ".mcap":
+        raise ValueError(f"--out {out}: SigMF holds raw beams of radars, a LiDAR is recorded as NAME.mcap")
+    if isinstance(source, ScenePlayer):
+        require_room(out, scans * source.setup.scan_bytes)
+    if not len(source.paths(0)):
+        typer.echo(f"{scene}: no echo reaches the sensor, its map holds noise alone", err=True)
+    bar = Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty())
+    with compile_line(), bar as progress:
+        events = progress.track((event.outgoing for event in player.scene_events(source, scans)), total=total)
+        origin = {"scene": source.scene.name, "seed": str(seed)}
+        if out.suffix == ".mcap":
+            write_recording(out, iter(events), origin)
+        elif isinstance(source, ScenePlayer):
+            write_sigmf(out, source.setup, iter(events), origin)
+    print_line(f"{out}: {counted(scans, 'scan')} of {source.scene.name}, seed {seed}")
+
+
+def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
+    """MCAP recording of messages at the times their stamps say, as if `player` had sent them."""
+    from msgs.recording.mcap import whole_recording
+
+    sequences: dict[str, int] = {}
+    with whole_recording(path, metadata) as writer:
+        for topic, message in events:
+            sequence = sequences.get(topic, 0)
+            sequences[topic] = sequence + 1
+            writer.write(topic, message, publisher="player", sequence=sequence, sent_ns=_sent_ns(message))
+
+
+def _sent_ns(message: Any) -> int:
+    """When a player sends a message: at its stamp; a LiDAR's scan when its last azimuth has its turn."""
+    from msgs.values.lidar import PhotonHistograms
+
+    return int(message.azimuth_stamp_ns[-1] if isinstance(message, PhotonHistograms) else message.stamp_ns)
+
+
+def write_sigmf(path: Path, setup: RadarSetup, events: Iterator[Outgoing], metadata: dict[str, str]) -> None:
+    """SigMF capture of the beams; the truth goes beside it as a recording with `metadata`."""
+    from msgs.recording.sigmf import write_capture
+    from msgs.values.radar import RadarBeam
+    from nodes.player import truth_beside
+
+    truths: list[Outgoing] = []
+
+    def beams() -> Iterator[RadarBeam]:
+        for outgoing in events:
+            if isinstance(outgoing.message, RadarBeam):
+                yield outgoing.message
+            elif outgoing.topic == "sim/truth":
+                truths.append(outgoing)
+
+    meta_path, data_path = write_capture(path, setup, beams())
+    try:
+        write_recording(truth_beside(path), iter(truths), metadata)
+    except BaseException:
+        meta_path.unlink()
+        data_path.unlink()
+        raise

@@ -1,0 +1,1 @@
+"""Recordings and captures in other formats, both ways."""

@@ -1,0 +1,223 @@
+"""`mirrorwave import dca1000`: a raw 77 GHz capture as range-azimuth maps, a picture and the strongest returns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from models.perception.detection.peaks import keep_apart, local_maxima
+from models.perception.forming.digital_array import DigitalArrayMap, form_digital_map
+from models.sensors.dca1000 import (
+    Dca1000Config,
+    DeviceName,
+    FileFrames,
+    array_params,
+    frame_samples,
+    map_grid,
+    parse_cfg,
+    parse_json,
+)
+from models.training.files import file_sha256, json_lines, whole, write_whole
+from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
+
+#: Maps of 512 x 256 cells take 1.5 MiB a frame.
+FRAMES_PER_FILE = 50
+#: Longer files are no configuration.
+_MAX_CONFIG_BYTES = 1 << 20
+#: Returns lie further apart than this in range or azimuth: Hann's main lobe, and that of eight channels at broadside.
+SPACING_CELLS = (2, 32)
+#: Weaker maxima may be noise: of the 4 million values that a map is chosen from (Doppler bins), the strongest lies some
+#: 12 dB over their mean.
+LEAST_SNR_DB = 15.0
+DYNAMIC_RANGE_DB = 45.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportParams:
+    """What is asked of an import; `min_range_m` leaves the transmitters' own leakage out of the list of returns."""
+
+    remove_static: bool = False
+    mirrored: bool = False
+    min_range_m: float = 0.0
+    returns: int = 5
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.min_range_m) and self.min_range_m >= 0.0):
+            raise ValueError(f"min_range_m must be finite and not negative, got {self.min_range_m!r}")
+        if not 1 <= self.returns <= 1000:
+            raise ValueError(f"returns must be 1..1000, got {self.returns!r}")
+
+
+@dataclass(frozen=True)
+class ImportedFrame:
+    """A frame's map, its strongest returns and the share of its samples that reach the end of the scale."""
+
+    formed: DigitalArrayMap
+    returns: list[dict[str, float]]
+    saturated_share: float
+
+
+def read_config(path: Path, device: DeviceName | None) -> Dca1000Config:
+    """Configuration of a `.json` or, by any other suffix, of a TI command-line file."""
+    with path.open("rb") as file:
+        content = file.read(_MAX_CONFIG_BYTES + 1)
+    if len(content) > _MAX_CONFIG_BYTES:
+        raise ValueError(f"{path}: a configuration holds at most {_MAX_CONFIG_BYTES} bytes")
+    if path.suffix.lower() == ".json":
+        return parse_json(content, str(path), device)
+    try:
+        return parse_cfg(content.decode("utf-8"), str(path), device)
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: must be UTF-8 text, got byte {content[error.start]:#04x} at {error.start}") from None
+
+
+def import_capture(
+    capture: Path,
+    config_path: Path,
+    config: Dca1000Config,
+    out: Path,
+    params: ImportParams,
+    found: FileFrames,
+    on_frame: Callable[[], None] = lambda: None,
+) -> dict[str, Any]:
+    """Write `maps-NNNNN.npz`, `ra_map.png` and, last, `summary.json`; returns the summary.
+
+    Raises `ValueError` where `out` holds something or the capture is cut while it is read.
+    """
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):
+        raise ValueError(f"{out}: must be a new or an empty folder")
+    provenance = _provenance(capture, config_path, config)
+    out.mkdir(parents=True, exist_ok=True)
+    listed: list[dict[str, Any]] = []
+    held: list[ImportedFrame] = []
+    for index, frame in enumerate(_frames(capture, config, params, found.whole)):
+        if index == 0:
+            _draw(frame, out / "ra_map.png", capture.name)
+        listed.append({"frame": index, "saturated_share": frame.saturated_share, "returns": frame.returns})
+        held.append(frame)
+        if len(held) == FRAMES_PER_FILE or index == found.whole - 1:
+            _write_maps(out / f"maps-{index // FRAMES_PER_FILE:05d}.npz", held)
+            held = []
+        on_frame()
+    summary = {
+        "frames": found.whole,
+        "frames_wanted": found.wanted,
+        "left_bytes": found.left_bytes,
+        "loss": found.loss,
+        **_described(config),
+        **vars(params),
+        "provenance": provenance,
+        "per_frame": listed,
+    }
+    write_whole(out / "summary.json", json_lines(summary))
+    return summary
+
+
+def _provenance(capture: Path, config_path: Path, config: Dca1000Config) -> dict[str, Any]:
+    return {
+        "capture": {"name": capture.name, "bytes": capture.stat().st_size, "sha256": file_sha256(capture)},
+        "configuration": {
+            "name": config_path.name,
+            "sha256": file_sha256(config_path),
+            "fields": msgspec.to_builtins(config),
+        },
+    }
+
+
+def _described(config: Dca1000Config) -> dict[str, Any]:
+    """What follows from the configuration, for people and for readers of the maps."""
+    params = array_params(config)
+    speeds_mps = params.closing_speed_mps(config.frame.loops)
+    used = {config.transmitters[at] for at in config.used_chirps}
+    return {
+        "device": config.device,
+        "lanes": config.lanes,
+        "channels": len(params.channel_y_m),
+        "left_out_transmitters": sorted({one + 1 for one in config.transmitters if one not in used}),
+        "grid": msgspec.to_builtins(map_grid(config)),
+        "carrier_hz": params.carrier_hz,
+        "speed_bin_mps": 0.5 * params.wavelength_m / (params.repetition_interval_s * config.frame.loops),
+        "speed_limit_mps": float(np.abs(speeds_mps).max()),
+    }
+
+
+def _frames(capture: Path, config: Dca1000Config, params: ImportParams, count: int) -> Iterator[ImportedFrame]:
+    array, grid = array_params(config, params.remove_static, params.mirrored), map_grid(config)
+    period_ns = ns_from_s(1e-3 * config.frame.period_ms)
+    with capture.open("rb") as file:
+        for index in range(count):
+            codes = np.fromfile(file, "<i2", config.frame_bytes // 2)
+            if len(codes) != config.frame_bytes // 2:
+                raise ValueError(f"{capture}: ends inside frame {index}: it was whole when it was opened")
+            formed = form_digital_map(frame_samples(codes, config), array, grid, index * period_ns, index)
+            saturated = float(np.mean((codes == 32767) | (codes == -32768)))
+            yield ImportedFrame(formed, strongest_returns(formed, params), saturated)
+
+
+def strongest_returns(formed: DigitalArrayMap, params: ImportParams) -> list[dict[str, float]]:
+    """The strongest maxima of a map over 15 dB of its noise, strongest first; nothing is fitted between cells."""
+    grid, noise_mw = formed.map.grid, formed.map.noise_power_mw
+    power = np.square(np.abs(formed.map.values), dtype=np.float64)
+    power[grid.range_m < params.min_range_m] = 0.0
+    # a silent frame has neither noise nor returns
+    threshold = max(noise_mw * ratio_from_db(LEAST_SNR_DB), 1e-30)
+    maxima = local_maxima(power, threshold, SPACING_CELLS[0])
+    cells = maxima[keep_apart(maxima, SPACING_CELLS)[: params.returns]]
+    return [
+        {
+            "range_m": float(grid.range_m[row]),
+            "azimuth_deg": math.degrees(grid.azimuth_rad[column]),
+            "closing_speed_mps": float(formed.closing_speed_mps[row, column]),
+            "snr_db": float(db_from_ratio(power[row, column] / max(noise_mw, 1e-30))),
+        }
+        for row, column in cells
+    ]
+
+
+def _write_maps(path: Path, frames: list[ImportedFrame]) -> None:
+    maps = [frame.formed.map for frame in frames]
+    arrays = {
+        "values": np.stack([one.values for one in maps]),
+        "closing_speed_mps": np.stack([frame.formed.closing_speed_mps for frame in frames]),
+        "noise_power_mw": np.array([one.noise_power_mw for one in maps]),
+        "stamp_ns": np.array([one.stamp_ns for one in maps], np.int64),
+        "scan_id": np.array([one.scan_id for one in maps], np.int64),
+        "saturated_share": np.array([frame.saturated_share for frame in frames]),
+        "range_m": maps[0].grid.range_m,
+        "azimuth_rad": maps[0].grid.azimuth_rad,
+    }
+    with whole(path) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+
+
+def _draw(frame: ImportedFrame, out_path: Path, name: str) -> None:
+    """The first frame's map, level over noise, with its strongest returns."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    ra_map = frame.formed.map
+    power = np.square(np.abs(ra_map.values), dtype=np.float64)
+    level_db = 10.0 * np.log10(np.maximum(power, 1e-30) / max(ra_map.noise_power_mw, 1e-30))
+    figure = Figure(figsize=(7.5, 6.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    mesh = axes.pcolormesh(
+        np.degrees(ra_map.grid.azimuth_rad), ra_map.grid.range_m, level_db, cmap="cividis", shading="nearest",
+        vmin=level_db.max() - DYNAMIC_RANGE_DB, vmax=level_db.max(), rasterized=True,
+    )  # fmt: skip
+    figure.colorbar(mesh, ax=axes, label="level over noise [dB]")
+    axes.scatter(
+        [one["azimuth_deg"] for one in frame.returns], [one["range_m"] for one in frame.returns],
+        s=60, facecolors="none", edgecolors="#D55E00", linewidths=1.6,
+    )  # fmt: skip
+    # left is positive, as on the road
+    axes.invert_xaxis()
+    axes.set(xlabel="azimuth, left positive [deg]", ylabel="range [m]", title=f"{name}, frame 0: strongest returns")
+    with whole(out_path) as part, part.open("wb") as file:
+        figure.savefig(file, format="png", dpi=110, metadata={"Software": None})

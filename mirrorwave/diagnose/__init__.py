@@ -1,0 +1,1 @@
+"""What a running graph does and why it does not."""

@@ -1,0 +1,1 @@
+"""Recordings played into a graph or under the page."""

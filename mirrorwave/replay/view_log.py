@@ -1,0 +1,139 @@
+"""A recording read once from end to end: what each scan's page shows beyond its own messages, and what happened when.
+
+Trails and warnings follow from all that came before, so they are reckoned in the order of the recording and kept: a
+scan shows the same however it is reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+from msgs.recording.mcap import RecordingReader
+from msgs.values.perception import BevFrame
+from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
+from nodes.inputs.view_latency import Setup
+from nodes.viewer.assembly import TABLE_PERIOD_NS
+from nodes.viewer.driver_warnings import DriverWarning, Level
+from nodes.viewer.newest import json_text
+from nodes.viewer.trails import Past
+from nodes.viewer.watch import TOPICS_WATCHED, Watch
+
+#: A hole in a recording is looked into this far.
+LONGEST_HOLE_NS = 60 * NANOSECONDS_PER_SECOND
+#: Marks on the timeline at most; the most urgent are kept.
+MAX_MARKS = 1000
+
+
+class Moment(NamedTuple):
+    """A scan of a recording, with what its page shows beside its own messages."""
+
+    sent_ns: int
+    scan_id: int
+    #: Hidden objects and tracks in it.
+    objects: int
+    tracks: int
+    past: tuple[Past, ...]
+    warnings: tuple[DriverWarning, ...]
+    #: The node table as JSON.
+    table: str
+
+
+class Mark(NamedTuple):
+    """A warning on the timeline, as long as it is of one level; one that rises or falls goes on as another mark."""
+
+    key: str
+    start_ns: int
+    end_ns: int
+    level: Level
+    title: str
+
+
+class ViewLog(NamedTuple):
+    """Scans in order, and the marks in order of their start."""
+
+    moments: list[Moment]
+    marks: list[Mark]
+    #: Set-up of the sensor, the last that was told; None where none was.
+    sensor: Setup | None
+
+
+def read_log(reader: RecordingReader) -> ViewLog:
+    """Read all scans of a recording; messages that cannot be read are passed over."""
+    moments: list[Moment] = []
+    marks = _Marks()
+    watch: Watch | None = None
+    due_ns = 0
+    for recorded in reader.messages(TOPICS_WATCHED):
+        now_ns, message = recorded.log_time_ns, recorded.message
+        if watch is None:
+            watch, due_ns = Watch(now_ns), now_ns
+        # a live page asks this often, whether anything comes or not
+        due_ns = max(due_ns, now_ns - LONGEST_HOLE_NS)
+        while due_ns < now_ns:
+            marks.add(watch.warnings(due_ns), due_ns)
+            due_ns += TABLE_PERIOD_NS
+        watch.take(message, now_ns)
+        if isinstance(message, BevFrame):
+            moments.append(_moment(message, watch, now_ns))
+            marks.add(moments[-1].warnings, now_ns)
+    return ViewLog(moments, marks.closed(), None if watch is None else watch.sensor)
+
+
+def _moment(frame: BevFrame, watch: Watch, now_ns: int) -> Moment:
+    return Moment(
+        sent_ns=now_ns,
+        scan_id=frame.scan_id,
+        objects=len(frame.objects),
+        tracks=len(frame.tracks),
+        past=watch.past,
+        warnings=watch.warnings(now_ns),
+        table=json_text(watch.table(now_ns)),
+    )
+
+
+class _Marks:
+    """Warnings of successive times joined to marks."""
+
+    def __init__(self) -> None:
+        self._open: dict[str, Mark] = {}
+        self._closed: list[Mark] = []
+
+    def add(self, warnings: Sequence[DriverWarning], now_ns: int) -> None:
+        """Take in the warnings of a time."""
+        self._closed += [self._open.pop(key) for key in set(self._open) - {one.key for one in warnings}]
+        for one in warnings:
+            known = self._open.get(one.key)
+            if known is None:
+                known = Mark(one.key, one.since_ns, now_ns, one.level, one.title)
+            elif one.level != known.level:
+                self._closed.append(known)
+                known = Mark(one.key, now_ns, now_ns, one.level, one.title)
+            self._open[one.key] = known if one.ended else known._replace(end_ns=now_ns)
+
+    def closed(self) -> list[Mark]:
+        """All marks, in order of their start."""
+        worst = sorted([*self._closed, *self._open.values()], key=lambda one: -one.level)[:MAX_MARKS]
+        return sorted(worst, key=lambda one: (one.start_ns, one.key))
+
+
+def overview_json(log: ViewLog) -> dict[str, Any]:
+    """The whole recording for the strip above the slider; times in seconds from the first scan."""
+    start_ns = log.moments[0].sent_ns
+    return {
+        "type": "overview",
+        "times_s": [round(s_from_ns(one.sent_ns - start_ns), 2) for one in log.moments],
+        "seen": [max(one.objects, one.tracks) for one in log.moments],
+        "marks": [
+            {
+                "key": one.key,
+                "from_s": round(s_from_ns(one.start_ns - start_ns), 2),
+                "to_s": round(s_from_ns(one.end_ns - start_ns), 2),
+                "level": one.level.name.lower(),
+                "title": one.title,
+            }
+            for one in log.marks
+            # what was over before the first scan is not seen at any
+            if one.end_ns >= start_ns
+        ],
+    }

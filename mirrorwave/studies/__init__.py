@@ -1,0 +1,1 @@
+"""Studies over many frames: evaluation, accuracy versus time, comparison of sensors."""

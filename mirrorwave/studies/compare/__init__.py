@@ -1,0 +1,1 @@
+"""Three sensors on the same hidden scenes."""

@@ -1,0 +1,553 @@
+"""What a comparison says: each sensor over each sweep beside its closed form, where it ends, why; JSON and Markdown."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from mirrorwave.studies.compare.runner import SWEEPS, Plan, SceneResult, Seen, Value
+from mirrorwave.studies.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
+from mirrorwave.studies.tradeoff.report import Interval, machine, versions
+from models.evaluation.frame_scores import INTERVAL, bootstrap_weights
+from models.physics.link_budget import half_range, map_noise_gain, radar_threshold, spad_threshold, two_way_field
+from models.physics.roughness import coherent_power
+from models.training.files import json_lines, write_whole
+from msgs.values.units import db_from_ratio
+from msgs.values.wording import counted
+
+DRAWS = 1000
+#: Measures of a row over which a sensor's reach is asked for.
+MEASURES = {"f1_1m": "F1 within 1 m", "f1_2m": "F1 within 2 m", "found": "objects found"}
+#: Reach of a sensor is compared with that of the first of these that ran.
+REFERENCE = ("xband", "77ghz")
+#: Sweeps of range, and the one of roughness.
+RANGE_SWEEPS, ROUGHNESS = ("range", "range_glass", "range_metal"), "roughness"
+#: Values farther apart than this factor leave a reach between them open.
+WIDE = 1.5
+#: Two levels agree with their closed form where noise adds little: this far over the threshold.
+CLEAR_DB = 6.0
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One sensor at one value of a sweep, over all viewpoints; where none could be looked at, the reason alone."""
+
+    sweep: str
+    value: Value
+    sensor: str
+    #: Viewpoints that were looked at, and why the first of the others was not.
+    scans: int
+    failed: str | None = None
+    f1_1m: Interval | None = None
+    f1_2m: Interval | None = None
+    #: Share of hidden objects with a recovered point within 2 m of their box.
+    found: Interval | None = None
+    #: A scan: recovered points with no truth within 2 m, and groups of points near no object.
+    false_points: float | None = None
+    false_objects: float | None = None
+    #: Medians over viewpoints: strongest cell at the images over the mean noise, and its closed form.
+    snr_db: float | None = None
+    predicted_snr_db: float | None = None
+    #: What roughness took off that level against a smooth wall (same viewpoints), and (1/rho)^2 of Eq. (15) where the
+    #: points shown meet the wall nearest to grazing, and farthest from it.
+    loss_db: float | None = None
+    least_loss_db: float | None = None
+    most_loss_db: float | None = None
+    seconds: float | None = None
+
+
+class Reach(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where one sensor's measure last falls below half of its best over a sweep."""
+
+    sweep: str
+    sensor: str
+    measure: str
+    best: float
+    #: Interpolated; 0 where the best is chance: 0 lies in its interval. Where the measure holds to the sweep's last
+    #: value that value, and `at_least` is true.
+    half: float
+    at_least: bool
+    #: The values between which it was interpolated; None where it was not.
+    between: tuple[float, float] | None = None
+    #: The reach of the sensor that `reference` names over this one; None where either has none.
+    reference: str | None = None
+    ratio: float | None = None
+    ratio_at_least: bool = False
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run: what it was made with, rows, reaches, and what they say."""
+
+    command: str
+    machine: str
+    versions: dict[str, str]
+    seed: int
+    viewpoints: int
+    equal: Equal
+    sensors: dict[str, str]
+    #: Of one scan.
+    energy_j: dict[str, float]
+    #: Level of a cell, over the mean noise, that noise alone passes with `FALSE_ALARM`.
+    threshold_db: dict[str, float]
+    rows: list[Row]
+    reaches: list[Reach]
+    findings: list[str]
+
+    def of(self, sweep: str, sensor: str | None = None) -> list[Row]:
+        """Rows of a sweep that hold numbers, in order; of one sensor where it is named."""
+        mine = (row for row in self.rows if row.sweep == sweep and row.scans)
+        return [row for row in mine if sensor is None or row.sensor == sensor]
+
+
+def make_report(plan: Plan, results: Sequence[SceneResult], command: str) -> Report:
+    """All rows of a run."""
+    rows = [
+        _row(plan, results, sweep, index, sensor)
+        for sweep, values in plan.values.items()
+        for index in range(len(values))
+        for sensor in plan.sensors
+    ]
+    report = Report(
+        command=command,
+        machine=machine(),
+        versions=versions(),
+        seed=plan.seed,
+        viewpoints=plan.viewpoints,
+        equal=plan.equal,
+        sensors={name: SENSORS[name].title for name in plan.sensors},
+        energy_j={name: SENSORS[name].energy_j(plan.equal) for name in plan.sensors},
+        threshold_db={name: threshold_db(SENSORS[name]) for name in plan.sensors},
+        rows=rows,
+        reaches=_reaches(plan, rows),
+        findings=[],
+    )
+    return msgspec.structs.replace(report, findings=findings(report))
+
+
+def threshold_db(sensor: Sensor) -> float:
+    """What a cell of mean noise must exceed to count, dB over that noise."""
+    law = spad_threshold if isinstance(sensor, SpadSensor) else radar_threshold
+    return db_from_ratio(float(law(FALSE_ALARM)))
+
+
+def _row(plan: Plan, results: Sequence[SceneResult], sweep: str, index: int, sensor: str) -> Row:
+    """All viewpoints of one value."""
+    value = plan.values[sweep][index]
+    mine = [one for one in results if (one.sweep, one.index) == (sweep, index)]
+    seen = [one.seen[sensor] for one in mine]
+    reason = next((one.failed for one in seen if one.failed is not None), None)
+    scores = [one.score for one in seen if one.score is not None]
+    row = Row(sweep=sweep, value=value, sensor=sensor, scans=len(scores), failed=reason)
+    if not scores:
+        return row
+    loss = _loss(plan, results, mine, sensor) if sweep == ROUGHNESS else (None, None, None)
+    return msgspec.structs.replace(
+        row,
+        f1_1m=_f1([one.within_1m for one in scores]),
+        f1_2m=_f1([one.within_2m for one in scores]),
+        found=_share([one.found for one in scores], [one.hidden for one in scores]),
+        false_points=float(np.mean([one.within_2m[1] for one in scores])),
+        false_objects=float(np.mean([one.false_objects for one in scores])),
+        snr_db=_median([one.snr_db for one in scores]),
+        predicted_snr_db=_median([one.predicted_snr_db for one in seen]),
+        loss_db=loss[0],
+        least_loss_db=loss[1],
+        most_loss_db=loss[2],
+        seconds=_median([one.seconds for one in seen]),
+    )
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.median(known)) if known else None
+
+
+def _f1(counts: Sequence[tuple[int, int, int]]) -> Interval:
+    """F1 of counts summed over scans, with its interval over draws of the scans; one where there was nothing at all."""
+    true, false, missed = np.array(counts, np.float64).T
+    return _ratio(2.0 * true, 2.0 * true + false + missed, empty=1.0)
+
+
+def _share(part: Sequence[int], whole: Sequence[int]) -> Interval:
+    """A share of sums over scans; none where there is nothing to share."""
+    return _ratio(np.array(part, np.float64), np.array(whole, np.float64), empty=math.nan)
+
+
+def _ratio(above: np.ndarray, below: np.ndarray, empty: float) -> Interval:
+    weights = np.concatenate([np.ones((1, len(above))), bootstrap_weights(len(above), DRAWS, seed=0)])
+    total = weights @ below
+    values = np.divide(weights @ above, total, out=np.full(len(total), empty), where=total > 0.0)
+    if not math.isfinite(values[0]):
+        return Interval(value=None, low=None, high=None)
+    if len(above) == 1:
+        # one viewpoint does not say how viewpoints differ
+        return Interval(value=float(values[0]), low=None, high=None)
+    low, high = np.nanpercentile(values[1:], INTERVAL)
+    return Interval(value=float(values[0]), low=float(low), high=float(high))
+
+
+def _loss(
+    plan: Plan, results: Sequence[SceneResult], mine: Sequence[SceneResult], sensor: str
+) -> tuple[float | None, float | None, float | None]:
+    """Medians over viewpoints of what roughness took [dB]: against the smooth wall; least and most by Eq. (15)."""
+    values = plan.values[ROUGHNESS]
+    smooth = {
+        one.viewpoint: _level(one.seen[sensor])
+        for one in results
+        if one.sweep == ROUGHNESS and values[one.index] == 0.0
+    }
+    measured, least, most = [], [], []
+    for one in mine:
+        before_db, after_db = smooth.get(one.viewpoint), _level(one.seen[sensor])
+        if before_db is not None and after_db is not None:
+            measured.append(before_db - after_db)
+        if one.cos_incidence is not None:
+            roughness_m = 1e-3 * float(values[one.index])
+            least.append(roughness_loss_db(SENSORS[sensor], roughness_m, one.cos_incidence[0]))
+            most.append(roughness_loss_db(SENSORS[sensor], roughness_m, one.cos_incidence[1]))
+    return _median(measured), _median(least), _median(most)
+
+
+def _level(seen: Seen) -> float | None:
+    return None if seen.score is None else seen.score.snr_db
+
+
+def roughness_loss_db(sensor: Sensor, roughness_m: float, cos_incidence: float) -> float:
+    """exp(-(4 pi s cos / lambda)^2) at each of two bounces, in the level of a map: for photons that is squared."""
+    share = float(coherent_power(np.array(roughness_m), np.array(cos_incidence), sensor.wavelength_m))
+    bounces = 4.0 if isinstance(sensor, SpadSensor) else 2.0
+    return -bounces * db_from_ratio(max(share, 1e-300))
+
+
+def _reaches(plan: Plan, rows: Sequence[Row]) -> list[Reach]:
+    """Half ranges of all sensors over the sweeps of numbers that a sensor loses with, and ratios to the reference's."""
+    found = []
+    for sweep in (*RANGE_SWEEPS, ROUGHNESS):
+        for measure in MEASURES if sweep in plan.values else ():
+            mine = [_reach(rows, sweep, sensor, measure) for sensor in plan.sensors]
+            known = {one.sensor: one for one in mine if one is not None}
+            reference = next((known[name] for name in REFERENCE if name in known), None)
+            found += [_against(one, reference) for one in known.values()]
+    return found
+
+
+def _reach(rows: Sequence[Row], sweep: str, sensor: str, measure: str) -> Reach | None:
+    points: list[tuple[float, Interval]] = []
+    for row in rows:
+        one = getattr(row, measure) if (row.sweep, row.sensor) == (sweep, sensor) else None
+        if one is not None and one.value is not None:
+            points.append((float(row.value), one))
+    if len(points) < 2:
+        return None
+    points.sort(key=lambda point: point[0])
+    at, value = np.array([place for place, _ in points]), np.array([one.value for _, one in points])
+    best = int(value.argmax())
+    half = half_range(at, value) if points[best][1].low != 0.0 else 0.0
+    after = int(np.searchsorted(at, half)) if 0.0 < half < at[-1] else 0
+    return Reach(
+        sweep=sweep,
+        sensor=sensor,
+        measure=measure,
+        best=float(value[best]),
+        half=float(min(half, at[-1])),
+        at_least=math.isinf(half),
+        between=(float(at[after - 1]), float(at[after])) if after else None,
+    )
+
+
+def _against(one: Reach, reference: Reach | None) -> Reach:
+    if reference is None or reference is one or not reference.half or not one.half or one.at_least:
+        return one
+    ratio = reference.half / one.half
+    return msgspec.structs.replace(one, reference=reference.sensor, ratio=ratio, ratio_at_least=reference.at_least)
+
+
+# --- what it says
+
+
+def findings(report: Report) -> list[str]:
+    """Where each sensor wins and why, in sentences made of the rows."""
+    said = [_reach_sentence(report, sweep) for sweep in RANGE_SWEEPS]
+    said += [*_radar_sentences(report), *_roughness_sentences(report), *_window_sentences(report)]
+    said += [_walls_sentence(report, name) for name in ("xband", "77ghz")]
+    said += [_best_sentence(report, sweep) for sweep in ("material", "incidence", "places")]
+    said += [_failed_sentence(report, row) for row in report.rows if row.failed is not None]
+    return [one for one in said if one]
+
+
+def _reach_sentence(report: Report, sweep: str) -> str:
+    """How far each sensor reaches."""
+    mine = [one for one in report.reaches if (one.sweep, one.measure) == (sweep, "f1_1m")]
+    if not mine:
+        return ""
+    parts = []
+    for one in mine:
+        name = report.sensors[one.sensor]
+        if one.half == 0.0:
+            parts.append(f"{name} recovers nothing{' beyond chance' if one.best else ''}")
+            continue
+        ratio = ""
+        if one.ratio is not None and one.reference is not None and not _open(one):
+            bound = "at least " if one.ratio_at_least else ""
+            ratio = f" ({report.sensors[one.reference]} {bound}{one.ratio:.1f} times as far)"
+        parts.append(f"{name} {_where(one, 'm')}{ratio}")
+    title = SWEEPS[sweep].title.removesuffix(" [m]")
+    return f"Reach over {title}, where F1 within 1 m falls below half of its best: {'; '.join(parts)}."
+
+
+def _where(one: Reach, unit: str) -> str:
+    """A reach that is one; as a bracket where values lie too far apart to interpolate."""
+    if one.at_least:
+        return f"beyond {one.half:g} {unit}, where the sweep ends"
+    if one.between is not None and _open(one):
+        return f"between {one.between[0]:g} and {one.between[1]:g} {unit}"
+    return f"at {one.half:.3g} {unit}"
+
+
+def _open(one: Reach) -> bool:
+    return one.between is not None and one.between[1] > WIDE * one.between[0]
+
+
+def _radar_sentences(report: Report) -> list[str]:
+    """Why X-band leads 77 GHz: the terms of the radar equation against what was measured."""
+    if not {"xband", "77ghz"} <= set(report.sensors):
+        return []
+    near, far = RADARS["xband"], RADARS["77ghz"]
+    one, two = near.setup(1.0, report.equal), far.setup(1.0, report.equal)
+    wavelength_db = 2.0 * db_from_ratio(near.wavelength_m / far.wavelength_m)
+    array_db = 2.0 * db_from_ratio(float(two_way_field(one, np.zeros(())) / two_way_field(two, np.zeros(()))))
+    chirps = one.radar.chirps_per_beam * map_noise_gain(two) / (two.radar.chirps_per_beam * map_noise_gain(one))
+    time_db = db_from_ratio(chirps)
+    said = [
+        f"But for the wall the radar equation gives X-band {wavelength_db + array_db + time_db:+.1f} dB over 77 GHz: "
+        f"{wavelength_db:+.1f} dB of effective aperture (wavelength squared), {array_db:+.1f} dB of arrays "
+        f"(4 x 8 both ways against 1 x 57 one way), {time_db:+.1f} dB of time and noise of a cell."
+    ]
+    for sweep in RANGE_SWEEPS:
+        gaps = _gaps_db(report, sweep)
+        if gaps:
+            said.append(
+                f"Measured over {SWEEPS[sweep].title.removesuffix(' [m]')} where both stand clear of noise: "
+                f"{np.median(gaps):+.1f} dB (median; values: {len(gaps)}), the wall's material and roughness included."
+            )
+    return said
+
+
+def _gaps_db(report: Report, sweep: str) -> list[float]:
+    """Level of X-band over 77 GHz at the values where both are clear of noise."""
+    levels = [
+        {row.value: row.snr_db for row in report.of(sweep, name) if clear(report, row)} for name in ("xband", "77ghz")
+    ]
+    return [levels[0][value] - levels[1][value] for value in levels[0] if value in levels[1]]  # type: ignore[operator]
+
+
+def clear(report: Report, row: Row) -> bool:
+    """Whether a level stands so far over its threshold that noise adds little to it."""
+    return row.snr_db is not None and row.snr_db >= report.threshold_db[row.sensor] + CLEAR_DB
+
+
+def _times(longer: Reach, one: Reach) -> str:
+    """How many times as far one reach is as another, where both are known well enough."""
+    if one.at_least or _open(one) or _open(longer):
+        return ""
+    return f": {'at least ' if longer.at_least else ''}{longer.half / one.half:.1f} times as far"
+
+
+def _roughness_sentences(report: Report) -> list[str]:
+    """Loss by roughness against the closed form, and where each sensor loses the mirror."""
+    said = []
+    for sensor, title in report.sensors.items():
+        off = {
+            float(row.value): _outside(row)
+            for row in report.of(ROUGHNESS, sensor)
+            if row.loss_db is not None and row.value and clear(report, row)
+        }
+        reach = next((one for one in report.reaches if _is(one, ROUGHNESS, sensor, "f1_1m")), None)
+        if reach is None or reach.half == 0.0:
+            continue
+        law = ""
+        if off:
+            worst = max(off, key=lambda value: off[value])
+            far = f"at most {off[worst]:.1f} dB (at {worst:g} mm) from" if off[worst] >= 0.05 else "within"
+            law = (
+                f"; its loss, clear of noise to {max(off):g} mm, lies {far} the band of exp(-(4 pi s cos / lambda)^2) "
+                "a bounce over the object's points"
+            )
+        said.append(f"Roughness: F1 of {title} falls below half of its best {_where(reach, 'mm')}{law}.")
+    return said
+
+
+def _outside(row: Row) -> float:
+    """How far a loss lies outside its closed form's band [dB]."""
+    return max((row.least_loss_db or 0.0) - (row.loss_db or 0.0), (row.loss_db or 0.0) - (row.most_loss_db or 0.0), 0.0)
+
+
+def _is(one: Reach, sweep: str, sensor: str, measure: str) -> bool:
+    return (one.sweep, one.sensor, one.measure) == (sweep, sensor, measure)
+
+
+def _window_sentences(report: Report) -> list[str]:
+    """How much of a LiDAR's reach is its period's, and what the wall's own light does to one that is always armed."""
+    said = []
+    gated, free = ({row.value: row for row in report.of(ROUGHNESS, name)} for name in ("spad_gated", "spad"))
+    f1 = [row.f1_1m.value or 0.0 for row in (gated.get(0.0), free.get(0.0)) if row is not None and row.f1_1m]
+    if len(f1) == 2 and f1[0] > f1[1]:
+        said.append(
+            f"At a perfectly smooth concrete wall the LiDAR gated after the wall has F1 {f1[0]:.2f}, "
+            f"Table 2's, always armed, {f1[1]:.2f}: matt light of the wall takes the first photon."
+        )
+    for sweep in RANGE_SWEEPS:
+        reach = {one.sensor: one for one in report.reaches if (one.sweep, one.measure) == (sweep, "f1_1m")}
+        one, longer = reach.get("spad_gated"), reach.get("spad_long")
+        if one is None or longer is None or not one.half or not longer.half:
+            continue
+        said.append(
+            f"Window: over {SWEEPS[sweep].title.removesuffix(' [m]')} the LiDAR gated within Table 2's period of 10 m "
+            f"ends {_where(one, 'm')}; with the period lengthened at equal average power {_where(longer, 'm')}"
+            f"{_times(longer, one)}."
+        )
+    return said
+
+
+def _walls_sentence(report: Report, sensor: str) -> str:
+    """What walls of other materials take from a radar's level, against metal."""
+    level_db = {row.value: row.snr_db for row in report.of("material", sensor) if row.snr_db is not None}
+    metal_db = level_db.pop("metal", None)
+    if metal_db is None or not level_db:
+        return ""
+    lost = ", ".join(f"{str(wall).replace('_', ' ')} {value - metal_db:+.1f} dB" for wall, value in level_db.items())
+    return f"Level of {report.sensors[sensor]} by wall, against metal (thin panes act by both faces): {lost}."
+
+
+def _best_sentence(report: Report, sweep: str) -> str:
+    """Which sensor has the best F1 at each value."""
+    values = list(dict.fromkeys(row.value for row in report.of(sweep)))
+    parts = []
+    for value in values:
+        rows = [row for row in report.of(sweep) if row.value == value and row.f1_1m is not None]
+        f1 = {row.sensor: round(row.f1_1m.value or 0.0, 2) for row in rows if row.f1_1m is not None}
+        best = max(f1.values(), default=0.0)
+        name = value.replace("_", " ") if isinstance(value, str) else f"{value:g}"
+        # whoever is as good to the digits shown has won as well
+        winners = " and ".join(report.sensors[sensor] for sensor in f1 if f1[sensor] == best)
+        parts.append(f"{name}: {winners} {best:.2f}" if best else f"{name}: none")
+    return f"Best F1 within 1 m by {SWEEPS[sweep].title}: {'; '.join(parts)}." if parts else ""
+
+
+def _failed_sentence(report: Report, row: Row) -> str:
+    """Why scans of a row are missing."""
+    missing = report.viewpoints - row.scans
+    return f"{report.sensors[row.sensor]} failed at {missing} of {report.viewpoints} ({row.value}): {row.failed}."
+
+
+COLUMNS = (
+    "sensor", "F1 1 m", "F1 2 m", "found", "false points", "false objects", "SNR [dB]", "closed form",
+    "loss [dB]", "closed form", "time [s]",
+)  # fmt: skip
+
+
+def cells(row: Row) -> list[str]:
+    """A row as its value and `COLUMNS`."""
+    if not row.scans:
+        return [str(row.value), row.sensor, "failed", *[""] * (len(COLUMNS) - 2)]
+    return [
+        f"{row.value:g}" if isinstance(row.value, float) else row.value,
+        row.sensor if row.failed is None else f"{row.sensor} ({counted(row.scans, 'scan')})",
+        *(_with_interval(one) for one in (row.f1_1m, row.f1_2m, row.found)),
+        *(_one_digit(value) for value in (row.false_points, row.false_objects, row.snr_db, row.predicted_snr_db)),
+        _one_digit(row.loss_db),
+        _span(row.least_loss_db, row.most_loss_db),
+        "-" if row.seconds is None else f"{row.seconds:.2f}",
+    ]
+
+
+def _one_digit(value: float | None) -> str:
+    """A number for people; a level no receiver knows is not spelled out."""
+    return "-" if value is None else "below -100" if value < -100.0 else f"{value + 0.0:.1f}".replace("-0.0", "0.0")
+
+
+def _span(least_db: float | None, most_db: float | None) -> str:
+    """A closed form's band; a loss that no sensor could measure is not spelled out."""
+    if least_db is None or most_db is None:
+        return "-"
+    return "over 200" if least_db > 200.0 else f"{least_db:.1f} to {most_db:.1f}"
+
+
+def _with_interval(one: Interval | None) -> str:
+    if one is None or one.value is None:
+        return "-"
+    if one.low is None or one.high is None:
+        return f"{one.value:.2f}"
+    return f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]"
+
+
+ABOUT = (
+    "Every sensor looks at the same scenes from the same viewpoints and sends 1.6 mW. Each map lies on the same grid "
+    "and goes through the same detector (false alarms of noise alone: {false_alarm:g} a cell), the same known walls "
+    "and folding; the truth is what the mirror shows of the hidden object, whatever the sensor's power. F1: points "
+    "recovered within 1 m or 2 m of truth points, all viewpoints together, with the 95 % interval over draws of "
+    "viewpoints; the smaller gate asks for a place, the larger for the object's side. Found: objects with a recovered "
+    "point within 2 m of their box. False points lie 2 m or more from any truth point; false objects are groups of "
+    "points within 2 m of each other and of no object. SNR: strongest cell at the images over the map's mean noise, "
+    "median; of photon counts the squared excess over ambient light in standard deviations, -30 dB where there is none "
+    "(beyond the period). Its closed form takes the object for one point of its class's mean echo. Time: from the "
+    "scene to the map, one process."
+)
+EQUAL_ABOUT = {
+    "power": "Equal power: each sensor measures for its own time",
+    "energy": "Equal energy: each sensor may send as much in a scan as X-band does",
+}
+
+
+def markdown(report: Report) -> str:
+    """The report as a page: how it was made, what it says, then a table a sweep."""
+    packages = ", ".join(f"{name} {version}" for name, version in report.versions.items())
+    energies = ", ".join(f"{report.sensors[name]} {1e3 * value:.3g} mJ" for name, value in report.energy_j.items())
+    lines = [
+        f"`{report.command}`; viewpoints of a value: {report.viewpoints}, series {report.seed}; {report.machine}; "
+        f"{packages}.",
+        "",
+        ABOUT.format(false_alarm=FALSE_ALARM),
+        "",
+        f"{EQUAL_ABOUT[report.equal]}; energy of a scan: {energies}.",
+        "",
+        *(f"- {one}" for one in report.findings),
+    ]
+    lines += _reach_table(report)
+    for sweep in dict.fromkeys(row.sweep for row in report.rows):
+        rows = [row for row in report.rows if row.sweep == sweep]
+        lines += ["", f"## {SWEEPS[sweep].title}", "", "| " + " | ".join(("value", *COLUMNS)) + " |"]
+        lines += ["|" + "---|" * (len(COLUMNS) + 1), *("| " + " | ".join(cells(row)) + " |" for row in rows)]
+    return "\n".join(lines) + "\n"
+
+
+def _reach_table(report: Report) -> list[str]:
+    """Half ranges by measure, with ratios."""
+    if not report.reaches:
+        return []
+    lines = [
+        "",
+        "## Where each falls below half of its best",
+        "",
+        "| sweep | sensor | measure | best | half at | between | against it |",
+    ]
+    lines.append("|" + "---|" * 7)
+    for one in report.reaches:
+        half = f"> {one.half:g}" if one.at_least else f"{one.half:.3g}" if one.half else "none"
+        between = "-" if one.between is None else f"{one.between[0]:g} and {one.between[1]:g}"
+        ratio = "-"
+        if one.ratio is not None and one.reference is not None:
+            ratio = f"{report.sensors[one.reference]} {'> ' if one.ratio_at_least else ''}{one.ratio:.3g} x"
+        words = (SWEEPS[one.sweep].title, report.sensors[one.sensor], MEASURES[one.measure])
+        lines.append("| " + " | ".join((*words, f"{one.best:.2f}", half, between, ratio)) + " |")
+    return lines
+
+
+def write_report(report: Report, out: Path) -> None:
+    """`compare.json` and `compare.md`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_whole(out / "compare.json", json_lines(report))
+    write_whole(out / "compare.md", markdown(report).encode())

@@ -1,0 +1,259 @@
+"""Runs sensors over sweeps of scenes: the same scene, seed and viewpoint for all. One file a scene: a run goes on.
+
+A sensor that cannot look at a scene keeps the reason in its place.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mirrorwave.studies.compare.evaluation import Score, score
+from mirrorwave.studies.compare.sensors import SENSORS, Equal, Sensor
+from mirrorwave.studies.tradeoff.runner import charged, claim
+from models.training.files import write_whole
+from msgs.values.units import db_from_ratio
+from sim_player.dataset.executors import map_jobs
+from sim_player.generate.comparison_scenes import (
+    WALLS,
+    Corner,
+    MirrorWay,
+    ShownPoints,
+    comparison_place,
+    corner_scene,
+    incidences,
+    mirror_way,
+    shown_points,
+)
+from sim_player.generate.places import PLACE_KINDS
+from sim_player.scene.description import Scene
+
+Value = float | str
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """What is varied: values of a quick run and of a whole one, and the scene of a value."""
+
+    title: str
+    quick: tuple[Value, ...]
+    whole: tuple[Value, ...]
+    scene: Callable[[Value, int, int], Scene]
+
+    @property
+    def is_corner(self) -> bool:
+        """Whether its scenes have one relay wall and one object, for which a closed form holds."""
+        return self.scene is not _place
+
+
+def _place(value: Value, seed: int, viewpoint: int) -> Scene:
+    kind = next((kind for kind in PLACE_KINDS if kind == value), None)
+    if kind is None:
+        raise ValueError(f"a place must be one of {', '.join(PLACE_KINDS)}, got {value!r}")
+    return comparison_place(seed, viewpoint, kind)
+
+
+def _corner(field: str, **fixed: Value) -> Callable[[Value, int, int], Scene]:
+    """Corners of which one field is the sweep's value."""
+    return lambda value, seed, viewpoint: corner_scene(
+        msgspec.convert({**fixed, field: value}, Corner), seed, viewpoint
+    )
+
+
+#: About the 10 m of Table 2's period more closely than elsewhere.
+QUICK_RANGES_M = (8.0, 12.0, 40.0, 90.0)
+RANGES_M = (7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 20.0, 30.0, 45.0, 60.0, 75.0, 90.0, 105.0)
+#: The sweeps. Range is swept three times: concrete takes the mirror from light, float glass leaves it a weak one, and
+#: polished metal is the best mirror for all, so that the LiDAR's period alone can end its range.
+SWEEPS: dict[str, Sweep] = {
+    "range": Sweep("range to the image behind concrete [m]", QUICK_RANGES_M, RANGES_M, _corner("range_m")),
+    "range_glass": Sweep(
+        "range to the image behind float glass [m]",
+        QUICK_RANGES_M,
+        RANGES_M,
+        _corner("range_m", wall="float_glass"),
+    ),
+    "range_metal": Sweep(
+        "range to the image behind polished metal [m]",
+        QUICK_RANGES_M,
+        RANGES_M,
+        _corner("range_m", wall="polished_metal"),
+    ),
+    "roughness": Sweep(
+        "rms roughness of the wall [mm]",
+        (0.0, 1e-4, 0.5, 5.0),
+        (0.0, 2e-5, 5e-5, 1e-4, 1.5e-4, 2e-4, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 3.5, 5.0),
+        _corner("roughness_mm"),
+    ),
+    "material": Sweep("wall", ("metal", "float_glass", "concrete"), tuple(WALLS), _corner("wall")),
+    "incidence": Sweep(
+        "incidence at the wall [deg]",
+        (20.0, 60.0),
+        (15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0),
+        _corner("incidence_deg", range_m=20.0),
+    ),
+    "places": Sweep("random places", PLACE_KINDS[:1], PLACE_KINDS, _place),
+}
+
+
+#: As files are numbered.
+MOST_VIEWPOINTS = 1000
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What fixes a run: sensors, values of each sweep, viewpoints of each value, the series."""
+
+    seed: int
+    viewpoints: int
+    equal: Equal
+    sensors: list[str]
+    values: dict[str, list[Value]]
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed must not be negative, got {self.seed}")
+        if not 1 <= self.viewpoints <= MOST_VIEWPOINTS:
+            raise ValueError(f"viewpoints must lie in 1..{MOST_VIEWPOINTS}, got {self.viewpoints}")
+        for word, names, known in (("sensor", self.sensors, SENSORS), ("sweep", self.values, SWEEPS)):
+            if not names:
+                raise ValueError(f"{word}s must name at least one, got none")
+            for name in names:
+                if name not in known:
+                    raise ValueError(f"{word} must be one of {', '.join(known)}, got {name!r}")
+
+    @property
+    def jobs(self) -> list[tuple[str, int, int]]:
+        """Every sweep, index of a value, viewpoint; in order."""
+        return [
+            (sweep, index, viewpoint)
+            for sweep, values in self.values.items()
+            for index in range(len(values))
+            for viewpoint in range(self.viewpoints)
+        ]
+
+
+class Seen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What one sensor made of a scene, or why it could not look."""
+
+    failed: str | None = None
+    score: Score | None = None
+    #: Closed form of `score.snr_db`; None where none holds.
+    predicted_snr_db: float | None = None
+    #: From the scene to the map.
+    seconds: float | None = None
+
+
+class SceneResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One scene through all sensors."""
+
+    sweep: str
+    index: int
+    viewpoint: int
+    truth_points: int = 0
+    #: Cosines of incidence at the wall: least and largest of the points shown; None where there is more than one wall.
+    cos_incidence: tuple[float, float] | None = None
+    seen: dict[str, Seen]
+
+
+@dataclass(frozen=True)
+class Job:
+    """A scene of a run and where its result goes."""
+
+    plan: Plan
+    sweep: str
+    index: int
+    viewpoint: int
+    path: Path
+
+
+def run_plan(plan: Plan, out: Path, jobs: int = 1, tick: Callable[[], None] = lambda: None) -> list[SceneResult]:
+    """Look at what was not looked at yet, in so many processes; the results of all scenes, in order.
+
+    Raises `ValueError` where `out` holds another run or a damaged result, or `jobs` is less than 1.
+    """
+    if jobs < 1:
+        raise ValueError(f"jobs must be at least 1, got {jobs}")
+    claim(plan, out)
+    (out / "scenes").mkdir(exist_ok=True)
+    paths = [out / "scenes" / f"{sweep}-{index:03d}-{viewpoint:03d}.msgpack" for sweep, index, viewpoint in plan.jobs]
+    every = [Job(plan, *what, path) for what, path in zip(plan.jobs, paths, strict=True)]
+    missing = [job for job in every if not job.path.exists()]
+    for _ in range(len(every) - len(missing)):
+        tick()
+    for _ in map_jobs(run_job, missing, workers=jobs):
+        tick()
+    return [_read(path) for path in paths]
+
+
+def _read(path: Path) -> SceneResult:
+    """A scene's result; ValueError that names the file where it holds none."""
+    try:
+        return msgspec.msgpack.decode(path.read_bytes(), type=SceneResult)
+    except msgspec.MsgspecError as error:
+        raise ValueError(f"{path}: {error}; without this file its scene is looked at again") from None
+
+
+def run_job(job: Job) -> None:
+    """One scene through all sensors, into its file."""
+    with threadpool_limits(1, "blas"):
+        write_whole(job.path, msgspec.msgpack.encode(_looked(job)))
+
+
+def _looked(job: Job) -> SceneResult:
+    plan = job.plan
+    seen: dict[str, Seen] = {}
+    failed: dict[str, str] = {}
+    truth, way = None, None
+    with charged(failed, *plan.sensors):
+        sweep = SWEEPS[job.sweep]
+        scene = sweep.scene(plan.values[job.sweep][job.index], plan.seed, job.viewpoint)
+        seeds = _seeds(job)
+        truth, way = shown_points(scene, seeds[0]), mirror_way(scene) if sweep.is_corner else None
+        for name in plan.sensors:
+            with charged(failed, name):
+                seen[name] = look(SENSORS[name], scene, seeds, truth, way, plan.equal)
+    return SceneResult(
+        sweep=job.sweep,
+        index=job.index,
+        viewpoint=job.viewpoint,
+        truth_points=0 if truth is None else len(truth),
+        cos_incidence=None if way is None or not truth else incidences(scene, truth),
+        seen={name: seen.get(name) or Seen(failed=failed[name]) for name in plan.sensors},
+    )
+
+
+def _seeds(job: Job) -> tuple[int, int]:
+    """Of a scene's scatterers, the same for all values of all sweeps; and of the noise, different in every scene."""
+    order = list(SWEEPS).index(job.sweep)
+    scene = np.random.default_rng([job.plan.seed, job.viewpoint, 1]).integers(2**31)
+    noise = np.random.default_rng([job.plan.seed, job.viewpoint, 2, order, job.index]).integers(2**31)
+    return int(scene), int(noise)
+
+
+def look(
+    sensor: Sensor, scene: Scene, seeds: tuple[int, int], truth: ShownPoints, way: MirrorWay | None, equal: Equal
+) -> Seen:
+    """One scan of one sensor, timed, and its score; `way` is None where no closed form holds."""
+    _warm_up(sensor.name)
+    start_s = time.perf_counter()
+    sight = sensor.look(scene, *seeds, equal)
+    seconds = time.perf_counter() - start_s
+    predicted = None if way is None else sensor.predicted_snr(scene, way, equal)
+    return Seen(
+        score=score(sight, scene, truth),
+        predicted_snr_db=db_from_ratio(predicted) if predicted else None,
+        seconds=seconds,
+    )
+
+
+@lru_cache
+def _warm_up(name: str) -> None:
+    """The first look of a process compiles and fills tables."""
+    SENSORS[name].look(corner_scene(Corner()), 0, 0, "power")

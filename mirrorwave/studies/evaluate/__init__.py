@@ -1,0 +1,1 @@
+"""Methods and profiles scored on the same frames."""

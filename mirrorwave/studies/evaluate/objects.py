@@ -1,0 +1,158 @@
+"""Runs profiles over seeded random places, beam by beam as the graph does: one file a place, so that a run goes on."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+from threadpoolctl import threadpool_limits
+
+from mirrorwave.studies.tradeoff.profile_chain import ProfileParts
+from mirrorwave.studies.tradeoff.runner import claim
+from mirrorwave.studies.tradeoff.settings import Setting
+from models.evaluation.object_metrics import ImageTruth, ScanRow, scan_row
+from models.perception.chain import Chain
+from models.training.files import write_whole
+from msgs.files.shipped import LAUNCH
+from msgs.values.perception import HiddenObject
+from msgs.values.radar import RadarSetup
+from msgs.values.units import s_from_ns
+from nodes.process.launch_file import read_yaml_mapping
+from nodes.process.validation import convert_at
+from sim_player.dataset.executors import map_jobs
+from sim_player.dataset.labelled_beams import LabelledPlace
+from sim_player.player import ScenePlayer
+from sim_player.scene.description import scene_to_yaml
+from sim_player.trace.truth import object_images
+
+#: Committed sets, and what their choices minimise.
+SETS = LAUNCH / "evaluation" / "object_sets.yaml"
+
+
+class ObjectSet(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Places 0..places-1 of the series of a seed, one scan each."""
+
+    seed: int
+    places: int
+    #: Radar and road users move.
+    moving: bool = False
+    effects: str = "all"
+    #: Over the SHA-256 of each scene's YAML; empty: not checked.
+    scenes_sha256: str = ""
+
+    def __post_init__(self) -> None:
+        if self.places < 1:
+            raise ValueError(f"places must be at least 1, got {self.places}")
+        if self.seed < 0:
+            raise ValueError(f"seed must not be negative, got {self.seed}")
+
+
+class ObjectSets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The committed sets by name; a false report costs so many missed objects."""
+
+    false_cost: float
+    sets: dict[str, ObjectSet]
+
+
+class ObjectPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What fixes the rows of a run."""
+
+    set: ObjectSet
+    profiles: list[Setting]
+
+
+class PlaceResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What every profile said of one place."""
+
+    place: int
+    scene_sha256: str
+    rows: dict[str, ScanRow]
+
+
+def read_sets(path: Path = SETS) -> ObjectSets:
+    """Read the committed sets; `ValueError` names the file and the field."""
+    return convert_at(read_yaml_mapping(path), ObjectSets, str(path))
+
+
+def run_objects(
+    plan: ObjectPlan, out: Path, workers: int = 1, on_place: Callable[[], None] = lambda: None
+) -> list[PlaceResult]:
+    """Measure the places that `out` does not hold yet; the results of all, in order, whatever the workers.
+
+    Raises `ValueError` where `out` holds another run or the places are not those of the set.
+    """
+    claim(plan, out)
+    paths = [out / "places" / f"place-{index:05d}.json" for index in range(plan.set.places)]
+    paths[0].parent.mkdir(exist_ok=True)
+    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    for _ in range(len(paths) - len(missing)):
+        on_place()
+    for result in map_jobs(measure_place, [(plan, index) for index in missing], workers=workers):
+        write_whole(paths[result.place], msgspec.json.encode(result))
+        on_place()
+    results = [msgspec.json.decode(path.read_bytes(), type=PlaceResult) for path in paths]
+    wanted, got = plan.set.scenes_sha256, scenes_sha256(results)
+    if wanted not in ("", got):
+        raise ValueError(f"{out}: scenes_sha256 of the places must be {wanted} as the set says, got {got}")
+    return results
+
+
+def scenes_sha256(results: Sequence[PlaceResult]) -> str:
+    """Hash of all scenes, in order."""
+    return hashlib.sha256(b"".join(bytes.fromhex(one.scene_sha256) for one in results)).hexdigest()
+
+
+def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
+    """Play one scan of a place and let every profile look at the same beams."""
+    plan, index = job
+    place = LabelledPlace(plan.set.seed, index, plan.set.effects, plan.set.moving)
+    # sums split among threads round in another way: rows would tell how many there were
+    with threadpool_limits(1, "blas"):
+        player = place.player
+        truth, images = player.truth(0), image_truth(player)
+        reports = _reports(player, plan.profiles)
+    return PlaceResult(
+        place=index,
+        scene_sha256=hashlib.sha256(scene_to_yaml(player.scene).encode()).hexdigest(),
+        rows={name: scan_row(index, objects, truth, images) for name, objects in reports.items()},
+    )
+
+
+def _reports(player: ScenePlayer, settings: Sequence[Setting]) -> dict[str, Sequence[HiddenObject]]:
+    """Objects that each profile reports of the first scan; none where it gives no view."""
+    # the receiver is not told how far its radar's power is off the nominal one
+    setup = RadarSetup()
+    chains: dict[str, Chain] = {one.value: _parts(msgspec.json.encode(one)).chain(setup) for one in settings}
+    reports: dict[str, Sequence[HiddenObject]] = dict.fromkeys(chains, ())
+    state = player.vehicle_state(player.stamp_ns(0))
+    for beam in (player.beam(0, index) for index in range(len(player.setup.beams))):
+        for name, chain in chains.items():
+            for view in chain.add(beam, state):
+                reports[name] = view.objects
+    return reports
+
+
+@lru_cache(maxsize=64)
+def _parts(setting: bytes) -> ProfileParts:
+    """Parts of a profile, loaded once a process."""
+    return ProfileParts.of(msgspec.json.decode(setting, type=Setting), RadarSetup())
+
+
+def image_truth(player: ScenePlayer) -> list[ImageTruth]:
+    """What could be seen of each object of a scene when its first scan begins."""
+    paths = player.paths(s_from_ns(player.stamp_ns(0) - player.setup.stamp_ns))
+    images = object_images(player.setup, paths, len(player.scene.objects))
+    return [
+        ImageTruth(direct=bool(direct), mirrored=bool(mirrored), snr_db=_known(snr_db), single_snr_db=_known(single))
+        for direct, mirrored, snr_db, single in zip(
+            images.direct, images.mirrored, images.snr_db, images.single_snr_db, strict=True
+        )
+    ]
+
+
+def _known(snr_db: float) -> float | None:
+    return float(snr_db) if math.isfinite(snr_db) else None

@@ -1,0 +1,131 @@
+"""The most accurate profile that fits a latency budget on this machine: measured in seconds, remembered after that."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import msgspec
+import numpy as np
+
+from mirrorwave.studies.tradeoff.report import latency_ms, machine, point_of, read_report, versions
+from mirrorwave.studies.tradeoff.runner import PARTS, Plan, run_plan
+from mirrorwave.studies.tradeoff.settings import PROFILE, Setting, profiles
+from models.training.files import json_lines, write_whole
+from msgs.files.shipped import LAUNCH
+
+#: The committed full run: how accurate each profile is.
+COMMITTED = LAUNCH / "tradeoff.json"
+#: Places and repetitions that each profile is timed on here.
+PLACES, REPEATS = 2, 6
+#: The slowest of these samples, times this, is what the live graph must be expected to need: its processes share cores.
+MARGIN = 1.5
+
+
+class Timed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A profile on this machine: how long it must be expected to take from the last beam to the view, in ms."""
+
+    profile: str
+    recovered_f1_1m: float
+    expected_ms: float
+
+
+class _Remembered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What was measured on a machine of this kind with these profiles and packages."""
+
+    key: str
+    timed: list[Timed]
+
+
+def require_budget(budget_ms: float) -> None:
+    """Raise `ValueError` unless a budget is a positive number of milliseconds."""
+    if not 0.0 < budget_ms < float("inf"):
+        raise ValueError(f"--latency-budget-ms must be positive and finite, got {budget_ms}")
+
+
+def pick(budget_ms: float, timed: list[Timed]) -> Timed:
+    """The most accurate profile that fits, the faster of equals; `ValueError` naming the nearest where none does."""
+    fitting = [one for one in timed if one.expected_ms <= budget_ms]
+    if not fitting:
+        nearest = min(timed, key=lambda one: one.expected_ms)
+        raise ValueError(
+            f"--latency-budget-ms: no profile fits {budget_ms:g} ms on this machine; the nearest is "
+            f"{nearest.profile}, which needs {nearest.expected_ms:.0f} ms"
+        )
+    return max(fitting, key=lambda one: (one.recovered_f1_1m, -one.expected_ms))
+
+
+def reason(budget_ms: float, chosen: Timed, timed: list[Timed]) -> str:
+    """Why this profile, in one line."""
+    better = [one for one in timed if one.recovered_f1_1m > chosen.recovered_f1_1m]
+    others = ", ".join(f"{one.profile} would need {one.expected_ms:.0f} ms" for one in better)
+    return (
+        f"profile {chosen.profile}: expected {chosen.expected_ms:.0f} of {budget_ms:g} ms from the last beam, "
+        f"recovered F1 {chosen.recovered_f1_1m:.3f}; " + (others or "none is more accurate")
+    )
+
+
+def timed_profiles(anew: bool = False, tick: Callable[[], None] = lambda: None) -> list[Timed]:
+    """All profiles of known accuracy with their times here, from memory unless something changed or `anew`."""
+    rows, path = _known(), cache_path()
+    key = _key(rows)
+    if not anew and (found := _recall(path)) is not None and found.key == key:
+        return found.timed
+    timed = measure(rows, tick)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, json_lines(_Remembered(key=key, timed=timed)))
+    return timed
+
+
+def measure(rows: dict[str, tuple[Setting, float]], tick: Callable[[], None] = lambda: None) -> list[Timed]:
+    """Time profiles on a few places; those that cannot run here are left out."""
+    plan = Plan(rows=[row for row, _ in rows.values()], frames=PLACES, repeats=REPEATS)
+    with TemporaryDirectory(prefix="mirrorwave-") as folder:
+        results = run_plan(plan, Path(folder), tick)
+    timed = []
+    for name, (_, accuracy) in rows.items():
+        if any(name in result.failed for result in results):
+            continue
+        parts = latency_ms([result.times_ms[name] for result in results])
+        slowest_ms = float(np.sum([parts[part] for part in PARTS], axis=0).max())
+        timed.append(Timed(profile=name, recovered_f1_1m=accuracy, expected_ms=MARGIN * slowest_ms))
+    return timed
+
+
+def _known() -> dict[str, tuple[Setting, float]]:
+    """Profiles with the recovered F1 that the committed run found for the same parameters.
+
+    Raises `ValueError` where it knows none.
+    """
+    measured = {row.name: row for row in read_report(COMMITTED).rows if row.switch == PROFILE}
+    known = {}
+    for row in profiles():
+        found = measured.get(row.name)
+        if found is not None and found.params == row.params and (point := point_of(found)) is not None:
+            known[row.name] = (row, point[1])
+    if not known:
+        raise ValueError(f"{COMMITTED}: must hold a profile with the parameters of launch/profiles, holds none")
+    return known
+
+
+def cache_path() -> Path:
+    """Where times are remembered."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "mirrorwave" / "latency.json"
+
+
+def _key(rows: dict[str, tuple[Setting, float]]) -> str:
+    """Changes with the machine, the packages, the profiles and their accuracy."""
+    what = {"machine": machine(), "cores": sorted(os.sched_getaffinity(0)), "versions": versions(), "rows": rows}
+    return hashlib.sha256(msgspec.json.encode(what, order="deterministic")).hexdigest()
+
+
+def _recall(path: Path) -> _Remembered | None:
+    """What is remembered; nothing where there is no such file or it says nothing that is understood."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=_Remembered)
+    except (OSError, msgspec.DecodeError, UnicodeError, RecursionError):
+        return None

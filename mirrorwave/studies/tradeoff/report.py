@@ -1,0 +1,306 @@
+"""What a run of the trade-off says: each row's accuracy beside its time, with intervals; JSON and Markdown."""
+
+from __future__ import annotations
+
+import math
+import os
+import platform
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, FrameResult, Plan
+from mirrorwave.studies.tradeoff.settings import BASE, Setting
+from models.evaluation.frame_scores import Estimate, FrameScores, bootstrap_weights, differences, estimates
+from models.training.files import json_lines, write_whole
+from msgs.values.radar import RadarSetup
+from msgs.values.units import s_from_ns
+from nodes.dense_predictor import model_path
+from nodes.geometry import confidence_paths
+
+#: A scan comes so often: a view that takes longer after the last beam is late.
+DEADLINE_MS = 300.0
+#: A quantile needs so many samples to be printed.
+SAMPLES_FOR = {"p50": 2, "p90": 20, "p99": 200}
+DRAWS = 1000
+#: Measures of `models.evaluation.frame_scores` by the names of the report.
+ACCURACY = {
+    "dense_macro_f1": "dense_macro_f1",
+    "recovered_f1_1m": "recovered_1m_f1",
+    "recovered_chamfer_m": "recovered_chamfer_m",
+    "hidden_f1_1m": "hidden_1m_f1",
+}
+NAN = float("nan")
+
+
+class Interval(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A value with its 95 % interval over bootstrap draws of the frames; null where it has none."""
+
+    value: float | None
+    low: float | None
+    high: float | None
+
+
+class Times(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Quantiles in milliseconds; null where there are too few samples for one."""
+
+    p50: float | None
+    p90: float | None
+    p99: float | None
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One setting: what it costs and what it buys. A row that failed says why and holds no numbers."""
+
+    name: str
+    switch: str
+    value: str
+    params: dict[str, dict[str, Any]]
+    failed: str | None = None
+    #: Measures, and the differences to the base row (`unfiltered`) on the same draws.
+    accuracy: dict[str, Interval] = {}
+    against_default: dict[str, Interval] = {}
+    #: Of each part of the latency and of their sum, from the arrival of the last beam to that of the view.
+    stages_ms: dict[str, Times] = {}
+    end_to_end_ms: Times | None = None
+    #: 95 % interval of the median over bootstrap draws of the frames.
+    median_ms: Interval | None = None
+    #: Work on all beams but the last relative to the time in which they are measured; above 1 the former falls behind.
+    forming_load: float | None = None
+    #: Share of views later than the deadline.
+    deadline_misses: float | None = None
+    peak_memory_mib: float | None = None
+    size_bytes: int | None = None
+    #: No other row is as fast and more accurate (median latency, recovered F1 at 1 m).
+    pareto: bool = False
+
+
+class Report(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A run: what it was made with, then its rows."""
+
+    command: str
+    machine: str
+    versions: dict[str, str]
+    seed: int
+    frames: int
+    repeats: int
+    deadline_ms: float
+    rows: list[Row]
+
+
+def make_report(plan: Plan, results: Sequence[FrameResult], memory_mib: dict[str, float], command: str) -> Report:
+    """All rows of a run; `memory_mib` may lack rows."""
+    weights = bootstrap_weights(len(results), DRAWS, seed=0)
+    failed = {name: reason for result in results for name, reason in result.failed.items()}
+    scores = {row.name: _scores(results, row.name) for row in plan.rows if row.name not in failed}
+    reference = scores.get(BASE)
+    rows = []
+    for row in plan.rows:
+        if row.name in failed:
+            rows.append(
+                Row(name=row.name, switch=row.switch, value=row.value, params=row.params, failed=failed[row.name])
+            )
+        else:
+            rows.append(_row(row, scores[row.name], reference, results, weights, memory_mib.get(row.name, NAN)))
+    return Report(
+        command=command,
+        machine=machine(),
+        versions=versions(),
+        seed=plan.seed,
+        frames=len(results),
+        repeats=plan.repeats,
+        deadline_ms=DEADLINE_MS,
+        rows=with_front(rows),
+    )
+
+
+def _scores(results: Sequence[FrameResult], name: str) -> FrameScores:
+    counts = np.array([result.counts[name] for result in results], np.int64)
+    return FrameScores(counts, np.array([result.distances[name] for result in results], np.float64))
+
+
+def _row(
+    row: Setting,
+    scores: FrameScores,
+    reference: FrameScores | None,
+    results: Sequence[FrameResult],
+    weights: np.ndarray,
+    memory_mib: float,
+) -> Row:
+    times_ms = latency_ms([result.times_ms[row.name] for result in results])
+    total_ms = np.sum([times_ms[part] for part in PARTS], axis=0)
+    against = {} if reference is None else _intervals(differences(scores, reference, weights))
+    return Row(
+        name=row.name,
+        switch=row.switch,
+        value=row.value,
+        params=row.params,
+        accuracy=_intervals(estimates(scores, weights)),
+        against_default=against,
+        stages_ms={part: quantiles_ms(times_ms[part]) for part in (*PARTS, BEFORE)},
+        end_to_end_ms=quantiles_ms(total_ms),
+        median_ms=_median(total_ms, weights),
+        forming_load=float(np.median(times_ms[BEFORE])) / measuring_ms(),
+        deadline_misses=float(np.mean(total_ms > DEADLINE_MS)),
+        peak_memory_mib=_known(memory_mib),
+        size_bytes=_size_bytes(row),
+    )
+
+
+def latency_ms(frames: Sequence[dict[str, list[float]]]) -> dict[str, np.ndarray]:
+    """Samples of each part [frames, repeats]; what the former has not folded when the last beam comes, it does then."""
+    times_ms = {part: np.array([frame[part] for frame in frames]) for part in (*PARTS, BEFORE)}
+    return times_ms | {"forming": times_ms["forming"] + np.maximum(times_ms[BEFORE] - measuring_ms(), 0.0)}
+
+
+def measuring_ms() -> float:
+    """How long all beams but the last are measured."""
+    setup = RadarSetup()
+    return 1e3 * s_from_ns((len(setup.beams) - 1) * setup.beam_interval_ns)
+
+
+def quantiles_ms(samples_ms: np.ndarray) -> Times:
+    """Quantiles of samples, those that the samples can carry."""
+    quantiles = {name: float(np.quantile(samples_ms, float(name[1:]) / 100.0)) for name in SAMPLES_FOR}
+    return Times(**{name: value if samples_ms.size >= SAMPLES_FOR[name] else None for name, value in quantiles.items()})
+
+
+def _median(samples_ms: np.ndarray, weights: np.ndarray) -> Interval:
+    """The median of the frames' medians [frames, repeats], with its interval under draws of the frames."""
+    of_frame_ms = np.median(samples_ms, axis=1)
+    order = np.argsort(of_frame_ms)
+    share = np.cumsum(weights[:, order], axis=1) / weights.sum(axis=1, keepdims=True)
+    drawn_ms = of_frame_ms[order][np.argmax(share >= 0.5, axis=1)]
+    low_ms, high_ms = np.percentile(drawn_ms, (2.5, 97.5))
+    return Interval(value=float(np.median(of_frame_ms)), low=float(low_ms), high=float(high_ms))
+
+
+def _intervals(found: dict[str, Estimate]) -> dict[str, Interval]:
+    return {
+        name: Interval(value=_known(found[key].value), low=_known(found[key].low), high=_known(found[key].high))
+        for name, key in ACCURACY.items()
+    }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _size_bytes(row: Setting) -> int:
+    """Files that a row's stages read."""
+    dense, placed = row.of("dense_predictor"), row.of("geometry")
+    files = [None if dense.get("method") == "cfar" else model_path(dense.get("model"))]
+    files += confidence_paths(placed.get("confidence", "none"))
+    files += [None if (residual := placed.get("residual", "none")) == "none" else Path(residual)]
+    return sum(path.stat().st_size for path in files if path is not None)
+
+
+def with_front(rows: list[Row]) -> list[Row]:
+    """Rows with those marked that none beats in both time and accuracy."""
+    points = [point_of(row) for row in rows]
+    return [
+        msgspec.structs.replace(row, pareto=point is not None and not any(_beats(other, point) for other in points))
+        for row, point in zip(rows, points, strict=True)
+    ]
+
+
+def point_of(row: Row) -> tuple[float, float] | None:
+    """Median latency in ms and recovered F1 at 1 m; None for a row without."""
+    if row.end_to_end_ms is None or row.end_to_end_ms.p50 is None:
+        return None
+    accuracy = row.accuracy["recovered_f1_1m"].value
+    return None if accuracy is None else (row.end_to_end_ms.p50, accuracy)
+
+
+def _beats(other: tuple[float, float] | None, point: tuple[float, float]) -> bool:
+    if other is None:
+        return False
+    return other[0] <= point[0] and other[1] >= point[1] and other != point
+
+
+def machine() -> str:
+    """Processor, cores and system."""
+    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
+
+
+def versions() -> dict[str, str]:
+    """What the times depend on."""
+    from importlib.metadata import version
+
+    packages = ("mirrorwave", "numpy", "scipy", "numba", "onnxruntime", "pyzmq", "msgspec")
+    return {"python": platform.python_version()} | {name: version(name) for name in packages}
+
+
+COLUMNS = (
+    "row", "dense F1", "recovered F1 1 m", f"against {BASE}", "Chamfer [m]", "p50 [ms]", "p90", "p99",
+    "forming", "detection", "geometry", "transport", "load", "late", "memory [MiB]", "size [KiB]", "front",
+)  # fmt: skip
+
+
+def cells(row: Row) -> list[str]:
+    """A row as `COLUMNS`."""
+    if row.failed is not None or row.end_to_end_ms is None:
+        return [row.name, f"failed: {row.failed}", *[""] * (len(COLUMNS) - 2)]
+    accuracy, total = row.accuracy, row.end_to_end_ms
+    against = row.against_default.get("recovered_f1_1m")
+    parts = [_number(row.stages_ms[part].p50, 1) for part in ("forming", "detection", "geometry", "transport")]
+    return [
+        row.name,
+        _with_interval(accuracy["dense_macro_f1"]),
+        _with_interval(accuracy["recovered_f1_1m"]),
+        "" if against is None or row.name == BASE else _signed(against),
+        _number(accuracy["recovered_chamfer_m"].value, 2),
+        *(_number(value, 1) for value in (total.p50, total.p90, total.p99)),
+        *parts,
+        _number(row.forming_load, 2),
+        _number(row.deadline_misses, 3),
+        _number(row.peak_memory_mib, 0),
+        _number((row.size_bytes or 0) / 1024.0, 0),
+        "yes" if row.pareto else "",
+    ]
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _with_interval(one: Interval) -> str:
+    return f"{_number(one.value, 3)} [{_number(one.low, 3)}, {_number(one.high, 3)}]"
+
+
+def _signed(one: Interval) -> str:
+    if one.value is None or one.low is None or one.high is None:
+        return "-"
+    return f"{one.value:+.3f} [{one.low:+.3f}, {one.high:+.3f}]"
+
+
+def markdown(report: Report) -> str:
+    """The report as a page: how it was made, then all rows, fastest first, failed ones last."""
+    ordered = sorted(report.rows, key=lambda row: point_of(row) or (math.inf, 0.0))
+    lines = [
+        f"`{report.command}`: {report.frames} places of series {report.seed}, each timed {report.repeats} times; "
+        f"{report.machine}; " + ", ".join(f"{name} {version}" for name, version in report.versions.items()) + ".",
+        "",
+        "| " + " | ".join(COLUMNS) + " |",
+        "|" + "---|" * len(COLUMNS),
+    ]
+    lines += ["| " + " | ".join(cells(row)) + " |" for row in ordered]
+    return "\n".join(lines) + "\n"
+
+
+def write_report(report: Report, out: Path) -> None:
+    """`tradeoff.json` and `tradeoff.md`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_whole(out / "tradeoff.json", json_lines(report))
+    write_whole(out / "tradeoff.md", markdown(report).encode())
+
+
+def read_report(path: Path) -> Report:
+    """A report from its JSON; raises `ValueError` naming the file."""
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=Report)
+    except (OSError, msgspec.DecodeError, UnicodeError, RecursionError) as error:
+        raise ValueError(f"{path}: {error}") from None

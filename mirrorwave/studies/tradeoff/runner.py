@@ -1,0 +1,365 @@
+"""Measures rows of settings on the same raw beams: answers once, times again and again, all rows interleaved.
+
+Rows that share a stage share its samples. Every repetition visits all stages in a new order, so that drift of the
+machine hits all rows alike. One file a frame: a run that was stopped goes on, and a row that fails keeps its reason.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+import msgspec
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from mirrorwave.console import error_line
+from mirrorwave.studies.evaluate.runner import answer_of, truth_of_points
+from mirrorwave.studies.tradeoff.settings import STAGES, Setting
+from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
+from models.perception.detection.detectors import Detector
+from models.perception.forming.ra_forming import RaFormer
+from models.perception.geometry.stage import fold_scan, recover_bev
+from models.training.files import json_lines, write_whole
+from msgs.bus.zmq import ZmqBus
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import Peaks
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.values.units import ns_from_s
+from nodes import dense_predictor, geometry, ra_former
+from nodes.process.validation import convert_at
+from sim_player.dataset.labelled_beams import LabelledPlace
+
+#: What a row's latency is made of, in order: from the arrival of the last beam to that of the view.
+PARTS = ("transport", "forming", "detection", "geometry")
+#: What the parameters of a stage are.
+PARAMS: dict[str, type[Any]] = {
+    "ra_former": ra_former.Params,
+    "dense_predictor": dense_predictor.Params,
+    "geometry": geometry.Params,
+}
+#: Beside them, the work on all beams but the last, done while the next one is measured.
+BEFORE = "earlier beams"
+#: A hop over a socket on one machine that takes longer never comes.
+HOP_TIMEOUT_S = 5.0
+MS_PER_NS = 1e-6
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What fixes the accuracy of a run: rows, and the places of a seeded series; and how often each is timed."""
+
+    rows: list[Setting]
+    frames: int
+    repeats: int
+    seed: int = 11
+    effects: str = "auto"
+
+    def __post_init__(self) -> None:
+        for name in ("frames", "repeats"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+
+
+class FrameResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One frame: counts and distances of each row (as `FrameScores`), milliseconds of each part and repetition."""
+
+    frame: int
+    counts: dict[str, list[list[int]]]
+    distances: dict[str, list[list[float]]]
+    times_ms: dict[str, dict[str, list[float]]]
+    #: Rows that failed, and why in one line.
+    failed: dict[str, str]
+
+
+@dataclass(frozen=True)
+class Way:
+    """A row as keys of the stages it shares with others."""
+
+    name: str
+    former: str
+    detector: tuple[str, str]
+    geometry: tuple[str, str, str]
+
+    @classmethod
+    def of(cls, row: Setting) -> Way:
+        """The way of a row: equal parameters, equal keys."""
+        one, two, three = (json.dumps(row.of(stage), sort_keys=True) for stage in STAGES)
+        return cls(row.name, one, (one, two), (one, two, three))
+
+
+class Hop(Protocol):
+    """A message from one process of the graph to the next; milliseconds."""
+
+    def __call__(self, topic: str, message: msgspec.Struct) -> float:
+        """Send and receive."""
+
+
+@contextmanager
+def socket_hop() -> Iterator[Hop]:
+    """Publishes on the graph's own bus and waits for what comes out of another socket: encode, send, decode."""
+    with TemporaryDirectory(prefix="mirrorwave-") as folder:
+        source, sink = ZmqBus("source", Path(folder)), ZmqBus("sink", Path(folder))
+        topics = ("radar/beam", "radar/ra_map", "perception/peaks", "perception/hidden_objects")
+        for topic in topics:
+            source.advertise(topic)
+            sink.subscribe(topic)
+        time.sleep(0.5)  # subscriptions settle
+
+        def hop(topic: str, message: msgspec.Struct) -> float:
+            start_ns = time.perf_counter_ns()
+            source.publish(topic, message)
+            if not sink.receive(HOP_TIMEOUT_S):
+                raise TimeoutError(f"{topic} must arrive within {HOP_TIMEOUT_S} s")
+            return MS_PER_NS * (time.perf_counter_ns() - start_ns)
+
+        try:
+            yield hop
+        finally:
+            sink.close()
+            source.close()
+
+
+def params_of(row: Setting, stage: str) -> Any:
+    """A node's parameters under a row; raises `ValueError` naming the field that does not fit."""
+    return convert_at(row.of(stage), PARAMS[stage], stage)
+
+
+@dataclass
+class _Stages:
+    """The parts of all rows, built at first use, and why some could not be."""
+
+    former: dict[str, RaFormer] = field(default_factory=dict)
+    detector: dict[str, Detector] = field(default_factory=dict)
+    geometry: dict[str, tuple[Any, Any, Any]] = field(default_factory=dict)
+
+    def build(self, row: Setting) -> None:
+        """Build what a row needs; raises whatever its parameters raise."""
+        way, setup = Way.of(row), RadarSetup()
+        if way.former not in self.former:
+            self.former[way.former] = RaFormer(setup, params_of(row, "ra_former"))
+        if way.detector[1] not in self.detector:
+            self.detector[way.detector[1]] = dense_predictor.detector_for(params_of(row, "dense_predictor"), setup)
+        if way.geometry[2] not in self.geometry:
+            self.geometry[way.geometry[2]] = geometry.parts_of(params_of(row, "geometry"))
+
+
+@contextmanager
+def charged(failed: dict[str, str], *names: str) -> Iterator[None]:
+    """What the body raises is the failure of these rows, put into `failed` in one line, and not of the run."""
+    try:
+        yield
+    except Exception as error:  # noqa: BLE001 - a row that cannot run is a result
+        failed.update(dict.fromkeys(names, error_line(error)))
+
+
+class Measuring:
+    """All rows on one frame after the other."""
+
+    def __init__(self, plan: Plan, hop: Hop) -> None:
+        self.plan, self._hop = plan, hop
+        self._stages, self._scan_id = _Stages(), 0
+        self.failed: dict[str, str] = {}
+        for row in plan.rows:
+            with charged(self.failed, row.name):
+                self._stages.build(row)
+        self._ways = [Way.of(row) for row in plan.rows]
+
+    def frame(self, index: int) -> FrameResult:
+        """Scores and times of all rows on one frame."""
+        place = LabelledPlace(self.plan.seed, index, self.plan.effects)
+        with threadpool_limits(1, "blas"):
+            return self._measured(index, list(place.beams()), truth_of_place(place))
+
+    def _measured(self, index: int, beams: list[RadarBeam], truth: FrameTruth) -> FrameResult:
+        pass_ = _Pass()
+        rng = np.random.default_rng([self.plan.seed, index, 1])
+        for _ in range(self.plan.repeats):
+            self._repeat(pass_, beams, rng)
+        ways = [way for way in self._ways if way.name not in self.failed]
+        scores = {way.name: self._scores(pass_, way, truth) for way in ways}
+        return FrameResult(
+            frame=index,
+            counts={name: one.counts[0].tolist() for name, one in scores.items()},
+            distances={name: one.distances[0].tolist() for name, one in scores.items()},
+            times_ms={way.name: pass_.times_of(way) for way in ways},
+            failed=dict(self.failed),
+        )
+
+    def _repeat(self, pass_: _Pass, beams: list[RadarBeam], rng: np.random.Generator) -> None:
+        """Every stage of every row once, in a drawn order."""
+        pass_.add("transport", "beam", self._hop("radar/beam", beams[-1]))
+        for former in self._drawn([way.former for way in self._live()], rng):
+            with charged(self.failed, *self._rows("former", former)):
+                self._form(pass_, former, beams)
+        for detector in self._drawn([way.detector for way in self._live()], rng):
+            with charged(self.failed, *self._rows("detector", detector)):
+                self._detect(pass_, detector)
+        for placed in self._drawn([way.geometry for way in self._live()], rng):
+            with charged(self.failed, *self._rows("geometry", placed)):
+                self._place(pass_, placed)
+
+    def _live(self) -> list[Way]:
+        return [way for way in self._ways if way.name not in self.failed]
+
+    def _rows(self, stage: str, key: Any) -> list[str]:
+        return [way.name for way in self._ways if getattr(way, stage) == key]
+
+    @staticmethod
+    def _drawn(keys: list[Any], rng: np.random.Generator) -> list[Any]:
+        """Different keys, in a drawn order."""
+        different = list(dict.fromkeys(keys))
+        return [different[index] for index in rng.permutation(len(different))]
+
+    def _form(self, pass_: _Pass, key: str, beams: list[RadarBeam]) -> None:
+        former, maps = self._stages.former[key], []
+        # every visit is a new scan, or the former would call its beams repeated
+        self._scan_id += 1
+        period_ns = ns_from_s(former.folder.setup.radar.scan_period_s)
+        anew = [
+            msgspec.structs.replace(
+                beam, scan_id=self._scan_id, stamp_ns=self._scan_id * period_ns + beam.stamp_ns - beams[0].stamp_ns
+            )
+            for beam in beams
+        ]
+        last = max(beam.beam_index for beam in beams if beam.beam_index % former.folder.params.beam_step == 0)
+        start_ns = time.perf_counter_ns()
+        for beam in anew[:last]:
+            maps += former.add(beam)
+        last_ns = time.perf_counter_ns()
+        for beam in anew[last:]:
+            maps += former.add(beam)
+        end_ns = time.perf_counter_ns()
+        # what is not looked at after the last beam that is, is measured all the same
+        pass_.add(BEFORE, key, MS_PER_NS * (last_ns - start_ns))
+        pass_.add("forming", key, MS_PER_NS * (end_ns - last_ns))
+        pass_.maps[key] = msgspec.structs.replace(maps[0], scan_id=0, stamp_ns=0)
+        pass_.add("transport", key, self._hop("radar/ra_map", maps[0]))
+
+    def _detect(self, pass_: _Pass, key: tuple[str, str]) -> None:
+        detector, ra_map = self._stages.detector[key[1]], pass_.maps[key[0]]
+        start_ns = time.perf_counter_ns()
+        peaks = detector.detect(ra_map)
+        pass_.add("detection", key, MS_PER_NS * (time.perf_counter_ns() - start_ns))
+        pass_.peaks[key] = peaks
+        pass_.add("transport", key, self._hop("perception/peaks", peaks))
+
+    def _place(self, pass_: _Pass, key: tuple[str, str, str]) -> None:
+        parts, peaks = self._stages.geometry[key[2]], pass_.peaks[key[:2]]
+        start_ns = time.perf_counter_ns()
+        view = recover_bev(peaks, *parts)
+        pass_.add("geometry", key, MS_PER_NS * (time.perf_counter_ns() - start_ns))
+        pass_.add("transport", key, self._hop("perception/hidden_objects", view))
+
+    def _scores(self, pass_: _Pass, way: Way, truth: FrameTruth) -> FrameScores:
+        """Counts of one row, from the geometry's places before objects are formed of them."""
+        peaks = pass_.peaks[way.detector]
+        scan = fold_scan(peaks, *self._stages.geometry[way.geometry[2]])
+        return score_frames([(answer_of(peaks, scan.recovered.points_m, scan.hidden), truth)])
+
+
+class _Pass:
+    """What one frame's stages gave: maps and peaks by key, milliseconds by part and key."""
+
+    def __init__(self) -> None:
+        self.maps: dict[str, RangeAzimuthMap] = {}
+        self.peaks: dict[tuple[str, str], Peaks] = {}
+        self._times_ms: dict[tuple[str, Any], list[float]] = {}
+
+    def add(self, part: str, key: Any, milliseconds: float) -> None:
+        """One sample."""
+        self._times_ms.setdefault((part, key), []).append(milliseconds)
+
+    def times_of(self, way: Way) -> dict[str, list[float]]:
+        """The samples of a row by part; transport is the sum of its four hops."""
+        hops = [self._times_ms["transport", key] for key in ("beam", way.former, way.detector, way.geometry)]
+        return {
+            "transport": np.sum(hops, axis=0).tolist(),
+            "forming": self._times_ms["forming", way.former],
+            "detection": self._times_ms["detection", way.detector],
+            "geometry": self._times_ms["geometry", way.geometry],
+            BEFORE: self._times_ms[BEFORE, way.former],
+        }
+
+
+def truth_of_place(place: LabelledPlace) -> FrameTruth:
+    """What there is to be found in a place."""
+    labels = place.labels
+    return truth_of_points(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), place.hidden)
+
+
+def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None) -> list[FrameResult]:
+    """Measure what is not there yet; the results of all frames, in order.
+
+    Raises `ValueError` where `out` holds another run.
+    """
+    claim(plan, out)
+    paths = [out / "frames" / f"frame-{index:05d}.msgpack" for index in range(plan.frames)]
+    missing = [index for index, path in enumerate(paths) if not path.exists()]
+    for _ in range(len(paths) - len(missing)):
+        on_frame()
+    if missing:
+        paths[0].parent.mkdir(parents=True, exist_ok=True)
+        with socket_hop() as hop:
+            measuring = Measuring(plan, hop)
+            # the first call of anything compiles, allocates, reads
+            measuring.frame(missing[0])
+            for index in missing:
+                write_whole(paths[index], msgspec.msgpack.encode(measuring.frame(index)))
+                on_frame()
+    return [msgspec.msgpack.decode(path.read_bytes(), type=FrameResult) for path in paths]
+
+
+def claim(plan: msgspec.Struct, out: Path) -> None:
+    """Write down which run a folder holds (`plan.json`); `ValueError` where it holds another."""
+    path, wanted = out / "plan.json", json_lines(plan)
+    if not path.exists():
+        out.mkdir(parents=True, exist_ok=True)
+        write_whole(path, wanted)
+    elif path.read_bytes() != wanted:
+        raise ValueError(f"{path}: out must be a new folder or hold the same run, holds another one")
+
+
+def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda: None) -> dict[str, float]:
+    """Largest resident memory [MiB] of a fresh process that holds a row's whole chain and takes in one scan."""
+    found = {}
+    for row in rows:
+        with multiprocessing.get_context("spawn").Pool(1) as pool:
+            found[row.name] = float("nan")
+            with charged({}, row.name):  # the run has the reason already
+                found[row.name] = pool.apply(_row_memory_mib, (row,))
+        on_row()
+    return found
+
+
+def _row_memory_mib(row: Setting) -> float:
+    """Run one empty scan through a row's chain in the calling process."""
+    stages, setup, way = _Stages(), RadarSetup(), Way.of(row)
+    stages.build(row)
+    samples = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
+    maps: list[RangeAzimuthMap] = []
+    for index, azimuth_rad in enumerate(setup.beams.azimuth_rad):
+        beam = RadarBeam(
+            stamp_ns=index * setup.beam_interval_ns,
+            scan_id=0,
+            beam_index=index,
+            beam_count=len(setup.beams),
+            azimuth_rad=float(azimuth_rad),
+            samples=samples,
+            full_scale_dbm=setup.full_scale_dbm,
+        )
+        maps += stages.former[way.former].add(beam)
+    recover_bev(stages.detector[way.detector[1]].detect(maps[0]), *stages.geometry[way.geometry[2]])
+    return _peak_resident_mib()
+
+
+def _peak_resident_mib() -> float:
+    """Of the calling process since it was started; `ru_maxrss` would still hold that of the process it came from."""
+    status = Path("/proc/self/status").read_text()
+    return float(status.split("VmHWM:")[1].split()[0]) / 1024.0

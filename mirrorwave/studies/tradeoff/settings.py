@@ -1,0 +1,84 @@
+"""The rows of the accuracy-versus-time report: node parameters, each set laid over the profile `unfiltered`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from mirrorwave.profiles import profile_names, read_profile
+from msgs.files.shipped import LAUNCH
+from nodes.process.launch_file import merged, read_yaml_mapping
+from nodes.process.validation import convert_at
+
+#: What `mirrorwave tradeoff` compares unless told otherwise.
+DEFAULT_SETTINGS = LAUNCH / "tradeoff.yaml"
+#: Nodes whose parameters a row may set.
+STAGES = ("ra_former", "dense_predictor", "geometry")
+#: Profile that rows are laid over and compared with: its geometry judges no place by its detector.
+BASE = "unfiltered"
+#: Switch of the rows that are named profiles.
+PROFILE = "profile"
+#: Stands in settings for the folder of further networks.
+NETWORKS = "$NETWORKS"
+
+
+class Setting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One row: a switch, what it is set to, and the parameters of each node that say so."""
+
+    switch: str
+    value: str
+    params: dict[str, dict[str, Any]] = {}
+
+    def __post_init__(self) -> None:
+        unknown = self.params.keys() - set(STAGES)
+        if unknown:
+            raise ValueError(f"params must be of {', '.join(STAGES)}, got {', '.join(sorted(unknown))}")
+
+    @property
+    def name(self) -> str:
+        """How the row is called: switch and value, or the profile's own name."""
+        return self.value if self.switch == PROFILE else f"{self.switch}: {self.value}"
+
+    def of(self, stage: str) -> dict[str, Any]:
+        """Parameters of one node."""
+        return self.params.get(stage, {})
+
+
+class _SettingsFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    rows: list[Setting]
+
+
+def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -> list[Setting]:
+    """All rows: the profiles, the default first, then those of a file.
+
+    Raises `ValueError` naming the file and the row where two rows share a name or one sets what no node has.
+    """
+    rows = [*profiles(), *convert_at(read_yaml_mapping(path), _SettingsFile, f"{path}: ").rows]
+    names = [row.name for row in rows]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{path}: rows must differ in name, got {name!r} twice")
+    folder = "" if networks is None else str(networks)
+    base = next(row for row in rows if row.name == BASE)
+    return [_laid_over(base, row, folder) for row in rows]
+
+
+def profiles() -> list[Setting]:
+    """The named profiles, the default first, the others by name."""
+    found = ({"switch": PROFILE, "value": name, "params": read_profile(name)} for name in profile_names())
+    return [convert_at(one, Setting, f"profile {one['value']}") for one in found]
+
+
+def _laid_over(base: Setting, row: Setting, networks: str) -> Setting:
+    """A row with everything said that it sets, and the folder of further networks put in."""
+    params = _filled(merged(base.params, row.params) if row.switch != PROFILE else row.params, networks)
+    return msgspec.structs.replace(row, params=params)
+
+
+def _filled(value: Any, networks: str) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _filled(inner, networks) for key, inner in value.items()}
+    return value.replace(NETWORKS, networks) if isinstance(value, str) and networks else value

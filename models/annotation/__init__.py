@@ -1,0 +1,1 @@
+"""Ground truth of real captures from LiDAR."""

@@ -1,0 +1,1 @@
+"""Scores against truth: per point, per object, with intervals."""

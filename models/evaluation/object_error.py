@@ -1,0 +1,79 @@
+"""Position errors of a reported object, at the time it was measured: one definition for all figures.
+
+- Face error: from the reported centre to the nearest visible face of the true box, to a visible scattering centre, or
+  to the box's centre, whichever is nearest. Objects are matched by it: what a radar sees of a vehicle is a face.
+- Centre error: from the reported centre to the centre of the true box. Never less than the face error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from models.physics.plane import segment_distance_m
+from msgs.values.frames import Pose2
+from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
+from msgs.values.units import s_from_ns
+
+#: A visible point this near a side of its object's box shows that side.
+ON_FACE_M = 0.1
+
+
+@dataclass(frozen=True)
+class ObjectDistances:
+    """Distances [R, N] in metres of R reported objects to N true ones, each moved to the time of the report."""
+
+    #: Face error.
+    error_m: np.ndarray
+    #: Centre error.
+    centre_m: np.ndarray
+    #: To the true box, zero inside.
+    box_m: np.ndarray
+
+
+def face_error_m(found: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
+    """Return the distance [m] of a reported centre to the nearest visible face or the centre of a true object."""
+    return float(object_distances([found], scene, [truth]).error_m[0, 0])
+
+
+def centre_error_m(found: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
+    """Return the distance [m] of a reported centre to the centre of a true object."""
+    return float(object_distances([found], scene, [truth]).centre_m[0, 0])
+
+
+def object_distances(
+    objects: Sequence[HiddenObject], truth: SceneTruth, wanted: Sequence[TruthObject]
+) -> ObjectDistances:
+    """Measure every reported object against every wanted object of the truth."""
+    shape = (len(objects), len(wanted), 3)
+    faces_m = [_visible_faces_m(one, truth) for one in wanted]
+    rows = [_distances_m(one, other, faces_m[j], truth) for one in objects for j, other in enumerate(wanted)]
+    return ObjectDistances(*np.moveaxis(np.array(rows, np.float64).reshape(shape), -1, 0))
+
+
+def _visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
+    """Sides [N, 2 ends, 2] of the box on which visible points lie, those points themselves as sides of no length."""
+    points_m = scene.hidden_points_m[scene.hidden_object == scene.objects.index(truth), :2].astype(np.float64)
+    half = 0.5 * np.array([truth.length_m, truth.width_m])
+    corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    corners_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).apply(corners)
+    sides_m = np.stack([corners_m, np.roll(corners_m, -1, axis=0)], axis=1)
+    seen = (segment_distance_m(points_m, sides_m[:, 0], sides_m[:, 1]) <= ON_FACE_M).any(axis=0)
+    return np.concatenate([sides_m[seen], np.repeat(points_m[:, None], 2, axis=1)])
+
+
+def _distances_m(
+    found: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth
+) -> tuple[float, float, float]:
+    """Face error, centre error and distance to the box, at the found object's time."""
+    # an object without a stamp of its own was measured at the scene's
+    elapsed_s = s_from_ns(found.stamp_ns - scene.stamp_ns) if found.stamp_ns else 0.0
+    moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])
+    at_m = np.array([[found.x_m, found.y_m]]) - moved_m
+    in_box_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).inverse().apply(at_m)[0]
+    outside_m = np.maximum(np.abs(in_box_m) - 0.5 * np.array([truth.length_m, truth.width_m]), 0.0)
+    centre_m = float(np.linalg.norm(in_box_m))
+    to_faces_m = segment_distance_m(at_m, faces_m[:, 0], faces_m[:, 1])
+    return float(min(centre_m, to_faces_m.min(initial=np.inf))), centre_m, float(np.linalg.norm(outside_m))

@@ -1,0 +1,378 @@
+"""How good reports of hidden objects are, object by object: what is found, what is made up, where, and how sure.
+
+Every scan is reduced to a row of its hidden objects and of what was reported; all measures are weighted sums over the
+rows of places, so that bootstrap draws of places cost no more than their sums. No scan is skipped.
+
+The position error of a report is the distance of its centre to the nearest visible face of the true box or to that
+box's centre, whichever is nearer, with the truth moved to the time of the report; the distance of centres stands beside
+it. A hidden object is found when a report of its own (one to one) errs by `FOUND_M` at most.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from itertools import pairwise
+
+import msgspec
+import numpy as np
+
+from models.evaluation.frame_scores import INTERVAL, Estimate
+from models.evaluation.metrics import assign_within
+from models.evaluation.object_error import object_distances
+from msgs.values.perception import HiddenObject, SceneTruth
+
+#: Position error of a found object at most.
+FOUND_M = 1.0
+#: A report further than this from every object out of sight is false; one further than that from the box of every
+#: object, in sight or out of it, stands where nothing is.
+FALSE_M, NOTHING_M = 2.0, 2.5
+#: Edges of the bands of image SNR, dB.
+BAND_EDGES_DB = (15.0, 25.0, 40.0)
+BANDS = ("no image", "< 15 dB", "15-25 dB", "25-40 dB", "> 40 dB")
+#: Edges of the bins of scores.
+SCORE_EDGES = (0.0, 0.5, 0.6, 0.7, 0.8, 0.9, 0.99, 1.0)
+VEHICLES = ("car", "van", "truck", "bus")
+QUANTILES = (0.5, 0.75, 0.9, 0.95)
+
+
+class ImageTruth(msgspec.Struct, frozen=True, kw_only=True):
+    """What could be seen of one object before any detection; SNR None: no image lies in the map."""
+
+    direct: bool
+    #: Some mirror shows a part of it, wherever the image lies.
+    mirrored: bool
+    snr_db: float | None
+    #: Of images by one mirror.
+    single_snr_db: float | None
+
+
+class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One object out of direct sight and what became of it."""
+
+    object_class: str
+    image: ImageTruth
+    #: Of the report that found it, None where none did: position error, distance of centres.
+    error_m: float | None
+    centre_m: float | None
+    #: Found one to one where the distance of centres alone counts.
+    found_by_centre: bool
+
+
+class ReportRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One reported object."""
+
+    score: float
+    #: Whether it found a hidden object.
+    found: bool
+    #: Position error, and distance of centres, against the nearest object out of sight; None: there is none.
+    error_m: float | None
+    centre_m: float | None
+    #: Distance to the nearest box of any object; None: there is none.
+    box_m: float | None
+
+
+class ScanRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One scan of a place."""
+
+    place: int
+    scan: int
+    hidden: list[HiddenRow]
+    reports: list[ReportRow]
+
+
+def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, images: Sequence[ImageTruth]) -> ScanRow:
+    """Reduce a scan's reports and truth to a row; `images` are those of `truth.objects`, in order.
+
+    Objects that no mirror shows are listed too: they are asked for by nobody, but a report there is not false.
+    """
+    wanted = [index for index, image in enumerate(images) if not image.direct]
+    distances = object_distances(objects, truth, truth.objects)
+    error_m, centre_m = distances.error_m[:, wanted], distances.centre_m[:, wanted]
+    shown = np.array([images[index].mirrored for index in wanted], bool)
+    by = {int(column): int(row) for row, column in _matched(error_m, shown)}
+    by_centre = {int(column) for _, column in _matched(centre_m, shown)}
+    hidden = [
+        HiddenRow(
+            object_class=truth.objects[index].object_class,
+            image=images[index],
+            error_m=float(error_m[by[column], column]) if column in by else None,
+            centre_m=float(centre_m[by[column], column]) if column in by else None,
+            found_by_centre=column in by_centre,
+        )
+        for column, index in enumerate(wanted)
+    ]
+    reports = [
+        ReportRow(
+            score=one.score,
+            found=row in by.values(),
+            error_m=_least(error_m[row]),
+            centre_m=_least(centre_m[row]),
+            box_m=_least(distances.box_m[row]),
+        )
+        for row, one in enumerate(objects)
+    ]
+    return ScanRow(place=place, scan=truth.scan_id, hidden=hidden, reports=reports)
+
+
+def _matched(distance_m: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Pairs (report, object) within reach, one to one, of the objects [N] that a mirror shows."""
+    pairs = assign_within(distance_m[:, shown], FOUND_M)
+    return np.stack([pairs[:, 0], np.flatnonzero(shown)[pairs[:, 1]]], axis=1)
+
+
+def _least(values: np.ndarray) -> float | None:
+    return float(values.min()) if len(values) else None
+
+
+def band(image: ImageTruth) -> str:
+    """Name of the SNR band of an object's strongest image; a band holds its lower edge."""
+    if image.snr_db is None:
+        return BANDS[0]
+    return BANDS[1 + sum(image.snr_db >= edge for edge in BAND_EDGES_DB)]
+
+
+def is_false(report: ReportRow) -> bool:
+    """Whether a report stands further than `FALSE_M` from every object out of sight."""
+    return report.error_m is None or report.error_m > FALSE_M
+
+
+def is_nothing(report: ReportRow) -> bool:
+    """Whether a report stands further than `NOTHING_M` from every object whatever."""
+    return report.box_m is None or report.box_m > NOTHING_M
+
+
+class ObjectScores:
+    """All scans of one profile, ready for measures under any weights of the places."""
+
+    def __init__(self, scans: Sequence[ScanRow]) -> None:
+        self.scans = sorted(scans, key=lambda scan: (scan.place, scan.scan))
+        self.places = sorted({scan.place for scan in self.scans})
+        self._row = {place: row for row, place in enumerate(self.places)}
+
+    @cached_property
+    def asked(self) -> list[tuple[int, HiddenRow]]:
+        """Row of the place and every hidden object that a mirror shows."""
+        return [(self._row[scan.place], one) for scan in self.scans for one in scan.hidden if one.image.mirrored]
+
+    @cached_property
+    def unseen(self) -> int:
+        """Objects out of sight that no mirror shows."""
+        return sum(not one.image.mirrored for scan in self.scans for one in scan.hidden)
+
+    @cached_property
+    def reports(self) -> list[tuple[int, ReportRow]]:
+        """Row of the place and every report."""
+        return [(self._row[scan.place], one) for scan in self.scans for one in scan.reports]
+
+    def of_objects(self, holds: Callable[[HiddenRow], bool]) -> np.ndarray:
+        """Number of asked objects for which a condition holds, by place [P]."""
+        return self._count([row for row, one in self.asked if holds(one)])
+
+    def of_reports(self, value: Callable[[ReportRow], float]) -> np.ndarray:
+        """Sum of a value over the reports, by place [P]."""
+        return self._count([row for row, _ in self.reports], [float(value(one)) for _, one in self.reports])
+
+    @cached_property
+    def scans_by_place(self) -> np.ndarray:
+        """Number of scans of each place [P]."""
+        return self._count([self._row[scan.place] for scan in self.scans])
+
+    def _count(self, rows: list[int], values: list[float] | None = None) -> np.ndarray:
+        weights = None if values is None else np.array(values, np.float64)
+        return np.bincount(np.array(rows, np.int64), weights, minlength=len(self.places)).astype(np.float64)
+
+
+class Ratio(msgspec.Struct, frozen=True, kw_only=True):
+    """A share or a rate: part over whole, with the interval of the quotient over draws of places."""
+
+    part: float
+    whole: float
+    value: float | None
+    low: float | None
+    high: float | None
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return f"{self.part:g} of {self.whole:g}"
+        return f"{self.part:g} of {self.whole:g} ({self.value:.2f} [{self.low:.2f}, {self.high:.2f}])"
+
+
+class ScoreBin(msgspec.Struct, frozen=True, kw_only=True):
+    """Reports whose score lies in low <= score < high (the last bin holds 1)."""
+
+    low: float
+    high: float
+    mean_score: float | None
+    #: Share that found a hidden object, and share that stands within `FALSE_M` of one.
+    found: Ratio
+    near: Ratio
+
+
+class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
+    """Everything that is said of one profile on one set."""
+
+    scans: int
+    places: int
+    recall: Ratio
+    recall_by_centre: Ratio
+    recall_by_class: dict[str, Ratio]
+    recall_vehicles: Ratio
+    recall_by_band: dict[str, Ratio]
+    #: Of objects that one mirror alone shows at 25 dB or more.
+    recall_single_25_db: Ratio
+    #: Objects out of sight that no mirror shows; nobody asks for them.
+    not_mirrored: int
+    reports: int
+    precision: Ratio
+    #: Share of the reports, and their number a scan.
+    false: Ratio
+    false_per_scan: Ratio
+    nothing: Ratio
+    nothing_per_scan: Ratio
+    #: Quantiles [m] of found objects; and of all reports in places with an object out of sight, whatever their error.
+    error_found_m: dict[str, Estimate]
+    centre_found_m: dict[str, Estimate]
+    error_ungated_m: dict[str, Estimate]
+    centre_ungated_m: dict[str, Estimate]
+    scores: list[ScoreBin]
+    #: Mean distance of score and share found over the bins, weighted by their reports.
+    calibration_error: float | None
+    #: Missed objects and false reports a scan, weighted by `false_cost`.
+    false_cost: float
+    loss: Ratio
+
+
+def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) -> ObjectReport:
+    """Measure one profile; `weights` [B, P] are bootstrap draws of its places (`evaluation.bootstrap_weights`).
+
+    Raises `ValueError` without a scan or with weights of other places.
+    """
+    if not scores.scans or weights.shape[1:] != (len(scores.places),):
+        raise ValueError(f"weights must have shape [draws, {len(scores.places)}] for places, got {weights.shape}")
+    draw = _Draws(scores, weights)
+    asked, found = scores.of_objects(lambda one: True), scores.of_objects(_found)
+    reports = scores.of_reports(lambda one: 1.0)
+    false, nothing = scores.of_reports(is_false), scores.of_reports(is_nothing)
+    scans = scores.scans_by_place
+    bins = [_score_bin(draw, low, high) for low, high in pairwise(SCORE_EDGES)]
+    return ObjectReport(
+        scans=len(scores.scans),
+        places=len(scores.places),
+        recall=draw.ratio(found, asked),
+        recall_by_centre=draw.ratio(scores.of_objects(lambda one: one.found_by_centre), asked),
+        recall_by_class=draw.recalls(
+            lambda one: one.object_class, sorted({one.object_class for _, one in scores.asked})
+        ),
+        recall_vehicles=draw.recall(lambda one: one.object_class in VEHICLES),
+        recall_by_band=draw.recalls(lambda one: band(one.image), BANDS),
+        recall_single_25_db=draw.recall(_strong_single),
+        not_mirrored=scores.unseen,
+        reports=len(scores.reports),
+        precision=draw.ratio(scores.of_reports(lambda one: one.found), reports),
+        false=draw.ratio(false, reports),
+        false_per_scan=draw.ratio(false, scans),
+        nothing=draw.ratio(nothing, reports),
+        nothing_per_scan=draw.ratio(nothing, scans),
+        error_found_m=draw.quantiles([(row, one.error_m) for row, one in scores.asked]),
+        centre_found_m=draw.quantiles([(row, one.centre_m) for row, one in scores.asked]),
+        error_ungated_m=draw.quantiles([(row, one.error_m) for row, one in scores.reports]),
+        centre_ungated_m=draw.quantiles([(row, one.centre_m) for row, one in scores.reports]),
+        scores=bins,
+        calibration_error=_calibration_error(bins),
+        false_cost=false_cost,
+        loss=draw.ratio(asked - found + false_cost * false, scans),
+    )
+
+
+def _found(one: HiddenRow) -> bool:
+    return one.error_m is not None
+
+
+def _strong_single(one: HiddenRow) -> bool:
+    return one.image.single_snr_db is not None and one.image.single_snr_db >= BAND_EDGES_DB[1]
+
+
+class _Draws:
+    """Quotients and quantiles of scores with their intervals under bootstrap draws."""
+
+    def __init__(self, scores: ObjectScores, weights: np.ndarray) -> None:
+        self._scores, self._weights = scores, np.asarray(weights, np.float64)
+
+    def ratio(self, part: np.ndarray, whole: np.ndarray) -> Ratio:
+        """Quotient of sums over places [P]."""
+        total = float(whole.sum())
+        drawn = self._weights @ whole
+        known = drawn > 0.0
+        value = float(part.sum()) / total if total else None
+        low, high = _interval((self._weights @ part)[known] / drawn[known])
+        return Ratio(part=float(part.sum()), whole=total, value=value, low=low, high=high)
+
+    def recall(self, holds: Callable[[HiddenRow], bool]) -> Ratio:
+        """Share found of the objects for which a condition holds."""
+        found = self._scores.of_objects(lambda one: holds(one) and _found(one))
+        return self.ratio(found, self._scores.of_objects(holds))
+
+    def recalls(self, name: Callable[[HiddenRow], str], names: Sequence[str]) -> dict[str, Ratio]:
+        """Share found of each group."""
+        return {group: self.recall(lambda one, group=group: name(one) == group) for group in names}  # type: ignore[misc]
+
+    def quantiles(self, values: Sequence[tuple[int, float | None]]) -> dict[str, Estimate]:
+        """Quantiles of the values that are known, with intervals: the smallest value that so large a share reaches."""
+        known = sorted((value, row) for row, value in values if value is not None)
+        if not known:
+            return {}
+        at, rows = np.array([value for value, _ in known]), np.array([row for _, row in known])
+        weights = np.concatenate([np.ones((1, len(at))), self._weights[:, rows]])
+        reached = np.cumsum(weights, axis=1)
+        found: dict[str, Estimate] = {}
+        for share in QUANTILES:
+            first = np.argmax(reached >= share * reached[:, -1:] * (1.0 - 1e-12), axis=1)
+            low, high = _interval(at[first[1:]][reached[1:, -1] > 0.0])
+            ends = (math.nan if low is None else low, math.nan if high is None else high)
+            found[f"p{100.0 * share:g}"] = Estimate(float(at[first[0]]), *ends)
+        return found
+
+
+def _interval(draws: np.ndarray) -> tuple[float | None, float | None]:
+    if len(draws) == 0:
+        return None, None
+    low, high = np.percentile(draws, INTERVAL)
+    return float(low), float(high)
+
+
+def _score_bin(draw: _Draws, low: float, high: float) -> ScoreBin:
+    """Reports of one bin of scores."""
+    scores = draw._scores
+
+    def inside(one: ReportRow) -> bool:
+        return low <= one.score < high or (high == SCORE_EDGES[-1] and one.score >= high)
+
+    whole = scores.of_reports(inside)
+    total = float(whole.sum())
+    summed = float(scores.of_reports(lambda one: one.score if inside(one) else 0.0).sum())
+    return ScoreBin(
+        low=low,
+        high=high,
+        mean_score=summed / total if total else None,
+        found=draw.ratio(scores.of_reports(lambda one: inside(one) and one.found), whole),
+        near=draw.ratio(scores.of_reports(lambda one: inside(one) and not is_false(one)), whole),
+    )
+
+
+def _calibration_error(bins: Sequence[ScoreBin]) -> float | None:
+    """Expected calibration error over the bins; None without a report."""
+    parts = [
+        (one.found.whole, abs(one.mean_score - one.found.value))
+        for one in bins
+        if one.mean_score is not None and one.found.value is not None
+    ]
+    total = sum(count for count, _ in parts)
+    return sum(count * error for count, error in parts) / total if total else None
+
+
+def mean_loss(reports: Mapping[str, ObjectReport]) -> float:
+    """Mean loss over sets with equal weight."""
+    values = [report.loss.value for report in reports.values() if report.loss.value is not None]
+    return sum(values) / len(values)

@@ -1,0 +1,1 @@
+"""From range-azimuth maps to classified peaks."""

@@ -1,0 +1,207 @@
+"""Detection without a network: CFAR, lobe suppression, and classes from the walls it finds itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from models.perception.detection.peaks import PeakParams, echo_power, peaks_at
+from models.perception.detection.ridges import MOST_CELLS, RidgeParams, find_ridges, ridge_cells
+from models.perception.geometry.clustering import dbscan
+from models.perception.geometry.recovery import WallArrays, behind_walls, cartesian_covariance, wall_arrays
+from models.perception.geometry.walls import WallParams, find_walls
+from models.physics.link_budget import spad_threshold
+from msgs.values.arrays import require_within
+from msgs.values.frames import xy_from_polar
+from msgs.values.perception import PathClass, Peaks, Wall
+from msgs.values.radar import RangeAzimuthMap
+
+
+class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that tell images."""
+
+    kind: Literal["os", "ca"] = "os"
+    #: Ordered statistic: window in range bins, which share of it counts as quiet, ranges that share a window.
+    window: int = 128
+    quantile: float = 0.3
+    stride: int = 8
+    #: Cell averaging: half widths of guard and of training window, guard included.
+    guard: tuple[int, int] = (4, 14)
+    training: tuple[int, int] = (20, 24)
+    false_alarm_rate: float = 1e-4
+    #: Walls that tell images from direct returns; an image lies at least this deep behind one.
+    cluster_eps_m: float = 4.0
+    cluster_min_points: int = 2
+    min_depth_m: float = 1.5
+    ridges: RidgeParams = RidgeParams()
+    peaks: PeakParams = PeakParams()
+    walls: WallParams = WallParams()
+
+    def __post_init__(self) -> None:
+        for name in ("window", "stride"):
+            require_within(f"cfar.{name}", 1, MOST_CELLS, getattr(self, name))
+        require_within("cfar.quantile", 0.0, 1.0, self.quantile)
+        require_within("cfar.guard", 0, MOST_CELLS, *self.guard)
+        require_within("cfar.training", 0, MOST_CELLS, *self.training)
+        if any(train <= guard for train, guard in zip(self.training, self.guard, strict=True)):
+            raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
+        if not 0.0 < self.false_alarm_rate < 1.0:
+            raise ValueError(f"cfar.false_alarm_rate must be in (0, 1), got {self.false_alarm_rate!r}")
+
+
+#: For maps of a LiDAR: beams without lobes, one azimuth wide. Where a cell expects a few counts, their law has a longer
+#: tail than the normal one: 16 dB keep false alarms below 4e-5 a cell whatever the count.
+PHOTON_CFAR = CfarParams(
+    false_alarm_rate=1e-6,
+    ridges=RidgeParams(spacing=(2, 1), min_snr_db=16.0, azimuth_lobe_db=300.0, range_lobe_db=300.0),
+    peaks=PeakParams(beam_width_deg=0.5, azimuth_std_floor_deg=0.14),
+)
+
+
+def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """Cells whose power exceeds alpha times the local noise level; bool [range, azimuth].
+
+    alpha keeps `false_alarm_rate` exactly for exponential (square-law) noise.
+    """
+    return cell_averaging_mask(power, params) if params.kind == "ca" else ordered_statistic_mask(power, params)
+
+
+def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """Cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R, A].
+
+    The noise of counts is known and need not be measured beside a cell, where a period's end or a wall may lie.
+    """
+    return power > spad_threshold(params.false_alarm_rate)
+
+
+def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """CA-CFAR: against the mean of the training cells about each cell, alpha = n (P_fa^(-1/n) - 1); bool [R, A].
+
+    Windows shrink at the edges of the map and n with them. Blind beside what is longer than its guard.
+    """
+    outer, inner = params.training, params.guard
+    total = _box_sum(power, outer) - _box_sum(power, inner)
+    count = _box_sum(np.ones(power.shape), outer) - _box_sum(np.ones(power.shape), inner)
+    alpha_over_n = params.false_alarm_rate ** (-1.0 / count) - 1.0
+    # sums of powers cannot be negative; differences of large integrals can
+    return power > alpha_over_n * np.maximum(total, 0.0)
+
+
+def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
+    """OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
+
+    Walls fill many cells: they raise a mean, but not the quarter of quiet cells between them. Each stretch of
+    `stride` ranges shares one window, which stays inside the map.
+    """
+    bins = power.shape[0]
+    window = min(params.window, bins)
+    rank = _rank(window, params)
+    starts = np.clip(np.arange(0, bins, params.stride) + params.stride // 2 - window // 2, 0, bins - window)
+    views = np.lib.stride_tricks.sliding_window_view(power, window, axis=0)[starts]  # [stretches, azimuth, window]
+    level = np.partition(views, rank - 1, axis=-1)[..., rank - 1]
+    threshold = ordered_statistic_alpha(window, rank, params.false_alarm_rate) * level
+    return power > np.repeat(threshold, params.stride, axis=0)[:bins]
+
+
+def warm(params: CfarParams) -> None:
+    """Compile what maps will need, or load it, with the threshold of those no shorter than the window.
+
+    The first map should not pay for that: it was a second on a busy machine, and the next ones outdated by then.
+    """
+    from models.perception.geometry.stage import made_up_peaks
+
+    ridge_cells(np.zeros((1, 1)), params.ridges.spacing)
+    classify_behind_walls(made_up_peaks(), CfarParams())
+    if params.kind == "os":
+        ordered_statistic_alpha(params.window, _rank(params.window, params), params.false_alarm_rate)
+
+
+def _rank(window: int, params: CfarParams) -> int:
+    return max(int(params.quantile * window), 1)
+
+
+@lru_cache(maxsize=32)
+def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> float:
+    """Threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
+    # here: a network needs no threshold, and this is a fifth of what its node takes to start
+    from scipy.optimize import brentq
+
+    left = count - np.arange(rank)
+    return float(brentq(lambda alpha: np.sum(np.log1p(alpha / left)) + np.log(false_alarm_rate), 0.0, 1e9))
+
+
+def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
+    """Sums over windows of the given half widths, cut off at the edges, by an integral image; float64."""
+    integral = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+    integral[1:, 1:] = values.astype(np.float64).cumsum(axis=0).cumsum(axis=1)
+    (low_r, high_r), (low_a, high_a) = (
+        (np.maximum(np.arange(n) - h, 0), np.minimum(np.arange(n) + h + 1, n))
+        for n, h in zip(values.shape, half, strict=True)
+    )
+    return (
+        integral[np.ix_(high_r, high_a)]
+        - integral[np.ix_(low_r, high_a)]
+        - integral[np.ix_(high_r, low_a)]
+        + integral[np.ix_(low_r, low_a)]
+    )
+
+
+def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
+    """Classified peaks of a map without a network: detect, then tell images by the walls in front of them."""
+    return classify_behind_walls(detect(ra_map, params), params)
+
+
+def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
+    """Ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
+
+    The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
+    """
+    power, noise_power_mw = echo_power(ra_map), ra_map.noise_power_mw
+    mask = photon_mask(power, params) if ra_map.mode == "photons" else cfar_mask(power, params)
+    cells, fractional = find_ridges(power, mask, noise_power_mw, ra_map.grid.range_m, params.ridges)
+    snr = power[cells[:, 0], cells[:, 1]] / max(ra_map.noise_power_mw, 1e-300)
+    score = 1.0 - 1.0 / np.sqrt(np.maximum(snr, 1.0))
+    path_class = np.full(len(cells), PathClass.LOS, np.uint8)
+    return peaks_at(ra_map, cells, fractional, score, path_class, params.peaks)
+
+
+def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
+    """Mark as mirrored what lies behind a wall that the nearer detections make up; no network, no truth.
+
+    All peaks start as direct. The nearest wall not yet used marks every peak whose ray it crosses and that is deeper
+    than `min_depth_m`; walls are then found anew among the direct ones, so that images never make a wall that counts.
+    Ends when no wall hides a direct peak.
+    """
+    points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
+    covariance_m2 = cartesian_covariance(peaks.range_m, peaks.azimuth_rad, peaks.covariance)
+    mirrored = np.zeros(len(peaks), bool)
+    for _ in range(params.walls.max_walls):
+        direct = np.flatnonzero(~mirrored)
+        labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
+        found, _ = find_walls(points_m[direct], covariance_m2[direct], labels, params.walls)
+        hidden = _behind_nearest(points_m[direct], found, params.min_depth_m)
+        if not hidden.any():
+            break
+        mirrored[direct[hidden]] = True
+    path_class = np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8)
+    return msgspec.structs.replace(peaks, path_class=path_class)
+
+
+def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> np.ndarray:
+    """Points [N, 2] behind the nearest wall that hides any; bool [N]."""
+    for wall in sorted(walls, key=lambda wall: wall.offset_m):
+        hidden = behind_walls(points_m, _drawn_in(wall), depth_m)
+        if hidden.any():
+            return hidden
+    return np.zeros(len(points_m), bool)
+
+
+def _drawn_in(wall: Wall) -> WallArrays:
+    """The wall without its outermost half metre, which an azimuth error may have made up."""
+    arrays = wall_arrays([wall])
+    a, b = arrays.trimmed(0.5)
+    return replace(arrays, a=a, b=b)

@@ -1,0 +1,258 @@
+"""A dense network as the vehicle runs it: an ONNX file, and the card that says what it is."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+import onnxruntime
+
+from models.perception.cards import card_path, learned_path, read_card, read_learned
+from models.perception.detection.anchors import CHANNELS as ANCHOR_CHANNELS
+from models.perception.detection.anchors import anchor_points
+from models.perception.detection.encoding import Encoding, encode_map
+from models.perception.detection.peaks import Points, heatmap_points
+from models.perception.detection.score_calibration import ScoreTable, check_table
+from msgs.values.perception import PathClass
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+
+#: What a session raises for bytes that are no network.
+_NO_NETWORK = tuple(
+    getattr(onnxruntime.capi.onnxruntime_pybind11_state, name)
+    for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
+)
+#: No ONNX file holds more: it is one protobuf message.
+MAX_MODEL_BYTES = (1 << 31) - 1
+#: Where a network comes from that has all it needs.
+GUIDE = "`mirrorwave export` writes a network with its card: docs/train-on-my-captures.md"
+#: The network in use unless another is named.
+DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
+
+
+class ClassScores(msgspec.Struct, frozen=True, kw_only=True):
+    """Detection scores of one path class (one-to-one matching, 2 m gate, counts over all frames)."""
+
+    precision: float
+    recall: float
+    f1: float
+
+
+class ScoresAt(msgspec.Struct, frozen=True, kw_only=True):
+    """Detection scores at one confidence threshold."""
+
+    threshold: float
+    macro_f1: float
+    los: ClassScores
+    mirrored: ClassScores
+
+
+class Fidelity(msgspec.Struct, frozen=True, kw_only=True):
+    """How far a file is from the torch network it was made from."""
+
+    #: Largest difference of a probability on encoded maps of the training split.
+    largest_difference: float
+    #: Macro-F1 at the card's threshold that the fp32 export has on the same frames.
+    macro_f1_fp32: float
+    #: How much of it this file lacks, in points (hundredths).
+    lost_points: float
+    #: Encoded maps of the training split that set the ranges of an int8 file.
+    calibration_maps: int = 0
+
+
+class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
+    """What a network file is: how it was made, what it takes, how good it is; a JSON file beside the ONNX file.
+
+    Fields that are not listed here are ignored: an older card loads, with the defaults of what it lacks.
+    """
+
+    name: str
+    sha256: str
+    parameters: int
+    #: Family of the network.
+    network: str = "compact_unet"
+    #: Of weights and arithmetic; input and output are float32 always.
+    precision: Literal["fp32", "fp16", "int8"] = "fp32"
+    #: A heatmap answers probabilities on the map's own cells; anchors answer logits and offsets (see `anchors`).
+    head: Literal["heatmap", "anchors"] = "heatmap"
+    #: Cells from anchor to anchor.
+    anchor_stride: int = 1
+    encoding: Encoding
+    grid: RangeAzimuthGrid
+    input_shape: tuple[int, ...]
+    output_shape: tuple[int, ...]
+    #: Threshold to pick peaks at; `scores` holds its line.
+    threshold: float
+    #: That of peaks by pursuit, the best on the validation scenes; None: the same.
+    pursuit_threshold: float | None = None
+    #: On test scenes that neither trained nor chose the network.
+    scores: tuple[ScoresAt, ...]
+    fidelity: Fidelity | None = None
+    #: What share of peaks with a score is true (validation scenes, 2 m gate); empty where it was not fitted.
+    calibration: ScoreTable = ()
+    #: How training and test scenes were made, and how many.
+    data: dict[str, str | int]
+    #: Training command, chosen epoch, and the resolved configuration of data, schedule and network.
+    training: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        if self.anchor_stride < 1:
+            raise ValueError(f"card.anchor_stride must be at least 1, got {self.anchor_stride}")
+        self.encoding.check_grid(self.grid)
+        check_table("card.calibration", self.calibration)
+
+    def threshold_for(self, way: str) -> float:
+        """Threshold of a way to place peaks (`models.perception.detection.detectors.Refine`)."""
+        return self.pursuit_threshold or self.threshold if way == "pursuit" else self.threshold
+
+    @property
+    def answer_shape(self) -> tuple[int, int, int, int]:
+        """Shape of the network's answer to one map: of all cells it sees, or of its anchors."""
+        cells = self.encoding.seen_bins, self.grid.azimuth_bins
+        if self.head == "heatmap":
+            return 1, len(PathClass), *cells
+        return 1, ANCHOR_CHANNELS, cells[0] // self.anchor_stride, cells[1] // self.anchor_stride
+
+
+def load_card(model_path: Path) -> ModelCard:
+    """Read the card of a network file; raises `ValueError` naming the file and the field that is wrong."""
+    return read_card(card_path(model_path), ModelCard)
+
+
+class DensePredictor:
+    """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
+
+    The session is warm when the constructor returns. `flip_test` asks the network of every map and of the map with left
+    and right exchanged, and takes the mean: twice the time, fewer errors. Raises `ValueError` naming file and field
+    when the file, its card and its shapes do not belong together, or the answers of a network at anchors shall be
+    averaged.
+    """
+
+    def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1, flip_test: bool = False) -> None:
+        if threads < 1:
+            raise ValueError(f"threads must be at least 1, got {threads}")
+        model_path = Path(model_path)
+        self.card, self._session = _open_with_card(model_path, threads)
+        self._flip_test = flip_test
+        if flip_test and self.card.head != "heatmap":
+            raise ValueError(f"{model_path}: flip_test must go with a heatmap, the network answers at {self.card.head}")
+        self._input = self._session.get_inputs()[0].name
+        self.infer(np.zeros(self.card.input_shape[1:], np.float32))
+
+    def predict(self, ra_map: RangeAzimuthMap) -> np.ndarray:
+        """Probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the network sees.
+
+        Raises `ValueError` when the map's grid is not the card's, or the network answers at anchors.
+        """
+        if self.card.head != "heatmap":
+            raise ValueError(f"{self.card.name}: card.head must be heatmap for a heatmap, got {self.card.head}")
+        seen = self.answer(ra_map)
+        if self._flip_test:
+            flipped = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
+            seen = 0.5 * (seen + self.answer(flipped)[..., ::-1])
+        confidence = np.zeros((len(seen), *ra_map.grid.shape), np.float32)
+        confidence[:, : seen.shape[1]] = seen
+        return confidence
+
+    def points(self, ra_map: RangeAzimuthMap, threshold: float, min_distance: int) -> Points:
+        """What the answer itself points at: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
+
+        Raises `ValueError` when the map's grid is not the card's.
+        """
+        return answered_points(self.card, self.answer(ra_map), threshold, min_distance)
+
+    def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
+        """The network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
+        if ra_map.grid != self.card.grid:
+            raise ValueError(f"map.grid must be the {self.card.name} card's, {self.card.grid}, got {ra_map.grid}")
+        return self.infer(encode_map(self.card.encoding, ra_map))
+
+    def infer(self, encoded: np.ndarray) -> np.ndarray:
+        """The network's answer to an encoded map [channels, range, columns]."""
+        return self._session.run(None, {self._input: encoded[None]})[0][0]
+
+
+def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_distance: int) -> Points:
+    """Points of one answer [channels, rows, columns] with at least a score of `threshold`."""
+    if card.head == "anchors":
+        return anchor_points(answer, card.anchor_stride, threshold, min_distance)
+    return heatmap_points(answer, threshold, min_distance)
+
+
+def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxruntime.InferenceSession]:
+    """A network and its card; raises one `ValueError` with all that is wrong with either, and the guide."""
+    card: ModelCard | None = None
+    session: onnxruntime.InferenceSession | None = None
+    wrong: list[str] = []
+    try:
+        card = load_card(model_path)
+    except ValueError as error:
+        wrong.append(str(error))
+    try:
+        model = read_learned(model_path, MAX_MODEL_BYTES)
+        wrong += _wrong_checksum(model_path, model, card.sha256) if card else []
+        session = _session(model_path, model, threads)
+    except ValueError as error:
+        wrong.append(str(error))
+    if card is not None:
+        wrong += _wrong_card(model_path, card)
+    if session is not None:
+        wrong += _wrong_session(model_path, card, session)
+    if wrong or card is None or session is None:
+        raise ValueError(f"{'; '.join(wrong)} ({GUIDE})")
+    return card, session
+
+
+def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
+    """A session for a file with this checksum; raises `ValueError` naming the file."""
+    model = read_learned(model_path, MAX_MODEL_BYTES)
+    if wrong := _wrong_checksum(model_path, model, sha256):
+        raise ValueError(wrong[0])
+    return _session(model_path, model, threads)
+
+
+def _wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
+    found = hashlib.sha256(model).hexdigest()
+    return [] if found == sha256 else [f"{model_path}: sha256 must be {sha256} as its card says, got {found}"]
+
+
+def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    # a spinning worker would take its core from the other nodes between two maps
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    try:
+        return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    except _NO_NETWORK as error:
+        raise ValueError(f"{model_path} must be a whole ONNX file: {' '.join(str(error).split())}") from None
+
+
+def _wrong_card(model_path: Path, card: ModelCard) -> list[str]:
+    """Shapes of a card that its own encoding and grid do not give."""
+    wanted = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
+    shapes = {"input": card.input_shape, "output": card.output_shape}
+    return [
+        f"{card_path(model_path)}: card.{end}_shape must be {shape}, got {shapes[end]}"
+        for end, shape in wanted.items()
+        if shapes[end] != shape
+    ]
+
+
+def _wrong_session(model_path: Path, card: ModelCard | None, session: onnxruntime.InferenceSession) -> list[str]:
+    """Types of a network that are not ours, and shapes that are not its card's."""
+    wrong = []
+    entries = {"input": session.get_inputs(), "output": session.get_outputs()}
+    for end, found in entries.items():
+        if len(found) != 1 or found[0].type != "tensor(float)":
+            wrong.append(f"{model_path}: {end} must be one float32 array, got {[one.type for one in found]}")
+            continue
+        shape = tuple(found[0].shape)
+        said = None if card is None else (card.input_shape if end == "input" else card.output_shape)
+        if said is not None and shape != said:
+            wrong.append(f"{model_path}: {end} must be {said} as its card says, got {shape}")
+        elif card is None:
+            wrong.append(f"{model_path}: its {end} is {shape}")
+    return wrong

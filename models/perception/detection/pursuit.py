@@ -1,0 +1,114 @@
+"""Peaks of a confidence map by pursuit: take the highest cell, take off what one point there explains, go on.
+
+A trained heatmap holds one Gaussian a point where it is sure, and a broad hill with the mass of several where it knows
+that points stand there but not in which cells. Maxima no nearer than a fixed distance give a hill one peak; pursuit
+gives it as many as its mass is worth.
+"""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+from numba import njit
+
+from msgs.values.arrays import require_within
+from msgs.values.perception import MOST_PEAKS
+
+#: Widest blur and point in cells, and the narrowest point.
+WIDEST, NARROWEST = 100.0, 1e-3
+
+
+class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Widths in cells (range, azimuth)."""
+
+    #: Blur before: joins what a point's confidence is scattered over.
+    blur: tuple[float, float] = (0.5, 2.0)
+    #: Standard deviations of what a found point explains of the cells about it.
+    explained: tuple[float, float] = (1.5, 2.5)
+    #: More peaks than this in one map are noise.
+    max_peaks: int = 512
+
+    def __post_init__(self) -> None:
+        for name, least in (("blur", 0.0), ("explained", NARROWEST)):
+            for width in getattr(self, name):
+                require_within(f"pursuit.{name}", least, WIDEST, width)
+        require_within("pursuit.max_peaks", 1, MOST_PEAKS // 2, self.max_peaks)
+
+
+def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:
+    """Cells int64 [N, 2] and scores float64 [N] of a confidence map [range, azimuth], strongest first.
+
+    A score is what is left of the blurred confidence when its cell is taken; none is below `threshold`. Of equal cells
+    the first one is taken. Cells that are not finite count as empty.
+    """
+    if confidence.ndim != 2:
+        raise ValueError(f"confidence must have shape [range, azimuth], got {confidence.shape}")
+    if not threshold > 0.0:
+        raise ValueError(f"threshold must be positive, got {threshold!r}")
+    left = _blurred(confidence.astype(np.float64), threshold, *(_gaussian(std) for std in params.blur))
+    return _pursue(left, threshold, _kept(params.explained), params.max_peaks)
+
+
+def _gaussian(std: float) -> np.ndarray:
+    """Weights of a blur out to four standard deviations, of sum 1; of one cell where there is none."""
+    reach = int(4.0 * std + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(std, 1e-9)) ** 2)
+    return np.asarray(weights / weights.sum())
+
+
+@njit(cache=True, nogil=True)
+def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+    """A map [rows, columns] blurred by both kernels, zero beyond its edges and where it is not finite.
+
+    A mean is no higher than the highest of its cells: rows that have none at the threshold within reach stay zero.
+    """
+    rows, columns = confidence.shape
+    reach_row, reach_column = len(down) // 2, len(across) // 2
+    hot = np.zeros(rows, np.bool_)
+    for i in range(rows):
+        for j in range(columns):
+            if not np.isfinite(confidence[i, j]):
+                confidence[i, j] = 0.0
+            elif confidence[i, j] >= threshold:
+                hot[max(i - reach_row, 0) : i + reach_row + 1] = True
+    blurred, padded = np.zeros((rows, columns)), np.zeros(columns + 2 * reach_column)
+    for i in range(rows):
+        if not hot[i]:
+            continue
+        padded[:] = 0.0
+        inside = padded[reach_column : reach_column + columns]
+        for row in range(max(i - reach_row, 0), min(i + reach_row + 1, rows)):
+            inside += down[row - i + reach_row] * confidence[row]
+        for offset in range(len(across)):
+            blurred[i] += across[offset] * padded[offset : offset + columns]
+    return blurred
+
+
+def _kept(explained: tuple[float, float]) -> np.ndarray:
+    """What a point leaves of the cells about it: 1 less its Gaussian, out to three standard deviations."""
+    row, column = (np.arange(-int(np.ceil(3.0 * std)), int(np.ceil(3.0 * std)) + 1) / std for std in explained)
+    return 1.0 - np.exp(-0.5 * np.add.outer(row**2, column**2))
+
+
+@njit(cache=True, nogil=True)
+def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+    """Take cells of `left` [rows, columns] while the highest reaches the threshold; changes `left`."""
+    rows, columns = left.shape
+    reach_row, reach_column = kept.shape[0] // 2, kept.shape[1] // 2
+    highest = np.empty(rows)
+    for i in range(rows):
+        highest[i] = left[i].max()
+    cells, scores = np.empty((most, 2), np.int64), np.empty(most)
+    count = 0
+    while count < most:
+        i = int(highest.argmax())
+        if highest[i] < threshold:
+            break
+        j = int(left[i].argmax())
+        cells[count, 0], cells[count, 1], scores[count] = i, j, left[i, j]
+        count += 1
+        for row in range(max(i - reach_row, 0), min(i + reach_row + 1, rows)):
+            for column in range(max(j - reach_column, 0), min(j + reach_column + 1, columns)):
+                left[row, column] *= kept[row - i + reach_row, column - j + reach_column]
+            highest[row] = left[row].max()
+    return cells[:count], scores[:count]

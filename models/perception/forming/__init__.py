@@ -1,0 +1,1 @@
+"""From raw beams to range-azimuth maps."""

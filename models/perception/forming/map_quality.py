@@ -1,0 +1,90 @@
+"""What a scan says of its own hardware: checks that need no truth, each on what folding leaves over anyway.
+
+Severities at which each speaks, and false alarms over clean scenes: docs/robustness.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from msgs.values.units import ratio_from_db
+
+#: Codes of a chirp that are looked at to tell whether it was lost.
+_LOOKED_AT = 128
+#: Range bins this near hold the transmitter's leakage, which fills all beams by nature.
+_NEAR_BINS = 4
+#: A silent beam's mean power stays under the first over at least so many bins in which some beam is over the second:
+#: the side lobes of echoes this loud bring every live beam to 17 dB (docs/robustness.md). Their echoes must come from
+#: so many directions: a lone one has nulls.
+_SILENT_DB, _LOUD_DB, _LOUD_BINS, _LOUD_DIRECTIONS = 5.0, 40.0, 8, 4
+#: A beam's noise over that of the others from which it is better left out.
+_DROWNED_DB = 6.0
+#: A spur stands this far over the noise in every beam, within this spread; echoes differ by 26 dB and more.
+_SPUR_DB, _SPUR_SPREAD_DB = 15.0, 8.0
+#: Ranges whose echoes count for the array check, and how many it needs.
+_HEARD_DB, _LEAST_RANGES = 20.0, 8
+#: Deviation of the array from which the map says so; 99 of 100 random places without fault stay under it.
+ARRAY_LIMIT = 0.12
+
+
+def lost_chirps(samples: np.ndarray) -> int:
+    """Chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise alone never is all zeros."""
+    step = max(samples.shape[1] // _LOOKED_AT, 1)
+    return int(np.count_nonzero(~samples[:, ::step].any(axis=(1, 2))))
+
+
+def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
+    """Beams that hold noise alone where others hear loud echoes; bool [beams] of profiles complex [beams, range]."""
+    power = _power(profiles[:, _NEAR_BINS:])
+    loud = power.max(axis=0, initial=0.0) > ratio_from_db(_LOUD_DB) * noise_power_mw
+    if np.count_nonzero(loud) < _LOUD_BINS or len(np.unique(power[:, loud].argmax(axis=0))) < _LOUD_DIRECTIONS:
+        return np.zeros(len(power), np.bool_)
+    return np.asarray(power[:, loud].mean(axis=1) < ratio_from_db(_SILENT_DB) * noise_power_mw)
+
+
+def drowned_beams(noise_power_mw: np.ndarray) -> np.ndarray:
+    """Beams far noisier than most, bool [beams] of the noise of each, nan for those that never came.
+
+    Only those between two others that are neither: the neighbours must see in their place.
+    """
+    loud = noise_power_mw > ratio_from_db(_DROWNED_DB) * np.nanmedian(noise_power_mw)
+    useless = np.pad(loud | np.isnan(noise_power_mw), 1)
+    return np.asarray(loud & ~useless[:-2] & ~useless[2:])
+
+
+def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
+    """Whether a range bin beyond the near ones is about equally full in every beam [beams, range]: no echo is."""
+    power = _power(profiles[:, _NEAR_BINS:])
+    if len(power) < 3 or not noise_power_mw > 0.0:
+        return False
+    least, most = power.min(axis=0), power.max(axis=0)
+    full = least > ratio_from_db(_SPUR_DB) * noise_power_mw
+    return bool((full & (most < ratio_from_db(_SPUR_SPREAD_DB) * least)).any())
+
+
+def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:
+    """How far the array is from what its set-up says; zero without enough ranges to tell.
+
+    `coefficients` complex [range, 2N-1] of the co-array. An echo alone at its range has a[k] exp(j k u): in
+    c[k+1] c[k-1] / c[k]^2 neither its strength nor its direction is left, only what gains and phases of the columns
+    make of a. Returns the rms over k of the logarithm of that quotient's median over ranges, which those with several
+    echoes hardly move. A turn of the whole beam, linear over the columns, stays unseen.
+    """
+    power = _power(coefficients).mean(axis=1)
+    heard = (power > ratio_from_db(_HEARD_DB) * noise_power_mw) & (power > 0.0)
+    if np.count_nonzero(heard) < _LEAST_RANGES:
+        return 0.0
+    before, here, after = (coefficients[heard, first : first + coefficients.shape[1] - 2] for first in range(3))
+    gain = _level(after) + _level(before) - 2.0 * _level(here)
+    turn = np.exp(1j * (np.angle(after) + np.angle(before) - 2.0 * np.angle(here)))
+    turn_rad = np.angle(np.median(turn.real, axis=0) + 1j * np.median(turn.imag, axis=0))
+    return float(np.sqrt(np.mean(np.square(np.median(gain, axis=0)) + np.square(turn_rad))))
+
+
+def _level(values: np.ndarray) -> np.ndarray:
+    """Logarithm of magnitudes; that of nothing is far down, not infinite."""
+    return np.log(np.maximum(np.abs(values), np.finfo(np.float32).tiny))
+
+
+def _power(values: np.ndarray) -> np.ndarray:
+    return np.square(values.real, dtype=np.float64) + np.square(values.imag, dtype=np.float64)

@@ -1,0 +1,522 @@
+"""Range-azimuth forming: raw beams in, one complex map a scan out, most of it done while the next beam is measured.
+
+A beam is folded into slow-time sums, its background taken off, carried to the pose of the scan's first beam, Fourier
+transformed over fast time and, bin by bin, over slow time; the profiles of all beams are then interpolated to the
+azimuths of the map. |values|^2 is milliwatt per bin: a tone on a bin keeps its power whatever the window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import msgspec
+import numpy as np
+import scipy.fft
+from scipy.special import gammaincinv
+
+from models.perception.forming.coarray import AzimuthInterpolator, CoherenceTest, require_bearable
+from models.perception.forming.map_quality import (
+    ARRAY_LIMIT,
+    array_deviation,
+    drowned_beams,
+    has_spurs,
+    lost_chirps,
+    silent_beams,
+)
+from models.perception.forming.slow_time_sums import fold_chirps, group_edges
+from models.physics.waveform import WINDOW_TAPS
+from msgs.values.arrays import require_array, require_positive
+from msgs.values.frames import Pose2
+from msgs.values.radar import (
+    FORMING_MODES,
+    RadarBeam,
+    RadarSetup,
+    RangeAzimuthGrid,
+    RangeAzimuthMap,
+    amplitude_per_code,
+)
+from msgs.values.units import SPEED_OF_LIGHT_MPS, ns_from_s, ratio_from_db, s_from_ns
+from msgs.values.vehicle import VehicleState, ego_motion
+
+#: A beam whose stated azimuth differs from the set-up's by more belongs to another set-up.
+_AZIMUTH_TOLERANCE_RAD = 1e-3
+
+
+class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How beams become a map."""
+
+    #: Groups of chirps kept apart over slow time; None: every chirp. Never more than there are chirps.
+    slow_time_sums: int | None = 8
+    #: Doppler bins per 1 / beam duration.
+    doppler_padding: int = 4
+    #: Closing or opening speed up to which Doppler is searched.
+    doppler_limit_mps: float = 45.0
+    #: A Doppler bin replaces the coherent mean only when it is this much stronger ...
+    doppler_excess_db: float = 1.0
+    #: ... and this far above the noise: below, noise would choose and every cell be biased upwards.
+    doppler_snr_db: float = 13.0
+    #: A name in `WINDOW_TAPS`.
+    range_window: str = "hann"
+    #: "coherent"; "magnitude": azimuths from the magnitudes of the beams alone; "welch": mean power of single chirps,
+    #: for flickering scenes.
+    mode: str = "coherent"
+    #: Only the first so many chirps of a beam are looked at; None: all.
+    chirps: int | None = None
+    #: Only every so many beams are looked at, from the first.
+    beam_step: int = 1
+    #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out.
+    decimation: int = 1
+    coherence: CoherenceTest = CoherenceTest()
+    #: Take the set-up's open-field background off every chirp, where it has one.
+    subtract_background: bool = True
+    #: Where the radar sits on the vehicle; ego motion is the vehicle's.
+    vehicle_from_radar: Pose2 = Pose2()
+
+    def __post_init__(self) -> None:
+        for name in ("slow_time_sums", "chirps"):
+            if getattr(self, name) is not None:
+                require_positive(f"forming.{name}", getattr(self, name))
+        for name in ("doppler_padding", "doppler_limit_mps", "beam_step", "decimation"):
+            require_positive(f"forming.{name}", getattr(self, name))
+        for name in ("doppler_excess_db", "doppler_snr_db"):
+            if not getattr(self, name) >= 0.0:
+                raise ValueError(f"forming.{name} must not be negative, got {getattr(self, name)!r}")
+        if self.range_window not in WINDOW_TAPS:
+            raise ValueError(f"forming.range_window must be one of {sorted(WINDOW_TAPS)}, got {self.range_window!r}")
+        if self.mode not in FORMING_MODES:
+            raise ValueError(f"forming.mode must be one of {', '.join(FORMING_MODES)}, got {self.mode!r}")
+
+
+@dataclass(frozen=True)
+class ScanProfiles:
+    """What the beams of a scan leave behind once they are folded: all that `form_map` needs."""
+
+    stamp_ns: int
+    scan_id: int
+    #: complex64 [beams, range]; rows of missing beams are zero. Welch: magnitudes.
+    profiles: np.ndarray
+    #: Noise of one beam per bin.
+    noise_power_mw: float
+    #: Acquisition of each beam, int64 [beams]; missing beams at their nominal time.
+    beam_stamp_ns: np.ndarray
+    missing_beams: tuple[int, ...] = ()
+    #: Beams that were not looked at.
+    unused_beams: tuple[int, ...] = ()
+    saturated_share: float = 0.0
+    #: What the beams show of broken hardware, names in `MAP_FAULTS`.
+    faults: tuple[str, ...] = ()
+    #: Azimuth each beam looked at as seen from the map's pose, [beams, range]; None: ego motion was not taken out.
+    look_azimuth_rad: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class EgoCorrection:
+    """Factors that carry a beam measured on the move to the pose of the scan's first beam."""
+
+    #: On each slow-time sum, complex64 [groups]; on each fast-time sample [samples]; on each range bin [range].
+    group_phase: np.ndarray
+    sample_phase: np.ndarray
+    bin_phase: np.ndarray
+    #: Azimuth of the beam's axis seen from the map's pose, [range].
+    look_azimuth_rad: np.ndarray
+
+
+def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = "coherent") -> RangeAzimuthMap:
+    """Range-azimuth map of a scan's beam profiles.
+
+    The noise power is that of coherent cells (0.58 of a beam's), of Welch cells, or of a beam where all azimuths come
+    from magnitudes; bins that fell back to magnitudes hold 0.9 of a beam's.
+    """
+    missing, looks = tuple(sorted(scan.missing_beams + scan.unused_beams)), scan.look_azimuth_rad
+    if mode != "coherent":
+        values = interpolator.interpolate_magnitude(np.abs(scan.profiles), missing, looks).astype(np.complex64)
+        incoherent = np.ones(interpolator.grid.range_bins, np.bool_)
+        noise_power_mw = scan.noise_power_mw
+    else:
+        values, incoherent = interpolator.interpolate(scan.profiles, scan.noise_power_mw, missing, looks)
+        noise_power_mw = scan.noise_power_mw * interpolator.noise_gain(missing)
+    deviates = mode == "coherent" and not missing and _deviates(scan, interpolator, ~incoherent)
+    return RangeAzimuthMap(
+        stamp_ns=scan.stamp_ns,
+        scan_id=scan.scan_id,
+        grid=interpolator.grid,
+        values=values,
+        azimuth_stamp_ns=_azimuth_stamps(interpolator, scan),
+        noise_power_mw=float(noise_power_mw),
+        incoherent=incoherent,
+        missing_beams=scan.missing_beams,
+        unused_beams=scan.unused_beams,
+        saturated_share=scan.saturated_share,
+        ego_compensated=looks is not None,
+        mode=mode,
+        faults=(*scan.faults, "array_error") if deviates else scan.faults,
+    )
+
+
+def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: np.ndarray) -> bool:
+    """Whether the coherent ranges [range] of a whole scan show another array than the set-up's."""
+    if interpolator.coefficient_matrix is None:
+        return False
+    coefficients = scan.profiles[:, coherent].T @ interpolator.coefficient_matrix
+    return array_deviation(coefficients, scan.noise_power_mw) > ARRAY_LIMIT
+
+
+def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np.ndarray:
+    """Acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth].
+
+    Beams of a radar that turns lie where they looked, taken afar.
+    """
+    azimuth_rad = interpolator.setup.beams.azimuth_rad
+    # relative to the scan: nanoseconds since 1970 would not fit a float
+    elapsed_ns = (scan.beam_stamp_ns - scan.stamp_ns).astype(np.float64)
+    looked = np.setdiff1d(np.arange(len(azimuth_rad)), scan.missing_beams + scan.unused_beams)
+    if scan.look_azimuth_rad is not None and len(looked):
+        azimuth_rad, elapsed_ns = scan.look_azimuth_rad[looked, -1], elapsed_ns[looked]
+    order = np.argsort(azimuth_rad, kind="stable")
+    elapsed_ns = elapsed_ns[order]
+    elapsed_ns = np.interp(interpolator.grid.azimuth_rad, azimuth_rad[order], elapsed_ns)
+    return scan.stamp_ns + np.rint(elapsed_ns).astype(np.int64)
+
+
+class BeamFolder:
+    """Turns the samples of one beam into a range profile and its noise; holds what all beams of a set-up share."""
+
+    def __init__(self, setup: RadarSetup, params: FormingParams, grid: RangeAzimuthGrid) -> None:
+        radar = setup.radar
+        if radar.samples_per_chirp % params.decimation:
+            raise ValueError(
+                f"forming.decimation must divide the {radar.samples_per_chirp} samples, got {params.decimation!r}"
+            )
+        if setup.array.digital and params.beam_step > 1:
+            raise ValueError(
+                "forming.beam_step must be 1 for a digital array: no other beam sees where one is left out, "
+                f"got {params.beam_step!r}"
+            )
+        #: What is transformed: so many samples a chirp.
+        self.samples = radar.samples_per_chirp // params.decimation
+        _check_grid(radar.range_bin_m, self.samples, grid)
+        self.setup = setup
+        self.params = params
+        self.grid = grid
+        self.chirps = min(params.chirps or radar.chirps_per_beam, radar.chirps_per_beam)
+        every = params.mode == "welch" or params.slow_time_sums is None
+        self.groups = self.chirps if every else min(params.slow_time_sums or 1, self.chirps)
+        edges = group_edges(self.chirps, self.groups)
+        self._group_chirps = np.diff(edges).astype(np.float32)
+        #: How long a beam is looked at, and the middle of each group relative to the middle of that.
+        self.duration_s = self.chirps * radar.repetition_interval_s
+        self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.repetition_interval_s - 0.5 * self.duration_s
+
+    def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> tuple[np.ndarray, float, int]:
+        """Range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated samples."""
+        sums, saturated = fold_chirps(beam.samples[: self.chirps], self.groups)
+        series = self._beats(sums, beam.beam_index)
+        if ego is not None:
+            series *= ego.sample_phase
+        if self.params.decimation > 1:
+            series = series.reshape(self.groups, self.samples, -1).sum(axis=2)
+        spectra = scipy.fft.fft(series, axis=1, overwrite_x=True, workers=1)
+        spectra *= np.float32(self._amplitude(beam.full_scale_dbm))
+        if self.params.mode == "welch":
+            profile, noise_power_mw = self._welch(spectra)
+        else:
+            profile, noise_power_mw = self._coherent(spectra, None if ego is None else ego.group_phase)
+        if self.params.decimation > 1:
+            profile = profile * self._undrooped
+        return profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated
+
+    def _beats(self, sums: np.ndarray, beam_index: int) -> np.ndarray:
+        """Sums as complex64 [groups, samples], without background, positive frequencies for positive range."""
+        series: np.ndarray = sums.astype(np.float32).view(np.complex64)[..., 0]
+        if self.setup.background is not None and self.params.subtract_background:
+            series -= self._group_chirps[:, None] * self.setup.background[beam_index]
+        return np.conj(series, out=series) if self.setup.beat_sign < 0 else series
+
+    def _amplitude(self, full_scale_dbm: float) -> float:
+        """Square root of milliwatt per code, over all that was summed."""
+        return amplitude_per_code(full_scale_dbm) / (self.setup.radar.samples_per_chirp * self.chirps)
+
+    def _coherent(self, spectra: np.ndarray, group_phase: np.ndarray | None) -> tuple[np.ndarray, float]:
+        """Strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
+        mean = spectra.sum(axis=0)
+        noise_power_mw = _median_power(np.abs(_windowed(mean, *self._noise_bins, self._taps)) ** 2, 1)
+        profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
+        transform = self._doppler_matrix if group_phase is None else self._doppler_matrix * group_phase
+        return self._strongest(transform @ profiles, noise_power_mw), noise_power_mw
+
+    def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> np.ndarray:
+        """Row 0 of [Doppler, range], or the strongest row where that is clearly another one."""
+        power = doppler.real**2 + doppler.imag**2
+        best = np.argmax(power, axis=0)
+        best_power = np.take_along_axis(power, best[None], axis=0)[0]
+        stronger = best_power > ratio_from_db(self.params.doppler_excess_db) * power[0]
+        audible = best_power > ratio_from_db(self.params.doppler_snr_db) * noise_power_mw
+        best[~(stronger & audible)] = 0
+        return np.take_along_axis(doppler, best[None], axis=0)[0]
+
+    def _welch(self, spectra: np.ndarray) -> tuple[np.ndarray, float]:
+        """Root of the power averaged over single chirps, as complex64 without imaginary part."""
+        # one chirp has a share 1 / chirps of the sum's amplitude
+        chirps = self.groups
+        noise = np.mean(np.abs(_windowed(spectra, *self._noise_bins, self._taps) * chirps) ** 2, axis=0)
+        power = np.mean(np.abs(_windowed(spectra, 0, self.grid.range_bins, self._taps) * chirps) ** 2, axis=0)
+        return np.sqrt(power).astype(np.complex64), _median_power(noise, chirps)
+
+    @property
+    def _taps(self) -> tuple[float, ...]:
+        return WINDOW_TAPS[self.params.range_window]
+
+    @cached_property
+    def _undrooped(self) -> np.ndarray:
+        """What gives the bins back that sums of neighbouring samples lack in phase and magnitude; complex64 [range]."""
+        turns = np.arange(self.grid.range_bins) / self.setup.radar.samples_per_chirp
+        droop = np.exp(2j * np.pi * np.multiply.outer(turns, np.arange(self.params.decimation))).mean(axis=1)
+        return (1.0 / droop).astype(np.complex64)
+
+    @cached_property
+    def _noise_bins(self) -> tuple[int, int]:
+        """First bin and count of those that hold noise alone: beyond the map, and short of its I/Q image."""
+        beyond = self.samples - 2 * self.grid.range_bins
+        if beyond < 128:
+            # chirps this short leave nothing beyond the map: its own median, right while most cells are empty
+            return 0, self.grid.range_bins
+        guard = min(self.grid.range_bins, beyond // 4)
+        return self.grid.range_bins + guard, beyond - 2 * guard
+
+    @cached_property
+    def _doppler_matrix(self) -> np.ndarray:
+        """Slow-time DFT about the beam's middle, zero first; complex64 [Doppler, groups]."""
+        radar, params = self.setup.radar, self.params
+        step_hz = 1.0 / (params.doppler_padding * self.duration_s)
+        limit = int(2.0 * params.doppler_limit_mps / radar.wavelength_m / step_hz)
+        # beyond half the rate of the sums Doppler repeats
+        limit = min(limit, (self.groups - 1) * params.doppler_padding // 2)
+        bins = np.concatenate([np.arange(limit + 1), -np.arange(1, limit + 1)])
+        return np.exp(-2j * np.pi * step_hz * np.multiply.outer(bins, self.group_time_s)).astype(np.complex64)
+
+
+def _check_grid(range_bin_m: float, samples: int, grid: RangeAzimuthGrid) -> None:
+    if abs(grid.range_bin_m / range_bin_m - 1.0) > 1e-6:
+        raise ValueError(f"grid.range_bin_m must be the radar's c/2B = {range_bin_m!r}, got {grid.range_bin_m!r}")
+    if grid.range_bins > samples:
+        raise ValueError(f"grid.range_bins must be at most samples_per_chirp = {samples}, got {grid.range_bins!r}")
+
+
+def _windowed(spectra: np.ndarray, first: int, count: int, taps: tuple[float, ...]) -> np.ndarray:
+    """Bins first .. first + count - 1 of unwindowed spectra [..., bins] as a window's taps make them."""
+    reach = len(taps) // 2
+    bins = np.take(spectra, np.arange(first - reach, first + count + reach), axis=-1, mode="wrap")
+    result = np.float32(taps[reach]) * bins[..., reach : reach + count]
+    for i, tap in enumerate(taps):
+        if i != reach:
+            result += np.float32(tap) * bins[..., i : i + count]
+    return result
+
+
+def _median_power(power: np.ndarray, averages: int) -> float:
+    """Mean power of complex white noise from the median of `averages`-fold periodograms (one: median / ln 2)."""
+    return float(np.median(power) * averages / gammaincinv(averages, 0.5))
+
+
+def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state: VehicleState) -> EgoCorrection:
+    """Correction of a beam whose middle lies `elapsed_s` after the map's pose, under constant speed and yaw rate.
+
+    Lengths are corrected along the beam's axis: exact phase there, a fraction of a cell elsewhere in the beam (the
+    coherence test sees to the rest). The shift moves the beat by 2 S shift / c, its phase by 4 pi shift / lambda and,
+    through the residual video phase, by a term linear in range.
+    """
+    radar, grid = folder.setup.radar, folder.grid
+    poses = [
+        _start_from_now(state, time_s, folder.params.vehicle_from_radar)
+        for time_s in (elapsed_s, *(elapsed_s + folder.group_time_s))
+    ]
+    look_rad = folder.setup.beams.azimuth_rad[beam_index] + poses[0].yaw_rad
+    axis = np.array([np.cos(look_rad), np.sin(look_rad)])
+    shift_m, *group_shift_m = (float(np.array([pose.x_m, pose.y_m]) @ axis) for pose in poses)
+    delay_s = 2.0 * shift_m / SPEED_OF_LIGHT_MPS
+    slope = radar.chirp_slope_hz_per_s
+    sample_turns = slope * delay_s / radar.sample_rate_hz * np.arange(radar.samples_per_chirp)
+    bin_turns = -0.5 * slope * delay_s * (4.0 * grid.range_m / SPEED_OF_LIGHT_MPS - delay_s)
+    return EgoCorrection(
+        group_phase=_turned(2.0 * np.array(group_shift_m) / radar.wavelength_m),
+        sample_phase=_turned(sample_turns),
+        bin_phase=_turned(bin_turns),
+        look_azimuth_rad=_axis_azimuth(poses[0], axis, np.maximum(grid.range_m - shift_m, 0.0), look_rad),
+    )
+
+
+def _start_from_now(state: VehicleState, elapsed_s: float, vehicle_from_radar: Pose2) -> Pose2:
+    """The radar's pose after a while, in its frame at the start."""
+    vehicle = ego_motion(state.speed_mps, state.yaw_rate_rps, elapsed_s)
+    return vehicle_from_radar.inverse() @ vehicle @ vehicle_from_radar
+
+
+def _turned(turns: np.ndarray) -> np.ndarray:
+    """exp(2 pi j turns) as complex64, reduced in float64."""
+    return np.exp(2j * np.pi * (turns % 1.0)).astype(np.complex64)
+
+
+def _axis_azimuth(pose: Pose2, axis: np.ndarray, along_m: np.ndarray, look_rad: float) -> np.ndarray:
+    """Azimuth at which the start sees the points of a displaced beam's axis; [range]."""
+    points_m = np.array([pose.x_m, pose.y_m]) + along_m[:, None] * axis
+    azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
+    # inside the distance driven, the axis may point anywhere: keep the beam's own direction there
+    return np.where(along_m > np.hypot(pose.x_m, pose.y_m), azimuth_rad, look_rad)
+
+
+class RaFormer:
+    """Streams beams into maps (params None: the defaults; grid None: the default with the radar's range bins).
+
+    The vehicle state given with the first beam of a scan holds for all of it; without a valid one the scan goes
+    uncompensated. A beam of another scan, or `flush`, closes a scan that lacks beams. Beams that repeat (the first
+    counts) or come up to `LATE_SCANS` scans late are dropped and counted; numbers that fall further, or fall while
+    stamps rise, are a source that started anew.
+    """
+
+    #: How many scans behind the newest one a beam may be and still count as late.
+    LATE_SCANS = 2
+
+    def __init__(
+        self, setup: RadarSetup, params: FormingParams | None = None, grid: RangeAzimuthGrid | None = None
+    ) -> None:
+        params = params or FormingParams()
+        require_bearable(setup)
+        self.interpolator = AzimuthInterpolator(setup, grid, params.coherence)
+        self.folder = BeamFolder(setup, params, self.interpolator.grid)
+        self.repeated_beams = 0
+        self.late_beams = 0
+        self._scan: _OpenScan | None = None
+        #: Number and stamp of the newest scan.
+        self._newest: tuple[int, int] | None = None
+        # the first beam should not pay for compiling, nor the first scan for the matrices
+        fold_chirps(np.zeros((1, 1, 2), np.int16), 1)
+        self.interpolator.noise_gain()
+
+    def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[RangeAzimuthMap]:
+        """Fold one beam; the maps this completes, oldest first. Raises `ValueError` for a beam of another set-up."""
+        _check_beam(beam, self.folder.setup)
+        if beam.beam_index % self.folder.params.beam_step or self._is_stale(beam):
+            return []
+        maps = [] if self._scan is not None and self._scan.holds(beam) else self.flush()
+        if self._scan is None:
+            self._scan = _OpenScan(self.folder, beam, state)
+            self._newest = (self._scan.scan_id, self._scan.stamp_ns)
+        self.repeated_beams += not self._scan.add(beam)
+        return maps + (self.flush() if self._scan.complete else [])
+
+    def flush(self) -> list[RangeAzimuthMap]:
+        """Close the scan under way: its map, whatever beams it lacks, or nothing."""
+        if self._scan is None:
+            return []
+        scan, self._scan = self._scan, None
+        params = self.folder.params
+        formed = form_map(scan.profiles(), self.interpolator, params.mode)
+        return [msgspec.structs.replace(formed, vehicle_from_radar=params.vehicle_from_radar)]
+
+    def _is_stale(self, beam: RadarBeam) -> bool:
+        """Count and refuse beams of scans already closed."""
+        if self._newest is None or (self._scan is not None and self._scan.holds(beam)):
+            return False
+        scan_id, stamp_ns = self._newest
+        later = beam.stamp_ns >= stamp_ns + ns_from_s(self.folder.setup.radar.scan_period_s)
+        if later or not scan_id - self.LATE_SCANS <= beam.scan_id <= scan_id:
+            return False
+        if beam.scan_id == scan_id:
+            self.repeated_beams += 1
+        else:
+            self.late_beams += 1
+        return True
+
+
+def _check_beam(beam: RadarBeam, setup: RadarSetup) -> None:
+    radar = setup.radar
+    if beam.beam_count != len(setup.beams):
+        raise ValueError(f"beam.beam_count must be the set-up's {len(setup.beams)}, got {beam.beam_count!r}")
+    require_array("beam.samples", beam.samples, "<i2", (radar.chirps_per_beam, radar.samples_per_chirp, 2))
+    azimuth_rad = float(setup.beams.azimuth_rad[beam.beam_index])
+    if abs(beam.azimuth_rad - azimuth_rad) > _AZIMUTH_TOLERANCE_RAD:
+        raise ValueError(f"beam.azimuth_rad must be the set-up's {azimuth_rad:.6f}, got {beam.azimuth_rad!r}")
+
+
+class _OpenScan:
+    """The beams of a scan so far, folded."""
+
+    def __init__(self, folder: BeamFolder, beam: RadarBeam, state: VehicleState | None) -> None:
+        beams = len(folder.setup.beams)
+        self.scan_id = beam.scan_id
+        #: Acquisition of beam 0, nominal where another beam came first.
+        self.stamp_ns = beam.stamp_ns - beam.beam_index * folder.setup.beam_interval_ns
+        self._folder = folder
+        self._state = state if state is not None and state.valid else None
+        self._profiles = np.zeros((beams, folder.grid.range_bins), np.complex64)
+        self._looks = np.zeros(self._profiles.shape)
+        self._noise_power_mw = np.full(beams, np.nan)
+        self._beam_stamp_ns = self.stamp_ns + folder.setup.beam_interval_ns * np.arange(beams, dtype=np.int64)
+        self._saturated = 0
+        self._lost_chirps = 0
+        self._used = np.arange(beams) % folder.params.beam_step == 0
+
+    def holds(self, beam: RadarBeam) -> bool:
+        """Whether a beam is one of this scan's."""
+        return beam.scan_id == self.scan_id
+
+    @property
+    def complete(self) -> bool:
+        """Every beam that is looked at has come."""
+        return not np.isnan(self._noise_power_mw[self._used]).any()
+
+    def add(self, beam: RadarBeam) -> bool:
+        """Fold one beam in; False for one that has come before."""
+        index = beam.beam_index
+        if not np.isnan(self._noise_power_mw[index]):
+            return False
+        ego = self._ego(beam)
+        self._profiles[index], self._noise_power_mw[index], saturated = self._folder.fold(beam, ego)
+        if ego is not None:
+            self._looks[index] = ego.look_azimuth_rad
+        self._beam_stamp_ns[index] = beam.stamp_ns
+        self._saturated += saturated
+        self._lost_chirps += lost_chirps(beam.samples[: self._folder.chirps])
+        return True
+
+    def _ego(self, beam: RadarBeam) -> EgoCorrection | None:
+        if self._state is None:
+            return None
+        # beams made of one measurement have one pose, that of its middle: a phase for each would tear them apart
+        digital = self._folder.setup.array.digital
+        middle_s = 0.0 if digital else s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.duration_s
+        return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
+
+    def profiles(self) -> ScanProfiles:
+        """What has been folded; noise is the median over beams, so that one disturbed beam does not set it.
+
+        Silent and drowned beams are left out like those that never came: their neighbours say more about their place.
+        Not those of a digital array, of which each is made of all columns and sees what no other does.
+        """
+        came = ~np.isnan(self._noise_power_mw)
+        noise_power_mw = float(np.median(self._noise_power_mw[came]))
+        steered = not self._folder.setup.array.digital
+        silent = came & steered & silent_beams(self._profiles, noise_power_mw)
+        drowned = steered & drowned_beams(self._noise_power_mw)
+        heard = came & ~silent & ~drowned
+        shown = {
+            "lost_chirps": self._lost_chirps > 0,
+            "silent_beams": silent.any(),
+            "drowned_beams": drowned.any(),
+            "spurs": has_spurs(self._profiles[heard], noise_power_mw),
+        }
+        radar = self._folder.setup.radar
+        samples = int(came.sum()) * self._folder.chirps * radar.samples_per_chirp
+        return ScanProfiles(
+            stamp_ns=self.stamp_ns,
+            scan_id=self.scan_id,
+            profiles=np.where(heard[:, None], self._profiles, np.complex64(0.0)),
+            noise_power_mw=noise_power_mw,
+            beam_stamp_ns=self._beam_stamp_ns,
+            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~heard)),
+            unused_beams=tuple(int(index) for index in np.flatnonzero(~self._used)),
+            saturated_share=self._saturated / samples,
+            faults=tuple(name for name, holds in shown.items() if holds),
+            look_azimuth_rad=None if self._state is None else self._looks,
+        )

@@ -1,0 +1,93 @@
+"""Folding: a beam's chirps summed into a few slow-time groups, in integers, about as fast as memory gives them.
+
+Group g of G sums the chirps floor(g C / G) .. floor((g+1) C / G) - 1 of C: contiguous, every chirp in exactly one
+group, sizes differing by at most one chirp where C is not a multiple of G.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from msgs.values.arrays import require_array
+
+#: Codes from here on, in magnitude, count as full scale.
+SATURATION_CODE = 32767
+#: 65536 codes of -32768 sum to -2^31, the last value an int32 holds.
+MAX_CHIRPS_PER_GROUP = 65536
+#: Codes summed at a time: a block's 32-bit sums stay in cache while its chirps stream by.
+_BLOCK = 16384
+
+
+def group_edges(chirps: int, groups: int) -> np.ndarray:
+    """First chirp of each group and, last, the number of chirps; int64 [groups + 1].
+
+    Raises `ValueError` unless 1 <= groups <= chirps and no group could overflow its 32-bit sums.
+    """
+    if not 1 <= groups <= chirps:
+        raise ValueError(f"groups must be 1..chirps = {chirps}, got {groups!r}")
+    edges = np.arange(groups + 1, dtype=np.int64) * chirps // groups
+    if int(np.diff(edges).max()) > MAX_CHIRPS_PER_GROUP:
+        raise ValueError(f"chirps per group must be at most {MAX_CHIRPS_PER_GROUP}, got {chirps} chirps in {groups}")
+    return edges
+
+
+def fold_chirps(samples: np.ndarray, groups: int) -> tuple[np.ndarray, int]:
+    """Sum I/Q codes int16 [chirps, samples, 2] over groups of chirps.
+
+    Returns int32 [groups, samples, 2] and the number of samples of which I or Q stands at full scale. Read-only
+    arrays are fine; arrays that are not contiguous or not aligned are copied first.
+    """
+    require_array("samples", samples, "<i2", (None, None, 2))
+    chirps, length = samples.shape[:2]
+    edges = group_edges(chirps, groups)
+    codes = np.require(samples, requirements=("C", "A")).reshape(chirps, 2 * length)
+    # messages come read-only, simulated beams do not: one compiled kernel for both
+    codes.flags.writeable = False
+    sums = np.zeros((groups, 2 * length), np.int32)
+    saturated = _fold(codes, edges, sums)
+    return sums.reshape(groups, length, 2), int(saturated)
+
+
+@njit(cache=True, nogil=True)
+def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
+    """Add rows of `codes` [chirps, 2 samples] into `sums` [groups, 2 samples]; returns saturated samples."""
+    saturated = 0
+    for group in range(len(edges) - 1):
+        first, last = edges[group], edges[group + 1]
+        fours = last - (last - first) % 4
+        for start in range(0, codes.shape[1], _BLOCK):
+            cut = slice(start, min(start + _BLOCK, codes.shape[1]))
+            # rows are cut out one by one: a row of a two-dimensional cut would be a strided array, and slow
+            total = sums[group, cut]
+            for row in range(first, fours, 4):
+                if _add_four(codes[row, cut], codes[row + 1, cut], codes[row + 2, cut], codes[row + 3, cut], total):
+                    saturated += _count_saturated(codes[row : row + 4, cut])
+            for row in range(fours, last):
+                total += codes[row, cut]
+                saturated += _count_saturated(codes[row : row + 1, cut])
+    return saturated
+
+
+@njit(cache=True, nogil=True)
+def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
+    """total += four rows; whether any code stands at full scale. No branch and no call, so that it becomes SIMD."""
+    highest = np.int16(0)
+    lowest = np.int16(0)
+    for i in range(len(total)):
+        a, b, c, d = first[i], second[i], third[i], fourth[i]
+        total[i] += np.int32(a) + np.int32(b) + np.int32(c) + np.int32(d)
+        highest = max(highest, a, b, c, d)
+        lowest = min(lowest, a, b, c, d)
+    return bool(highest >= SATURATION_CODE or lowest <= -SATURATION_CODE)
+
+
+@njit(cache=True, nogil=True)
+def _count_saturated(rows: np.ndarray) -> int:
+    """Samples of interleaved I/Q codes with either at full scale: run on the rare blocks that have any."""
+    count = 0
+    for row in rows:
+        for i in range(0, len(row), 2):
+            if abs(np.int32(row[i])) >= SATURATION_CODE or abs(np.int32(row[i + 1])) >= SATURATION_CODE:
+                count += 1
+    return count

@@ -1,0 +1,1 @@
+"""From classified peaks to walls, hidden points and objects of one scan."""

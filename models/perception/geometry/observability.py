@@ -1,0 +1,184 @@
+"""Where an object would have been seen: in direct sight, or through today's walls, or not at all.
+
+"Nothing hidden" is not "cannot see": a cell is `MIRRORED` only if an object of the stated RCS standing there would
+have risen over the detection threshold through one of the walls, by the radar equation; else it is unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from numba import njit
+
+from models.perception.geometry.mirrors import wall_arrays
+from models.physics.link_budget import beam_snr
+from models.physics.mirror import CLEARANCE_M, cut, mirrored
+from msgs.values.arrays import require_finite, require_positive
+from msgs.values.perception import BevGrid, Visibility, Wall
+from msgs.values.radar import RadarSetup
+from msgs.values.units import db_from_ratio
+
+# compiled code takes plain numbers
+UNKNOWN, DIRECT, MIRRORED = int(Visibility.UNKNOWN), int(Visibility.DIRECT), int(Visibility.MIRRORED)
+
+
+class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the mask assumes of object, walls and receiver."""
+
+    rcs_dbsm: float = 10.0
+    #: Power lost at a wall there and back, per wall: Fresnel and roughness of a plain facade.
+    bounce_loss_db: float = 6.0
+    threshold_db: float = 13.0
+    max_range_m: float = 109.0
+    azimuth_limit_deg: float = 60.0
+    #: One-way element half-power beamwidth: cells off boresight are seen weaker.
+    element_hpbw_deg: float = 80.0
+
+    def __post_init__(self) -> None:
+        require_finite("visibility", self.rcs_dbsm, self.bounce_loss_db, self.threshold_db)
+        for name in ("max_range_m", "azimuth_limit_deg", "element_hpbw_deg"):
+            require_positive(f"visibility.{name}", getattr(self, name))
+
+
+def sensitivity_db(setup: RadarSetup) -> float:
+    """Power over noise, in one cell of a beam that looks at it, of an isotropic 0 dBsm target at 1 m, in dB.
+
+    Coherent over the beam's chirps, with the noise gain of the Hann window.
+    """
+    return db_from_ratio(float(beam_snr(setup, 1.0, 1.0)))
+
+
+#: Of a sensor of which nobody has stated it: nothing is then known to be seen.
+UNKNOWN_SENSITIVITY_DB = -1e3
+
+
+def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: VisibilityParams) -> np.ndarray:
+    """`Visibility` of each cell of the grid, uint8 [rows, columns], through `walls` at a sensitivity in dB."""
+    cells_m, lost_db = _field(grid, params)
+    level_db = sensitivity + params.rcs_dbsm
+    mask = np.where(level_db - lost_db >= params.threshold_db, Visibility.DIRECT, Visibility.UNKNOWN).astype(np.uint8)
+    arrays = wall_arrays(walls)
+    if len(arrays):
+        through = np.concatenate([arrays.a, arrays.b, arrays.normal, arrays.offset_m[:, None]], axis=1)
+        _look_past_walls(mask, cells_m, through, _receiver(level_db - params.bounce_loss_db, params))
+    return mask.reshape(grid.rows, grid.columns)
+
+
+@lru_cache(maxsize=2)
+def _field(grid: BevGrid, params: VisibilityParams) -> tuple[np.ndarray, np.ndarray]:
+    """Centres of a grid's cells [N, 2] and what is lost on the direct way to each [N] in dB, the same for all scans."""
+    cells_m = grid.cell_centres_m().reshape(-1, 2)
+    return cells_m, _all_lost_db(cells_m, _receiver(0.0, params))
+
+
+class _Receiver(NamedTuple):
+    """Level in dB of the object at 1 m on boresight and its threshold, and how far and wide the radar looks."""
+
+    level_db: float
+    threshold_db: float
+    max_range_m: float
+    azimuth_limit_deg: float
+    element_hpbw_deg: float
+
+
+def _receiver(level_db: float, params: VisibilityParams) -> _Receiver:
+    """All of one type, for which the kernels are compiled."""
+    limits = (params.threshold_db, params.max_range_m, params.azimuth_limit_deg, params.element_hpbw_deg)
+    return _Receiver(float(level_db), *map(float, limits))
+
+
+@njit(cache=True, nogil=True)
+def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
+    """Power lost on the way to an apparent place and back against 1 m on boresight; infinite outside the field."""
+    range_m = math.hypot(x, y)
+    if range_m > receiver.max_range_m:
+        return math.inf
+    azimuth_deg = math.degrees(math.atan2(y, x))
+    if abs(azimuth_deg) > receiver.azimuth_limit_deg:
+        return math.inf
+    # 12 dB (a / hpbw)^2 each way; R^4 of the two-way path
+    return 24.0 * (azimuth_deg / receiver.element_hpbw_deg) ** 2 + 40.0 * math.log10(max(range_m, 1.0))
+
+
+@njit(cache=True, nogil=True)
+def _all_lost_db(points_m: np.ndarray, receiver: _Receiver) -> np.ndarray:
+    return np.array([_lost_db(points_m[i, 0], points_m[i, 1], receiver) for i in range(len(points_m))])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, receiver: _Receiver) -> None:
+    """Take from the direct cells of a mask [N] what walls hide, and mark what is seen in them; changes `mask`.
+
+    Each row of `walls` [W, 7] is ends, normal and offset.
+    """
+    for w in range(len(walls)):
+        wall = _wall(walls, w)
+        for i in range(len(cells_m)):
+            if mask[i] == DIRECT and _is_behind(cells_m[i, 0], cells_m[i, 1], wall):
+                mask[i] = UNKNOWN
+    for w in range(len(walls)):
+        wall = _wall(walls, w)
+        # the wall is a window through which the radar's own image looks at the cells
+        radar = mirrored(0.0, 0.0, *wall[4:])
+        for i in range(len(cells_m)):
+            # cells in direct sight stay so, and one mirror is enough
+            if mask[i] != UNKNOWN:
+                continue
+            x, y = cells_m[i, 0], cells_m[i, 1]
+            if _height_m(x, y, wall) > 0.0 and _in_wedge(x, y, wall, radar):
+                image = mirrored(x, y, *wall[4:])
+                # the loss takes an arc tangent and a logarithm: last
+                if _is_free(x, y, image, w, walls) and _is_detectable(image, receiver):
+                    mask[i] = MIRRORED
+
+
+@njit(cache=True, nogil=True)
+def _wall(walls, w):  # type: ignore[no-untyped-def]
+    """Ends, normal and offset of a wall as plain numbers: views of rows would be counted in the inner loop."""
+    return walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6]
+
+
+@njit(cache=True, nogil=True)
+def _height_m(x, y, wall):  # type: ignore[no-untyped-def]
+    """Distance of a point from a wall's line, positive on the radar's side."""
+    return x * wall[4] + y * wall[5] + wall[6]
+
+
+@njit(cache=True, nogil=True)
+def _is_behind(x, y, wall):  # type: ignore[no-untyped-def]
+    """Whether a wall hides a point from the radar."""
+    return _height_m(x, y, wall) < 0.0 and _in_wedge(x, y, wall, (0.0, 0.0))
+
+
+@njit(cache=True, nogil=True)
+def _in_wedge(x, y, wall, eye):  # type: ignore[no-untyped-def]
+    """Whether the ray from the eye to a point passes between a wall's ends."""
+    ax, ay, bx, by = wall[0] - eye[0], wall[1] - eye[1], wall[2] - eye[0], wall[3] - eye[1]
+    x, y = x - eye[0], y - eye[1]
+    turn = np.sign(ax * by - ay * bx)
+    # a wall seen edge-on has no wedge: without a turn every ray would pass
+    return turn != 0.0 and turn * (ax * y - ay * x) >= 0.0 and turn * (x * by - y * bx) >= 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _is_free(x, y, image, own, walls):  # type: ignore[no-untyped-def]
+    """Whether no other wall cuts the way from the radar to where a wall mirrors a point, or from there to the point."""
+    wall = _wall(walls, own)
+    # the height over the wall's line falls from its offset at the radar to -height at the image
+    share = wall[6] / (wall[6] + _height_m(x, y, wall))
+    at_x, at_y = share * image[0], share * image[1]
+    for w in range(len(walls)):
+        ends = _wall(walls, w)[:4]
+        if w != own and (cut(0.0, 0.0, at_x, at_y, *ends, CLEARANCE_M) or cut(at_x, at_y, x, y, *ends, CLEARANCE_M)):
+            return False
+    return True
+
+
+@njit(cache=True, nogil=True)
+def _is_detectable(image, receiver):  # type: ignore[no-untyped-def]
+    """Whether an echo that appears there is over the threshold."""
+    return receiver.level_db - _lost_db(image[0], image[1], receiver) >= receiver.threshold_db

@@ -1,0 +1,91 @@
+"""Which folded places are hidden: what is seen directly explains the others.
+
+A place on a wall, at a direct return or on a vehicle in plain sight may be true all the same, seen twice: it stays
+among the points and makes no hidden object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from models.perception.geometry.association import DirectReturns, RecoveryParams
+from models.perception.geometry.clustering import NOISE, dbscan, fits_box
+from models.perception.geometry.mirrors import NO_WALL, WallArrays, behind_walls, wall_arrays
+from models.perception.geometry.recovery import Recovered
+from models.physics.plane import segment_distance_m
+from msgs.values.perception import Wall
+
+
+def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
+    """Which folded places nothing in direct sight explains; bool [N].
+
+    Explained are places on a wall, at a direct return of like strength, and those that fit in one vehicle with a
+    group of direct returns of like strength: another side of a visible object, for objects are solid. A place in open
+    view without any such return stays: what hides it need not have been seen. Each of the three is a switch.
+    """
+    explained = np.zeros(len(recovered), bool)
+    if params.reject_on_wall:
+        explained |= _on_wall(recovered.points_m, wall_arrays(walls), params.same_place_m)
+    if len(returns.points_m) and params.reject_at_return:
+        distance_m = np.linalg.norm(recovered.points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
+        alike = returns.snr_db >= recovered.snr_db[:, None] - params.comparable_db
+        explained |= (alike & (distance_m <= params.same_place_m)).any(axis=1)
+    if len(returns.points_m) and params.reject_on_vehicle:
+        explained |= _on_visible_vehicle(recovered, wall_arrays(walls), returns, params)
+    return ~explained
+
+
+def _on_visible_vehicle(
+    recovered: Recovered, walls: WallArrays, returns: DirectReturns, params: RecoveryParams
+) -> np.ndarray:
+    """Places that are another side of a visible vehicle; bool [N].
+
+    A visible vehicle is a group of direct returns off the long walls that fits in its box. A place belongs to it if
+    it fits in too, within its own error, and no long wall stands before it.
+    """
+    long_walls = walls.length_m > params.vehicle_length_m + 1.0
+    loose = np.flatnonzero(~np.append(long_walls, False)[returns.wall])
+    labels = dbscan(returns.points_m[loose], params.vehicle_eps_m, 2)
+    sigma_m = np.sqrt(np.linalg.eigvalsh(recovered.image_covariance_m2)[:, 1])
+    explained = np.zeros(len(recovered), bool)
+    for label in range(int(labels.max(initial=NOISE)) + 1):
+        group = _with_whole_walls(loose[labels == label], returns)
+        points_m = returns.points_m[group]
+        near = np.abs(recovered.points_m - points_m.mean(axis=0)).max(axis=1) <= 2.0 * params.vehicle_length_m
+        near &= recovered.snr_db <= returns.snr_db[group].max() + params.comparable_db
+        open_ones = np.flatnonzero(near & ~explained)
+        # most groups do not fit by themselves: nothing more fits in with them
+        slack_m = sigma_m[open_ones].max(initial=0.0)
+        if not fits_box(points_m, params.vehicle_length_m + slack_m, params.vehicle_width_m + slack_m):
+            continue
+        for i in open_ones:
+            together = np.vstack([points_m, recovered.points_m[i]])
+            length_m, width_m = params.vehicle_length_m + sigma_m[i], params.vehicle_width_m + sigma_m[i]
+            explained[i] = fits_box(together, length_m, width_m)
+    return explained & ~behind_walls(recovered.points_m, walls.select(long_walls), params.cut_depth_m)
+
+
+def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
+    """The returns of a group and all others on its walls: a missed return does not make two things of one front."""
+    # one more place, at the end, for the returns on no wall (-1)
+    touched = np.zeros(returns.wall.max(initial=NO_WALL) + 2, bool)
+    touched[returns.wall[group]] = True
+    touched[NO_WALL] = False
+    together = touched[returns.wall]
+    together[group] = True
+    return np.flatnonzero(together)
+
+
+def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np.ndarray:
+    """Points [N, 2] that no wall hides, each lengthened by `margin_m` at both ends; bool [N]."""
+    arrays = wall_arrays(walls)
+    outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
+    longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
+    return ~behind_walls(points_m, longer, 0.0)
+
+
+def _on_wall(points_m: np.ndarray, walls: WallArrays, reach_m: float) -> np.ndarray:
+    """Places within `reach_m` of a wall; bool [N]."""
+    return np.logical_or.reduce(segment_distance_m(points_m, walls.a, walls.b) <= reach_m, axis=1)

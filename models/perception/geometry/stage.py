@@ -1,0 +1,168 @@
+"""The geometry stage as one sentence: classified peaks in, bird's-eye view of what is hidden out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from models.perception.geometry.clustering import dbscan
+from models.perception.geometry.confidence import Confidence
+from models.perception.geometry.objects import ObjectParams, form_objects
+from models.perception.geometry.observability import VisibilityParams, observability
+from models.perception.geometry.recovery import (
+    DirectReturns,
+    Recovered,
+    RecoveryParams,
+    Residual,
+    cartesian_covariance,
+    corrected,
+    recover,
+    reflection_state,
+)
+from models.perception.geometry.rejection import hidden_mask
+from models.perception.geometry.walls import WallParams, find_walls
+from msgs.values.arrays import require_positive
+from msgs.values.frames import polar_from_xy, xy_from_polar
+from msgs.values.perception import MOST_PEAKS, BevFrame, BevGrid, PathClass, Peaks, Wall
+
+#: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
+#: -> the last two with the walls that earlier scans showed.
+Remembered = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
+
+
+class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Parameters of the geometry stage; defaults are the released settings where those exist."""
+
+    cluster_eps_m: float = 4.0
+    cluster_min_points: int = 2
+    walls: WallParams = WallParams()
+    recovery: RecoveryParams = RecoveryParams()
+    objects: ObjectParams = ObjectParams()
+    visibility: VisibilityParams = VisibilityParams()
+    grid: BevGrid = BevGrid()
+
+    def __post_init__(self) -> None:
+        require_positive("geometry.cluster_eps_m", self.cluster_eps_m)
+        require_positive("geometry.cluster_min_points", self.cluster_min_points)
+
+
+@dataclass(frozen=True)
+class FoldedScan:
+    """What a scan's peaks become before objects are formed: direct returns, walls, folded places.
+
+    A place that is not `hidden` (bool [N]) is explained by what is seen directly: it may be true, the image of
+    something in plain sight, and tells nothing new.
+    """
+
+    returns: DirectReturns
+    walls: list[Wall]
+    recovered: Recovered
+    hidden: np.ndarray
+
+
+def fold_scan(
+    peaks: Peaks,
+    params: GeometryParams,
+    residual: Residual | None = None,
+    confidence: Confidence | None = None,
+    remembered: Remembered | None = None,
+) -> FoldedScan:
+    """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped.
+
+    Raises `ValueError` for more than `MOST_PEAKS`.
+    """
+    if len(peaks) > MOST_PEAKS:
+        raise ValueError(f"peaks must be at most {MOST_PEAKS} a scan, got {len(peaks)}")
+    returns, walls = direct_structure(peaks, params, remembered)
+    recovered = recover(peaks, walls, returns, params.recovery)
+    if residual is not None:
+        recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
+    fitted = None if confidence is None else confidence.of(peaks.detector)
+    if fitted is not None:
+        recovered = fitted.probable(recovered, walls, returns, params.recovery)
+    return FoldedScan(returns, walls, recovered, hidden_mask(recovered, walls, returns, params.recovery))
+
+
+def recover_bev(
+    peaks: Peaks,
+    params: GeometryParams,
+    residual: Residual | None = None,
+    confidence: Confidence | None = None,
+    remembered: Remembered | None = None,
+) -> BevFrame:
+    """Peaks -> folded places -> hidden points and objects; tracks are added by `ScanMemory`."""
+    scan = fold_scan(peaks, params, residual, confidence, remembered)
+    hidden = scan.recovered.select(scan.hidden)
+    return BevFrame(
+        stamp_ns=peaks.stamp_ns,
+        scan_id=peaks.scan_id,
+        walls=tuple(scan.walls),
+        points=hidden.as_hidden_points(),
+        objects=form_objects(hidden, scan.walls, params.objects),
+        los_points_m=scan.returns.points_m.astype(np.float32),
+        grid=params.grid,
+        visibility=observability(scan.walls, peaks.sensitivity_db, params.grid, params.visibility),
+        visibility_rcs_dbsm=params.visibility.rcs_dbsm,
+        flags=condition_flags(peaks),
+    )
+
+
+def direct_structure(
+    peaks: Peaks, params: GeometryParams, remembered: Remembered | None = None
+) -> tuple[DirectReturns, list[Wall]]:
+    """Direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
+    direct = peaks.path_class == PathClass.LOS
+    range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
+    points_m = xy_from_polar(range_m, azimuth_rad)
+    covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
+    labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
+    walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
+    if remembered is not None:
+        walls, wall_of_point = remembered(points_m, covariance_m2, walls, wall_of_point)
+    return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point), walls
+
+
+def warm(params: GeometryParams) -> None:
+    """Compile the stage's kernels, or load them, and lay out its grid: the first scan should not pay for that.
+
+    Types are the same whatever the parameters, so one made-up street, with the default ones, calls for all kernels.
+    """
+    recover_bev(made_up_peaks(), GeometryParams())
+    observability([], 0.0, params.grid, params.visibility)
+
+
+def made_up_peaks() -> Peaks:
+    """A facade with a kink, a vehicle before it, and two images behind it of which one belongs to that vehicle."""
+    along = np.linspace(0.0, 10.0, 9)
+    facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)
+    oblique = np.stack([20.0 - 0.4 * along, along + 1.0], axis=1)
+    vehicle = np.array([[12.0, -12.0], [12.0, -11.0], [11.0, -12.0]])
+    images = np.array([[27.0, -9.0], [27.0, -7.0], [28.0, -4.0]])
+    points_m = np.concatenate([facade, oblique, vehicle, images])
+    range_m, azimuth_rad = polar_from_xy(points_m)
+    count = len(points_m)
+    mirrored = np.arange(count) >= count - len(images)
+    return Peaks(
+        stamp_ns=0,
+        scan_id=0,
+        range_m=range_m,
+        azimuth_rad=azimuth_rad,
+        score=np.full(count, 0.9),
+        path_class=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
+        covariance=np.tile(np.diag([0.06**2, 0.01**2]), (count, 1, 1)),
+        peak_stamp_ns=np.zeros(count, np.int64),
+        snr_db=np.full(count, 20.0),
+    )
+
+
+def condition_flags(peaks: Peaks) -> tuple[str, ...]:
+    """Conditions of the scan a reader of its view should know."""
+    present = {
+        "incoherent": peaks.incoherent,
+        "missing_beams": bool(peaks.missing_beams),
+        "saturated": peaks.saturated_share > 0.0,
+    }
+    return tuple(name for name, holds in present.items() if holds) + peaks.faults

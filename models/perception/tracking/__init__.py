@@ -1,0 +1,1 @@
+"""Across scans: ego-motion, walls and tracks in the odometry frame."""

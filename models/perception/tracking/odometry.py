@@ -1,0 +1,173 @@
+"""Where the vehicle is, from its speed and yaw rate alone: an odometry frame that drifts slowly and never jumps.
+
+The bias of the gyroscope is taken off: see `yaw_rate_bias`.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right, insort
+from collections import deque
+from typing import NamedTuple
+
+from models.perception.tracking.yaw_rate_bias import BiasEstimate, BiasParams, YawRateBias
+from msgs.values.frames import Pose2
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState, ego_motion
+
+#: States that may wait for a scan: 10 s of them at 100 a second.
+MOST_WAITING = 1000
+
+
+class OdometryParams(BiasParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How the bias is learnt, and what silence ends the frame."""
+
+    #: A state holds this long; after a longer silence, or a clock that went back, a new frame begins.
+    max_gap_s: float = 1.0
+    #: Poses are kept for questions about the past.
+    history_s: float = 5.0
+
+
+class Placed(NamedTuple):
+    """The vehicle at a time: pose `odom_from_vehicle` in frame number `frame`, speed, yaw rate without bias."""
+
+    frame: int
+    odom_from_vehicle: Pose2
+    speed_mps: float
+    yaw_rate_rps: float
+
+
+class _Known(NamedTuple):
+    """A pose with the motion measured there."""
+
+    stamp_ns: int
+    pose: Pose2
+    speed_mps: float
+    yaw_rate_rps: float
+
+
+class Odometry:
+    """Integrates vehicle states to poses; a change of the frame's number says that old poses mean nothing any more."""
+
+    def __init__(self, params: OdometryParams | None = None) -> None:
+        self._params = params or OdometryParams()
+        self._known: deque[_Known] = deque()
+        self._frame = 0
+        self._bias = YawRateBias(self._params)
+
+    @property
+    def yaw_rate_bias(self) -> BiasEstimate:
+        """The bias that is taken off the newest yaw rate."""
+        return self._bias.estimate(self._known[-1].stamp_ns if self._known else 0)
+
+    @property
+    def yaw_rate_bias_rps(self) -> float:
+        """Its value; zero while none is known."""
+        return self.yaw_rate_bias.rps
+
+    @property
+    def driving_bias(self) -> BiasEstimate:
+        """What driving alone has shown of the bias, good enough to be taken off or not."""
+        return self._bias.driving
+
+    def add(self, state: VehicleState) -> None:
+        """Take in a state; those not valid, late or repeated count for nothing."""
+        if not state.valid or self._is_late(state.stamp_ns):
+            return
+        pose = self._next_pose(state)
+        yaw_rate_rps = self._bias.corrected(state)
+        self._known.append(_Known(state.stamp_ns, pose, state.speed_mps, yaw_rate_rps))
+        while self._known[0].stamp_ns < state.stamp_ns - ns_from_s(self._params.history_s):
+            self._known.popleft()
+
+    def at(self, stamp_ns: int) -> Placed | None:
+        """The vehicle at a time, None where no state near enough is known."""
+        index = bisect_right(self._known, stamp_ns, key=lambda one: one.stamp_ns) - 1
+        if index < 0:
+            return None
+        start = self._known[index]
+        elapsed_s = s_from_ns(stamp_ns - start.stamp_ns)
+        if elapsed_s > self._params.max_gap_s:
+            return None
+        after = self._known[index + 1] if index + 1 < len(self._known) else start
+        share = elapsed_s / max(s_from_ns(after.stamp_ns - start.stamp_ns), elapsed_s, 1e-9)
+        speed_mps = start.speed_mps + share * (after.speed_mps - start.speed_mps)
+        yaw_rate_rps = start.yaw_rate_rps + share * (after.yaw_rate_rps - start.yaw_rate_rps)
+        return Placed(self._frame, _moved(start, speed_mps, yaw_rate_rps, elapsed_s), speed_mps, yaw_rate_rps)
+
+    def _is_late(self, stamp_ns: int) -> bool:
+        """Behind the newest, but not so far that the clock must have been set back."""
+        return bool(self._known) and 0 <= self._known[-1].stamp_ns - stamp_ns <= ns_from_s(self._params.max_gap_s)
+
+    def _next_pose(self, state: VehicleState) -> Pose2:
+        """Pose at a new state: the trapezoid of both motions, or the origin of a new frame."""
+        if self._known:
+            last = self._known[-1]
+            elapsed_s = s_from_ns(state.stamp_ns - last.stamp_ns)
+            if 0.0 < elapsed_s <= self._params.max_gap_s:
+                self._bias.add(state, elapsed_s)
+                return _moved(last, state.speed_mps, self._bias.corrected(state), elapsed_s)
+            self._known.clear()
+            self._frame += 1
+        self._bias.interrupt()
+        self._bias.add(state, 0.0)
+        return Pose2()
+
+
+class ScanOdometry:
+    """The vehicle at each scan's stamp, from the states stamped at or before it, whatever order they arrive in.
+
+    States wait, sorted by their stamps, until a scan asks for a time; those of later stamps go on waiting and the
+    motion of the last one is held up to the scan's. A state has the whole scan and the time of its processing to
+    arrive; one that comes after the question, though older, is too late for that scan. The answer thus depends on the
+    states alone: a graph, a replay and a chain in one process agree.
+    """
+
+    def __init__(self, params: OdometryParams | None = None) -> None:
+        self._params = params or OdometryParams()
+        self._odometry = Odometry(self._params)
+        self._waiting: list[VehicleState] = []
+        self._asked_ns: int | None = None
+        self._told = False
+
+    def add(self, state: VehicleState) -> None:
+        """Take in a state."""
+        insort(self._waiting, state, key=_order)
+        # where no scans come the states must not pile up
+        if len(self._waiting) > MOST_WAITING:
+            self._take(1)
+
+    def at(self, stamp_ns: int) -> Placed | None:
+        """The vehicle at a scan's stamp; `standing` as long as no state has come, None where none is near enough."""
+        asked_ns, self._asked_ns = self._asked_ns, stamp_ns
+        if asked_ns is not None and asked_ns - stamp_ns > ns_from_s(self._params.max_gap_s):
+            # the clock was set back: what waits from before would come up once more when it gets there
+            self._waiting = [state for state in self._waiting if state.stamp_ns <= asked_ns]
+        self._take(bisect_right(self._waiting, stamp_ns, key=lambda state: state.stamp_ns))
+        return self._odometry.at(stamp_ns) if self._told else standing()
+
+    @property
+    def yaw_rate_bias(self) -> BiasEstimate:
+        """The bias that is taken off the newest yaw rate that was taken in."""
+        return self._odometry.yaw_rate_bias
+
+    def _take(self, count: int) -> None:
+        for state in self._waiting[:count]:
+            self._odometry.add(state)
+        del self._waiting[:count]
+        self._told |= count > 0
+
+
+def _order(state: VehicleState) -> tuple[int, float, float, bool]:
+    """By stamp; among equal ones by what they say, so that their arrival does not decide."""
+    return state.stamp_ns, state.speed_mps, state.yaw_rate_rps, state.valid
+
+
+def standing() -> Placed:
+    """The place of a radar that never moves, in a frame of its own."""
+    return Placed(-1, Pose2(), 0.0, 0.0)
+
+
+def _moved(start: _Known, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
+    """Pose after a time over which the motion changes evenly to the given one."""
+    mean = 0.5 * (start.speed_mps + speed_mps), 0.5 * (start.yaw_rate_rps + yaw_rate_rps)
+    return start.pose @ ego_motion(*mean, elapsed_s)

@@ -1,0 +1,60 @@
+"""What outlasts a scan: where the vehicle has gone, the walls it passed, the objects it follows."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import msgspec
+
+from models.perception.geometry.stage import Remembered
+from models.perception.tracking.odometry import OdometryParams, ScanOdometry, standing
+from models.perception.tracking.tracker import Tracker, TrackerParams
+from models.perception.tracking.wall_map import WallMap, WallMapParams
+from models.perception.tracking.yaw_rate_bias import BiasEstimate
+from msgs.values.frames import Pose2
+from msgs.values.perception import BevFrame, Peaks
+from msgs.values.vehicle import VehicleState
+
+
+class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is kept from scan to scan, and how."""
+
+    tracking: bool = True
+    #: Walls of earlier scans serve as mirrors too, where vehicle states tell how the radar moved between them.
+    wall_map: bool = False
+    odometry: OdometryParams = OdometryParams()
+    tracker: TrackerParams = TrackerParams()
+    walls: WallMapParams = WallMapParams()
+
+
+class ScanMemory:
+    """Of one radar: vehicle states in as they come; scans in the order of their stamps."""
+
+    def __init__(self, params: MemoryParams) -> None:
+        self._odometry = ScanOdometry(params.odometry)
+        self._tracker = Tracker(params.tracker) if params.tracking else None
+        self._walls = WallMap(params.walls) if params.wall_map else None
+
+    def add(self, state: VehicleState) -> None:
+        """Take in a state of the vehicle; see `ScanOdometry` for which states count for which scan."""
+        self._odometry.add(state)
+
+    @property
+    def yaw_rate_bias(self) -> BiasEstimate:
+        """The bias that is taken off the yaw rate."""
+        return self._odometry.yaw_rate_bias
+
+    def walls_at(self, peaks: Peaks) -> Remembered | None:
+        """What `recover_bev` is to ask for walls of earlier scans; None where none are kept or no state has come."""
+        place = self._odometry.at(peaks.stamp_ns)
+        # a radar that only seems to stand would see every wall in several places
+        if self._walls is None or place is None or place == standing():
+            return None
+        return partial(self._walls.step, peaks.stamp_ns, place, peaks.vehicle_from_radar)
+
+    def tracked(self, view: BevFrame, vehicle_from_radar: Pose2) -> BevFrame:
+        """The view with its tracks; where no vehicle state has ever come (`view.ego` is None) the radar stands."""
+        if self._tracker is None:
+            return view
+        tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar)
+        return msgspec.structs.replace(view, tracks=tracks)

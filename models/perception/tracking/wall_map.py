@@ -1,0 +1,392 @@
+"""Walls gathered over scans in the odometry frame: a wall too weak for one scan becomes a mirror by several.
+
+A line is kept with the covariance of its direction and offset and with its evidence, the log likelihood of its returns
+over that of scattered ones, which adds up over scans and fades. Every scan corrects the line (a Kalman filter of two
+states) by the wall found there or, where none was found, by the returns that lie on it. Noise of a scan's own adds to
+the covariance each time, for errors of successive scans are alike, and that of odometry with the way driven.
+
+Things that move make lines too. A kept line is a mirror only where one scan alone showed it longer than any vehicle's
+side, and only along what at least two scans showed; a wall that does not answer loses evidence, and one through which
+returns are seen is gone at once.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from models.perception.geometry.lines import gains
+from models.perception.geometry.mirrors import wall_arrays
+from models.perception.geometry.walls import WallParams, find_walls
+from models.perception.tracking.odometry import Placed
+from models.physics.mirror import crosses
+from msgs.values.arrays import require_positive
+from msgs.values.frames import Pose2, wrap_angle
+from msgs.values.perception import Wall
+from msgs.values.units import s_from_ns
+
+RADAR = np.zeros(2)
+
+
+class WallMapParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is kept, how sure it must be, how it is forgotten."""
+
+    #: Lines are begun by fewer returns, less sure ones, than make a wall of a single scan.
+    candidate: WallParams = WallParams(
+        min_inliers=3, min_score=4.0, max_angle_std_rad=math.radians(15.0), sparse_min_score=6.0, curved=False
+    )
+    #: A kept line is a mirror from so many scans, so much evidence and so sure a direction on.
+    min_scans: int = 3
+    min_score: float = 12.0
+    max_angle_std_rad: float = math.radians(4.0)
+    #: And where one scan alone showed it this long: longer than a vehicle.
+    min_span_m: float = 6.0
+    #: Evidence fades to 1/e in this time and over this way; it never exceeds `most_score`.
+    fade_s: float = 5.0
+    fade_m: float = 30.0
+    most_score: float = 40.0
+    #: A scan in which a wall did not answer, though in view, costs so much evidence.
+    miss_score: float = 3.0
+    #: So many returns of a scan behind a line prove that it is none.
+    seen_through_points: int = 2
+    #: Unevenness of real walls, added to each return's own error.
+    flatness_m: float = 0.08
+    #: Errors that a scan adds to a line: those of its returns that the next scan will have too.
+    scan_angle_std_rad: float = math.radians(0.3)
+    scan_offset_std_m: float = 0.03
+    #: Of odometry, over a metre driven and a radian turned.
+    place_std_m_per_m: float = 0.02
+    heading_std_rad_per_m: float = math.radians(0.05)
+    heading_std_rad_per_rad: float = 0.02
+    #: Two lines are one where they differ by less than so many standard deviations and this much besides.
+    same_sigmas: float = 3.0
+    same_angle_rad: float = math.radians(2.0)
+    same_offset_m: float = 0.2
+    max_gap_m: float = 6.5
+    #: Half the field of view.
+    view_rad: float = math.radians(60.0)
+    max_walls: int = 40
+
+    def __post_init__(self) -> None:
+        for name in self.__struct_fields__:
+            if name != "candidate":
+                require_positive(f"wall_map.{name}", getattr(self, name))
+
+
+@dataclass
+class _Kept:
+    """A line in the odometry frame, through `middle_m` [2] with a normal at `normal_rad`.
+
+    `covariance` [2, 2] is that of (offset [m] at the middle, direction [rad]); low and high are ends along the normal
+    turned to the left, from the middle, of what one scan showed and of what two did.
+    """
+
+    middle_m: np.ndarray
+    normal_rad: float
+    covariance: np.ndarray
+    seen_m: tuple[float, float]
+    sure_m: tuple[float, float] | None
+    score: float
+    span_m: float
+    inliers: int
+    scans: int = 1
+
+    def corrected(self, factors: np.ndarray, off_m: np.ndarray, noise: np.ndarray) -> None:
+        """Take in measurements [M] of (offset, direction) by `factors` [M, 2], with their covariance [M, M]."""
+        spread = factors @ self.covariance @ factors.T + noise
+        gain = np.linalg.solve(spread, factors @ self.covariance).T
+        shift_m, turn_rad = gain @ off_m
+        rest = np.eye(2) - gain @ factors
+        self.covariance = rest @ self.covariance @ rest.T + gain @ noise @ gain.T
+        self.normal_rad = wrap_angle(self.normal_rad + turn_rad)
+        normal = np.array([math.cos(self.normal_rad), math.sin(self.normal_rad)])
+        self.middle_m = self.middle_m - shift_m * normal
+
+    def reached(self, low_m: float, high_m: float) -> None:
+        """Note what a further scan showed of it: what two showed is sure."""
+        twice = max(self.seen_m[0], low_m), min(self.seen_m[1], high_m)
+        if twice[0] < twice[1]:
+            self.sure_m = twice if self.sure_m is None else _union(self.sure_m, twice)
+        self.seen_m = _union(self.seen_m, (low_m, high_m))
+        self.span_m = max(self.span_m, high_m - low_m)
+        self.scans += 1
+
+
+@dataclass(frozen=True)
+class _Local:
+    """A kept line in the radar frame of a scan: normal towards the radar [2], tangent [2], middle [2], offset."""
+
+    kept: _Kept
+    normal: np.ndarray
+    middle_m: np.ndarray
+    offset_m: float
+    #: -1 where the normal was turned to face the radar, and with it the tangent and the signs of measurements.
+    sign: float
+
+    @classmethod
+    def of(cls, kept: _Kept, radar_from_odom: Pose2) -> _Local:
+        angle_rad = kept.normal_rad + radar_from_odom.yaw_rad
+        normal = np.array([math.cos(angle_rad), math.sin(angle_rad)])
+        middle_m = radar_from_odom.apply(kept.middle_m)
+        offset_m = -float(normal @ middle_m)
+        return cls(kept, normal, middle_m, offset_m, 1.0 if offset_m >= 0.0 else -1.0)
+
+    @property
+    def tangent(self) -> np.ndarray:
+        return np.array([-self.normal[1], self.normal[0]])
+
+    def along_m(self, points_m: np.ndarray) -> np.ndarray:
+        """Places of points [N, 2] along the line, from its middle [N]."""
+        return np.asarray((points_m - self.middle_m) @ self.tangent)
+
+    def off_m(self, points_m: np.ndarray) -> np.ndarray:
+        """Heights of points [N, 2] over the line [N]."""
+        return np.asarray((points_m - self.middle_m) @ self.normal)
+
+    def ends_m(self, reach_m: tuple[float, float]) -> np.ndarray:
+        """The ends [2, 2] of a stretch of it."""
+        return self.middle_m + np.array(reach_m)[:, None] * self.tangent
+
+    def as_wall(self, reach_m: tuple[float, float]) -> Wall:
+        """The value that travels, over a stretch of the line."""
+        ends_m = self.ends_m(reach_m)
+        at = np.array([1.0, 0.5 * (reach_m[0] + reach_m[1])])
+        (ax, ay), (bx, by) = ends_m.tolist()
+        return Wall(
+            normal=(float(self.sign * self.normal[0]), float(self.sign * self.normal[1])),
+            offset_m=self.sign * self.offset_m,
+            ends_m=((ax, ay), (bx, by)),
+            inliers=self.kept.inliers,
+            angle_std_rad=math.sqrt(self.kept.covariance[1, 1]),
+            offset_std_m=math.sqrt(at @ self.kept.covariance @ at),
+        )
+
+
+class WallMap:
+    """The walls one radar has seen; one call a scan, in the order of their stamps."""
+
+    def __init__(self, params: WallMapParams | None = None) -> None:
+        self._params = params or WallMapParams()
+        self._kept: list[_Kept] = []
+        self._last: tuple[int, Placed] | None = None
+
+    def step(
+        self,
+        stamp_ns: int,
+        place: Placed,
+        vehicle_from_radar: Pose2,
+        points_m: np.ndarray,
+        covariance_m2: np.ndarray,
+        walls: list[Wall],
+        wall_of_point: np.ndarray,
+    ) -> tuple[list[Wall], np.ndarray]:
+        """The walls of a scan, sharpened by earlier ones, and those that only several scans show; radar frame.
+
+        Returns [N, 2] with covariances [N, 2, 2], walls and the wall of each return [N] are those of `find_walls`; the
+        last two come back with the remembered walls behind the scan's own. A scan that comes twice or late changes
+        nothing.
+        """
+        if self._last is not None and self._last[1].frame == place.frame and stamp_ns <= self._last[0]:
+            return walls, wall_of_point
+        self._age(stamp_ns, place)
+        odom_from_radar = place.odom_from_vehicle @ vehicle_from_radar
+        radar_from_odom = odom_from_radar.inverse()
+        walls, met = self._merge(walls, radar_from_odom)
+        free = np.flatnonzero(wall_of_point == -1)
+        wall_of_point = wall_of_point.copy()
+        for kept in [one for one in self._kept if id(one) not in met]:
+            local = _Local.of(kept, radar_from_odom)
+            on = free[self._on(local, points_m[free], covariance_m2[free])]
+            if len(on):
+                self._support(local, points_m[on], covariance_m2[on])
+                free = np.setdiff1d(free, on)
+            elif self._in_view(local, walls):
+                kept.score -= self._params.miss_score
+            local = _Local.of(kept, radar_from_odom)
+            if self._seen_through(local, points_m):
+                kept.score = 0.0
+            elif self._acts(local):
+                wall_of_point[on] = len(walls)
+                walls = [*walls, local.as_wall(kept.sure_m or kept.seen_m)]
+        self._begin(points_m[free], covariance_m2[free], odom_from_radar)
+        self._kept = sorted((one for one in self._kept if one.score > 0.0), key=lambda one: -one.score)
+        self._kept = self._kept[: self._params.max_walls]
+        return walls, wall_of_point
+
+    def _age(self, stamp_ns: int, place: Placed) -> None:
+        """Let evidence fade and uncertainty grow since the last scan; another odometry frame is another world."""
+        last, self._last = self._last, (stamp_ns, place)
+        if last is None or last[1].frame != place.frame:
+            self._kept = []
+            return
+        moved = last[1].odom_from_vehicle.inverse() @ place.odom_from_vehicle
+        way_m = math.hypot(moved.x_m, moved.y_m)
+        params = self._params
+        fade = math.exp(-s_from_ns(stamp_ns - last[0]) / params.fade_s - way_m / params.fade_m)
+        angle = params.scan_angle_std_rad**2 + (params.heading_std_rad_per_rad * moved.yaw_rad) ** 2
+        angle += way_m * params.heading_std_rad_per_m**2
+        offset = params.scan_offset_std_m**2 + (params.place_std_m_per_m * way_m) ** 2
+        for one in self._kept:
+            one.score *= fade
+            one.covariance = one.covariance + np.diag([offset, angle])
+
+    def _merge(self, walls: list[Wall], radar_from_odom: Pose2) -> tuple[list[Wall], set[int]]:
+        """Each straight wall of a scan with the kept line it is one with, or a new one; and `id` of those lines."""
+        merged: list[Wall] = []
+        met: set[int] = set()
+        for wall in walls:
+            local = None if wall.curvature_per_m else self._same(wall, met, radar_from_odom)
+            if local is not None:
+                met.add(id(local.kept))
+                self._correct(local, wall)
+                wall = _sharpened(wall, local.kept, radar_from_odom)
+            elif not wall.curvature_per_m:
+                self._kept.append(_begun(wall, self._params.candidate.min_score * 2.0, radar_from_odom.inverse()))
+                met.add(id(self._kept[-1]))
+            merged.append(wall)
+        return merged, met
+
+    def _same(self, wall: Wall, met: set[int], radar_from_odom: Pose2) -> _Local | None:
+        """The kept line that a wall is one with: the nearest of those within the errors of both."""
+        best: tuple[float, _Local] | None = None
+        for kept in self._kept:
+            local = _Local.of(kept, radar_from_odom)
+            apart = math.inf if id(kept) in met else _apart(local, wall, self._params)
+            if apart < (best[0] if best else math.inf):
+                best = apart, local
+        return best[1] if best else None
+
+    def _correct(self, local: _Local, wall: Wall) -> None:
+        """A kept line corrected by a wall of a scan."""
+        ends_m = np.array(wall.ends_m)
+        low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
+        at_m = ends_m.mean(axis=0)[None]
+        factors = np.array([[1.0, local.along_m(at_m)[0]], [0.0, 1.0]])
+        off = -local.off_m(at_m)[0], _turn_rad(local, wall)
+        noise = np.diag([max(wall.offset_std_m, 1e-3) ** 2, max(wall.angle_std_rad, 1e-4) ** 2])
+        local.kept.corrected(factors, np.array(off), noise)
+        local.kept.reached(low_m, high_m)
+        local.kept.score = min(local.kept.score + 2.0 * self._params.candidate.min_score, self._params.most_score)
+        local.kept.inliers = max(local.kept.inliers, wall.inliers)
+
+    def _on(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
+        """Which returns [N] lie on a kept line, within the errors of both and near what was seen of it; bool [N]."""
+        along_m = local.along_m(points_m)
+        near = (along_m > local.kept.seen_m[0] - self._params.max_gap_m) & (
+            along_m < local.kept.seen_m[1] + self._params.max_gap_m
+        )
+        return near & (self._gains(local, points_m, covariance_m2) > 1.0)
+
+    def _gains(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
+        """What each return adds to the evidence of a kept line [N]."""
+        factors = np.stack([np.ones(len(points_m)), local.along_m(points_m)], axis=1)
+        own = np.einsum("ni,ij,nj->n", factors, local.kept.covariance, factors) + self._params.flatness_m**2
+        widened = covariance_m2 + own[:, None, None] * np.eye(2)
+        return gains(np.array(points_m), widened, local.normal[0], local.normal[1], local.offset_m)
+
+    def _support(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> None:
+        """A kept line corrected by returns that lie on it."""
+        along_m, kept = local.along_m(points_m), local.kept
+        gained = float(self._gains(local, points_m, covariance_m2).sum())
+        noise = np.einsum("i,nij,j->n", local.normal, covariance_m2, local.normal) + self._params.flatness_m**2
+        factors = np.stack([np.ones(len(along_m)), along_m], axis=1)
+        kept.corrected(factors, -local.off_m(points_m), np.diag(noise))
+        kept.reached(float(along_m.min()), float(along_m.max()))
+        kept.score = min(kept.score + gained, self._params.most_score)
+        kept.inliers = max(kept.inliers, len(points_m))
+
+    def _in_view(self, local: _Local, walls: list[Wall]) -> bool:
+        """Whether the radar ought to see a kept line: its middle ahead, and no wall of the scan before it."""
+        middle_m = local.ends_m(local.kept.seen_m).mean(axis=0)
+        if abs(math.atan2(middle_m[1], middle_m[0])) > self._params.view_rad:
+            return False
+        arrays = wall_arrays(walls)
+        return not crosses(RADAR, 0.98 * middle_m[None], arrays.a, arrays.b).any()
+
+    def _seen_through(self, local: _Local, points_m: np.ndarray) -> bool:
+        """Whether returns of a scan lie behind what is sure of a kept line, past more than its own error."""
+        if local.kept.sure_m is None:
+            return False
+        low_m, high_m = local.kept.sure_m
+        trim_m = min(1.0, 0.25 * (high_m - low_m))
+        ends_m = local.ends_m((low_m + trim_m, high_m - trim_m))
+        behind = local.sign * local.off_m(points_m) < -1.0
+        cut = crosses(RADAR, points_m[behind], ends_m[:1], ends_m[1:])
+        return bool(cut.sum() >= self._params.seen_through_points)
+
+    def _acts(self, local: _Local) -> bool:
+        """Whether a kept line is a mirror."""
+        kept, params = local.kept, self._params
+        sure = kept.scans >= params.min_scans and kept.score >= params.min_score and kept.sure_m is not None
+        long = kept.span_m >= params.min_span_m
+        straight = math.sqrt(kept.covariance[1, 1]) <= params.max_angle_std_rad
+        shows = abs(local.offset_m) >= params.candidate.min_offset_m and self._is_ahead(local)
+        return sure and long and straight and shows
+
+    def _is_ahead(self, local: _Local) -> bool:
+        """Whether any of a kept line lies in the field of view: only there does it mirror anything."""
+        x_m, y_m = local.ends_m(local.kept.sure_m or local.kept.seen_m).T
+        share = np.linspace(0.0, 1.0, 9)
+        azimuth_rad = np.arctan2(y_m[0] + share * (y_m[1] - y_m[0]), x_m[0] + share * (x_m[1] - x_m[0]))
+        return bool((np.abs(azimuth_rad) <= self._params.view_rad).any())
+
+    def _begin(self, points_m: np.ndarray, covariance_m2: np.ndarray, odom_from_radar: Pose2) -> None:
+        """New lines among returns on none."""
+        labels = np.zeros(len(points_m), np.int64)
+        found, _ = find_walls(points_m, covariance_m2, labels, self._params.candidate)
+        self._kept += [_begun(wall, self._params.candidate.min_score, odom_from_radar) for wall in found]
+
+
+def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _Kept:
+    """A line kept from its first scan on."""
+    ends_m = np.array(wall.ends_m)
+    half_m = 0.5 * float(np.hypot(*(ends_m[1] - ends_m[0])))
+    return _Kept(
+        middle_m=odom_from_radar.apply(ends_m.mean(axis=0)),
+        normal_rad=wrap_angle(math.atan2(wall.normal[1], wall.normal[0]) + odom_from_radar.yaw_rad),
+        covariance=np.diag([max(wall.offset_std_m, 1e-3) ** 2, max(wall.angle_std_rad, 1e-4) ** 2]),
+        seen_m=(-half_m, half_m),
+        sure_m=None,
+        score=score,
+        span_m=2.0 * half_m,
+        inliers=wall.inliers,
+    )
+
+
+def _turn_rad(local: _Local, wall: Wall) -> float:
+    """Angle from a kept line's normal to a wall's, as lines: within a quarter turn."""
+    normal = local.sign * local.normal
+    cross = normal[0] * wall.normal[1] - normal[1] * wall.normal[0]
+    return math.atan2(cross, float(normal @ np.array(wall.normal)))
+
+
+def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
+    """How far a wall lies from a kept line in units of what is allowed, infinite where more."""
+    ends_m = np.array(wall.ends_m)
+    low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
+    gap_m = max(low_m - local.kept.seen_m[1], local.kept.seen_m[0] - high_m)
+    at = np.array([1.0, 0.5 * (low_m + high_m)])
+    angle_std_rad = math.sqrt(local.kept.covariance[1, 1] + wall.angle_std_rad**2)
+    offset_std_m = math.sqrt(at @ local.kept.covariance @ at + wall.offset_std_m**2)
+    turned = abs(_turn_rad(local, wall)) / (params.same_sigmas * angle_std_rad + params.same_angle_rad)
+    shifted = abs(local.off_m(ends_m.mean(axis=0)[None])[0]) / (
+        params.same_sigmas * offset_std_m + params.same_offset_m
+    )
+    return max(turned, shifted) if gap_m <= params.max_gap_m and max(turned, shifted) <= 1.0 else math.inf
+
+
+def _sharpened(wall: Wall, kept: _Kept, radar_from_odom: Pose2) -> Wall:
+    """A wall of a scan, with its own ends put on the line that all scans gave."""
+    local = _Local.of(kept, radar_from_odom)
+    low_m, high_m = np.sort(local.along_m(np.array(wall.ends_m))).tolist()
+    return msgspec.structs.replace(local.as_wall((low_m, high_m)), inliers=wall.inliers)
+
+
+def _union(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
+    return min(one[0], other[0]), max(one[1], other[1])
+
+
+__all__ = ["WallMap", "WallMapParams"]

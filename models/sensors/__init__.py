@@ -1,0 +1,1 @@
+"""Formats of radar boards that can be bought."""

@@ -1,0 +1,1 @@
+"""Training data: frames, samples, splits, published data sets."""

@@ -1,0 +1,1 @@
+"""What networks are trained towards: targets and losses."""

@@ -1,0 +1,328 @@
+"""Messages as bytes: msgpack header and raw array frames on the wire, one msgpack map in recordings, JSON for people.
+
+Wire: `[topic\\0][header][array]...`. The header is the msgpack map `{"envelope": ..., "body": ...}`; each array of the
+body is replaced by `{"dtype", "shape", "frame"}`, `frame` counting the array frames from 0. Inline (recordings): the
+body alone, each array replaced by `{"dtype", "shape", "data"}` with its little-endian C-order bytes in `data`.
+
+Nothing received is trusted: sizes, names, types, array layouts and unknown fields are checked before a value is built.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, TypeVar
+
+import msgspec
+import numpy as np
+
+from msgs.bus.interface import Envelope, Received
+from msgs.bus.topics import TOPICS, Topic, topic_facts
+from msgs.values.arrays import DTYPES, MAX_NDIM
+
+Buffer = bytes | memoryview
+StructType = TypeVar("StructType", bound=msgspec.Struct)
+
+PROTOCOL = 1
+MAX_HEADER_BYTES = 1 << 20
+#: An inline message has all its arrays inside; none of ours comes near.
+MAX_INLINE_BYTES = 1 << 28
+_MAX_REASON = 300
+#: A hundred thousand years of beams.
+_MAX_SEQUENCE = 1 << 48
+#: What building a value from hostile input may raise; all of it becomes a `CodecError`. Nesting deeper than the
+#: interpreter allows ends in RecursionError.
+_TROUBLE = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
+
+
+class CodecError(ValueError):
+    """A message that cannot be encoded or decoded; one line, with the path of the field."""
+
+    def __init__(self, reason: object) -> None:
+        super().__init__(" ".join(str(reason).split())[:_MAX_REASON])
+
+
+class _ArrayHead(msgspec.Struct, forbid_unknown_fields=True):
+    """What stands for an array in a header."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    frame: int
+
+
+class _ArrayInline(msgspec.Struct, forbid_unknown_fields=True):
+    """What stands for an array in a recording."""
+
+    dtype: str
+    shape: tuple[int, ...]
+    data: bytes
+
+
+class _Header(msgspec.Struct, forbid_unknown_fields=True):
+    """The header with its body still untyped: the topic decides the type."""
+
+    envelope: Envelope
+    body: dict[str, Any]
+
+
+def encode(envelope: Envelope, message: msgspec.Struct) -> list[Buffer]:
+    """Frames of a message; arrays are not copied, so they must not change while the frames are in use.
+
+    Raises `CodecError` when the message is not the topic's type, too large, or holds what may not travel.
+    """
+    topic = _topic_of(envelope)
+    if type(message) is not topic.type:
+        raise CodecError(f"{topic.name} carries {topic.type.__name__}, got {type(message).__name__}")
+    arrays: list[Buffer] = []
+
+    def array_head(array: np.ndarray) -> dict[str, Any]:
+        wire = _wire_array(array)
+        arrays.append(_bytes_of(wire))
+        return {"dtype": wire.dtype.str, "shape": wire.shape, "frame": len(arrays) - 1}
+
+    header = _pack({"envelope": envelope, "body": message}, array_head)
+    if len(header) > MAX_HEADER_BYTES:
+        raise CodecError(f"{topic.name}: header of {len(header)} bytes exceeds {MAX_HEADER_BYTES}")
+    frames = [topic_frame(topic.name), header, *arrays]
+    _require_size(topic, frames)
+    return frames
+
+
+def decode(frames: Sequence[Buffer]) -> Received:
+    """The message of `frames`; its arrays are read-only views on them.
+
+    Raises `CodecError`, and nothing else, whatever the frames hold.
+    """
+    if len(frames) < 2:
+        raise CodecError(f"message must have at least 2 frames, got {len(frames)}")
+    topic = _topic_named(bytes(frames[0][:256]))
+    _require_size(topic, frames)
+    if len(frames[1]) > MAX_HEADER_BYTES:
+        raise CodecError(f"{topic.name}: header of {len(frames[1])} bytes exceeds {MAX_HEADER_BYTES}")
+    try:
+        return _decode_known(topic, frames[1], frames[2:])
+    except _TROUBLE as error:
+        raise CodecError(f"{topic.name}: {error}") from error
+
+
+def encode_inline(message: msgspec.Struct) -> bytes:
+    """One msgpack map with the arrays inside, for recordings."""
+    return _pack(message, _inline_array)
+
+
+def decode_inline(message_type: type[StructType], data: Buffer) -> StructType:
+    """The message that `encode_inline` wrote; raises `CodecError`, and nothing else, on any other bytes."""
+    if len(data) > MAX_INLINE_BYTES:
+        raise CodecError(f"{message_type.__name__}: {len(data)} bytes exceed {MAX_INLINE_BYTES}")
+
+    def array(reference: object) -> np.ndarray:
+        inline = _described(reference, _ArrayInline)
+        return _view(inline.dtype, inline.shape, inline.data)
+
+    try:
+        return _convert(message_type, msgspec.msgpack.decode(data), array)
+    except _TROUBLE as error:
+        raise CodecError(f"{message_type.__name__}: {error}") from error
+
+
+def topic_frame(topic: str) -> bytes:
+    """First frame of a topic's messages; the end mark keeps one topic from being another's prefix."""
+    return topic.encode() + b"\0"
+
+
+def json_schema(message_type: type[msgspec.Struct]) -> dict[str, Any]:
+    """JSON Schema of the inline form; `data` is binary in msgpack and base64 in JSON."""
+    return msgspec.json.schema(message_type, schema_hook=_array_schema)
+
+
+def to_builtins(message: msgspec.Struct, arrays: Literal["summary", "full"] = "summary") -> dict[str, Any]:
+    """Plain values that any JSON writer takes: non-finite numbers become None.
+
+    "summary" gives each array's dtype, shape and finite min, max and mean (of the magnitude where complex); "full" is
+    the inline form with base64 data, which `json_schema` describes.
+    """
+    form = _array_summary if arrays == "summary" else _inline_array
+    return _finite_or_none(msgspec.to_builtins(message, enc_hook=_encoder_hook(form)))
+
+
+def _decode_known(topic: Topic, header: Buffer, arrays: Sequence[Buffer]) -> Received:
+    """Decode once the topic is known; may raise anything of `_TROUBLE`."""
+    head = msgspec.msgpack.decode(header, type=_Header, strict=True)
+    _check_envelope(head.envelope, topic)
+    unused = set(range(len(arrays)))
+
+    def array(reference: object) -> np.ndarray:
+        at = _described(reference, _ArrayHead)
+        if at.frame not in unused:
+            raise ValueError(f"frame must be one of {len(arrays)}, each used once, got {at.frame}")
+        unused.discard(at.frame)
+        return _view(at.dtype, at.shape, arrays[at.frame])
+
+    message: msgspec.Struct = _convert(topic.type, head.body, array)
+    if unused:
+        raise ValueError(f"{len(unused)} of {len(arrays)} array frames belong to no field")
+    return Received(topic.name, message, head.envelope)
+
+
+def _convert(message_type: type[StructType], body: object, array_from: Callable[[object], np.ndarray]) -> StructType:
+    """Strictly typed message of plain values; unknown fields are refused."""
+
+    def hook(wanted: type, value: object) -> np.ndarray:
+        if wanted is not np.ndarray:
+            raise TypeError(f"{wanted.__name__} cannot travel")
+        return array_from(value)
+
+    message = msgspec.convert(body, message_type, strict=True, dec_hook=hook)
+    _refuse_unknown(body, msgspec.to_builtins(message, enc_hook=lambda array: None), "$")
+    return message
+
+
+def _described(reference: object, form: type[StructType]) -> StructType:
+    """What a header says of one array."""
+    try:
+        return msgspec.convert(reference, form, strict=True)
+    except msgspec.ValidationError as error:
+        # msgspec adds the field's path to a plain ValueError only
+        raise ValueError(str(error)) from error
+
+
+def _refuse_unknown(raw: object, known: object, path: str) -> None:
+    """Raise `ValueError` for the first field of `raw` that `known`, the same message in full, does not have."""
+    if isinstance(raw, dict) and isinstance(known, dict):
+        for name, value in raw.items():
+            if name not in known:
+                raise ValueError(f"unknown field - at `{path}.{name}`")
+            _refuse_unknown(value, known[name], f"{path}.{name}")
+    elif isinstance(raw, list) and isinstance(known, list | tuple):
+        for value, twin in zip(raw, known, strict=True):
+            if isinstance(value, dict | list):
+                _refuse_unknown(value, twin, f"{path}[...]")
+
+
+def _check_envelope(envelope: Envelope, topic: Topic) -> None:
+    if envelope.protocol != PROTOCOL:
+        raise ValueError(f"protocol must be {PROTOCOL}, got {envelope.protocol} - at `$.envelope.protocol`")
+    if envelope.topic != topic.name:
+        raise ValueError(f"topic must be that of the first frame, got {envelope.topic!r} - at `$.envelope.topic`")
+    for name in ("sequence", "sent_ns"):
+        if getattr(envelope, name) < 0:
+            raise ValueError(f"{name} must not be negative, got {getattr(envelope, name)} - at `$.envelope.{name}`")
+    if envelope.sequence > _MAX_SEQUENCE:
+        # gaps are added up, and their sum has to fit a heartbeat
+        raise ValueError(
+            f"sequence must be at most {_MAX_SEQUENCE}, got {envelope.sequence} - at `$.envelope.sequence`"
+        )
+
+
+def _topic_of(envelope: Envelope) -> Topic:
+    try:
+        return topic_facts(envelope.topic)
+    except ValueError as error:
+        raise CodecError(error) from error
+
+
+def _topic_named(frame: bytes) -> Topic:
+    name = frame[:-1].decode("ascii", "replace")
+    if not frame.endswith(b"\0") or name not in TOPICS:
+        raise CodecError(f"first frame must be a known topic and a zero byte, got {frame!r}")
+    return TOPICS[name]
+
+
+def _require_size(topic: Topic, frames: Sequence[Buffer]) -> None:
+    size = sum(len(frame) for frame in frames)
+    if size > topic.max_bytes:
+        raise CodecError(f"{topic.name}: message of {size} bytes exceeds {topic.max_bytes}")
+
+
+def _pack(value: object, array_form: Callable[[np.ndarray], object]) -> bytes:
+    try:
+        return msgspec.msgpack.encode(value, enc_hook=_encoder_hook(array_form))
+    except _TROUBLE as error:
+        raise CodecError(error) from error
+
+
+def _encoder_hook(array_form: Callable[[np.ndarray], object]) -> Callable[[Any], object]:
+    """Encoder hook: arrays in the given form, numpy numbers as plain ones, nothing else."""
+
+    def hook(value: Any) -> object:
+        if isinstance(value, np.ndarray):
+            return array_form(value)
+        if isinstance(value, np.bool_ | np.integer | np.floating):
+            return value.item()
+        raise TypeError(f"{type(value).__name__} cannot travel")
+
+    return hook
+
+
+def _wire_array(array: np.ndarray) -> np.ndarray:
+    """`array` itself where it is C-contiguous and little-endian already, else a copy that is."""
+    wire = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
+    if wire.dtype.str not in DTYPES:
+        raise TypeError(f"dtype {array.dtype.str} cannot travel")
+    if wire.ndim > MAX_NDIM:
+        raise ValueError(f"arrays have at most {MAX_NDIM} dimensions, got {wire.ndim}")
+    return wire
+
+
+def _bytes_of(array: np.ndarray) -> memoryview:
+    """Flat bytes of a contiguous array, not copied."""
+    return array.reshape(-1).view(np.uint8).data
+
+
+def _inline_array(array: np.ndarray) -> dict[str, Any]:
+    wire = _wire_array(array)
+    return {"dtype": wire.dtype.str, "shape": wire.shape, "data": _bytes_of(wire)}
+
+
+def _view(dtype: str, shape: tuple[int, ...], data: Buffer) -> np.ndarray:
+    """Read-only array on `data`; its layout is checked with exact integers before numpy sees it."""
+    if dtype not in DTYPES:
+        raise ValueError(f"dtype must be one of the permitted, got {dtype!r}")
+    if len(shape) > MAX_NDIM or any(length < 0 for length in shape):
+        raise ValueError(f"shape must have at most {MAX_NDIM} lengths, none negative, got {shape[: MAX_NDIM + 1]}")
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    if size != len(data):
+        raise ValueError(f"shape {shape} of {dtype} needs {size} bytes, got {len(data)}")
+    array: np.ndarray = np.ndarray(shape, dtype, buffer=data)
+    if not array.flags.aligned:
+        # compiled kernels take aligned arrays only; the transport unaligns nothing but small frames
+        array = array.copy()
+    array.flags.writeable = False
+    return array
+
+
+def _array_schema(value_type: type) -> dict[str, Any]:
+    if value_type is not np.ndarray:
+        raise TypeError(f"{value_type.__name__} cannot travel")
+    return {
+        "type": "object",
+        "title": "Array",
+        "description": "n-dimensional array: little-endian, C order",
+        "properties": {
+            "dtype": {"type": "string", "enum": sorted(DTYPES)},
+            "shape": {"type": "array", "items": {"type": "integer", "minimum": 0}, "maxItems": MAX_NDIM},
+            "data": {"type": "string", "contentEncoding": "base64"},
+        },
+        "required": ["dtype", "shape", "data"],
+        "additionalProperties": False,
+    }
+
+
+def _array_summary(array: np.ndarray) -> dict[str, Any]:
+    summary: dict[str, Any] = {"dtype": array.dtype.str, "shape": array.shape}
+    # beyond the largest float is said as None like all that is not finite
+    with np.errstate(over="ignore", invalid="ignore"):
+        values = np.abs(array.astype(np.complex128)) if np.iscomplexobj(array) else array
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            mean = finite.mean(dtype=np.float64)
+            summary |= {"min": finite.min().item(), "max": finite.max().item(), "mean": mean.item()}
+    return summary
+
+
+def _finite_or_none(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _finite_or_none(inner) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite_or_none(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,189 @@
+"""What every bus does with frames, whatever carries them: number what goes out, check, order and count what comes in.
+
+Promise to receivers: at most once, in order per publisher, every gap counted.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Sequence
+
+import msgspec
+
+from msgs.bus.codec import Buffer, CodecError, decode, encode
+from msgs.bus.interface import Envelope, Forwarded, Received
+from msgs.bus.topics import topic_facts
+from msgs.values.diagnostics import TopicCount
+from msgs.values.units import NANOSECONDS_PER_SECOND
+
+logger = logging.getLogger(__name__)
+
+_WARNING_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
+#: A player gives up a scan that is not answered for this long (`mirrorwave.replay.listeners`).
+_PACED_NS = 10 * NANOSECONDS_PER_SECOND
+#: Publishers of a topic that are told apart; any name may stand on the bus, and one more is turned away as long as all
+#: of them have spoken lately.
+MAX_PUBLISHERS = 256
+_LATELY_NS = 10 * NANOSECONDS_PER_SECOND
+#: As long as names of nodes may be.
+_MAX_NAME = 64
+#: What the counts of losses stop at: every program can hold it, and no sum of some of them leaves an int64.
+_MOST_LOST = 1 << 53
+#: Publishers of a latched topic whose last message is kept for who comes late.
+MAX_LATCHED = 32
+
+
+class _Count:
+    """Running figures of one topic."""
+
+    def __init__(self) -> None:
+        self.messages = self.bytes = self.lost = self.rejected = self.outdated = 0
+
+    def add(self, frames: Sequence[Buffer]) -> None:
+        self.messages += 1
+        self.bytes += sum(len(frame) for frame in frames)
+
+    def frozen(self, topic: str) -> TopicCount:
+        return TopicCount(
+            topic=topic,
+            messages=self.messages,
+            bytes=self.bytes,
+            lost=self.lost,
+            rejected=self.rejected,
+            outdated=self.outdated,
+        )
+
+
+class Tally:
+    """Sequence numbers and counts of one node's connection."""
+
+    def __init__(
+        self, node: str, paced: bool = False, keeps_all: bool = False, most_publishers: int = MAX_PUBLISHERS
+    ) -> None:
+        self._node, self._most_publishers = node, most_publishers
+        self._paced, self._keeps_all = paced, keeps_all
+        #: What is outdated is handed out too.
+        self.wants_all = False
+        #: Topics whose last message was paced, and when it came: what is made of them is paced too.
+        self._paced_ns: dict[str, int] = {}
+        #: Numbers spent per topic; what is sent on for others has its own.
+        self._sequences: dict[str, int] = {}
+        self._published: dict[str, _Count] = {}
+        self._received: dict[str, _Count] = {}
+        #: Last envelope of each publisher of a topic; who was silent longest comes first.
+        self._last: dict[str, dict[str, Envelope]] = {}
+        self._warned_ns: dict[str, int] = {}
+
+    def pack(self, topic: str, message: msgspec.Struct, now_ns: int) -> tuple[Envelope, list[Buffer]]:
+        """Envelope and frames of the next message; raises `CodecError`, and spends no number, if it cannot travel."""
+        sequence = self._sequences.get(topic, 0)
+        # not for ever: its player has ended without a word, and a radar that waits for nobody may follow
+        paced = self._paced or any(now_ns - came_ns <= _PACED_NS for came_ns in self._paced_ns.values())
+        envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns, paced=paced)
+        frames = encode(envelope, message)
+        self._sequences[topic] = sequence + 1
+        self._published.setdefault(topic, _Count()).add(frames)
+        return envelope, frames
+
+    def forward(self, message: Forwarded) -> None:
+        """Count a message that is sent on; it spends no number."""
+        self._published.setdefault(message.topic, _Count()).add(message.frames)
+
+    def expect(self, topic: str) -> None:
+        """Count `topic` from now on, so that silence shows as zero."""
+        self._received.setdefault(topic, _Count())
+
+    def accept(self, topic: str, frames: Sequence[Buffer], now_ns: int) -> Received | None:
+        """The message of `frames`, or None where it is unreadable (counted, logged) or older than one already seen."""
+        count = self._received[topic]
+        try:
+            received = decode(frames)
+            _check_origin(received, topic, now_ns)
+            self._make_room(received.envelope, now_ns)
+        except CodecError as error:
+            count.rejected += 1
+            self._warn(topic, str(error))
+            return None
+        known = self._last[topic]
+        last = known.get(received.envelope.publisher)
+        if last is not None:
+            if received.envelope.sent_ns <= last.sent_ns and received.envelope.sequence <= last.sequence:
+                return None
+            # a publisher that starts again counts from 0: what it sent in between was never numbered
+            count.lost = min(_MOST_LOST, count.lost + max(0, received.envelope.sequence - last.sequence - 1))
+        known.pop(received.envelope.publisher, None)
+        known[received.envelope.publisher] = received.envelope
+        count.add(frames)
+        if received.envelope.paced:
+            self._paced_ns[topic] = now_ns
+        else:
+            self._paced_ns.pop(topic, None)
+        return received
+
+    def forget(self, topic: str, publisher: str) -> None:
+        """The next message of `publisher` is its first: no gap before it."""
+        self._last.get(topic, {}).pop(publisher, None)
+
+    def forget_all(self) -> None:
+        """The next message of every publisher is its first."""
+        self._last.clear()
+
+    def without_outdated(self, messages: list[Received]) -> list[Received]:
+        """`messages`, with the last of each publisher alone on topics whose receivers want the newest only; counts.
+
+        What is paced is kept: its player waits until it is answered.
+        """
+        if self._keeps_all:
+            return messages
+        newest = {(message.topic, message.envelope.publisher): message for message in messages}
+        kept = []
+        for message in messages:
+            is_newest = newest[message.topic, message.envelope.publisher] is message
+            if topic_facts(message.topic).newest_only and not (is_newest or message.envelope.paced or self.wants_all):
+                self._received[message.topic].outdated += 1
+            else:
+                kept.append(message)
+        return kept
+
+    def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
+        """Received and published figures, topics in order of name."""
+        received = tuple(self._received[topic].frozen(topic) for topic in sorted(self._received))
+        published = tuple(self._published[topic].frozen(topic) for topic in sorted(self._published))
+        return received, published
+
+    def _make_room(self, envelope: Envelope, now_ns: int) -> None:
+        """Forget who was silent longest for a publisher too many; raise `CodecError` where all spoke lately."""
+        known = self._last.setdefault(envelope.topic, {})
+        if envelope.publisher in known or len(known) < self._most_publishers:
+            return
+        silent = next(iter(known))
+        if now_ns - known[silent].sent_ns <= _LATELY_NS:
+            raise CodecError(
+                f"{envelope.topic}: more than {self._most_publishers} publishers, {envelope.publisher!r} among them"
+            )
+        del known[silent]
+
+    def _warn(self, topic: str, reason: str) -> None:
+        now_ns = time.monotonic_ns()
+        if now_ns - self._warned_ns.get(topic, -_WARNING_INTERVAL_NS) >= _WARNING_INTERVAL_NS:
+            self._warned_ns[topic] = now_ns
+            logger.warning("rejected: %s (%d so far)", reason, self._received[topic].rejected)
+
+
+def latch(kept: dict[str, list[Buffer]], publisher: str, frames: list[Buffer]) -> None:
+    """Keep the last message of a publisher of a latched topic; of too many, those that spoke last."""
+    kept.pop(publisher, None)
+    kept[publisher] = frames
+    while len(kept) > MAX_LATCHED:
+        del kept[next(iter(kept))]
+
+
+def _check_origin(received: Received, topic: str, now_ns: int) -> None:
+    """Raise `CodecError` for another topic's message, or one from the future, which would make all later ones old."""
+    if received.topic != topic:
+        raise CodecError(f"{topic}: message of {received.topic} on its connection")
+    if len(received.envelope.publisher) > _MAX_NAME:
+        raise CodecError(f"{topic}: publisher must have at most {_MAX_NAME} characters")
+    if received.envelope.sent_ns > now_ns:
+        raise CodecError(f"{topic}: sent_ns must not lie in the future, got {received.envelope.sent_ns} at {now_ns}")

@@ -1,0 +1,87 @@
+"""The one table of topics: type, nominal rate, history and byte limit. Nothing else names a topic's facts."""
+
+from __future__ import annotations
+
+import msgspec
+
+from msgs.values.diagnostics import LogRecord, NodeStatus
+from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.perception import BevFrame, Peaks, SceneTruth
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
+
+MIB = 1 << 20
+
+
+class Topic(msgspec.Struct, frozen=True, kw_only=True):
+    """Facts of one topic."""
+
+    name: str
+    type: type
+    rate_hz: float
+    #: Largest message accepted, header and arrays together.
+    max_bytes: int
+    #: What may wait in a queue before the oldest is dropped; a bound in bytes, never in messages alone.
+    history_bytes: int
+    #: Late joiners get the last message.
+    latched: bool = False
+    #: Receivers that fall behind want the newest only.
+    newest_only: bool = False
+
+    @property
+    def history_messages(self) -> int:
+        """Queue length that keeps `history_bytes` even if every message were as large as allowed."""
+        return max(1, self.history_bytes // self.max_bytes)
+
+
+_ALL = (
+    Topic(name="radar/beam", type=RadarBeam, rate_hz=25 / 0.3, max_bytes=5 * MIB, history_bytes=125 * MIB),
+    Topic(name="radar/setup", type=RadarSetup, rate_hz=0.0, max_bytes=16 * MIB, history_bytes=16 * MIB, latched=True),
+    Topic(
+        name="radar/ra_map",
+        type=RangeAzimuthMap,
+        rate_hz=1 / 0.3,
+        max_bytes=4 * MIB,
+        history_bytes=16 * MIB,
+        newest_only=True,
+    ),
+    Topic(name="lidar/setup", type=LidarSetup, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=MIB, latched=True),
+    Topic(
+        name="lidar/histograms",
+        type=PhotonHistograms,
+        rate_hz=1 / 0.3,
+        max_bytes=16 * MIB,
+        history_bytes=64 * MIB,
+    ),
+    Topic(
+        name="perception/peaks",
+        type=Peaks,
+        rate_hz=1 / 0.3,
+        max_bytes=4 * MIB,
+        history_bytes=16 * MIB,
+        newest_only=True,
+    ),
+    Topic(
+        name="perception/hidden_objects",
+        type=BevFrame,
+        rate_hz=1 / 0.3,
+        max_bytes=4 * MIB,
+        history_bytes=16 * MIB,
+        newest_only=True,
+    ),
+    Topic(name="vehicle/state", type=VehicleState, rate_hz=50.0, max_bytes=4096, history_bytes=1 * MIB),
+    Topic(name="sim/truth", type=SceneTruth, rate_hz=1 / 0.3, max_bytes=4 * MIB, history_bytes=32 * MIB),
+    Topic(name="diagnostics/node", type=NodeStatus, rate_hz=2.0, max_bytes=MIB // 4, history_bytes=4 * MIB),
+    Topic(name="log", type=LogRecord, rate_hz=0.0, max_bytes=MIB // 16, history_bytes=4 * MIB),
+)
+
+TOPICS: dict[str, Topic] = {topic.name: topic for topic in _ALL}
+#: Set-up of each kind of sensor, and what it measures; a graph looks through one.
+SENSOR_TOPICS = (("radar/setup", "radar/beam"), ("lidar/setup", "lidar/histograms"))
+
+
+def topic_facts(name: str) -> Topic:
+    """Facts of a topic by name; an unknown one is refused with the names that exist."""
+    if name not in TOPICS:
+        raise ValueError(f"unknown topic {name!r}; known are {', '.join(sorted(TOPICS))}")
+    return TOPICS[name]

@@ -1,0 +1,1 @@
+"""Files at the door: arrays, YAML, whole files, and where shipped files are."""

@@ -1,0 +1,10 @@
+"""Files that come with the project: one place that knows where the checkout is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+#: Folder that holds the packages, `launch/` and `pyproject.toml`.
+CHECKOUT = Path(__file__).resolve().parents[2]
+LAUNCH = CHECKOUT / "launch"
+WEIGHTS = CHECKOUT / "models" / "weights"

@@ -1,0 +1,1 @@
+"""Encrypted links between hosts: keys, both ends, clocks."""

@@ -1,0 +1,116 @@
+"""What both ends of a link between two hosts share: what travels over TCP, and how their sockets are set up.
+
+Down come the messages as on every bus (`msgs.bus.codec`), and answers of the exporter's clock. Up come subscriptions
+and questions: `[2][8 bytes of who asks][8 bytes of number]`, answered on the topic `clock\\0` + who asks with the
+number and the exporter's monotonic clock (int64, big-endian, ns). Nothing else travels up: an importer cannot publish.
+
+`msgs.link.exporter` is the end that is bound on one port, `msgs.link.importer` the one that connects to it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import re
+import struct
+from collections.abc import Callable, Iterable, Iterator
+
+import zmq
+from zmq.utils.monitor import recv_monitor_message
+
+from msgs.bus.codec import topic_frame
+from msgs.bus.topics import Topic
+from msgs.values.units import NANOSECONDS_PER_SECOND
+
+logger = logging.getLogger(__name__)
+
+Clock = Callable[[], int]
+
+#: Messages that one turn takes from a peer, and a burst that one turn of a bus may hand to an exporter.
+MAX_A_TURN = 64
+#: Subscriptions and questions are short; a CURVE handshake needs some 300 bytes.
+MAX_UPWARD_BYTES = 1024
+#: Without a dot: what a peer has itself imported is not passed on a second time.
+ORIGIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
+
+CLOCK = topic_frame("clock")
+PING = b"\x02"
+ID_BYTES = 8
+STAMP = struct.Struct(">q")
+
+_HANDSHAKE_MS = 2000
+#: To connect, and for what was sent to be acknowledged; of a silent connection as long after `_IDLE_S`.
+_CONNECT_MS, _UNHEARD_MS = 2000, 3000
+_IDLE_S, _PROBE_S = 2, 1
+_LINGER_MS = 100
+_LOG_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
+
+
+def queue_messages(facts: Iterable[Topic]) -> int:
+    """Messages that may wait for a peer: as many as fill the topics' history together, each as large as allowed and
+    coming at its nominal rate; at least what one turn of a bus hands out.
+    """
+    topics = list(facts)
+    rate_hz = sum(topic.rate_hz for topic in topics)
+    budget_bytes = sum(topic.history_bytes for topic in topics)
+    if rate_hz <= 0.0:
+        return MAX_A_TURN
+    mean_bytes = sum(topic.rate_hz * topic.max_bytes for topic in topics) / rate_hz
+    return max(MAX_A_TURN, int(budget_bytes / mean_bytes))
+
+
+class Complaint:
+    """A warning about something that is counted, said when it grew and not more often than every 5 s."""
+
+    def __init__(self) -> None:
+        self._said = 0
+        self._said_ns: int | None = None
+
+    def say(self, count: int, now_ns: int, text: str) -> None:
+        """Log `text % count` if it is due."""
+        if count > self._said and (self._said_ns is None or now_ns - self._said_ns >= _LOG_INTERVAL_NS):
+            self._said, self._said_ns = count, now_ns
+            logger.warning(text.replace("%d", str(count), 1))
+
+
+class Monitor:
+    """What ZeroMQ says of a socket's connections."""
+
+    def __init__(self, socket: zmq.Socket[bytes], events: int) -> None:
+        self._of = socket
+        self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(events)
+
+    def events(self) -> list[tuple[int, int]]:
+        """Events since the last call and their values, bounded."""
+        found = []
+        with contextlib.suppress(zmq.Again):
+            for _ in range(MAX_A_TURN):
+                said = recv_monitor_message(self.socket, zmq.NOBLOCK)
+                found.append((int(said["event"]), int(said["value"])))
+        return found
+
+    def close(self) -> None:
+        """Stop to listen."""
+        self._of.disable_monitor()
+        self.socket.close(linger=0)
+
+
+def waiting_on(socket: zmq.Socket[bytes]) -> Iterator[list[zmq.Frame]]:
+    """Messages that wait on a socket, at most `MAX_A_TURN`."""
+    with contextlib.suppress(zmq.Again):
+        for _ in range(MAX_A_TURN):
+            yield socket.recv_multipart(zmq.NOBLOCK, copy=False)
+
+
+def set_common(socket: zmq.Socket[bytes]) -> None:
+    """Options of both ends: how soon a peer that says nothing is given up."""
+    socket.set(zmq.LINGER, _LINGER_MS)
+    # the kernel finds out that a peer is dead: heartbeats of libzmq abort the process (its issues 3937, 4364, 4767)
+    # where a connection ends that has stopped to read
+    socket.set(zmq.TCP_MAXRT, _UNHEARD_MS)
+    socket.set(zmq.TCP_KEEPALIVE, 1)
+    socket.set(zmq.TCP_KEEPALIVE_IDLE, _IDLE_S)
+    socket.set(zmq.TCP_KEEPALIVE_INTVL, _PROBE_S)
+    socket.set(zmq.TCP_KEEPALIVE_CNT, _UNHEARD_MS // 1000)
+    socket.set(zmq.CONNECT_TIMEOUT, _CONNECT_MS)
+    socket.set(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)

@@ -1,0 +1,293 @@
+"""The end of a link that takes: a peer's topics for the local graph, over a connection encrypted with CURVE.
+
+All that comes is checked, its stamps are moved into this host's clock, and its peer's name is put before its origin.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import os
+import time
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import zmq
+
+from msgs.bus.codec import Buffer, topic_frame
+from msgs.bus.interface import Forwarded
+from msgs.bus.topics import Topic, topic_facts
+from msgs.link.curve import (
+    CLOCK,
+    ID_BYTES,
+    MAX_A_TURN,
+    MAX_UPWARD_BYTES,
+    PING,
+    STAMP,
+    Clock,
+    Complaint,
+    Monitor,
+    queue_messages,
+    set_common,
+    waiting_on,
+)
+from msgs.link.keys import KeyPair
+from msgs.link.peer_clock import ClockSample, PeerClock
+from msgs.link.peer_messages import PeerMessages
+from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
+
+logger = logging.getLogger(__name__)
+
+#: What encryption adds to a frame, and some.
+_ENVELOPE_BYTES = 64
+_RECONNECT_MS, _RECONNECT_MAX_MS = 50, 2000
+
+_PING_NS = NANOSECONDS_PER_SECOND // 2
+#: Until the peer's clock is known.
+_FIRST_PING_NS = NANOSECONDS_PER_SECOND // 20
+_ANSWERS_NEEDED = 3
+#: Questions under way: answers may take three seconds while they are asked fastest.
+_PINGS_KEPT = 64
+_SILENCE_NS = 3 * NANOSECONDS_PER_SECOND // 2
+#: ZeroMQ gives an address up after a breach of protocol; whatever it thinks, we try again.
+_CONNECT_AGAIN_NS = 5 * NANOSECONDS_PER_SECOND // 2
+#: After a cut every origin has spoken by then, and what was lost is known.
+_SETTLED_NS = 2 * NANOSECONDS_PER_SECOND
+#: A hundred years of nanoseconds and more: what is beyond is no clock.
+_MAX_CLOCK_NS = 1 << 62
+
+
+class Server(NamedTuple):
+    """Who an importer connects to: its name here, its address, its public key (None: no encryption)."""
+
+    name: str
+    address: str
+    public: bytes | None = None
+
+
+class Importer:
+    """A peer's topics for the local graph, every message checked, its stamps in this host's clock.
+
+    Nothing is imported before the peer's clock is known. Messages keep their numbers and come as those of
+    `<peer>.<origin>`; heartbeats and log records name their node likewise.
+    Raises `ValueError` for an address or topic that is none, and for a peer's key without an own one.
+    """
+
+    def __init__(
+        self,
+        context: zmq.Context[zmq.Socket[bytes]],
+        server: Server,
+        topics: Iterable[str],
+        own: KeyPair | None = None,
+        clock_ns: Clock = time.monotonic_ns,
+    ) -> None:
+        if (own is None) != (server.public is None):
+            raise ValueError(f"{server.name}: an own key and the peer's belong together")
+        facts = [topic_facts(topic) for topic in topics]
+        self.name, self._address, self._clock_ns = server.name, server.address, clock_ns
+        self._topics = {topic_frame(topic.name): topic.name for topic in facts}
+        self._messages = PeerMessages(server.name, self._topics.values())
+        self._complaint = Complaint()
+        #: Handshakes that failed, and messages that nobody asked for.
+        self.refused = self._rejected = 0
+        self._clock = PeerClock()
+        self._id = os.urandom(ID_BYTES)
+        self._pings: dict[bytes, int] = {}
+        self._answers = 0
+        self._subscribed = False
+        self._round_trips_ns: list[int] = []
+        now_ns = clock_ns()
+        self._next_ping_ns = now_ns
+        self._tried_ns = now_ns
+        self._heard_ns: int | None = None
+        self._cut: _Cut | None = None
+        self._socket = context.socket(zmq.XSUB)
+        self._watch = Monitor(self._socket, zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED)
+        #: Whether the present connection has got through its handshake.
+        self._is_in = False
+        try:
+            self._prepare(facts, own, server.public)
+            self._socket.connect(self._address)
+        except zmq.ZMQError as error:
+            self.close()
+            raise ValueError(f"{server.name}: {server.address}: {error.strerror}") from None
+        self._socket.send(b"\x01" + CLOCK + self._id)
+
+    def _prepare(self, facts: list[Topic], own: KeyPair | None, public: bytes | None) -> None:
+        set_common(self._socket)
+        self._socket.set(zmq.RCVHWM, queue_messages(facts))
+        largest = max([MAX_UPWARD_BYTES, *(topic.max_bytes for topic in facts)])
+        self._socket.set(zmq.MAXMSGSIZE, largest + _ENVELOPE_BYTES)
+        self._socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
+        self._socket.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MAX_MS)
+        # questions asked while nobody is there are not to be answered later
+        self._socket.set(zmq.IMMEDIATE, 1)
+        self._socket.set(zmq.SNDHWM, MAX_A_TURN)
+        if own is not None and public is not None:
+            self._socket.set(zmq.CURVE_PUBLICKEY, own.public)
+            self._socket.set(zmq.CURVE_SECRETKEY, own.secret)
+            self._socket.set(zmq.CURVE_SERVERKEY, public)
+
+    @property
+    def sources(self) -> tuple[zmq.Socket[bytes], ...]:
+        """What ends a wait."""
+        return self._socket, self._watch.socket
+
+    @property
+    def due_ns(self) -> int:
+        """When the next turn is due though nothing came."""
+        return self._next_ping_ns
+
+    def trouble(self) -> str:
+        """What is wrong with the link, empty while it is whole."""
+        if self._heard_ns is None:
+            silence = "no word yet"
+        elif not self._subscribed or self._is_silent(self._clock_ns()):
+            silence = f"no word for {s_from_ns(self._clock_ns() - self._heard_ns):.1f} s"
+        else:
+            return ""
+        return f"{self.name}: {silence}" + (f", {self.refused} handshakes failed" if self.refused else "")
+
+    def offset_ns(self) -> int:
+        """How far the peer's clock is ahead of ours, as it is taken off its stamps."""
+        return self._clock.offset_ns
+
+    def error_ns(self) -> int | None:
+        """Bound of the error of `offset_ns`; None while it is not known."""
+        return self._clock.error_ns(self._clock_ns())
+
+    def round_trips_ns(self) -> list[int]:
+        """Round trips since the last call."""
+        found, self._round_trips_ns = self._round_trips_ns, []
+        return found
+
+    def lost(self) -> dict[str, int]:
+        """Messages lost on the link so far by topic, by gaps in their numbers."""
+        return self._messages.lost()
+
+    @property
+    def rejected(self) -> int:
+        """Messages that were not let in: unreadable, of no topic that was asked for, or in a foreign name."""
+        return self._rejected + self._messages.rejected
+
+    def turn(self) -> list[Forwarded]:
+        """Messages that came in, a bounded number of them; asks for the peer's clock when that is due."""
+        self._hear_monitor()
+        waiting = [self._take([part.buffer for part in parts]) for parts in waiting_on(self._socket)]
+        now_ns = self._clock_ns()
+        # its answer may still be among what waits
+        if len(waiting) < MAX_A_TURN and self._is_silent(now_ns):
+            self._note_cut()
+        if self._cut and self._cut.back_ns is not None and now_ns - self._cut.back_ns > _SETTLED_NS:
+            self._report(self._cut)
+        if now_ns >= self._next_ping_ns:
+            self._ping(now_ns)
+        return [message for message in waiting if message is not None]
+
+    def close(self) -> None:
+        """Leave the peer."""
+        self._watch.close()
+        self._socket.close()
+
+    # the link
+
+    def _hear_monitor(self) -> None:
+        events = [event for event, _ in self._watch.events()]
+        for event in events:
+            self.refused += event == zmq.EVENT_DISCONNECTED and not self._is_in
+            self._is_in = event == zmq.EVENT_HANDSHAKE_SUCCEEDED
+        self._complaint.say(self.refused, self._clock_ns(), f"{self.name}: %d handshakes failed: check the keys")
+        if zmq.EVENT_DISCONNECTED in events:
+            self._end_imports()
+
+    def _is_silent(self, now_ns: int) -> bool:
+        """Whether a question waits too long for its answer; a pause of our own is none of the peer's."""
+        return now_ns - min(self._pings.values(), default=now_ns) > _SILENCE_NS
+
+    def _end_imports(self) -> None:
+        """Import nothing until the clock is known again: another life of the peer, with another one, may come."""
+        for frame in self._topics if self._subscribed else ():
+            self._socket.send(b"\x00" + frame)
+        self._subscribed, self._answers = False, 0
+        # what still waits here of the old connection may be the word of another clock
+        self._pings.clear()
+        self._note_cut()
+
+    def _note_cut(self) -> None:
+        if self._heard_ns is not None and (self._cut is None or self._cut.back_ns is not None):
+            logger.warning("%s: the link is cut", self.name)
+            self._cut = _Cut(self._heard_ns, self._cut.lost if self._cut else self.lost())
+
+    def _report(self, cut: _Cut) -> None:
+        """Say how long the peer was away, and what was lost."""
+        lost = {topic: total - cut.lost[topic] for topic, total in self.lost().items()}
+        said = ", ".join(f"{count} of {topic}" for topic, count in lost.items() if count) or "nothing"
+        assert cut.back_ns is not None
+        logger.warning("%s: away for %.1f s, lost %s", self.name, s_from_ns(cut.back_ns - cut.heard_ns), said)
+        self._cut = None
+
+    def _ping(self, now_ns: int) -> None:
+        self._next_ping_ns = now_ns + (_PING_NS if self._subscribed else _FIRST_PING_NS)
+        if not self._subscribed and now_ns - max(self._tried_ns, self._heard_ns or 0) > _CONNECT_AGAIN_NS:
+            self._tried_ns = now_ns
+            with contextlib.suppress(zmq.ZMQError):
+                self._socket.disconnect(self._address)
+            self._socket.connect(self._address)
+        number = os.urandom(ID_BYTES)
+        self._pings[number] = now_ns
+        while len(self._pings) > _PINGS_KEPT:
+            self._pings.pop(next(iter(self._pings)))
+        self._socket.send(PING + self._id + number)
+
+    def _take(self, frames: list[Buffer]) -> Forwarded | None:
+        now_ns = self._clock_ns()
+        name = bytes(frames[0][:256])
+        if name == CLOCK + self._id:
+            self._hear_clock(frames, now_ns)
+        elif name not in self._topics:
+            self._rejected += 1
+        elif self._subscribed:
+            # while the clock is not known a message counts as lost, by its number
+            forwarded = self._messages.take(self._topics[name], frames, self._clock, now_ns)
+            self._heard_ns = now_ns if forwarded else self._heard_ns
+            return forwarded
+        return None
+
+    # the clock
+
+    def _hear_clock(self, frames: list[Buffer], now_ns: int) -> None:
+        asked_ns = self._pings.get(bytes(frames[1])) if len(frames) == 3 else None
+        if asked_ns is None or len(frames[2]) != STAMP.size:
+            return
+        # it answers all that was asked before, too
+        self._pings = {number: later_ns for number, later_ns in self._pings.items() if later_ns > asked_ns}
+        (peer_ns,) = STAMP.unpack(frames[2])
+        if not 0 <= peer_ns <= _MAX_CLOCK_NS:
+            self._rejected += 1
+            return
+        sample = ClockSample(asked_ns, peer_ns, now_ns)
+        self._round_trips_ns.append(sample.round_trip_ns)
+        self._heard_ns = now_ns
+        if self._clock.add(sample):
+            logger.warning("%s: its clock has started anew", self.name)
+            self._messages.forget()
+        self._answers += 1
+        if not self._subscribed and self._answers >= _ANSWERS_NEEDED:
+            self._begin(now_ns)
+        if self._subscribed and self._cut and self._cut.back_ns is None:
+            self._cut = self._cut._replace(back_ns=now_ns)
+
+    def _begin(self, now_ns: int) -> None:
+        self._subscribed = True
+        for frame in self._topics:
+            self._socket.send(b"\x01" + frame)
+        offset_s, error_ms = s_from_ns(self._clock.offset_ns), 1e-6 * (self._clock.error_ns(now_ns) or 0)
+        logger.info("%s: its clock is %+.6f s ahead of ours, to within %.3f ms", self.name, offset_s, error_ms)
+
+
+class _Cut(NamedTuple):
+    """When a peer was last heard before it went, what was lost until then, and when it came back."""
+
+    heard_ns: int
+    lost: dict[str, int]
+    back_ns: int | None = None

@@ -1,0 +1,82 @@
+"""Messages of another host as those of this one: checked, in its clock, under the peer's name, losses counted."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from msgs.bus.codec import Buffer, CodecError, encode
+from msgs.bus.interface import Envelope, Forwarded, Received
+from msgs.bus.sequencing import Tally
+from msgs.link.curve import ORIGIN, Complaint
+from msgs.link.peer_clock import PeerClock, shifted
+from msgs.values.diagnostics import LogRecord, NodeStatus
+
+#: Publishers of one peer and topic, a fraction of those that a bus tells apart (`msgs.bus.sequencing`).
+MAX_ORIGINS = 32
+#: As long as names of nodes may be.
+_MAX_NAME = 64
+
+
+class PeerMessages:
+    """What one peer says on `topics`, as messages of `<peer>.<origin>`; heartbeats and log records name that node too.
+
+    Numbers stay those of the origin: a gap is a loss on the way.
+    """
+
+    def __init__(self, peer: str, topics: Iterable[str]) -> None:
+        self._peer = peer
+        self._tally = Tally(peer, most_publishers=MAX_ORIGINS)
+        for topic in topics:
+            self._tally.expect(topic)
+        #: In a foreign name, or with stamps that cannot be moved into our clock.
+        self._refused = 0
+        self._complaint = Complaint()
+
+    def lost(self) -> dict[str, int]:
+        """Messages lost so far by topic, by gaps in their numbers."""
+        return {count.topic: count.lost for count in self._tally.counts()[0]}
+
+    @property
+    def rejected(self) -> int:
+        """Messages that were unreadable, or in a foreign name."""
+        return self._refused + sum(count.rejected for count in self._tally.counts()[0])
+
+    def forget(self) -> None:
+        """The peer's clock has started anew: what it says now is before all that came."""
+        self._tally.forget_all()
+
+    def take(self, topic: str, frames: Sequence[Buffer], clock: PeerClock, now_ns: int) -> Forwarded | None:
+        """The message of `frames` as one of this host; None where it is old or may not come in."""
+        latest_ns = now_ns + clock.offset_ns + (clock.error_ns(now_ns) or 0)
+        received = self._tally.accept(topic, frames, latest_ns)
+        if received is None:
+            return None
+        try:
+            return self._at_home(received, clock.offset_ns, now_ns)
+        except (ValueError, ArithmeticError) as error:
+            # a stamp that cannot be moved into our clock, too
+            self._refused += 1
+            self._complaint.say(self._refused, now_ns, f"{self._peer}: rejected %d: {error}")
+            self._tally.forget(topic, received.envelope.publisher)
+            return None
+
+    def _at_home(self, received: Received, offset_ns: int, now_ns: int) -> Forwarded:
+        origin = received.envelope
+        # local receivers refuse what was sent in the future, or before the clock began
+        sent_ns = min(now_ns, max(0, origin.sent_ns - offset_ns))
+        envelope: Envelope = msgspec.structs.replace(
+            origin, publisher=self._checked_name(received.topic, origin.publisher), sent_ns=sent_ns
+        )
+        message = received.message
+        if isinstance(message, NodeStatus | LogRecord):
+            message = msgspec.structs.replace(message, node=self._checked_name(received.topic, message.node))
+        return Forwarded(received.topic, envelope, encode(envelope, shifted(message, -offset_ns)))
+
+    def _checked_name(self, topic: str, node: str) -> str:
+        """The name of a peer's node here; raises `CodecError` where none of its own can have it."""
+        name = f"{self._peer}.{node}"
+        if not ORIGIN.fullmatch(node) or len(name) > _MAX_NAME:
+            raise CodecError(f"{topic}: node {node[:_MAX_NAME]!r}")
+        return name

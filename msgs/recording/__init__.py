@@ -1,0 +1,1 @@
+"""Recordings of topics (MCAP) and raw captures (SigMF)."""

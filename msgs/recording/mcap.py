@@ -1,0 +1,797 @@
+"""Recordings: MCAP files, message encoding `msgpack`, one JSON Schema a topic, all checksums.
+
+Times: `log_time` is when the message was sent (the bus clock), which orders a recording and paces its replay;
+`publish_time` is the message's own `stamp_ns`, the time of acquisition. Each publisher of a topic has a channel of its
+own, named in the channel's metadata.
+
+A recording is written front to back and is readable at any moment: a process that is killed loses at most the chunks it
+was filling, one of raw beams (plain) and one of all else (zstd). Readers therefore need no index at the end; they walk
+the file's records by their lengths, and turn to the index only where damage bars the way.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import heapq
+import itertools
+import os
+import struct
+import zlib
+from collections.abc import Collection, Iterator, Mapping
+from io import BytesIO, FileIO
+from pathlib import Path
+from types import TracebackType
+from typing import BinaryIO, NamedTuple, Self
+
+import lz4.frame
+import msgspec
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Footer, Message, Metadata, Schema
+from mcap.stream_reader import breakup_chunk
+from mcap.well_known import MessageEncoding, SchemaEncoding
+from mcap.writer import MCAP0_MAGIC
+
+from msgs.bus.codec import CodecError, decode_inline, encode_inline, json_schema
+from msgs.bus.topics import TOPICS, topic_facts
+from msgs.files.whole_files import require_room, whole
+from msgs.recording.mcap_writer import CHUNK_BYTES, MAX_U64, McapFile
+from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
+
+#: 350 MB/s of noise, which does not compress and must not cost time while it arrives; all else is compressed.
+RAW_TOPIC = "radar/beam"
+#: Bus time after which an unfilled chunk is written all the same: what a killed recorder loses of slow topics.
+FLUSH_INTERVAL_NS = NANOSECONDS_PER_SECOND
+METADATA_NAME = "mirrorwave"
+#: Metadata record with what the recorder knows of lost messages.
+LOSSES_NAME = "mirrorwave:losses"
+#: Just below the largest block that glibc may be taught to keep (32 MiB).
+_LARGEST_HEAP_BLOCK = 31 << 20
+_PUBLISHER_KEY = "publisher"
+#: Larger records are damage: no chunk of ours comes near.
+_MAX_RECORD_BYTES = 1 << 30
+_MAX_U32 = (1 << 32) - 1
+#: Opcode and length before each record.
+_RECORD_HEAD = struct.Struct("<BQ")
+#: First fields of a chunk: start, end, uncompressed size.
+_CHUNK_HEAD = struct.Struct("<QQQ")
+#: What reading a damaged record may raise.
+_DAMAGE = (McapError, ValueError, OverflowError, struct.error, RuntimeError, MemoryError, zstandard.ZstdError)
+
+
+class Recorded(NamedTuple):
+    """A message of a recording."""
+
+    topic: str
+    message: msgspec.Struct
+    publisher: str
+    #: As sent, modulo 2^32.
+    sequence: int
+    #: When it was sent.
+    log_time_ns: int
+
+
+class Encoded(NamedTuple):
+    """A message as it stands in a recording."""
+
+    topic: str
+    publisher: str
+    sequence: int
+    #: When it was sent.
+    sent_ns: int
+    #: Its own stamp, the time of acquisition.
+    stamp_ns: int
+    data: bytes
+
+
+class TopicLoss(msgspec.Struct, frozen=True, kw_only=True):
+    """Messages of one topic that were sent and are not in the recording."""
+
+    topic: str
+    #: Lost on the way to the recorder, by gaps in the sequence numbers; those rejected leave a gap too.
+    lost: int = 0
+    #: Arrived but unreadable.
+    rejected: int = 0
+    #: Arrived, and passed over because a newer one stood beside it.
+    outdated: int = 0
+    #: Arrived, and not written: the disk refused.
+    missed: int = 0
+
+    @property
+    def total(self) -> int:
+        """Messages that are missing."""
+        return max(self.lost, self.rejected) + self.outdated + self.missed
+
+
+class Losses(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recorder knows of messages that are missing; topics without loss are left out."""
+
+    topics: tuple[TopicLoss, ...] = ()
+    #: Why the recording ended before it was asked to, None where it did not.
+    ended: str | None = None
+
+    @property
+    def total(self) -> int:
+        """Messages that are missing."""
+        return sum(topic.total for topic in self.topics)
+
+
+class TopicInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """One topic of a recording."""
+
+    topic: str
+    type: str
+    publishers: tuple[str, ...]
+    messages: int
+    bytes: int
+    rate_hz: float
+    #: False for topics that this program does not know: kept, never decoded.
+    known: bool
+
+
+class RecordingInfo(msgspec.Struct, frozen=True, kw_only=True):
+    """What a recording holds."""
+
+    path: str
+    size_bytes: int
+    start_ns: int
+    duration_s: float
+    topics: tuple[TopicInfo, ...]
+    metadata: dict[str, str]
+    #: The recorder closed the file.
+    complete: bool
+    #: Every checksum of the data agrees.
+    checksums_agree: bool
+    #: What is missing or damaged in the file, None where nothing is.
+    loss: str | None
+    #: What the recorder never got or could not write; None where the file does not say.
+    losses: Losses | None = None
+
+
+class RecordingWriter:
+    """Writes a recording; a context manager.
+
+    Raises `FileExistsError` (one line) where `path` exists and `overwrite` was not asked for, `OSError` where the disk
+    refuses, `ValueError` for an unknown topic.
+    """
+
+    def __init__(self, path: Path, metadata: dict[str, str], *, overwrite: bool = False) -> None:
+        self._file = _create(Path(path), overwrite)
+        _keep_large_blocks()
+        with contextlib.ExitStack() as stack:
+            stack.callback(self._file.close)
+            self._mcap = McapFile(self._file, METADATA_NAME)
+            self._mcap.add_metadata(METADATA_NAME, metadata)
+            stack.pop_all()
+        self._channels: dict[tuple[str, str], int] = {}
+        self._flushed_ns: int | None = None
+        self._is_finished = False
+
+    @property
+    def size_bytes(self) -> int:
+        """Size so far, without the index."""
+        return self._mcap.size
+
+    def growth_bytes(self, more: int = 0) -> int:
+        """What the disk will give at most until the recording is closed, if `more` bytes are written before."""
+        return self._mcap.growth(more)
+
+    def written(self) -> dict[str, int]:
+        """Messages per topic that the file system has taken; after `close`, all that are in the file."""
+        counts: dict[str, int] = {}
+        for (topic, _), number in self._channels.items():
+            counts[topic] = counts.get(topic, 0) + self._mcap.counts[number]
+        return counts
+
+    def write(self, topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> None:
+        """Append a message that `publisher` sent at `sent_ns` (not negative)."""
+        self.write_encoded(encoded(topic, message, publisher=publisher, sequence=sequence, sent_ns=sent_ns))
+
+    def write_encoded(self, message: Encoded) -> None:
+        """Append a message that was encoded before."""
+        self._mcap.add_message(
+            self._channel(message.topic, message.publisher),
+            message.sequence & _MAX_U32,
+            message.sent_ns,
+            # unsigned in the file; the message itself keeps its exact stamp
+            min(max(message.stamp_ns, 0), MAX_U64),
+            message.data,
+        )
+        self._flush_when_due(message.sent_ns)
+
+    def flush(self) -> None:
+        """Write the chunks in progress; what the disk refuses is lost."""
+        self._mcap.flush()
+
+    def write_losses(self, losses: Losses) -> None:
+        """Say what is missing: the last before `close` counts. A finished recording is amended, if there is room."""
+        values = {"topics": msgspec.json.encode(losses.topics).decode()}
+        add = self._mcap.amend if self._is_finished else self._mcap.add_metadata
+        add(LOSSES_NAME, values | ({"ended": losses.ended} if losses.ended else {}))
+
+    def finish(self) -> None:
+        """Write the index; nothing but losses can be added afterwards."""
+        if not self._is_finished:
+            self._is_finished = True
+            self._mcap.finish()
+
+    def close(self) -> None:
+        """Write the index and close the file; once is enough, twice does no harm."""
+        if not self._file.closed:
+            try:
+                self.finish()
+            finally:
+                self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _channel(self, topic: str, publisher: str) -> int:
+        key = topic, publisher
+        if key not in self._channels:
+            message_type = topic_facts(topic).type
+            schema = msgspec.json.encode(json_schema(message_type))
+            self._channels[key] = self._mcap.add_channel(
+                topic,
+                MessageEncoding.MessagePack,
+                self._mcap.add_schema(message_type.__name__, SchemaEncoding.JSONSchema, schema),
+                {_PUBLISHER_KEY: publisher},
+                compressed=topic != RAW_TOPIC,
+            )
+        return self._channels[key]
+
+    def _flush_when_due(self, now_ns: int) -> None:
+        if self._flushed_ns is None:
+            self._flushed_ns = now_ns
+        if now_ns - self._flushed_ns >= FLUSH_INTERVAL_NS:
+            self._mcap.flush()
+            self._flushed_ns = now_ns
+
+
+def encoded(topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> Encoded:
+    """A message as it stands in a recording; raises `ValueError` where topic, type or time do not fit."""
+    facts = topic_facts(topic)
+    if type(message) is not facts.type:
+        raise ValueError(f"{topic} carries {facts.type.__name__}, got {type(message).__name__}")
+    if not 0 <= sent_ns <= MAX_U64:
+        raise ValueError(f"sent_ns must be 0..2^64-1, got {sent_ns!r}")
+    stamp_ns: int = getattr(message, "stamp_ns", sent_ns)
+    return Encoded(topic, publisher, sequence, sent_ns, stamp_ns, encode_inline(message))
+
+
+class RecordingReader:
+    """Reads a recording, whole or cut off, chunk by chunk; a context manager.
+
+    `loss` says in one line what is missing or damaged, None while nothing is known to be: that the file is cut is known
+    at once, a damaged chunk when it was read. `skipped` counts messages per topic that are unknown here or unreadable.
+    Raises `ValueError` naming the file where it is no recording at all.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self._file = _open(self.path)
+        try:
+            self._walk = _walk_records(self._file)
+        except BaseException:
+            self._file.close()
+            raise
+        self._channels = self._walk.channels
+        self._schemas = self._walk.schemas
+        self._damage: dict[int, str] = {}
+        self._searched = False
+        self.skipped: dict[str, int] = {}
+
+    @property
+    def metadata(self) -> dict[str, str]:
+        """What the recorder wrote about the run."""
+        return self._walk.metadata.get(METADATA_NAME, {})
+
+    @property
+    def losses(self) -> Losses | None:
+        """What the recorder knew of missing messages; None where it did not say, as in a file that is cut off."""
+        return _losses(self._walk.metadata.get(LOSSES_NAME))
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recorder closed the file."""
+        return self._walk.complete
+
+    @property
+    def start_ns(self) -> int:
+        """When its first message was sent, 0 where it has none."""
+        return min((chunk.start_ns for chunk in self._walk.chunks), default=0)
+
+    @property
+    def loss(self) -> str | None:
+        """What is missing or damaged, as far as read."""
+        reasons = [self._walk.cut] if self._walk.cut else []
+        if self._damage:
+            first = min(self._damage)
+            reasons.append(f"{len(self._damage)} damaged chunks, the first at byte {first}: {self._damage[first]}")
+        return "; ".join(reasons) or None
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """First and last log time, without reading the messages; zeros where there are none."""
+        chunks = self._walk.chunks
+        return min((one.start_ns for one in chunks), default=0), max((one.end_ns for one in chunks), default=0)
+
+    def stored_bytes(self, start_ns: int | None = None, end_ns: int | None = None) -> int:
+        """What its chunks of a span of time take on the disk."""
+        start, end = start_ns or 0, MAX_U64 + 1 if end_ns is None else end_ns
+        chunks = sorted(self._walk.chunks)
+        ends = [*(one.offset for one in chunks[1:]), self._walk.data_end or self._walk.size]
+        spans = zip(chunks, ends, strict=False)
+        return sum(at - one.offset for one, at in spans if one.end_ns >= start and one.start_ns < end)
+
+    @property
+    def types(self) -> dict[str, str]:
+        """Name of each topic's type; of a recording that is cut off all chunks are read for them."""
+        if not self.complete:
+            self._search_declarations()
+        schemas = self._schemas
+        return {
+            one.topic: schemas[one.schema_id].name if one.schema_id in schemas else ""
+            for one in self._channels.values()
+        }
+
+    def messages(
+        self,
+        topics: Collection[str] | None = None,
+        start_ns: int | None = None,
+        end_ns: int | None = None,
+        renamed: Mapping[str, str] | None = None,
+    ) -> Iterator[Recorded]:
+        """Messages in order of their sending, start included, end not; holds no more than overlapping chunks.
+
+        `topics` as the recording has them; those `renamed` come, and are read, as the topics of their new names.
+        """
+        self.skipped = {}
+        for channel, raw in self._in_order(start_ns, end_ns, topics):
+            topic = (renamed or {}).get(channel.topic, channel.topic)
+            message = _decode(topic, channel, raw)
+            if message is None:
+                self.skipped[channel.topic] = self.skipped.get(channel.topic, 0) + 1
+            else:
+                yield Recorded(topic, message, _publisher(channel), raw.sequence, raw.log_time)
+
+    def info(self) -> RecordingInfo:
+        """Summary of the recording; reads all of it once to verify its checksums."""
+        counts = _Counts()
+        for channel, raw in self._chunk_messages(self._walk.chunks):
+            counts.add(channel, raw)
+        data_crc_agrees = self._walk.data_crc in (None, _crc32(self._file, 0, self._walk.data_end))
+        return RecordingInfo(
+            path=str(self.path),
+            size_bytes=self._walk.size,
+            start_ns=counts.start_ns or 0,
+            duration_s=s_from_ns(counts.end_ns - (counts.start_ns or 0)),
+            topics=counts.topics(self._schemas),
+            metadata=self.metadata,
+            complete=self.complete,
+            checksums_agree=not self._damage and data_crc_agrees,
+            loss=self.loss or (None if data_crc_agrees else "checksum of the data section disagrees"),
+            losses=self.losses,
+        )
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _in_order(
+        self, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None = None
+    ) -> Iterator[tuple[Channel, Message]]:
+        """Merge chunks by log time: a message may go once no later chunk can hold an earlier one."""
+        start, end = start_ns or 0, MAX_U64 + 1 if end_ns is None else end_ns
+        chunks = [chunk for chunk in self._walk.chunks if chunk.end_ns >= start and chunk.start_ns < end]
+        if topics is not None:
+            chunks = [chunk for chunk in chunks if self._may_hold(chunk, topics)]
+        waiting: list[tuple[int, int, int, Channel, Message]] = []
+        for chunk in sorted(chunks, key=lambda chunk: (chunk.start_ns, chunk.offset)):
+            while waiting and waiting[0][0] < chunk.start_ns:
+                yield heapq.heappop(waiting)[3:]
+            for at, (channel, raw) in enumerate(self._chunk_messages([chunk])):
+                if start <= raw.log_time < end and (topics is None or channel.topic in topics):
+                    heapq.heappush(waiting, (raw.log_time, chunk.offset, at, channel, raw))
+        while waiting:
+            yield heapq.heappop(waiting)[3:]
+
+    def _may_hold(self, chunk: _Chunk, topics: Collection[str]) -> bool:
+        """Whether a chunk has to be read for these topics: raw beams are a thousand times all else."""
+        declared = [self._channels.get(number) for number in chunk.channel_ids]
+        return not declared or any(channel is None or channel.topic in topics for channel in declared)
+
+    def _chunk_messages(self, chunks: list[_Chunk]) -> Iterator[tuple[Channel, Message]]:
+        """Messages of intact chunks in the order given; damaged ones are noted and left out."""
+        for chunk in chunks:
+            for raw in self._declare(chunk):
+                if raw.channel_id not in self._channels:
+                    self._search_declarations()
+                if raw.channel_id in self._channels:
+                    yield self._channels[raw.channel_id], raw
+                else:
+                    self._damage[chunk.offset] = f"message of channel {raw.channel_id}, which nothing declares"
+
+    def _declare(self, chunk: _Chunk) -> list[Message]:
+        """Messages of a chunk, once all that it declares is known; none where it is damaged."""
+        try:
+            records = _read_chunk(self._file, chunk)
+        except _DAMAGE as error:
+            self._damage[chunk.offset] = _one_line(error)
+            return []
+        for record in records:
+            if isinstance(record, Schema):
+                self._schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self._channels[record.id] = record
+        return [record for record in records if isinstance(record, Message)]
+
+    def _search_declarations(self) -> None:
+        """Other programs declare a channel once: where the index is missing, in whatever chunk came first."""
+        if not self._searched:
+            self._searched = True
+            for chunk in self._walk.chunks:
+                self._declare(chunk)
+
+
+class _Chunk(NamedTuple):
+    """Where messages stand in a file, and the span of their log times."""
+
+    offset: int
+    start_ns: int
+    end_ns: int
+    #: Channels that it holds as the index says; empty where that does not.
+    channel_ids: tuple[int, ...] = ()
+
+
+class _Walk:
+    """What a walk over a file's record heads found."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.chunks: list[_Chunk] = []
+        #: The same, as the index has them.
+        self.indexed: list[_Chunk] = []
+        self.channels: dict[int, Channel] = {}
+        self.schemas: dict[int, Schema] = {}
+        #: Metadata records by name.
+        self.metadata: dict[str, dict[str, str]] = {}
+        self.complete = False
+        self.cut: str | None = None
+        #: End of the data section and its checksum, None where the file gives none.
+        self.data_end = 0
+        self.data_crc: int | None = None
+
+
+def info(path: Path) -> RecordingInfo:
+    """Summary of a recording, its checksums verified; raises `ValueError` where it is none."""
+    with RecordingReader(path) as reader:
+        return reader.info()
+
+
+def copy_recording(
+    source: Path,
+    target: Path,
+    *,
+    topics: Collection[str] | None = None,
+    start_ns: int | None = None,
+    end_ns: int | None = None,
+    compress: bool = False,
+    overwrite: bool = False,
+) -> tuple[int, str | None]:
+    """Copy messages byte for byte, unknown topics included, into a new and complete file: recover, trim, compress.
+
+    The last message of each latched topic from before `start_ns` stands at the start, as if it were sent again then.
+    Returns the number of messages and what the source had lost.
+    """
+    target = Path(target)
+    with RecordingReader(source) as reader, _whole(target, overwrite) as part, _create(part, False) as file:
+        if topics is None:
+            require_room(target, reader.stored_bytes(start_ns, end_ns))
+        writer = McapFile(file, METADATA_NAME)
+        for name, values in reader._walk.metadata.items():
+            writer.add_metadata(name, values)
+        # a damaged file may declare one number twice, and differently
+        channels: dict[tuple[int, str], int] = {}
+        said_before = [] if start_ns is None else _latched_before(reader, start_ns, topics)
+        for channel, raw in itertools.chain(said_before, reader._in_order(start_ns, end_ns, topics)):
+            key = channel.id, channel.topic
+            if key not in channels:
+                channels[key] = _copy_channel(writer, channel, reader._schemas, compress)
+            writer.add_message(channels[key], raw.sequence, raw.log_time, raw.publish_time, raw.data)
+        writer.finish()
+        return writer.messages, reader.loss
+
+
+def _latched_before(
+    reader: RecordingReader, start_ns: int, topics: Collection[str] | None
+) -> list[tuple[Channel, Message]]:
+    latched = [one.name for one in TOPICS.values() if one.latched and (topics is None or one.name in topics)]
+    found = {channel.id: (channel, raw) for channel, raw in reader._in_order(None, start_ns, latched)}
+    return [(channel, dataclasses.replace(raw, log_time=start_ns)) for channel, raw in found.values()]
+
+
+class _Counts:
+    """Figures per topic while a recording passes by."""
+
+    def __init__(self) -> None:
+        self.start_ns: int | None = None
+        self.end_ns = 0
+        self._channels: dict[str, dict[int, Channel]] = {}
+        self._messages: dict[str, int] = {}
+        self._bytes: dict[str, int] = {}
+        self._span: dict[str, tuple[int, int]] = {}
+
+    def add(self, channel: Channel, raw: Message) -> None:
+        topic = channel.topic
+        self.start_ns = raw.log_time if self.start_ns is None else min(self.start_ns, raw.log_time)
+        self.end_ns = max(self.end_ns, raw.log_time)
+        self._channels.setdefault(topic, {})[channel.id] = channel
+        self._messages[topic] = self._messages.get(topic, 0) + 1
+        self._bytes[topic] = self._bytes.get(topic, 0) + len(raw.data)
+        first, last = self._span.get(topic, (raw.log_time, raw.log_time))
+        self._span[topic] = min(first, raw.log_time), max(last, raw.log_time)
+
+    def topics(self, schemas: dict[int, Schema]) -> tuple[TopicInfo, ...]:
+        return tuple(self._topic(topic, schemas) for topic in sorted(self._channels))
+
+    def _topic(self, topic: str, schemas: dict[int, Schema]) -> TopicInfo:
+        channels = self._channels[topic].values()
+        types = {schemas[channel.schema_id].name for channel in channels if channel.schema_id in schemas}
+        first_ns, last_ns = self._span[topic]
+        intervals = self._messages[topic] - 1
+        return TopicInfo(
+            topic=topic,
+            type=", ".join(sorted(types)),
+            publishers=tuple(sorted({_publisher(channel) for channel in channels})),
+            messages=self._messages[topic],
+            bytes=self._bytes[topic],
+            rate_hz=intervals / s_from_ns(last_ns - first_ns) if last_ns > first_ns else 0.0,
+            known=topic in TOPICS,
+        )
+
+
+def _keep_large_blocks() -> None:
+    """Let the C allocator reuse blocks of a beam's size.
+
+    glibc hands them back to the system at every free until a larger one was freed once; fetching them anew, page by
+    page, costs more than all copies and checksums of a write together (measured: 250 against 950 MB/s).
+    """
+    block = bytearray(_LARGEST_HEAP_BLOCK)
+    del block
+
+
+def _losses(values: dict[str, str] | None) -> Losses | None:
+    """What a metadata record says is missing, None where there is none or another program's."""
+    if values is None:
+        return None
+    try:
+        topics = msgspec.json.decode(values.get("topics", ""), type=tuple[TopicLoss, ...])
+    except msgspec.MsgspecError:
+        return None
+    return Losses(topics=topics, ended=values.get("ended"))
+
+
+@contextlib.contextmanager
+def whole_recording(path: Path, metadata: dict[str, str], *, overwrite: bool = False) -> Iterator[RecordingWriter]:
+    """A recording that is there when the context has ended well, or not at all; errors as `RecordingWriter`'s."""
+    with _whole(path, overwrite) as part, RecordingWriter(part, metadata) as writer:
+        yield writer
+
+
+def _whole(path: Path, overwrite: bool) -> contextlib.AbstractContextManager[Path]:
+    if not overwrite and os.path.lexists(path):
+        raise _exists_already(path)
+    return whole(path)
+
+
+def _create(path: Path, overwrite: bool) -> FileIO:
+    try:
+        return path.open("wb" if overwrite else "xb", buffering=0)
+    except FileExistsError:
+        raise _exists_already(path) from None
+
+
+def _exists_already(path: Path) -> FileExistsError:
+    return FileExistsError(f"{path}: exists already and is not overwritten unless asked")
+
+
+def _open(path: Path) -> BinaryIO:
+    """The file of a recording, its first bytes checked."""
+    if path.is_dir():
+        raise ValueError(f"{path}: is a directory, not an MCAP recording")
+    if not path.exists():
+        raise ValueError(f"{path}: no such file")
+    if not path.is_file():
+        raise ValueError(f"{path}: is not a regular file")
+    file = path.open("rb")
+    magic = file.read(len(MCAP0_MAGIC))
+    if magic != MCAP0_MAGIC:
+        file.close()
+        reason = "is not an MCAP recording: its first 8 bytes are not the MCAP magic" if magic else "is empty"
+        raise ValueError(f"{path}: {reason}")
+    return file
+
+
+def _walk_records(file: BinaryIO) -> _Walk:
+    """Visit every record by its head alone; chunks are noted, not read. Stops where the file is cut or damaged."""
+    walk = _Walk(os.fstat(file.fileno()).st_size)
+    offset = len(MCAP0_MAGIC)
+    while not (walk.complete or walk.cut):
+        file.seek(offset)
+        head = file.read(_RECORD_HEAD.size)
+        if len(head) < _RECORD_HEAD.size:
+            walk.cut = f"cut off at byte {walk.size}"
+            break
+        opcode, length = _RECORD_HEAD.unpack(head)
+        end = offset + _RECORD_HEAD.size + length
+        if end > walk.size:
+            walk.cut = f"cut off at byte {walk.size}, inside the record that begins at byte {offset}"
+            break
+        try:
+            _note_record(walk, file, opcode, offset, length)
+        except _DAMAGE as error:
+            walk.cut = f"damaged at byte {offset}: {_one_line(error)}"
+        offset = end
+    if walk.complete:
+        # the index has a checksum, the heads of the records have none
+        indexed = {chunk.offset for chunk in walk.indexed}
+        walk.chunks = [chunk for chunk in walk.chunks if chunk.offset not in indexed] + walk.indexed
+    else:
+        with contextlib.suppress(*_DAMAGE):
+            _take_index(walk, file)
+    return walk
+
+
+def _take_index(walk: _Walk, file: BinaryIO) -> None:
+    """Have the index at the end, where it is intact, say where the chunks stand: damage barred the way to some."""
+    offset = walk.size - len(MCAP0_MAGIC) - _RECORD_HEAD.size - 20
+    file.seek(max(offset, 0))
+    opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+    if offset < 0 or (opcode, length) != (Opcode.FOOTER, 20):
+        return
+    footer = Footer.read(_body(file, length))
+    if not (footer.summary_start and footer.summary_crc):
+        return
+    _require_index_intact(file, footer, offset)
+    indexed = _Walk(walk.size)
+    at = footer.summary_start
+    while at < (footer.summary_offset_start or offset):
+        file.seek(at)
+        opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+        _note_record(indexed, file, opcode, at, length)
+        at += _RECORD_HEAD.size + length
+    if indexed.indexed:
+        walk.chunks = indexed.indexed
+        walk.channels, walk.schemas = indexed.channels, indexed.schemas
+        walk.cut = f"{walk.cut}; all chunks found by the index"
+
+
+def _note_record(walk: _Walk, file: BinaryIO, opcode: int, offset: int, length: int) -> None:
+    """Take in one record whose body the file stands at."""
+    if opcode == Opcode.CHUNK:
+        start_ns, end_ns, _ = _CHUNK_HEAD.unpack(file.read(_CHUNK_HEAD.size))
+        walk.chunks.append(_Chunk(offset, start_ns, end_ns))
+    elif opcode == Opcode.MESSAGE:
+        log_time = Message.read(_body(file, min(length, 22)), min(length, 22)).log_time
+        walk.chunks.append(_Chunk(offset, log_time, log_time))
+    elif opcode == Opcode.CHANNEL:
+        channel = Channel.read(_body(file, length))
+        walk.channels[channel.id] = channel
+    elif opcode == Opcode.SCHEMA:
+        schema = Schema.read(_body(file, length))
+        walk.schemas[schema.id] = schema
+    elif opcode == Opcode.METADATA:
+        metadata = Metadata.read(_body(file, length))
+        walk.metadata[metadata.name] = metadata.metadata
+    elif opcode == Opcode.CHUNK_INDEX:
+        index = ChunkIndex.read(_body(file, length))
+        if index.chunk_start_offset >= walk.size:
+            raise ValueError(f"its chunk would begin at byte {index.chunk_start_offset} of {walk.size}")
+        span_ns = index.message_start_time, index.message_end_time
+        walk.indexed.append(_Chunk(index.chunk_start_offset, *span_ns, tuple(index.message_index_offsets)))
+    elif opcode == Opcode.DATA_END:
+        walk.data_end = offset
+        walk.data_crc = DataEnd.read(_body(file, length)).data_section_crc or None
+    elif opcode == Opcode.FOOTER:
+        _require_index_intact(file, Footer.read(_body(file, length)), offset)
+        walk.complete = True
+    elif opcode == 0 or opcode in range(0x10, 0x80):
+        raise ValueError(f"{opcode} is no MCAP record type")
+
+
+def _require_index_intact(file: BinaryIO, footer: Footer, offset: int) -> None:
+    """Raise `ValueError` unless the checksum of the index, where given, agrees; it spans the footer's first fields."""
+    spanned = offset + _RECORD_HEAD.size + 16
+    start = footer.summary_start or offset
+    if footer.summary_crc and (start > offset or _crc32(file, start, spanned) != footer.summary_crc):
+        raise ValueError("checksum of the index disagrees")
+
+
+def _body(file: BinaryIO, length: int) -> ReadDataStream:
+    if length > _MAX_RECORD_BYTES:
+        raise ValueError(f"record of {length} bytes exceeds {_MAX_RECORD_BYTES}")
+    return ReadDataStream(BytesIO(file.read(length)))
+
+
+def _read_chunk(file: BinaryIO, chunk: _Chunk) -> list[object]:
+    """Records of a chunk, its checksum verified; may raise anything of `_DAMAGE`."""
+    file.seek(chunk.offset)
+    opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
+    body = _body(file, length)
+    if opcode == Opcode.MESSAGE:
+        return [Message.read(body, length)]
+    whole = Chunk.read(body)
+    if whole.uncompressed_size > _MAX_RECORD_BYTES:
+        raise ValueError(f"chunk of {whole.uncompressed_size} bytes exceeds {_MAX_RECORD_BYTES}")
+    return list(breakup_chunk(_without_bomb(whole), validate_crc=True))
+
+
+def _without_bomb(chunk: Chunk) -> Chunk:
+    """The chunk, if its data unpack to no more than its head promises; `mcap` gives them the memory they ask for."""
+    size = chunk.uncompressed_size
+    fits = True
+    if chunk.compression == "lz4":
+        unpacking = lz4.frame.LZ4FrameDecompressor()
+        data = unpacking.decompress(chunk.data, max_length=size + 1)
+        chunk, fits = dataclasses.replace(chunk, compression="", data=data), unpacking.eof and len(data) <= size
+    elif chunk.compression == "zstd":
+        # one that does not say is held to the chunk's size
+        fits = zstandard.frame_content_size(chunk.data) <= size
+    if not fits:
+        raise ValueError(f"chunk does not unpack to the {size} bytes that it promises")
+    return chunk
+
+
+def _decode(topic: str, channel: Channel, raw: Message) -> msgspec.Struct | None:
+    """A topic's message, or None where topic or encoding is not ours or its bytes are unreadable."""
+    if topic not in TOPICS or channel.message_encoding != MessageEncoding.MessagePack:
+        return None
+    facts = TOPICS[topic]
+    try:
+        message: msgspec.Struct = decode_inline(facts.type, raw.data)
+    except CodecError:
+        return None
+    return message
+
+
+def _copy_channel(writer: McapFile, channel: Channel, schemas: dict[int, Schema], compress: bool) -> int:
+    schema = schemas.get(channel.schema_id)
+    schema_id = writer.add_schema(schema.name, schema.encoding, schema.data) if schema else 0
+    compressed = compress or channel.topic != RAW_TOPIC
+    return writer.add_channel(
+        channel.topic, channel.message_encoding, schema_id, channel.metadata, compressed=compressed
+    )
+
+
+def _publisher(channel: Channel) -> str:
+    return channel.metadata.get(_PUBLISHER_KEY, "")
+
+
+def _crc32(file: BinaryIO, start: int, end: int) -> int:
+    """Checksum of a file's bytes from `start` to before `end`."""
+    file.seek(start)
+    crc = 0
+    while (left := end - file.tell()) > 0:
+        crc = zlib.crc32(file.read(min(left, CHUNK_BYTES)), crc)
+    return crc
+
+
+def _one_line(error: BaseException) -> str:
+    return " ".join(str(error).split())[:200] or type(error).__name__

@@ -1,0 +1,1 @@
+"""Message values: what topics carry, with units and frames."""

@@ -1,0 +1,64 @@
+"""Plane poses and polar coordinates (REP-103: x forward, y left, azimuth counter-clockwise from x)."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from msgs.values.arrays import require_finite, require_within
+
+#: Either way: squares of it, and what they are divided by, are numbers that doubles hold.
+MOST_PLACE_M = 1e12
+
+
+class Pose2(msgspec.Struct, frozen=True):
+    """Rigid transform of the plane, named `outer_from_inner`: maps inner coordinates [m] to outer ones [m]."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_finite("pose", self.x_m, self.y_m, self.yaw_rad)
+        require_within("pose", -MOST_PLACE_M, MOST_PLACE_M, self.x_m, self.y_m)
+
+    def __matmul__(self, inner: Pose2) -> Pose2:
+        """`a_from_b @ b_from_c` is `a_from_c`: inner names must meet."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return Pose2(
+            self.x_m + c * inner.x_m - s * inner.y_m,
+            self.y_m + s * inner.x_m + c * inner.y_m,
+            wrap_angle(self.yaw_rad + inner.yaw_rad),
+        )
+
+    def inverse(self) -> Pose2:
+        """`b_from_a` of an `a_from_b`."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        return Pose2(-c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m, wrap_angle(-self.yaw_rad))
+
+    def apply(self, points_m: np.ndarray) -> np.ndarray:
+        """Transform points [..., 2] in metres."""
+        return self.rotate(points_m) + np.array([self.x_m, self.y_m])
+
+    def rotate(self, vectors: np.ndarray) -> np.ndarray:
+        """Rotate vectors [..., 2] without translating them."""
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+        x, y = vectors[..., 0], vectors[..., 1]
+        return np.stack([c * x - s * y, s * x + c * y], axis=-1)
+
+
+def wrap_angle(angle_rad: float) -> float:
+    """The same angle in (-pi, pi]."""
+    return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
+
+
+def xy_from_polar(range_m: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
+    """Cartesian points [..., 2] in metres of polar ones (broadcast)."""
+    return np.stack(np.broadcast_arrays(range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad)), axis=-1)
+
+
+def polar_from_xy(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Range [m] and azimuth [rad] of points [..., 2] in metres."""
+    return np.hypot(points_m[..., 0], points_m[..., 1]), np.arctan2(points_m[..., 1], points_m[..., 0])

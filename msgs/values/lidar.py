@@ -1,0 +1,190 @@
+"""Values of a single-photon LiDAR: parameters (Table 2), its set-up, and the photon histograms of one scan."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from msgs.values.arrays import require_array, require_positive, require_stamps
+from msgs.values.frames import Pose2
+from msgs.values.radar import RangeAzimuthGrid
+from msgs.values.units import PLANCK_J_S, SPEED_OF_LIGHT_MPS
+
+#: What a parameter may be, ends included. Far beyond any device; within them memory and time are bounded, and every
+#: quantity is one that doubles hold.
+SPAD_LIMITS: dict[str, tuple[float, float]] = {
+    "wavelength_m": (1e-9, 1e-3),
+    "average_power_w": (1e-30, 1e9),
+    "repetition_rate_hz": (1.0, 1e12),
+    "measurement_time_s": (1e-12, 1e3),
+    "irf_fwhm_s": (1e-18, 1.0),
+    "jitter_rms_s": (0.0, 1.0),
+    "dead_time_s": (0.0, 1e6),
+    "quantum_efficiency": (1e-30, 1.0),
+    "aperture_radius_m": (1e-9, 1e3),
+    "transmit_efficiency": (1e-30, 1.0),
+    "receive_efficiency": (1e-30, 1.0),
+    "ambient_rate_hz": (0.0, 1e15),
+    "bins": (1, 1 << 14),
+    "tick_s": (0.0, 1.0),
+    "divergence_rad": (1e-9, math.pi),
+    "gates": (1, 1 << 14),
+}
+SPAD_WORDS: dict[str, tuple[str, ...]] = {"tick_from": ("pulse", "run"), "arming": ("free", "gated")}
+#: Counts of one measurement are 32 bits wide.
+MOST_PULSES = (1 << 32) - 1
+#: Shortest pulse and tick as shares of the period: times within a period are known to 2e-16 of it.
+SHORTEST_PULSE = 1e-12
+LONGEST_SCAN_S = 1e6
+
+
+class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A pulsed laser and one single-photon detector, scanned together; defaults are Table 2."""
+
+    wavelength_m: float = 850e-9
+    average_power_w: float = 1.6e-3
+    repetition_rate_hz: float = 15e6
+    #: Of one azimuth.
+    measurement_time_s: float = 0.03
+    #: Pulse and receiver together, full width at half maximum; the detector's own jitter, rms, comes on top.
+    irf_fwhm_s: float = 200e-12
+    jitter_rms_s: float = 16e-12
+    dead_time_s: float = 4e-9
+    quantum_efficiency: float = 0.28
+    aperture_radius_m: float = 5e-3
+    transmit_efficiency: float = 0.6
+    receive_efficiency: float = 0.6
+    #: Detections of ambient light and dark counts a second, while the detector is armed.
+    ambient_rate_hz: float = 3e7
+    #: Histogram bins of one period.
+    bins: int = 512
+    #: Time stamps are whole multiples of this; 0: not quantised.
+    tick_s: float = 55e-12
+    #: Full angle of the beam and of the receiver's view; not in Table 2, an engineering choice.
+    divergence_rad: float = 2e-3
+    #: What ticks count from: the laser pulse (start-stop), or the start of the whole measurement.
+    tick_from: Literal["pulse", "run"] = "pulse"
+    #: "free": always on, so that the dead time of one period reaches into the next. "gated": armed anew at every pulse.
+    arming: Literal["free", "gated"] = "free"
+    #: The period is cut into so many equal gates, each measured with its share of the pulses and blind before it
+    #: opens; more than one needs "gated".
+    gates: int = 1
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in SPAD_LIMITS.items():
+            if not least <= getattr(self, name) <= most:
+                raise ValueError(f"spad.{name} must lie in {least:g}..{most:g}, got {getattr(self, name)!r}")
+        for name, words in SPAD_WORDS.items():
+            if getattr(self, name) not in words:
+                raise ValueError(f"spad.{name} must be {' or '.join(map(repr, words))}, got {getattr(self, name)!r}")
+        if not 1 <= self.pulses <= MOST_PULSES:
+            raise ValueError(
+                f"spad.measurement_time_s must last 1 to {MOST_PULSES} periods of {self.period_s:g} s, "
+                f"got {self.measurement_time_s!r}"
+            )
+        if self.timing_rms_s < SHORTEST_PULSE * self.period_s:
+            raise ValueError(
+                f"spad.irf_fwhm_s must be longer or the period shorter: of {self.period_s:g} s at least a share of "
+                f"{SHORTEST_PULSE:g}, got {self.irf_fwhm_s!r}"
+            )
+        if 0.0 < self.tick_s < SHORTEST_PULSE * self.period_s:
+            raise ValueError(
+                f"spad.tick_s must be 0 or at least a share of {SHORTEST_PULSE:g} of the period, {self.period_s:g} s, "
+                f"got {self.tick_s!r}"
+            )
+        if self.tick_s > self.period_s:
+            raise ValueError(f"spad.tick_s must not exceed the period, {self.period_s!r} s, got {self.tick_s!r}")
+        if self.gates > 1 and self.arming != "gated":
+            raise ValueError(f"spad.gates must be 1 unless spad.arming is 'gated', got {self.gates!r}")
+        if self.gates > min(self.pulses, self.bins):
+            raise ValueError(
+                f"spad.gates must not exceed the {self.pulses} pulses or the {self.bins} bins, got {self.gates!r}"
+            )
+
+    @property
+    def period_s(self) -> float:
+        """T_rep = 1 / f_rep."""
+        return 1.0 / self.repetition_rate_hz
+
+    @property
+    def bin_s(self) -> float:
+        """Width of a histogram bin, 1 / (f_rep N_bin)."""
+        return self.period_s / self.bins
+
+    @property
+    def pulses(self) -> int:
+        """Whole periods in the measurement of one azimuth."""
+        # 0.03 s times 15 MHz must be 450 000, not one less
+        return math.floor(self.measurement_time_s * self.repetition_rate_hz * (1.0 + 1e-12))
+
+    @property
+    def pulse_energy_j(self) -> float:
+        """E_p = P_avg / f_rep."""
+        return self.average_power_w / self.repetition_rate_hz
+
+    @property
+    def photon_energy_j(self) -> float:
+        """E_ph = h c / lambda."""
+        return PLANCK_J_S * SPEED_OF_LIGHT_MPS / self.wavelength_m
+
+    @property
+    def unambiguous_range_m(self) -> float:
+        """R_amb = c / (2 f_rep): 9.99 m with the defaults."""
+        return 0.5 * SPEED_OF_LIGHT_MPS * self.period_s
+
+    @property
+    def timing_rms_s(self) -> float:
+        """Standard deviation of a signal photon's time: pulse, receiver and jitter together."""
+        return math.hypot(self.irf_fwhm_s / math.sqrt(8.0 * math.log(2.0)), self.jitter_rms_s)
+
+
+class LidarSetup(msgspec.Struct, frozen=True, kw_only=True):
+    """What a receiver must know before the first histograms: the LiDAR and where it looks (topic `lidar/setup`)."""
+
+    stamp_ns: int = 0
+    spad: SpadParams = SpadParams()
+    #: Its columns are the azimuths that are looked at, in this order.
+    grid: RangeAzimuthGrid = RangeAzimuthGrid()
+    lidar_height_m: float = 1.0
+    #: Time from the first azimuth of a scan to the first of the next; None: as long as the measurements take.
+    scan_period_s: float | None = None
+    vehicle_from_lidar: Pose2 = Pose2()
+
+    def __post_init__(self) -> None:
+        require_stamps("lidar.stamp_ns", self.stamp_ns)
+        require_positive("lidar.lidar_height_m", self.lidar_height_m)
+        shortest_s = self.grid.azimuth_bins * self.spad.measurement_time_s
+        if self.scan_period_s is not None and not shortest_s * (1.0 - 1e-9) <= self.scan_period_s <= LONGEST_SCAN_S:
+            raise ValueError(
+                f"lidar.scan_period_s must be no shorter than {self.grid.azimuth_bins} measurements, {shortest_s:g} s, "
+                f"and no longer than {LONGEST_SCAN_S:g} s, got {self.scan_period_s!r}"
+            )
+
+    @property
+    def period_s(self) -> float:
+        """Time from scan to scan."""
+        if self.scan_period_s is not None:
+            return self.scan_period_s
+        return self.grid.azimuth_bins * self.spad.measurement_time_s
+
+
+class PhotonHistograms(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """First photons of every azimuth of one scan (topic `lidar/histograms`)."""
+
+    stamp_ns: int
+    scan_id: int
+    #: Photons per azimuth and time bin of the period, uint32 [azimuth, bins].
+    counts: np.ndarray
+    #: When the measurement of each azimuth began, int64 [azimuth].
+    azimuth_stamp_ns: np.ndarray
+
+    def __post_init__(self) -> None:
+        require_array("histograms.counts", self.counts, "<u4", (None, None))
+        require_array("histograms.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (len(self.counts),))
+        require_stamps("histograms.stamp_ns", self.stamp_ns)
+        require_stamps("histograms.azimuth_stamp_ns", self.azimuth_stamp_ns)
+        if self.scan_id < 0:
+            raise ValueError(f"histograms.scan_id must not be negative, got {self.scan_id!r}")

@@ -1,0 +1,404 @@
+"""Radar values: parameters, grids, and the messages that carry beams and range-azimuth maps."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+
+from msgs.values.arrays import require_array, require_finite, require_stamps, require_within
+from msgs.values.frames import Pose2
+from msgs.values.units import (
+    BOLTZMANN_J_PER_K,
+    REFERENCE_TEMPERATURE_K,
+    SPEED_OF_LIGHT_MPS,
+    db_from_ratio,
+    ns_from_s,
+    ratio_from_db,
+)
+
+#: Magnitude of the int16 code that `full_scale_dbm` refers to.
+FULL_SCALE_CODE = 32768
+#: What a parameter may be, ends included. Far beyond any device; within them memory and time are bounded, and every
+#: quantity is one that doubles hold.
+RADAR_LIMITS: dict[str, tuple[float, float]] = {
+    "carrier_hz": (1e6, 1e15),
+    "bandwidth_hz": (1.0, 1e13),
+    "sample_rate_hz": (1.0, 1e13),
+    "chirps_per_beam": (1, 1 << 14),
+    "samples_per_chirp": (1, 1 << 20),
+    "transmit_power_w": (1e-30, 1e12),
+    "noise_figure_db": (-200.0, 200.0),
+    "scan_period_s": (1e-9, 1e6),
+}
+ARRAY_LIMITS: dict[str, tuple[float, float]] = {
+    "columns": (1, 256),
+    "rows": (1, 1 << 12),
+}
+SPACING_LIMITS_M = (1e-9, 1e3)
+RANGE_BIN_LIMITS_M = (1e-9, 1e9)
+#: Without end: the same in all directions.
+BEAM_WIDTH_LIMITS_DEG = (1e-3, math.inf)
+MOST_BEAMS = 1024
+#: Either way.
+MOST_LEVEL_DB = 300.0
+LONGEST_CHIRP_INTERVAL_S = 1e3
+
+
+def amplitude_per_code(full_scale_dbm: float) -> float:
+    """Amplitude [sqrt(mW)] of one int16 code, where a complex tone of amplitude 32768 has `full_scale_dbm`."""
+    return math.sqrt(ratio_from_db(full_scale_dbm)) / FULL_SCALE_CODE
+
+
+class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
+    """Waveform, timing and receiver of an FMCW radar; defaults are Table 1 and section 2.1.1 (X-band)."""
+
+    carrier_hz: float = 10e9
+    bandwidth_hz: float = 700e6
+    sample_rate_hz: float = 1.5e9
+    chirps_per_beam: int = 128
+    samples_per_chirp: int = 8192
+    transmit_power_w: float = 1.6e-3
+    noise_figure_db: float = 8.0
+    #: Time from the first beam of a scan to the first beam of the next; beams are spread evenly over it.
+    scan_period_s: float = 0.3
+    #: From the first sample of a chirp to that of the next; None: chirps follow without a gap.
+    chirp_interval_s: float | None = None
+
+    def __post_init__(self) -> None:
+        for name, limits in RADAR_LIMITS.items():
+            require_within(f"radar.{name}", *limits, getattr(self, name))
+        if (
+            self.chirp_interval_s is not None
+            and not self.chirp_period_s <= self.chirp_interval_s <= LONGEST_CHIRP_INTERVAL_S
+        ):
+            raise ValueError(
+                "radar.chirp_interval_s must be finite and no shorter than a chirp's samples, "
+                f"{self.chirp_period_s!r} s, nor longer than {LONGEST_CHIRP_INTERVAL_S:g} s, "
+                f"got {self.chirp_interval_s!r}"
+            )
+
+    @property
+    def wavelength_m(self) -> float:
+        """Carrier wavelength in metres."""
+        return SPEED_OF_LIGHT_MPS / self.carrier_hz
+
+    @property
+    def chirp_period_s(self) -> float:
+        """T_c = N / (f_s N_c), Table 1."""
+        return self.samples_per_chirp / self.sample_rate_hz
+
+    @property
+    def chirp_slope_hz_per_s(self) -> float:
+        """S = B / T_c, Table 1."""
+        return self.bandwidth_hz / self.chirp_period_s
+
+    @property
+    def repetition_interval_s(self) -> float:
+        """From one chirp to the next: T_c unless the radar rests in between."""
+        return self.chirp_period_s if self.chirp_interval_s is None else self.chirp_interval_s
+
+    @property
+    def beam_duration_s(self) -> float:
+        """T_f = N_c T_c, Table 1: time that one beam takes, rests between chirps included."""
+        return self.chirps_per_beam * self.repetition_interval_s
+
+    @property
+    def range_bin_m(self) -> float:
+        """c / 2B: range spacing of the chirp-length FFT."""
+        return SPEED_OF_LIGHT_MPS / (2.0 * self.bandwidth_hz)
+
+    @property
+    def noise_power_mw(self) -> float:
+        """k T0 f_s F: total receiver noise power over the sampled band, in milliwatt."""
+        watt = BOLTZMANN_J_PER_K * REFERENCE_TEMPERATURE_K * self.sample_rate_hz * ratio_from_db(self.noise_figure_db)
+        return 1e3 * watt
+
+    @property
+    def noise_power_dbm(self) -> float:
+        """The same in dBm: -74.2 with the defaults."""
+        return db_from_ratio(self.noise_power_mw)
+
+
+class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
+    """A uniform planar array steered in azimuth by phase shifters (section 2.1.1: 4 x 8, 6 bits)."""
+
+    columns: int = 8
+    rows: int = 4
+    #: None: half a wavelength.
+    column_spacing_m: float | None = None
+    row_spacing_m: float | None = None
+    #: 0: ideal, unquantised phases.
+    phase_bits: int = 6
+    #: 2: transmit and receive are steered alike; 1: receive alone, the transmitter is one fixed element.
+    steered_ways: int = 2
+    #: The receiver samples all columns at once, and beams are formed of those samples by numbers: all beams of a scan
+    #: are of one time. Needs `steered_ways` 1 and no phase shifters.
+    digital: bool = False
+
+    def __post_init__(self) -> None:
+        for name, limits in ARRAY_LIMITS.items():
+            require_within(f"array.{name}", *limits, getattr(self, name))
+        for name in ("column_spacing_m", "row_spacing_m"):
+            if getattr(self, name) is not None:
+                require_within(f"array.{name}", *SPACING_LIMITS_M, getattr(self, name))
+        if not 0 <= self.phase_bits <= 16:
+            raise ValueError(f"array.phase_bits must be 0..16, got {self.phase_bits!r}")
+        if self.steered_ways not in (1, 2):
+            raise ValueError(f"array.steered_ways must be 1 or 2, got {self.steered_ways!r}")
+        if self.digital and (self.steered_ways, self.phase_bits) != (1, 0):
+            raise ValueError(
+                "array.digital needs array.steered_ways 1 and array.phase_bits 0, "
+                f"got {self.steered_ways!r} and {self.phase_bits!r}"
+            )
+
+    def column_spacing(self, wavelength_m: float) -> float:
+        """Column spacing in metres, lambda/2 unless given."""
+        return wavelength_m / 2.0 if self.column_spacing_m is None else self.column_spacing_m
+
+    def row_spacing(self, wavelength_m: float) -> float:
+        """Row spacing in metres, lambda/2 unless given."""
+        return wavelength_m / 2.0 if self.row_spacing_m is None else self.row_spacing_m
+
+
+class ElementPattern(msgspec.Struct, frozen=True, kw_only=True):
+    """Element pattern of section 2.1.1: Gaussian main lobe, floor, nothing backward."""
+
+    azimuth_hpbw_deg: float = 80.0
+    elevation_hpbw_deg: float = 60.0
+    peak_gain_dbi: float = 4.1
+    sidelobe_floor_db: float = -25.0
+
+    def __post_init__(self) -> None:
+        for name in ("azimuth_hpbw_deg", "elevation_hpbw_deg"):
+            require_within(f"element.{name}", *BEAM_WIDTH_LIMITS_DEG, getattr(self, name))
+        for name in ("peak_gain_dbi", "sidelobe_floor_db"):
+            require_within(f"element.{name}", -MOST_LEVEL_DB, MOST_LEVEL_DB, getattr(self, name))
+
+
+class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
+    """Steering azimuths of a scan in order of acquisition; 25 beams, -60..60 deg by 5, unless given."""
+
+    azimuth_deg: tuple[float, ...] = tuple(float(angle) for angle in range(-60, 61, 5))
+
+    def __post_init__(self) -> None:
+        if not self.azimuth_deg:
+            raise ValueError("beams.azimuth_deg must name at least one beam")
+        if len(self.azimuth_deg) > MOST_BEAMS:
+            raise ValueError(f"beams.azimuth_deg must name at most {MOST_BEAMS} beams, got {len(self.azimuth_deg)}")
+        require_finite("beams.azimuth_deg", *self.azimuth_deg)
+        if max(abs(angle) for angle in self.azimuth_deg) >= 90.0:
+            raise ValueError(f"beams.azimuth_deg must lie inside -90..90, got {self.azimuth_deg}")
+
+    @property
+    def azimuth_rad(self) -> np.ndarray:
+        """Steering azimuths in radians, [beams]."""
+        return np.radians(self.azimuth_deg)
+
+    def __len__(self) -> int:
+        return len(self.azimuth_deg)
+
+
+class RangeAzimuthGrid(msgspec.Struct, frozen=True, kw_only=True):
+    """Cells of a range-azimuth map: bin i at i * range_bin_m, azimuths uniform in degree over +-limit."""
+
+    range_bin_m: float = SPEED_OF_LIGHT_MPS / (2.0 * 700e6)
+    range_bins: int = 512
+    azimuth_bins: int = 256
+    azimuth_limit_deg: float = 60.0
+
+    def __post_init__(self) -> None:
+        require_within("grid.range_bin_m", *RANGE_BIN_LIMITS_M, self.range_bin_m)
+        if not 1 <= self.range_bins <= 8192:
+            raise ValueError(f"grid.range_bins must be 1..8192, got {self.range_bins!r}")
+        if not 2 <= self.azimuth_bins <= 4096:
+            raise ValueError(f"grid.azimuth_bins must be 2..4096, got {self.azimuth_bins!r}")
+        if not 0.0 < self.azimuth_limit_deg <= 90.0:
+            raise ValueError(f"grid.azimuth_limit_deg must be in (0, 90], got {self.azimuth_limit_deg!r}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(range bins, azimuth bins)."""
+        return self.range_bins, self.azimuth_bins
+
+    @property
+    def azimuth_step_rad(self) -> float:
+        """Spacing of neighbouring azimuths."""
+        return math.radians(2.0 * self.azimuth_limit_deg / (self.azimuth_bins - 1))
+
+    @property
+    def range_m(self) -> np.ndarray:
+        """Centres of the range bins, [range]."""
+        return self.range_bin_m * np.arange(self.range_bins)
+
+    @property
+    def azimuth_rad(self) -> np.ndarray:
+        """Centres of the azimuth bins, [azimuth]."""
+        limit_rad = math.radians(self.azimuth_limit_deg)
+        return np.linspace(-limit_rad, limit_rad, self.azimuth_bins)
+
+    def range_index(self, range_m: np.ndarray) -> np.ndarray:
+        """Fractional range bin of ranges in metres."""
+        return np.asarray(range_m) / self.range_bin_m
+
+    def azimuth_index(self, azimuth_rad: np.ndarray) -> np.ndarray:
+        """Fractional azimuth bin of azimuths in radians."""
+        return (np.asarray(azimuth_rad) + math.radians(self.azimuth_limit_deg)) / self.azimuth_step_rad
+
+    def range_at(self, index: np.ndarray) -> np.ndarray:
+        """Range in metres of fractional bins."""
+        return np.asarray(index) * self.range_bin_m
+
+    def azimuth_at(self, index: np.ndarray) -> np.ndarray:
+        """Azimuth in radians of fractional bins."""
+        return np.asarray(index) * self.azimuth_step_rad - math.radians(self.azimuth_limit_deg)
+
+
+class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """What a receiver must know before the first beam: radar, array, beams, calibration (topic `radar/setup`)."""
+
+    stamp_ns: int = 0
+    radar: RadarParams = RadarParams()
+    array: ArrayParams = ArrayParams()
+    element: ElementPattern = ElementPattern()
+    beams: BeamGrid = BeamGrid()
+    #: Power of a complex tone of amplitude 32768.
+    full_scale_dbm: float = -20.0
+    #: +1 where beats have positive frequency for positive range, -1 where the hardware differs.
+    beat_sign: int = 1
+    radar_height_m: float = 1.0
+    #: Steering weights of the columns, complex64 [beams, columns]; None: computed from `array` and `beams`.
+    steering_weights: np.ndarray | None = None
+    #: Open-field background, one chirp a beam, complex64 [beams, samples] in units of the int16 codes.
+    background: np.ndarray | None = None
+
+    @property
+    def scan_bytes(self) -> int:
+        """Bytes of the samples of one scan, int16 I and Q."""
+        return 4 * len(self.beams) * self.radar.chirps_per_beam * self.radar.samples_per_chirp
+
+    def __post_init__(self) -> None:
+        require_stamps("setup.stamp_ns", self.stamp_ns)
+        require_within("setup.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
+        require_finite("setup.radar_height_m", self.radar_height_m)
+        if self.beat_sign not in (1, -1):
+            raise ValueError(f"setup.beat_sign must be +1 or -1, got {self.beat_sign!r}")
+        if self.steering_weights is not None:
+            require_array("setup.steering_weights", self.steering_weights, "<c8", (len(self.beams), self.array.columns))
+        if self.background is not None:
+            require_array("setup.background", self.background, "<c8", (len(self.beams), self.radar.samples_per_chirp))
+        for name in ("steering_weights", "background"):
+            array = getattr(self, name)
+            # a number that is none would spread over every cell of every map
+            if array is not None and not np.isfinite(array).all():
+                raise ValueError(f"setup.{name} must be finite")
+
+    @property
+    def beam_interval_ns(self) -> int:
+        """Nominal time from one beam to the next; 0 for a digital array, whose beams are of one time."""
+        return 0 if self.array.digital else self.beam_share_ns
+
+    @property
+    def beam_share_ns(self) -> int:
+        """A beam's share of the scan period."""
+        return ns_from_s(self.radar.scan_period_s / len(self.beams))
+
+    @property
+    def milliwatt_per_code_squared(self) -> float:
+        """Power in milliwatt of a complex tone of amplitude one code."""
+        return amplitude_per_code(self.full_scale_dbm) ** 2
+
+
+def orthogonal_beams(columns: int) -> BeamGrid:
+    """The beams of a digital array of half-wavelength columns: sines 2 / columns apart, noise independent."""
+    sines = 2.0 / columns * (np.arange(columns) - 0.5 * (columns - 1))
+    return BeamGrid(azimuth_deg=tuple(np.degrees(np.arcsin(sines)).tolist()))
+
+
+#: Radars by name. The 77 GHz one has the aperture of section 2.1.1, a single row of 57, received digitally.
+PRESETS: dict[str, RadarSetup] = {
+    "xband": RadarSetup(),
+    "77ghz": RadarSetup(
+        radar=RadarParams(carrier_hz=77e9),
+        array=ArrayParams(columns=57, rows=1, phase_bits=0, steered_ways=1, digital=True),
+        beams=orthogonal_beams(57),
+    ),
+}
+
+
+class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """Raw beat samples of one steering angle (topic `radar/beam`)."""
+
+    stamp_ns: int
+    scan_id: int
+    beam_index: int
+    beam_count: int
+    azimuth_rad: float
+    #: I and Q codes, int16 [chirps, samples, 2].
+    samples: np.ndarray
+    full_scale_dbm: float
+
+    def __post_init__(self) -> None:
+        require_array("beam.samples", self.samples, "<i2", (None, None, 2))
+        require_finite("beam.azimuth_rad", self.azimuth_rad)
+        require_stamps("beam.stamp_ns", self.stamp_ns)
+        require_within("beam.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
+        if self.scan_id < 0:
+            raise ValueError(f"beam.scan_id must not be negative, got {self.scan_id!r}")
+        if self.beam_count > MOST_BEAMS:
+            raise ValueError(f"beam.beam_count must be at most {MOST_BEAMS}, got {self.beam_count!r}")
+        if not 0 <= self.beam_index < self.beam_count:
+            raise ValueError(f"beam.beam_index must be 0..beam_count-1, got {self.beam_index!r} of {self.beam_count!r}")
+
+
+#: Profiles and azimuths coherent; profiles alone, azimuths from magnitudes; mean power of single chirps.
+FORMING_MODES = ("coherent", "magnitude", "welch")
+#: How a map came about: formed of beams, or excess photons of a LiDAR in standard deviations.
+MAP_MODES = (*FORMING_MODES, "photons")
+#: Chirps of zeros; beams without any echo; beams under foreign noise; tones that fill all beams; columns whose gains
+#: or phases are not those of the set-up.
+MAP_FAULTS = ("lost_chirps", "silent_beams", "drowned_beams", "spurs", "array_error")
+
+
+class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
+    """Complex range-azimuth map of one scan (topic `radar/ra_map`); |values|^2 is milliwatt per bin."""
+
+    #: Acquisition of the first beam; positions in the map refer to the radar's pose at this time.
+    stamp_ns: int
+    scan_id: int
+    grid: RangeAzimuthGrid = RangeAzimuthGrid()
+    #: complex64 [range, azimuth]; float32-valued (zero imaginary part) unless coherent.
+    values: np.ndarray
+    #: Acquisition time of each azimuth column, int64 [azimuth].
+    azimuth_stamp_ns: np.ndarray
+    #: Mean noise power in milliwatt per bin, measured beyond the map's range.
+    noise_power_mw: float
+    #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].
+    incoherent: np.ndarray
+    #: Indices of beams that never came or were left out as silent or drowned, and of those that were not asked for.
+    missing_beams: tuple[int, ...] = ()
+    unused_beams: tuple[int, ...] = ()
+    #: Share of samples at full scale.
+    saturated_share: float = 0.0
+    #: The radar's own motion was taken out beam by beam.
+    ego_compensated: bool = False
+    #: Where the radar sits on the vehicle, as the map was formed with.
+    vehicle_from_radar: Pose2 = Pose2()
+    mode: str = "coherent"
+    #: Names in `MAP_FAULTS` of what the scan shows of its own hardware.
+    faults: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_array("map.values", self.values, "<c8", self.grid.shape)
+        require_array("map.azimuth_stamp_ns", self.azimuth_stamp_ns, "<i8", (self.grid.azimuth_bins,))
+        require_array("map.incoherent", self.incoherent, "|b1", (self.grid.range_bins,))
+        require_stamps("map.stamp_ns", self.stamp_ns)
+        require_stamps("map.azimuth_stamp_ns", self.azimuth_stamp_ns)
+        if not (math.isfinite(self.noise_power_mw) and self.noise_power_mw >= 0.0):
+            raise ValueError(f"map.noise_power_mw must be finite and not negative, got {self.noise_power_mw!r}")
+        require_within("map.saturated_share", 0.0, 1.0, self.saturated_share)
+        if self.mode not in MAP_MODES:
+            raise ValueError(f"map.mode must be one of {', '.join(MAP_MODES)}, got {self.mode!r}")
+        if not set(self.faults) <= set(MAP_FAULTS):
+            raise ValueError(f"map.faults must be among {', '.join(MAP_FAULTS)}, got {self.faults!r}")

@@ -1,0 +1,1 @@
+"""CAN at the door: buses and logs."""

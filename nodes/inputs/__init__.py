@@ -1,0 +1,1 @@
+"""Inputs of nodes: queues, histories joined by stamp, ages of views."""

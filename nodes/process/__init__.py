@@ -1,0 +1,1 @@
+"""Processes of the graph: launch files, supervisor, liveness, logs."""

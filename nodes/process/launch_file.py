@@ -1,0 +1,322 @@
+"""Launch files: a graph as YAML, read into frozen values; every error names the file, the field and the rule."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import yaml
+
+from msgs.files.yaml_loader import BoundedLoader, in_words
+from nodes.node import MODULE_NAME, NODE_NAME
+from nodes.process.validation import convert_at
+
+#: Larger files are no launch files.
+MAX_BYTES = 1 << 20
+#: Name under which the supervisor itself stands on the bus.
+SUPERVISOR = "supervisor"
+RECORDER = "recorder"
+RECORDER_MODULE = "nodes.recorder"
+VIEWER_MODULE = "nodes.bev_viewer"
+
+
+def _require_duration(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value >= 0.0):
+        raise ValueError(f"{name} must be finite and not negative, got {value!r}")
+
+
+class RestartPolicy(StrEnum):
+    """When a node that ended is started again."""
+
+    ON_FAILURE = "on-failure"
+    ALWAYS = "always"
+    NEVER = "never"
+
+
+class Restart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Restart of a node: at once, then after `delay_s`, doubling up to `max_delay_s`; `max_restarts` in `window_s`."""
+
+    policy: RestartPolicy = RestartPolicy.ON_FAILURE
+    delay_s: float = 0.2
+    max_delay_s: float = 5.0
+    max_restarts: int = 5
+    window_s: float = 60.0
+
+    def __post_init__(self) -> None:
+        for name in ("delay_s", "max_delay_s", "window_s"):
+            _require_duration(name, getattr(self, name))
+        if self.max_restarts < 0:
+            raise ValueError(f"max_restarts must not be negative, got {self.max_restarts!r}")
+
+    def backoff_s(self, recent_restarts: int) -> float:
+        """Delay before the next start after `recent_restarts` restarts inside the window."""
+        if recent_restarts == 0:
+            return 0.0
+        # the exponent is bounded because 2.0 ** 1024 overflows
+        return min(self.max_delay_s, self.delay_s * 2.0 ** min(recent_restarts - 1, 60))
+
+
+class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One process of the graph."""
+
+    #: Dotted name of the module that defines Params and create(params).
+    module: str
+    params: dict[str, Any] = {}
+    #: Nodes that must be ready before this one starts.
+    after: tuple[str, ...] = ()
+    restart: Restart = Restart()
+    #: A node that could have sent a heartbeat for longer is killed and restarted: time in which it waits for a core
+    #: is not counted. One that is blocked (no thread of it runs) is given half of this, a stopped process a fifth.
+    hang_timeout_s: float = 5.0
+    #: Longest time from the start of the process to its first READY heartbeat.
+    start_timeout_s: float = 60.0
+    env: dict[str, str] = {}
+    #: When this node ends with exit code 0 the graph has done its work.
+    ends_graph: bool = False
+    #: Left out by `--headless`.
+    viewer: bool = False
+
+    def __post_init__(self) -> None:
+        if not MODULE_NAME.fullmatch(self.module):
+            raise ValueError(f"module must be a dotted module name, got {self.module!r}")
+        for name in ("hang_timeout_s", "start_timeout_s"):
+            _require_duration(name, getattr(self, name))
+            if getattr(self, name) == 0.0:
+                raise ValueError(f"{name} must be above zero")
+
+
+class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A graph: its name and its nodes by name."""
+
+    name: str
+    nodes: dict[str, NodeEntry]
+
+    def __post_init__(self) -> None:
+        if not NODE_NAME.fullmatch(self.name):
+            raise ValueError(f"name must be of a-z, 0-9 and _, got {self.name!r}")
+        if not self.nodes:
+            raise ValueError("nodes must name at least one node")
+        for node, entry in self.nodes.items():
+            self._check_node(node, entry)
+        start_order(self)
+
+    def _check_node(self, node: str, entry: NodeEntry) -> None:
+        if not NODE_NAME.fullmatch(node):
+            raise ValueError(f"nodes.{node}: a node's name must be of a-z, 0-9 and _")
+        if node == SUPERVISOR:
+            raise ValueError(f"nodes.{node}: this name belongs to the supervisor")
+        for other in entry.after:
+            if other not in self.nodes:
+                raise ValueError(f"nodes.{node}.after: unknown node {other!r}; known are {_names(self.nodes)}")
+
+
+def start_order(launch: LaunchFile) -> tuple[str, ...]:
+    """Nodes so that each stands behind all it comes after, otherwise as written; a cycle is a `ValueError`."""
+    return _ordered({name: entry.after for name, entry in launch.nodes.items()})
+
+
+def stop_order(launch: LaunchFile) -> tuple[str, ...]:
+    """Nodes so that each stands before all it comes after, otherwise as written: sources first, recorder last."""
+    followers: dict[str, list[str]] = {name: [] for name in launch.nodes}
+    for name, entry in launch.nodes.items():
+        for other in entry.after:
+            followers[other].append(name)
+    return _ordered(followers)
+
+
+def _ordered(needed: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
+    """Keys so that each stands behind all it needs, otherwise as they come."""
+    ordered: dict[str, None] = {}
+    while waiting := [name for name in needed if name not in ordered]:
+        free = next((name for name in waiting if all(other in ordered for other in needed[name])), None)
+        if free is None:
+            raise ValueError(f"nodes: after makes a cycle among {_names(waiting)}")
+        ordered[free] = None
+    return tuple(ordered)
+
+
+def read_launch_file(path: Path) -> LaunchFile:
+    """The launch file at `path`; raises `ValueError` naming file, field and rule, `OSError` if it cannot be read."""
+    return launch_from_mapping(read_yaml_mapping(path), str(path))
+
+
+def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
+    """A launch file from plain data; `where` opens every error."""
+    fields = dict(value)
+    nodes = convert_at(fields.pop("nodes", {}), dict[str, Any], f"{where}: nodes")
+    # node by node, because msgspec's path writes the key of a mapping as [...]
+    entries = {name: convert_at(entry, NodeEntry, f"{where}: nodes.{name}") for name, entry in nodes.items()}
+    return convert_at({**fields, "nodes": entries}, LaunchFile, f"{where}: ")
+
+
+def read_yaml_mapping(path: Path) -> dict[str, Any]:
+    """A YAML mapping with unique keys of type str, read safely and only up to `MAX_BYTES`."""
+    with path.open("rb") as file:
+        data = file.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise ValueError(f"{path}: a launch file holds at most {MAX_BYTES} bytes")
+    value = parse_yaml(data, str(path))
+    if not isinstance(value, dict):
+        raise ValueError(f"{path}: expected a mapping, got {in_words(value)}")
+    return value
+
+
+def parse_yaml(text: str | bytes, where: str) -> Any:
+    """One YAML document of plain values; duplicate keys, aliases and deep nesting are refused."""
+    try:
+        return yaml.load(text, Loader=_StrictLoader)
+    except yaml.YAMLError as error:
+        raise ValueError(f"{where}: {_yaml_reason(error)}") from None
+    except (ValueError, RecursionError, UnicodeError) as error:
+        raise ValueError(f"{where}: {error}") from None
+
+
+def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> LaunchFile:
+    """`launch` with the parameters of a params file (node -> params) laid over its own, mapping by mapping."""
+    nodes = dict(launch.nodes)
+    for name, changes in params.items():
+        if name not in nodes:
+            raise ValueError(f"{where}: unknown node {name!r}; known are {_names(nodes)}")
+        if not isinstance(changes, dict):
+            raise ValueError(f"{where}: {name}: expected a mapping of parameters, got {in_words(changes)}")
+        nodes[name] = msgspec.structs.replace(nodes[name], params=merged(nodes[name].params, changes))
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def with_overrides(launch: LaunchFile, overrides: Iterable[str]) -> LaunchFile:
+    """`launch` with overrides `node.key=value` (dotted key inside the node's params, value as YAML), later ones win."""
+    for override in overrides:
+        path, equals, text = override.partition("=")
+        name, *keys = path.strip().split(".")
+        if not equals or not keys or not all([name, *keys]):
+            raise ValueError(f"-p {override}: expected node.key=value")
+        changes: Any = parse_yaml(text, f"-p {override}")
+        for key in reversed(keys):
+            changes = {key: changes}
+        launch = with_params(launch, {name: changes}, f"-p {override}")
+    return launch
+
+
+def with_recorder(launch: LaunchFile, path: Path, params: Mapping[str, Any] | None = None) -> LaunchFile:
+    """`launch` with a recorder, `params` beside its path, that is ready before all others start."""
+    if RECORDER in launch.nodes:
+        raise ValueError(f"nodes.{RECORDER}: the launch file has a recorder already; set its path with -p")
+    nodes = {RECORDER: NodeEntry(module=RECORDER_MODULE, params={**(params or {}), "path": str(path)})}
+    for name, entry in launch.nodes.items():
+        nodes[name] = msgspec.structs.replace(entry, after=(RECORDER, *entry.after))
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
+    """`launch` with its nodes told what only the start knows.
+
+    Recorders: the graph they record, as it stands here, the command and the meeting place. Viewers: where they keep
+    the token of their page while they are restarted.
+    """
+    metadata = {"launch": dump_launch(without_metadata(launch)), "command": command}
+    nodes = dict(launch.nodes)
+    for name, entry in recorders(launch).items():
+        own = entry.params.get("metadata") or {}
+        # what is no mapping goes as it is to the recorder, which says what is wrong with it
+        told = {"run_dir": str(run_dir), **entry.params}
+        told["metadata"] = {**metadata, **own} if isinstance(own, Mapping) else own
+        nodes[name] = msgspec.structs.replace(entry, params=told)
+    for name, entry in _of_module(launch, VIEWER_MODULE).items():
+        # another one, as of an earlier run, would be another graph's
+        told = {**entry.params, "token_file": str(run_dir / f"{name}.token")}
+        nodes[name] = msgspec.structs.replace(entry, params=told)
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def without_metadata(launch: LaunchFile) -> LaunchFile:
+    """`launch` without what `with_origin` told its nodes."""
+    nodes = dict(launch.nodes)
+    for module, told in ((RECORDER_MODULE, ("metadata", "run_dir")), (VIEWER_MODULE, ("token_file",))):
+        for name, entry in _of_module(launch, module).items():
+            kept = {key: value for key, value in entry.params.items() if key not in told}
+            nodes[name] = msgspec.structs.replace(entry, params=kept)
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def recorders(launch: LaunchFile) -> dict[str, NodeEntry]:
+    """The nodes that record."""
+    return _of_module(launch, RECORDER_MODULE)
+
+
+def _of_module(launch: LaunchFile, module: str) -> dict[str, NodeEntry]:
+    return {name: entry for name, entry in launch.nodes.items() if entry.module == module}
+
+
+def without_viewers(launch: LaunchFile) -> LaunchFile:
+    """`launch` without the nodes marked `viewer`; nobody waits for them either."""
+    left = {name: entry for name, entry in launch.nodes.items() if not entry.viewer}
+    nodes = {
+        name: msgspec.structs.replace(entry, after=tuple(other for other in entry.after if other in left))
+        for name, entry in left.items()
+    }
+    return msgspec.structs.replace(launch, nodes=nodes)
+
+
+def dump_launch(launch: LaunchFile) -> str:
+    """The launch file as YAML with all defaults written out; reads back as an equal value."""
+    return yaml.dump(msgspec.to_builtins(launch), Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
+
+
+def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
+    """`old` with `new` laid over it, mapping by mapping."""
+    result = dict(old)
+    for key, value in new.items():
+        both = isinstance(value, dict) and isinstance(result.get(key), dict)
+        result[key] = merged(result[key], value) if both else value
+    return result
+
+
+def _names(names: Iterable[str]) -> str:
+    return ", ".join(names)
+
+
+def _yaml_reason(error: yaml.YAMLError) -> str:
+    mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
+    place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+    return " ".join(f"{place}{problem or error}".split())
+
+
+class _StrictLoader(BoundedLoader):
+    """`BoundedLoader` that refuses what a launch file never needs and a slip would use."""
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        seen: set[str] = set()
+        for key_node, _ in node.value:
+            key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, str):
+                raise yaml.MarkedYAMLError(problem=f"key {key!r} must be text", problem_mark=key_node.start_mark)
+            if key in seen:
+                raise yaml.MarkedYAMLError(problem=f"duplicate key {key!r}", problem_mark=key_node.start_mark)
+            seen.add(key)
+        return super().construct_mapping(node, deep)
+
+
+class _PlainDumper(yaml.SafeDumper):
+    """`SafeDumper` whose output `_StrictLoader` reads back as the same values."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+# YAML 1.2's plain values instead of 1.1's: `1e-3` is a number, `off` and `2026-01-01` are text
+_PLAIN_VALUES = (
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("bool", r"true|True|TRUE|false|False|FALSE", list("tTfF")),
+    ("int", r"[-+]?(0|[1-9][0-9]*)|0x[0-9a-fA-F]+", list("-+0123456789")),
+    ("float", r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?", list("-+.0123456789")),
+    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", list("-+.")),
+)
+for _yaml_class in (_StrictLoader, _PlainDumper):
+    _yaml_class.yaml_implicit_resolvers = {}
+    for _tag, _pattern, _first in _PLAIN_VALUES:
+        _yaml_class.add_implicit_resolver(f"tag:yaml.org,2002:{_tag}", re.compile(f"(?:{_pattern})$"), _first)

@@ -1,0 +1,549 @@
+"""Starts the processes of a graph, watches them, restarts what fails, and leaves nothing behind.
+
+One thread, one loop: hear heartbeats, read output, reap, restart, stop. A node is started when all it comes `after` are
+ready. Children also ask the kernel to die with this process, so that not even SIGKILL leaves an orphan.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import math
+import os
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, TextIO
+
+from msgs.bus.interface import Received
+from msgs.files.whole_files import no_link
+from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
+from msgs.values.wording import counted
+from nodes.node import EXIT_BAD_INPUT, EXIT_DONE, EXIT_FAILED, Heartbeat, stopping_signals
+from nodes.process.child import PATIENCE_S, Child
+from nodes.process.launch_file import (
+    RECORDER_MODULE,
+    SUPERVISOR,
+    LaunchFile,
+    NodeEntry,
+    RestartPolicy,
+    dump_launch,
+    start_order,
+    stop_order,
+)
+from nodes.process.liveness import LATE_S, Doing, Silence, sample
+from nodes.process.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
+
+#: How often the output of the nodes is read; a crash wakes the supervisor at once.
+POLL_S = 0.05
+#: A node that has not been heard for this long is said to be silent, with what it is at.
+SILENT_S = 0.9
+#: The same node is said to be silent no more often than this.
+_SILENCE_INTERVAL_S = 10.0
+#: A node that is stopped, blocked or in an endless step is given no more time than this to answer what waits, and
+#: then to close what it holds.
+_STUCK_PATIENCE_S, _STUCK_LAST_S = 0.5, 1.5
+#: A recorder may take this long to write what it holds: a snapshot takes seconds.
+_RECORDER_LAST_S = 10.0
+#: A node that is asked to stop at the end of a stream may take this long to answer what waits.
+DRAIN_S = 5.0
+LOCK_NAME = "supervisor.lock"
+
+LogSink = Callable[[dict[str, Any]], None]
+
+
+class Phase(StrEnum):
+    """Where a node stands in the graph."""
+
+    WAITING = "waiting"
+    STARTING = "starting"
+    READY = "ready"
+    ENDED = "ended"
+    FAILED = "failed"
+
+
+class _Watched:
+    """A node of the graph: its entry, its process if it has one, its history."""
+
+    def __init__(self, entry: NodeEntry) -> None:
+        self.entry = entry
+        self.phase = Phase.WAITING
+        self.child: Child | None = None
+        self.was_ready = False
+        #: WAITING nodes start no earlier.
+        self.start_at_s = 0.0
+        self.started_s = self.heard_s = 0.0
+        #: What is known of it since its heartbeat is late; None while it is not.
+        self.silence: Silence | None = None
+        #: When the log last said that it is silent; whether it says so of the present silence.
+        self.silence_said_s, self.is_said = -math.inf, False
+        self.restarts: deque[float] = deque()
+        #: Last error it reported itself, and what the supervisor killed it for.
+        self.reason = self.killed_for = ""
+
+    def recent_restarts(self, now_s: float) -> int:
+        while self.restarts and self.restarts[0] <= now_s - self.entry.restart.window_s:
+            self.restarts.popleft()
+        return len(self.restarts)
+
+    def start(self, name: str, run_dir: Path, now_s: float) -> None:
+        self.phase, self.started_s = Phase.STARTING, now_s
+        self.reason = self.killed_for = ""
+        self.heard(now_s)
+        self.child = Child(name, self.entry, run_dir)
+
+    def kill(self) -> None:
+        if self.child is not None:
+            self.child.kill()
+
+    def heard(self, now_s: float) -> None:
+        self.heard_s, self.silence, self.is_said = now_s, None, False
+
+    def is_silent(self, now_s: float) -> bool:
+        """Whether it, once ready, has said nothing for so long that the world should know."""
+        is_known = self.silence is not None and self.silence.doing is not None
+        return is_known and self.phase is Phase.READY and now_s - self.heard_s >= SILENT_S
+
+    def look(self, now_s: float) -> str:
+        """Look at its process if its heartbeat is late; why it counts as hanging, empty if it does not."""
+        if self.child is None or now_s - self.heard_s < LATE_S:
+            return ""
+        self.silence = self.silence or Silence()
+        self.silence.add(sample(self.child.pid))
+        if self.phase is Phase.READY:
+            return self.silence.overdue(self.entry.hang_timeout_s)
+        reason = self.silence.overdue(self.entry.start_timeout_s, is_starting=True)
+        return f"not ready, {reason}" if reason else ""
+
+    def stop(self, now_s: float, patience_s: float, by_hand: bool) -> None:
+        if self.child is None:
+            return
+        self.look(now_s)
+        if self._is_stuck(by_hand):
+            self.child.stop(now_s, min(patience_s, _STUCK_PATIENCE_S), _STUCK_LAST_S)
+        else:
+            self.child.stop(now_s, patience_s, _RECORDER_LAST_S if self._records() else PATIENCE_S)
+
+    def _is_stuck(self, by_hand: bool) -> bool:
+        """Whether it will hardly answer what waits; somebody who waits for the end waits for no long step either."""
+        if self.silence is None:
+            return False
+        is_busy = self.silence.doing is Doing.BUSY and self.silence.answerable_s >= SILENT_S
+        stands = self.silence.doing in (Doing.BLOCKED, Doing.STOPPED)
+        return stands or (by_hand and is_busy and not self._records())
+
+    def _records(self) -> bool:
+        return self.entry.module == RECORDER_MODULE
+
+    def why(self, code: int) -> str:
+        """Why it ended, as far as it or the supervisor knows: of a signal from elsewhere it could say nothing."""
+        return self.killed_for or (self.reason if code >= 0 else "")
+
+
+class Supervisor:
+    """Runs one graph from start to end: `Supervisor(launch, run_dir).run()`.
+
+    `on_log` gets every entry of the log (time, node, level, text); the same entries go to `log.jsonl` in the run
+    folder `runs_dir/<name>-<n>`, beside the resolved `launch.yaml`. `duration_s` counts from all nodes ready.
+    """
+
+    def __init__(
+        self,
+        launch: LaunchFile,
+        run_dir: Path,
+        *,
+        runs_dir: Path = Path("runs"),
+        duration_s: float | None = None,
+        on_log: LogSink | None = None,
+    ) -> None:
+        if duration_s is not None and not duration_s > 0.0:
+            raise ValueError(f"duration_s must be above zero, got {duration_s!r}")
+        self._launch, self._run_dir, self._duration_s, self._on_log = launch, run_dir, duration_s, on_log
+        self._nodes = {name: _Watched(launch.nodes[name]) for name in start_order(launch)}
+        self._runs_dir = runs_dir
+        self._exit_code = EXIT_DONE
+        self._stop_requests = 0
+        #: Nodes still to be stopped one after the other; None while the graph runs.
+        self._stopping: list[list[str]] | None = None
+        self._stop_at_s: float | None = None
+
+    def request_stop(self) -> None:
+        """Ask the graph to end, from a signal handler or a callback; a second request kills."""
+        self._stop_requests += 1
+
+    def run(self) -> int:
+        """Run the graph to its end; exit code 0 done, 1 a node failed for good, 2 a node refused its parameters.
+
+        Raises `OSError` if the graph's directory is in use by another graph or not writable, `ValueError` if it is not
+        ours alone. Call it from the thread that lives longest: the kernel kills the nodes when the thread that started
+        them ends.
+        """
+        from msgs.bus.zmq import ZmqBus, make_run_dir
+
+        with contextlib.ExitStack() as stack:
+            make_run_dir(self._run_dir)
+            run_folder = stack.enter_context(self._locked())
+            self._log = JsonLog(run_folder / "log.jsonl")
+            stack.callback(self._log.close)
+            self._bus = ZmqBus(SUPERVISOR, self._run_dir)
+            stack.callback(self._bus.close)
+            self._heartbeat = Heartbeat(self._bus, SUPERVISOR)
+            self._bus.subscribe("diagnostics/node")
+            stack.callback(self._close_all)
+            stack.enter_context(self._signals())
+            self._say("info", f"graph {self._launch.name}: {counted(len(self._nodes), 'node')}, log in {run_folder}")
+            self._loop()
+        return self._exit_code
+
+    def _loop(self) -> None:
+        while not self._all_gone():
+            messages = self._bus.receive(POLL_S)
+            now_s = time.monotonic()
+            self._hear(messages, now_s)
+            self._read_output()
+            self._reap(now_s)
+            self._look_at_silent(now_s)
+            self._check_end(now_s)
+            self._start_or_stop(now_s)
+            self._report()
+
+    # what the nodes say
+
+    def _hear(self, messages: list[Received], now_s: float) -> None:
+        for received in messages:
+            status = received.message
+            assert isinstance(status, NodeStatus)
+            node = self._nodes.get(status.node)
+            # a heartbeat that was on its way when its process died says nothing about the next one
+            if node is None or node.child is None or node.child.pid != status.pid:
+                continue
+            if node.is_said:
+                self._say("info", f"{status.node} answers again after {now_s - node.heard_s:.1f} s")
+            node.heard(now_s)
+            node.reason = status.reason or node.reason
+
+    def _read_output(self) -> None:
+        for name, node in self._nodes.items():
+            if node.child is not None:
+                self._pass_on(name, node.child.read_lines())
+
+    def _pass_on(self, name: str, lines: list[str]) -> None:
+        for line in lines:
+            entry = parse_line(name, line)
+            if entry.get("level") in ("error", "critical"):
+                self._nodes[name].reason = entry["text"]
+            if entry.get("state") == NodeState.READY:
+                self._mark_ready(name, self._nodes[name], time.monotonic())
+            else:
+                self._write(entry)
+
+    def _mark_ready(self, name: str, node: _Watched, now_s: float) -> None:
+        assert node.child is not None
+        node.phase, node.was_ready = Phase.READY, True
+        node.heard(now_s)
+        self._say("info", f"{name} ready after {now_s - node.started_s:.2f} s, pid {node.child.pid}")
+
+    # what becomes of them
+
+    def _reap(self, now_s: float) -> None:
+        for name, node in self._nodes.items():
+            code = node.child.exit_code() if node.child else None
+            if node.child is not None and code is not None:
+                self._let_go(name, node)
+                self._after_exit(name, node, code, now_s)
+
+    def _let_go(self, name: str, node: _Watched) -> None:
+        """Close an ended node's process, or end it."""
+        if node.child is not None:
+            self._bus.unwatch(node.child.ended)
+            self._pass_on(name, node.child.close())
+            node.child, node.silence, node.is_said = None, None, False
+
+    def _after_exit(self, name: str, node: _Watched, code: int, now_s: float) -> None:
+        restart = node.entry.restart
+        again = restart.policy is RestartPolicy.ALWAYS or (code != 0 and restart.policy is RestartPolicy.ON_FAILURE)
+        if self._stopping is not None:
+            self._after_stop(name, node, code)
+        elif not again or code == EXIT_BAD_INPUT:
+            self._end_node(name, node, code)
+        elif node.recent_restarts(now_s) >= restart.max_restarts:
+            self._say(
+                "error", f"{name} {_how(code)}; {counted(restart.max_restarts, 'restart')} in {restart.window_s:g} s"
+            )
+            self._fail(name, node, code)
+        else:
+            delay_s = restart.backoff_s(len(node.restarts))
+            node.restarts.append(now_s)
+            node.phase, node.start_at_s = Phase.WAITING, now_s + delay_s
+            self._say("warning", f"{name} {_how(code)}{_because(node.why(code))}; restart in {delay_s:g} s")
+
+    def _after_stop(self, name: str, node: _Watched, code: int) -> None:
+        if code > 0:
+            self._fail(name, node, code)
+            return
+        if code == -signal.SIGKILL and node.phase is Phase.READY:
+            self._say("warning", f"{name} did not stop when asked and was killed")
+        node.phase = Phase.ENDED
+
+    def _end_node(self, name: str, node: _Watched, code: int) -> None:
+        if code != 0:
+            self._fail(name, node, code)
+            return
+        node.phase = Phase.ENDED
+        self._say("info", f"{name} has ended")
+        if node.entry.ends_graph:
+            self._stop_in_order(f"{name} has come to its end")
+
+    def _fail(self, name: str, node: _Watched, code: int) -> None:
+        node.phase = Phase.FAILED
+        self._exit_code = EXIT_BAD_INPUT if code == EXIT_BAD_INPUT else self._exit_code or EXIT_FAILED
+        node.reason = node.why(code) or _how(code)
+        self._say("error", f"{name} FAILED{_because(node.reason)}")
+        if self._stopping is None and (not node.was_ready or node.entry.ends_graph):
+            self._stop_in_order(f"{name} is needed")
+
+    def _look_at_silent(self, now_s: float) -> None:
+        for name, node in self._nodes.items() if self._stopping is None else ():
+            reason = node.look(now_s)
+            if reason:
+                self._say("error", f"{name} hangs: {reason}")
+                node.kill()
+                # a process that waits for a disk takes its time to end
+                node.heard(now_s)
+                node.killed_for = reason
+            elif node.is_silent(now_s) and now_s - node.silence_said_s >= _SILENCE_INTERVAL_S:
+                node.silence_said_s, node.is_said = now_s, True
+                self._say("warning", _silence(name, node, now_s))
+
+    # start and end of the graph
+
+    def _start_or_stop(self, now_s: float) -> None:
+        if self._stopping is not None:
+            self._stop_next(now_s)
+            return
+        for name, node in self._nodes.items():
+            if node.phase is Phase.WAITING and node.start_at_s <= now_s and self._may_start(node):
+                self._start(name, node, now_s)
+
+    def _start(self, name: str, node: _Watched, now_s: float) -> None:
+        try:
+            node.start(name, self._run_dir, now_s)
+        except OSError as error:
+            # no memory, no file descriptor or no process is left: that may pass, as a crash may
+            node.reason = f"cannot be started: {error}"
+            self._after_exit(name, node, EXIT_FAILED, now_s)
+            return
+        assert node.child is not None
+        self._bus.watch(node.child.ended)
+
+    def _may_start(self, node: _Watched) -> bool:
+        others = [self._nodes[other] for other in node.entry.after]
+        return all(other.was_ready or other.phase is Phase.ENDED for other in others)
+
+    def _check_end(self, now_s: float) -> None:
+        if self._stop_requests > 1:
+            for node in self._nodes.values():
+                node.kill()
+        if self._stopping is not None:
+            return
+        if self._stop_requests:
+            self._say("info", "stopping: asked to")
+            self._stopping = [list(self._nodes)]
+        elif self._one_shots_ended():
+            self._stop_in_order("all nodes that run once have ended")
+        elif self._duration_over(now_s):
+            self._stop_in_order(f"{self._duration_s:g} s are over")
+
+    def _one_shots_ended(self) -> bool:
+        once = [node for node in self._nodes.values() if node.entry.restart.policy is RestartPolicy.NEVER]
+        return bool(once) and all(node.phase is Phase.ENDED for node in once)
+
+    def _duration_over(self, now_s: float) -> bool:
+        if self._duration_s is None:
+            return False
+        if self._stop_at_s is None and all(node.was_ready for node in self._nodes.values()):
+            self._stop_at_s = now_s + self._duration_s
+        return self._stop_at_s is not None and now_s >= self._stop_at_s
+
+    def _stop_in_order(self, why: str) -> None:
+        """Stop one after the other, sources first, so that each can answer what waits for it."""
+        self._say("info", f"stopping: {why}")
+        self._stopping = [[name] for name in stop_order(self._launch)]
+
+    def _stop_next(self, now_s: float) -> None:
+        assert self._stopping is not None
+        while self._stopping and not any(self._nodes[name].child for name in self._stopping[0]):
+            self._stopping.pop(0)
+        if self._stop_requests and len(self._stopping) > 1:
+            self._stopping = [[name for group in self._stopping for name in group]]
+        patience_s = PATIENCE_S if self._stop_requests else DRAIN_S
+        for node in (self._nodes[name] for name in (self._stopping[0] if self._stopping else ())):
+            if node.phase is Phase.READY:
+                node.stop(now_s, patience_s, by_hand=self._stop_requests > 0)
+            else:
+                # it has nothing to lose yet, and no handler for a gentler signal
+                node.kill()
+
+    def _all_gone(self) -> bool:
+        waiting = self._stopping is None and any(node.phase is Phase.WAITING for node in self._nodes.values())
+        return not waiting and not any(node.child for node in self._nodes.values())
+
+    def _close_all(self) -> None:
+        for name, node in self._nodes.items():
+            self._let_go(name, node)
+
+    # what the supervisor says
+
+    def _report(self) -> None:
+        if self._heartbeat.remaining_s() <= 0.0:
+            self._hold_again()
+            now_s = time.monotonic()
+            failed = [f"{name} FAILED{_because(node.reason)}" for name, node in self._nodes.items() if _is_failed(node)]
+            failed += [_silence(name, node, now_s) for name, node in self._nodes.items() if node.is_silent(now_s)]
+            failed += (
+                [counted(self._log.lost, "line of the log is lost", "lines of the log are lost")]
+                if self._log.lost
+                else []
+            )
+            is_up = all(node.was_ready or node.phase in (Phase.ENDED, Phase.FAILED) for node in self._nodes.values())
+            state = NodeState.READY if is_up else NodeState.STARTING
+            self._heartbeat.beat(NodeState.DEGRADED if failed else state, "; ".join(failed))
+
+    def _say(self, level: str, text: str) -> None:
+        self._write({"time": utc_now(), "node": SUPERVISOR, "level": level, "text": text})
+        record = LogRecord(stamp_ns=self._bus.now_ns(), node=SUPERVISOR, level=level, text=text[:BUS_TEXT_LIMIT])
+        self._bus.publish("log", record)
+
+    def _write(self, entry: dict[str, Any]) -> None:
+        self._log.write(entry)
+        if self._on_log is not None:
+            try:
+                self._on_log(entry)
+            except OSError:
+                # the terminal has gone; the graph goes on, its log is in the file
+                self._on_log = None
+
+    # what it holds
+
+    @contextlib.contextmanager
+    def _locked(self) -> Iterator[Path]:
+        """Hold the graph's directory; the run folder comes back, its name and pid stand in the lock."""
+        self._lock = _locked_file(self._run_dir)
+        try:
+            run_folder = _new_run_folder(self._runs_dir, self._launch)
+            pid = os.getpid()
+            self._owner = {
+                "pid": pid,
+                "started": _started(pid),
+                "run": str(run_folder.resolve()),
+                "nodes": list(self._nodes),
+            }
+            self._tell_owner()
+            yield run_folder
+            self._lock.truncate(0)
+        finally:
+            self._lock.close()
+
+    def _tell_owner(self) -> None:
+        self._lock.truncate(0)
+        self._lock.write(json.dumps(self._owner))
+        self._lock.flush()
+
+    def _hold_again(self) -> None:
+        """Lock the directory anew where somebody deleted it: a second graph would enter, and who asks find none."""
+        if (self._run_dir / LOCK_NAME).exists():
+            return
+        # where the directory is missing the bus makes it soon
+        with contextlib.suppress(OSError):
+            lock = _locked_file(self._run_dir)
+            self._lock.close()
+            self._lock = lock
+            self._tell_owner()
+
+    @contextlib.contextmanager
+    def _signals(self) -> Iterator[None]:
+        def ask(number: int, frame: object) -> None:
+            # shell and kernel both say that the terminal has gone: nobody is there to ask for haste
+            if number != signal.SIGHUP or not self._stop_requests:
+                self.request_stop()
+
+        numbers = stopping_signals(signal.SIGINT, signal.SIGTERM)
+        previous = [signal.signal(number, ask) for number in numbers]
+        try:
+            yield
+        finally:
+            for number, handler in zip(numbers, previous, strict=True):
+                signal.signal(number, handler)
+
+
+def _locked_file(run_dir: Path) -> TextIO:
+    """The lock of a graph's directory, held while it is open.
+
+    Raises `OSError` where another graph holds it, `ValueError` where it is a symbolic link.
+    """
+    file = open(run_dir / LOCK_NAME, "a+", opener=no_link)  # noqa: SIM115
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        pid = read_lock(run_dir).get("pid", "unknown")
+        raise OSError(f"{run_dir}: a graph runs here already, pid {pid}") from None
+    return file
+
+
+def read_lock(run_dir: Path) -> dict[str, Any]:
+    """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
+    try:
+        with open(run_dir / LOCK_NAME, opener=no_link) as file:
+            owner = json.loads(file.read(1 << 16) or "{}")
+    except (FileNotFoundError, ValueError, RecursionError):
+        return {}
+    if not isinstance(owner, dict):
+        return {}
+    started = _started(owner.get("pid"))
+    # the number of a process that has ended may be another's by now
+    return owner if started is not None and owner.get("started", started) == started else {}
+
+
+def _started(pid: object) -> int | None:
+    """When a process was started, in clock ticks since boot (proc_pid_stat(5), field 22); None where it has ended."""
+    try:
+        return int(Path(f"/proc/{int(str(pid))}/stat").read_text().rpartition(")")[2].split()[19])
+    except (OSError, ValueError, IndexError):
+        return None
+
+
+def _new_run_folder(runs_dir: Path, launch: LaunchFile) -> Path:
+    runs_dir.mkdir(parents=True, exist_ok=True)
+    number = 1
+    while True:
+        folder = runs_dir / f"{launch.name}-{number}"
+        try:
+            # its log holds the viewer's token
+            folder.mkdir(mode=0o700)
+        except FileExistsError:
+            number += 1
+            continue
+        (folder / "launch.yaml").write_text(dump_launch(launch), encoding="utf-8")
+        return folder
+
+
+def _is_failed(node: _Watched) -> bool:
+    return node.phase is Phase.FAILED
+
+
+def _silence(name: str, node: _Watched, now_s: float) -> str:
+    doing = node.silence.doing if node.silence else None
+    return f"{name} has not answered for {now_s - node.heard_s:.1f} s, it {doing or 'is silent'}"
+
+
+def _how(code: int) -> str:
+    return f"was ended by {signal.Signals(-code).name}" if code < 0 else f"exited with code {code}"
+
+
+def _because(reason: str) -> str:
+    return f": {' '.join(reason.split())}" if reason else ""

@@ -1,0 +1,1 @@
+"""Parts of the recorder: files, snapshots and their trigger."""

@@ -1,0 +1,300 @@
+"""Shards of a data set: which scenes a series has, one npz file for some of them, written whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import msgspec
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from msgs.files.array_files import load_arrays
+from msgs.files.whole_files import whole
+from sim_player.dataset.labelled_scan import LABELS, EffectChoice, LabelledScan, Labels, labelled_scan, noise_power_mw
+from sim_player.effects.names import check_effects
+from sim_player.generate.domain_shift import (
+    HARD,
+    SHIFTS,
+    BoardFaults,
+    Shift,
+    draw_faults,
+    faulty_profiles,
+    shifted_scene,
+)
+from sim_player.generate.layouts import PlaceKind
+from sim_player.generate.places import draw_place
+from sim_player.generate.streets import random_street
+from sim_player.generate.wall_kinds import Preset
+from sim_player.scene.description import PRESETS, Scene, scene_to_yaml
+from sim_player.signal.levels import RANGE_BINS
+
+#: Any type of place or one of them; `street_v1` is the first series, of `sim_player.generate.streets.random_street`.
+Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection", "street_v1"]
+PLACES: tuple[Places, ...] = get_args(Places)
+SCENES_PER_SHARD = 50
+#: Grows whenever the same series would give other scenes, signals or labels than before.
+FORMAT = 2
+#: Spread of the radar's gain from scene to scene (ageing, temperature, radome), uniform within.
+GAIN_DB = 3.0
+#: Scene, facts and plan in a shard, as text in UTF-32.
+_SCENE_TEXT_BYTES = 50_000
+#: What a file that is not a whole shard raises when it is read.
+UNREADABLE = (OSError, ValueError, KeyError)
+
+
+class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What fixes the bytes of a data set beside its seed and length; ValueError names what cannot be.
+
+    effects: "auto" (planned per scene under `budget_db`), "all", "basic" (the chain of `sim_player.signal.fmcw`), or
+    names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes. shift: "hard" makes the places
+    rougher and fuller, and the board faulty (`sim_player.generate.domain_shift`), whose faults are those of steered
+    beams.
+    """
+
+    places: Places = "any"
+    preset: Preset = "xband"
+    effects: str | tuple[str, ...] | None = None
+    budget_db: float = -20.0
+    shift: Shift = "none"
+    scenes_per_shard: int = SCENES_PER_SHARD
+    format: int = FORMAT
+
+    def __post_init__(self) -> None:
+        if self.places not in PLACES:
+            raise ValueError(f"places must be one of {', '.join(PLACES)}, got {self.places!r}")
+        if self.preset not in PRESETS:
+            raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {self.preset!r}")
+        if self.shift not in SHIFTS:
+            raise ValueError(f"shift must be one of {', '.join(SHIFTS)}, got {self.shift!r}")
+        if self.places == "street_v1" and self.preset != "xband":
+            raise ValueError(f"preset must be xband for places street_v1, got {self.preset!r}")
+        if self.shift == "hard" and PRESETS[self.preset].array.digital:
+            raise ValueError(
+                f"shift must be none for preset {self.preset}: a digital array has no beams that fail one by one, "
+                f"got {self.shift!r}"
+            )
+        if not -200.0 <= self.budget_db < 0.0:
+            raise ValueError(f"budget_db must be negative and at least -200, got {self.budget_db!r}")
+        if self.scenes_per_shard < 1:
+            raise ValueError(f"scenes_per_shard must be at least 1, got {self.scenes_per_shard!r}")
+        if isinstance(self.effects, str) and self.effects not in ("auto", "all", "basic"):
+            raise ValueError(f"effects must be auto, all, basic or a list of names, got {self.effects!r}")
+        if self.effects == ():
+            raise ValueError("effects must be auto, all, basic or a list of names, got nothing")
+        if isinstance(self.effects, tuple):
+            check_effects(frozenset(self.effects))
+
+    @property
+    def choice(self) -> EffectChoice:
+        """The effects as `labelled_scan` takes them."""
+        if self.effects is None:
+            return "basic" if self.places == "street_v1" else "auto"
+        if isinstance(self.effects, tuple):
+            return frozenset(self.effects)
+        return self.effects  # type: ignore[return-value]
+
+    @property
+    def scene_bytes(self) -> int:
+        """What a scene takes in a shard, about: its profiles, its YAML, its plan."""
+        setup = PRESETS[self.preset]
+        return len(setup.beams) * RANGE_BINS * np.dtype(np.complex64).itemsize + _SCENE_TEXT_BYTES
+
+    def described(self, seed: int) -> dict[str, Any]:
+        """A series as its folder says it: the generator by name, effects resolved, no budget where none is used."""
+        choice = self.choice
+        plain = msgspec.to_builtins(self) | {"seed": seed}
+        plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
+        plain["budget_db"] = self.budget_db if choice == "auto" else None
+        plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
+        # series from before there was a shift never said so
+        del plain["shift"]
+        if self.shift == "hard":
+            # as JSON gives it back: lists, no tuples
+            plain["shift"] = {"name": self.shift} | msgspec.json.decode(msgspec.json.encode(HARD))
+        return dict(sorted(plain.items()))
+
+    def shard_name(self, first: int) -> str:
+        """File of the scenes from `first` on."""
+        return f"shard-{first // self.scenes_per_shard:05d}.npz"
+
+
+class ShardJob(msgspec.Struct, frozen=True, kw_only=True):
+    """One shard to be there: folder, recipe and seed, its first scene and how many; why it must be made again."""
+
+    folder: Path
+    recipe: Recipe
+    seed: int
+    first: int
+    count: int
+    fault: str = ""
+
+    @property
+    def path(self) -> Path:
+        """The shard's file."""
+        return self.folder / self.recipe.shard_name(self.first)
+
+
+class ShardDone(msgspec.Struct, frozen=True, kw_only=True):
+    """One shard that is there: kept as found, made, or made again with the reason."""
+
+    shard: str
+    first_scene: int
+    scenes: int
+    sha256: str
+    state: Literal["kept", "made", "rewritten"]
+    reason: str = ""
+
+    @property
+    def manifest_line(self) -> dict[str, Any]:
+        """Its line of the manifest, which does not tell how it came about."""
+        return {"shard": self.shard, "first_scene": self.first_scene, "scenes": self.scenes, "sha256": self.sha256}
+
+
+def make_shard(job: ShardJob) -> ShardDone:
+    """Simulate and write one shard; OSError names the file."""
+    # sums split among threads round in another way: bytes would tell how many there were
+    with threadpool_limits(limits=1, user_api="blas"):
+        arrays = shard_arrays(job.recipe, job.seed, job.first, job.count)
+    write_shard(job.path, arrays)
+    return shard_done(job, "rewritten" if job.fault else "made")
+
+
+def shard_done(job: ShardJob, state: Literal["kept", "made", "rewritten"]) -> ShardDone:
+    """What is told of a shard that is there."""
+    return ShardDone(
+        shard=job.path.name,
+        first_scene=job.first,
+        scenes=job.count,
+        sha256=file_sha256(job.path),
+        state=state,
+        reason=job.fault,
+    )
+
+
+def shard_fault(job: ShardJob, sha256: str | None) -> str | None:
+    """Why a shard must be made: "" where there is none or only its beginning, else what is wrong; None: nothing is.
+
+    A shard must be readable to its last array (npz carries CRC-32) and have its checksum where that is known.
+    """
+    if not job.path.exists():
+        return ""
+    try:
+        scenes = len(read_shard(job.path)["noise_power_mw"])
+    except UNREADABLE as error:
+        return f"cannot be read: {' '.join(str(error).split())}"
+    if scenes != job.count:
+        return "" if scenes < job.count else f"holds {scenes} scenes instead of {job.count}"
+    if sha256 not in (None, file_sha256(job.path)):
+        return "differs from its checksum in the manifest"
+    return None
+
+
+def file_sha256(path: Path) -> str:
+    """SHA-256 of a file, hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def read_shard(path: Path) -> dict[str, np.ndarray]:
+    """All arrays of a shard; raises `ValueError` where it is none, `OSError` where it cannot be read."""
+    return load_arrays(path)
+
+
+def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
+    """Write a shard so that it is there whole or not at all, whatever happens to the machine."""
+    with whole(path) as part, part.open("wb") as file:
+        np.savez(file, **arrays)  # type: ignore[arg-type]
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
+    """Arrays of scenes first..first+count-1 of the series of a seed; `sim_player.dataset.writer` says which."""
+    profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
+    for index in range(first, first + count):
+        scene, place = draw_scene(recipe, seed, index)
+        gain_db = float(np.random.default_rng([seed, index, 7]).uniform(-GAIN_DB, GAIN_DB))
+        scan_seed = scene_seed(seed, index)
+        scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db)
+        if recipe.shift == "hard":
+            boards.append(draw_faults(_shift_rng(seed, index, 1), len(scan.profiles)))
+            scan = replace(scan, profiles=faulty_profiles(scan.profiles, boards[-1], scene.setup, scan_seed))
+        profiles.append(scan.profiles)
+        labels.append(scan.labels)
+        texts.append(scene_to_yaml(scene))
+        gains.append(gain_db)
+        noise.append(noise_power_mw(scene.setup))
+        facts.append(msgspec.json.encode(place | {"hidden": scan.hidden} | scene_facts(scene)))
+        plans.append(_plan_line(recipe, scan))
+    return {
+        "profiles": np.stack(profiles),
+        "noise_power_mw": np.array(noise),
+        "gain_db": np.array(gains),
+        "scene_yaml": np.array(texts),
+        "facts": np.array(facts),
+        "plan": np.array(plans),
+        "offset": np.concatenate([[0], np.cumsum([len(points.range_m) for points in labels])]).astype(np.int64),
+        **{name: _joined(labels, name) for name in LABELS},
+        **_board_arrays(boards),
+    }
+
+
+def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, Any]]:
+    """Scene number `index` of a series, with its type of place and the kinds of its walls."""
+    if recipe.places == "street_v1":
+        scene, facts = random_street(seed, index), {"place": "street_v1", "relays": []}
+    else:
+        kind: PlaceKind | None = None if recipe.places == "any" else recipe.places
+        place = draw_place(seed, index, recipe.preset, kind)
+        scene, facts = place.scene, {"place": place.kind, "relays": place.relays}
+    if recipe.shift == "hard":
+        scene = shifted_scene(scene, _shift_rng(seed, index, 0))
+    return scene, facts
+
+
+def scene_facts(scene: Scene) -> dict[str, Any]:
+    """What statistics need of a scene, so that nobody has to read its YAML."""
+    names = ("role", "material", "roughness_mm", "curvature_per_m")
+    return {
+        "objects": [thing.object_class for thing in scene.objects],
+        "surfaces": [{name: getattr(surface, name) for name in names} for surface in scene.surfaces],
+    }
+
+
+def scene_seed(seed: int, index: int) -> int:
+    """One integer that names a scene's speckle and noise."""
+    return int(np.random.SeedSequence([seed, index]).generate_state(1, np.uint64)[0])
+
+
+def _plan_line(recipe: Recipe, scan: LabelledScan) -> bytes:
+    """Which effects a scan has and, where they were planned, why."""
+    line: dict[str, Any] = {"used": sorted(scan.used), "paths": scan.paths}
+    plan = scan.plan
+    if plan is not None:
+        line |= {"traced": plan.traced, "plan": msgspec.to_builtins(plan.effects)}
+    if plan is not None and recipe.choice == "auto":
+        line |= {"budget_db": plan.budget_db, "spent_db": plan.spent_db}
+    return msgspec.json.encode(line)
+
+
+def _shift_rng(seed: int, index: int, part: int) -> np.random.Generator:
+    """Draws of a scene's shift, apart from all that make the scene: part 0 its place, 1 its board."""
+    return np.random.default_rng([seed, index, 11, part])
+
+
+def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
+    """What a shard says of faulty boards; nothing where there are none."""
+    if not boards:
+        return {}
+    return {
+        "missing_beams": np.stack([board.dead for board in boards]),
+        "beam_gain": np.stack([board.gain for board in boards]),
+    }
+
+
+def _joined(labels: list[Labels], name: str) -> np.ndarray:
+    """One array of all scenes' points."""
+    return np.concatenate([getattr(points, name) for points in labels])

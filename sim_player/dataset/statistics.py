@@ -1,0 +1,233 @@
+"""What a data set holds, counted from its shards: places, walls, objects, ranges, bounces, SNR, roughness, effects."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from msgs.values.perception import PathClass
+from sim_player.dataset.shards import UNREADABLE, read_shard
+from sim_player.scene.description import OBJECT_KINDS
+
+#: Edges of the histograms; the last bin takes all that lies beyond.
+RANGE_EDGES_M = tuple(float(edge) for edge in range(0, 111, 5))
+SNR_EDGES_DB = tuple(float(edge) for edge in range(10, 101, 5))
+ROUGHNESS_EDGES_MM = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0, 1.25, 1.5, 2.0, 3.0)
+CLASS_NAMES = {PathClass.LOS: "LOS", PathClass.MIRRORED: "mNLOS"}
+ORDER_NAMES = ("direct", "one mirror", "two mirrors")
+
+
+class Histogram(msgspec.Struct, frozen=True, kw_only=True):
+    """Counts between edges (one fewer), by name."""
+
+    edges: tuple[float, ...]
+    counts: dict[str, list[int]]
+
+
+class ObjectCount(msgspec.Struct, frozen=True, kw_only=True):
+    """Objects of one class: with direct points, with points in mirrors alone, with none."""
+
+    direct: int = 0
+    hidden: int = 0
+    unseen: int = 0
+
+
+class Statistics(msgspec.Struct, frozen=True, kw_only=True):
+    """A data set in numbers; counts by name, largest first."""
+
+    series: dict[str, Any]
+    scenes: int
+    points: dict[str, int]
+    places: dict[str, int]
+    #: Kinds of wall as built, and materials of all walls.
+    relays: dict[str, int]
+    materials: dict[str, int]
+    objects: dict[str, ObjectCount]
+    #: Scenes by how many objects they have, and by how many of them show in mirrors alone.
+    objects_per_scene: dict[int, int]
+    hidden_per_scene: dict[int, int]
+    nothing_hidden_share: float
+    #: Objects that only mirrors show, but none of their points stands out of the noise.
+    hidden_in_noise: int
+    #: Points by mirrors on their way.
+    orders: dict[str, int]
+    range_m: Histogram
+    snr_db: Histogram
+    roughness_mm: Histogram
+    #: Share of scenes that use an effect.
+    effects: dict[str, float]
+    #: 10 %, 50 %, 90 % of the paths that are left for the signal, and of those traced, per scene.
+    paths: tuple[float, float, float]
+    traced: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
+class SceneRecord:
+    """One scene of a shard."""
+
+    index: int
+    profiles: np.ndarray
+    noise_power_mw: float
+    facts: dict[str, Any]
+    plan: dict[str, Any]
+    #: Labels by name.
+    points: dict[str, np.ndarray]
+
+
+#: Labels that a record carries.
+_POINTS = ("range_m", "azimuth_rad", "path_class", "power_mw", "order", "object_index")
+
+
+def series_of(folder: Path) -> dict[str, Any]:
+    """What `series.json` says; ValueError where the folder holds no data set."""
+    path = folder / "series.json"
+    try:
+        found: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
+    except (OSError, msgspec.DecodeError) as error:
+        raise ValueError(f"{path}: must say which data set the folder holds: {error}") from None
+    return found
+
+
+def read_records(folder: Path) -> Iterator[SceneRecord]:
+    """All scenes of a data set in order; ValueError for a folder without shards, or a shard that cannot be read."""
+    paths = sorted(folder.glob("shard-*.npz"))
+    if not paths:
+        raise ValueError(f"{folder} must hold shards (shard-*.npz), found none")
+    first = 0
+    for path in paths:
+        try:
+            arrays = read_shard(path)
+            records = list(_records(arrays, first))
+        except UNREADABLE as error:
+            raise ValueError(f"{path}: not a shard of this format: {' '.join(str(error).split())}") from None
+        yield from records
+        first += len(records)
+
+
+def dataset_statistics(folder: Path) -> Statistics:
+    """Count everything in a data set; ValueError as above."""
+    return count_up(series_of(folder), read_records(folder))
+
+
+def count_up(series: dict[str, Any], records: Iterable[SceneRecord]) -> Statistics:
+    """Statistics of records."""
+    tally = _Tally()
+    for record in records:
+        tally.add(record)
+    return tally.statistics(series)
+
+
+def _records(arrays: dict[str, np.ndarray], first: int) -> Iterator[SceneRecord]:
+    offset = arrays["offset"]
+    for scene in range(len(offset) - 1):
+        here = slice(int(offset[scene]), int(offset[scene + 1]))
+        yield SceneRecord(
+            index=first + scene,
+            profiles=arrays["profiles"][scene],
+            noise_power_mw=float(arrays["noise_power_mw"][scene]),
+            facts=msgspec.json.decode(bytes(arrays["facts"][scene])),
+            plan=msgspec.json.decode(bytes(arrays["plan"][scene])),
+            points={name: arrays[name][here] for name in _POINTS},
+        )
+
+
+class _Tally:
+    """Counters that go from scene to scene."""
+
+    def __init__(self) -> None:
+        self.places: Counter[str] = Counter()
+        self.relays: Counter[str] = Counter()
+        self.materials: Counter[str] = Counter()
+        self.effects: Counter[str] = Counter()
+        self.orders: Counter[int] = Counter()
+        self.objects_per_scene: Counter[int] = Counter()
+        self.hidden_per_scene: Counter[int] = Counter()
+        self.objects = {name: Counter[str]() for name in OBJECT_KINDS}
+        self.hidden_in_noise = 0
+        self.range_m: dict[str, list[np.ndarray]] = {name: [] for name in CLASS_NAMES.values()}
+        self.snr_db: dict[str, list[np.ndarray]] = {name: [] for name in CLASS_NAMES.values()}
+        self.roughness_mm: list[float] = []
+        self.paths: list[int] = []
+        self.traced: list[int] = []
+
+    def add(self, record: SceneRecord) -> None:
+        """One more scene."""
+        walls = [surface for surface in record.facts["surfaces"] if surface["role"] != "ground"]
+        self.places[record.facts["place"]] += 1
+        self.relays.update(record.facts["relays"])
+        self.materials.update(wall["material"] for wall in walls)
+        self.roughness_mm += [wall["roughness_mm"] for wall in walls]
+        self.effects.update(record.plan["used"])
+        self.paths.append(record.plan["paths"])
+        if "traced" in record.plan:
+            self.traced.append(record.plan["traced"])
+        self._add_points(record)
+        self._add_objects(record)
+
+    def _add_points(self, record: SceneRecord) -> None:
+        points = record.points
+        mirrored = points["path_class"] == PathClass.MIRRORED
+        # a corner of walls returns what it bounced itself: in direct sight all the same
+        self.orders.update(np.where(mirrored, points["order"], 0).tolist())
+        snr_db = 10.0 * np.log10(points["power_mw"] / record.noise_power_mw)
+        for kind, name in CLASS_NAMES.items():
+            mine = points["path_class"] == kind
+            self.range_m[name].append(points["range_m"][mine])
+            self.snr_db[name].append(snr_db[mine])
+
+    def _add_objects(self, record: SceneRecord) -> None:
+        points, classes = record.points, record.facts["objects"]
+        direct = set(points["object_index"][points["path_class"] == PathClass.LOS].tolist())
+        mirrored = set(points["object_index"][points["path_class"] == PathClass.MIRRORED].tolist()) - direct - {-1}
+        for index, name in enumerate(classes):
+            seen = "direct" if index in direct else "hidden" if index in mirrored else "unseen"
+            self.objects.setdefault(name, Counter())[seen] += 1
+        self.objects_per_scene[len(classes)] += 1
+        self.hidden_per_scene[len(mirrored)] += 1
+        self.hidden_in_noise += len(set(record.facts["hidden"]) - mirrored - direct)
+
+    def statistics(self, series: dict[str, Any]) -> Statistics:
+        """All counts as they stand; ValueError without a scene."""
+        scenes = self.places.total()
+        if not scenes:
+            raise ValueError("a data set must hold at least one scene, got none")
+        ranges = {name: np.concatenate(parts) for name, parts in self.range_m.items()}
+        return Statistics(
+            series=series,
+            scenes=scenes,
+            points={name: len(values) for name, values in ranges.items()},
+            places=dict(self.places.most_common()),
+            relays=dict(self.relays.most_common()),
+            materials=dict(self.materials.most_common()),
+            objects={name: ObjectCount(**counts) for name, counts in self.objects.items() if counts},
+            objects_per_scene=dict(sorted(self.objects_per_scene.items())),
+            hidden_per_scene=dict(sorted(self.hidden_per_scene.items())),
+            nothing_hidden_share=self.hidden_per_scene[0] / scenes,
+            hidden_in_noise=self.hidden_in_noise,
+            orders={name: self.orders[order] for order, name in enumerate(ORDER_NAMES)},
+            range_m=histogram(RANGE_EDGES_M, ranges),
+            snr_db=histogram(SNR_EDGES_DB, {name: np.concatenate(parts) for name, parts in self.snr_db.items()}),
+            roughness_mm=histogram(ROUGHNESS_EDGES_MM, {"walls": np.array(self.roughness_mm)}),
+            effects={name: count / scenes for name, count in self.effects.most_common()},
+            paths=_quantiles(self.paths),
+            traced=_quantiles(self.traced) if self.traced else None,
+        )
+
+
+def histogram(edges: tuple[float, ...], values: dict[str, np.ndarray]) -> Histogram:
+    """Counts of values between edges; what lies outside goes to the first or the last bin."""
+    inside = {name: np.clip(one, edges[0], np.nextafter(edges[-1], edges[0])) for name, one in values.items()}
+    return Histogram(
+        edges=edges, counts={name: np.histogram(one, np.array(edges))[0].tolist() for name, one in inside.items()}
+    )
+
+
+def _quantiles(values: list[int]) -> tuple[float, float, float]:
+    low, middle, high = np.quantile(values, [0.1, 0.5, 0.9]).tolist()
+    return low, middle, high

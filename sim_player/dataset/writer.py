@@ -1,0 +1,186 @@
+"""Data sets at the kernel level: scenes of a series as range profiles with labels, in resumable shards.
+
+A new data set has all four types of place (`sim_player.generate.places.random_place`), and for each scene the effects
+that its map calls for under -20 dB. The first series, random streets with the basic effects, is `places="street_v1"`:
+its profiles and first labels are what this module wrote when it knew no other series. `shift="hard"` is the second test
+set: the same places rougher and fuller, seen by a faulty board (`sim_player.generate.domain_shift`).
+
+A folder holds `series.json` (generator, preset, effects, budget, shift: another series is refused), shards, and
+`manifest.jsonl` (a line a shard, with its SHA-256). Arrays of a shard of n scenes:
+
+- profiles c8 [n, beams, 512], noise_power_mw [n] (thermal, a bin), gain_db [n] of the echoes, scene_yaml [n];
+- facts [n]: JSON with place, relays, objects (classes), hidden (indices of those seen in mirrors alone), surfaces;
+- plan [n]: JSON with the effects used, the number of paths and, for planned scenes, bound and reason of every effect;
+- offset int64 [n + 1] into the points of all scenes: range_m, azimuth_rad, path_class, hidden_xy_m, power_mw, order,
+  range_bin, azimuth_bin, point_m, image_m, object_index, object_class (`sim_player.dataset.labelled_scan.Labels`);
+- of a shifted series alone: missing_beams bool [n, beams], whose profiles hold zeros; beam_gain c16 [n, beams], the
+  board's errors, which a receiver does not know.
+
+Bytes depend neither on the executor nor on the number of workers nor on interruptions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from msgs.files.whole_files import require_room, write_whole
+from sim_player.dataset.executors import Executor, map_jobs
+from sim_player.dataset.labelled_scan import (
+    RANGE_BINS,
+    WINDOW,
+    Labels,
+    clean_profiles,
+    label_points,
+    noise_power_mw,
+    profile_noise,
+    scene_profiles,
+    simulate_profiles,
+)
+from sim_player.dataset.shards import (
+    SCENES_PER_SHARD,
+    Recipe,
+    ShardDone,
+    ShardJob,
+    make_shard,
+    read_shard,
+    shard_done,
+    shard_fault,
+)
+
+__all__ = [
+    "RANGE_BINS",
+    "SCENES_PER_SHARD",
+    "WINDOW",
+    "Labels",
+    "Recipe",
+    "ShardDone",
+    "clean_profiles",
+    "label_points",
+    "noise_power_mw",
+    "profile_noise",
+    "read_shard",
+    "scene_profiles",
+    "simulate_profiles",
+    "write_dataset",
+]
+
+
+DEFAULT = Recipe()
+
+
+def write_dataset(
+    out_dir: Path,
+    count: int,
+    seed: int,
+    recipe: Recipe = DEFAULT,
+    workers: int = 1,
+    on_shard: Callable[[ShardDone], None] | None = None,
+    executor: Executor = "local",
+    slurm: dict[str, Any] | None = None,
+) -> Path:
+    """Write the first `count` scenes of a series as npz shards and a manifest; returns the manifest's path.
+
+    Shards already there are kept if they are whole (an interrupted run goes on), made again if not. `on_shard` hears
+    of each shard once it is there. Raises ValueError for a bad count or seed, a folder that holds another series or
+    more scenes; OSError with the file's name where it cannot be written; what `executors.map_jobs` raises.
+    """
+    for name, value, least in (("count", count, 1), ("seed", seed, 0)):
+        if value < least:
+            raise ValueError(f"{name} must be at least {least}, got {value!r}")
+    out_dir = out_dir.resolve()
+    out_dir.mkdir(parents=True, exist_ok=True)
+    _claim(out_dir, recipe.described(seed))
+    for part in out_dir.glob("*shard-*.part"):
+        # of a run that was killed
+        part.unlink(missing_ok=True)
+    manifest = _Manifest(out_dir / "manifest.jsonl")
+    jobs = _jobs(out_dir, count, seed, recipe)
+    _refuse_to_shrink(out_dir, jobs, manifest)
+    missing = []
+    for job in jobs:
+        fault = shard_fault(job, manifest.sha256(job))
+        if fault is not None:
+            missing.append(msgspec.structs.replace(job, fault=fault))
+            continue
+        manifest.add(shard_done(job, "kept"), on_shard)
+    require_room(manifest.path, sum(job.count for job in missing) * recipe.scene_bytes)
+    for done in map_jobs(make_shard, missing, executor, workers, out_dir / ".slurm", slurm):
+        manifest.add(done, on_shard)
+        # at once: a run that goes on after a kill checks against it
+        manifest.write()
+    manifest.write()
+    return manifest.path
+
+
+class _Manifest:
+    """Lines of the manifest by shard, those of an earlier run until they are replaced."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self.lines = path, _known(path)
+
+    def sha256(self, job: ShardJob) -> str | None:
+        """Checksum of a shard as long as it should be, if it is known."""
+        line = self.lines.get(job.path.name, {})
+        return line["sha256"] if line.get("scenes") == job.count else None
+
+    def add(self, done: ShardDone, on_shard: Callable[[ShardDone], None] | None) -> None:
+        """One more shard is there."""
+        self.lines[done.shard] = done.manifest_line
+        if on_shard is not None:
+            on_shard(done)
+
+    def write(self) -> None:
+        """Write all lines, whole or not at all."""
+        ordered = sorted(self.lines.values(), key=lambda line: line["first_scene"])
+        write_whole(self.path, b"".join(msgspec.json.encode(line) + b"\n" for line in ordered))
+
+
+def _known(manifest: Path) -> dict[str, dict[str, Any]]:
+    """Lines of a manifest by shard; none where it cannot be read."""
+    names = ("shard", "first_scene", "scenes", "sha256")
+    try:
+        lines = [msgspec.json.decode(line) for line in manifest.read_bytes().splitlines()]
+        return {line["shard"]: {name: line[name] for name in names} for line in lines}
+    except (OSError, msgspec.DecodeError, UnicodeError, RecursionError, KeyError, TypeError):
+        return {}
+
+
+def _jobs(out_dir: Path, count: int, seed: int, recipe: Recipe) -> list[ShardJob]:
+    """All shards of a data set."""
+    size = recipe.scenes_per_shard
+    return [
+        ShardJob(folder=out_dir, recipe=recipe, seed=seed, first=first, count=min(size, count - first))
+        for first in range(0, count, size)
+    ]
+
+
+def _refuse_to_shrink(out_dir: Path, jobs: list[ShardJob], manifest: _Manifest) -> None:
+    """ValueError where the folder holds scenes beyond those asked for, which training would read all the same."""
+    counts = {job.path.name: job.count for job in jobs}
+    beyond = {path.name for path in out_dir.glob("shard-*.npz")} - counts.keys()
+    beyond |= {shard for shard, line in manifest.lines.items() if line["scenes"] > counts.get(shard, 0)}
+    if beyond:
+        asked = sum(counts.values())
+        raise ValueError(f"count must not be below what {out_dir} holds ({max(beyond)}), got {asked}")
+
+
+def _claim(out_dir: Path, wanted: dict[str, Any]) -> None:
+    """Write down whose folder this is; ValueError where it is another series'."""
+    path = out_dir / "series.json"
+    if not path.exists():
+        if any(out_dir.glob("shard-*.npz")):
+            raise ValueError(f"{out_dir} holds shards but no series.json that says of which data set")
+        write_whole(path, msgspec.json.encode(wanted))
+        return
+    try:
+        found = msgspec.json.decode(path.read_bytes(), type=dict)
+    except msgspec.DecodeError:
+        raise ValueError(f"{path} must say which data set the folder holds, cannot be read") from None
+    names = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
+    if names:
+        differs = "; ".join(f"{name} {found.get(name)!r}, wanted {wanted.get(name)!r}" for name in names)
+        raise ValueError(f"{out_dir} holds another data set: {differs}")

@@ -1,0 +1,407 @@
+"""Random places from a seed (section 2.1.2): streets, parking lots, residential blocks, mixed intersections.
+
+A plan of the place, walls on it, parked vehicles, then road users out of sight whose mirror image the radar sees, then
+others in the open; at last the radar's faults and the weather. Where nothing finds a place to hide, a new plan is
+drawn.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import get_args
+
+import numpy as np
+from msgspec.structs import replace
+
+from models.physics.plane import segment_distance_m
+from sim_player.generate.layouts import Block, Layout, PlaceKind, draw_layout
+from sim_player.generate.placement import CLEARANCE_M, ORIGIN, WALL_CLEARANCE_M, Boxes, Walls, hidden, images, indoors
+from sim_player.generate.streets import CLASS_SHARE, IMAGE_AZIMUTH_RAD, IMAGE_RANGE_M
+from sim_player.generate.wall_kinds import CORRELATION_MM, FINISHES, Preset, RelayKind, build, known, surface
+from sim_player.scene.description import (
+    OBJECT_KINDS,
+    PRESETS,
+    Ego,
+    Scene,
+    SceneObject,
+    SceneRadar,
+    Surface,
+    Weather,
+    check_scene,
+)
+from sim_player.scene.front_end import FrontEnd, Spur
+
+#: How often each class is tried first in hiding: long vehicles fit more rarely.
+HIDING_SHARE = {"car": 0.28, "van": 0.17, "truck": 0.22, "bus": 0.17, "bicycle": 0.08, "pedestrian": 0.08}
+PLACE_KINDS: tuple[PlaceKind, ...] = get_args(PlaceKind)
+#: Share of places that are given no hidden object.
+EMPTY_SHARE = 0.12
+#: Share, among places with two hidden objects or more, where the second one's image is sought beside the first one's.
+OVERLAP_SHARE, OVERLAP_M = 0.4, 1.5
+GROUND_SHARE, FAULTY_SHARE, RAIN_SHARE, SEPARATED_SHARE = 0.8, 0.3, 0.25, 0.3
+#: Each fault of a faulty front end is there with this probability.
+FAULT_SHARE = 0.6
+#: Plans drawn until something hides.
+ATTEMPTS = 4
+CANDIDATES = 160
+#: Candidates that pass the quick tests and are looked at whole.
+SHORTLIST = 24
+#: The radar stands at least this far off every wall, and off the circle around every road user.
+WALL_ROOM_M, RADAR_ROOM_M = 1.0, 2.0
+#: The place is turned under the radar by this much, rms.
+TURN_RAD = math.radians(4.0)
+#: Grounds by how often, with rms roughness in mm.
+GROUNDS: dict[str, tuple[float, tuple[float, float]]] = {
+    "asphalt": (0.6, (0.3, 1.5)),
+    "concrete": (0.3, (0.2, 1.0)),
+    "medium_dry_ground": (0.1, (1.0, 3.0)),
+}
+#: Most speed by class, m/s.
+MOST_SPEED_MPS = {"car": 15.0, "van": 15.0, "truck": 15.0, "bus": 15.0, "bicycle": 7.0, "pedestrian": 2.0}
+
+
+#: A wall's kind (None: a building's plain sides) and its surfaces.
+Built = tuple[RelayKind | None, tuple[Surface, ...]]
+
+
+@dataclass(frozen=True)
+class Place:
+    """A scene and what it was made of."""
+
+    scene: Scene
+    kind: PlaceKind
+    #: Kinds of wall in the order they were built.
+    relays: tuple[RelayKind, ...]
+    #: Indices of the objects placed out of sight, and whether two of them were placed for images that overlap.
+    hidden: tuple[int, ...]
+    overlapping: bool
+
+
+def random_place(
+    seed: int,
+    index: int = 0,
+    preset: Preset = "xband",
+    kind: PlaceKind | None = None,
+    motion: bool = False,
+) -> Scene:
+    """Scene number `index` of the series `seed`: a place of a kind (None: any of the four), at rest unless `motion`.
+
+    Fixed by its arguments, whatever was drawn before; always passes `check_scene`. A 77 GHz scene has only materials
+    known there, so it also stands at X-band. ValueError for a negative seed or index and an unknown preset or kind.
+    """
+    return draw_place(seed, index, preset, kind, motion).scene
+
+
+def draw_place(
+    seed: int,
+    index: int = 0,
+    preset: Preset = "xband",
+    kind: PlaceKind | None = None,
+    motion: bool = False,
+) -> Place:
+    """`random_place` with what the scene was made of."""
+    _check(seed, index, preset, kind)
+    rng = np.random.default_rng([seed, index])
+    drawn: PlaceKind = PLACE_KINDS[rng.integers(len(PLACE_KINDS))]
+    kind = drawn if kind is None else kind
+    wanted = 0 if rng.random() < EMPTY_SHARE else int(rng.integers(1, 4))
+    overlap = wanted > 1 and bool(rng.random() < OVERLAP_SHARE)
+    for _ in range(ATTEMPTS):
+        crowd = _walls_and_parked(rng, kind, preset)
+        _hide(rng, crowd, wanted, overlap)
+        if crowd.hidden or not wanted:
+            break
+    for _ in range(int(rng.integers(0, 4))):
+        crowd.add(rng, hide=False)
+    scene = Scene(
+        name=f"{kind}_{seed}_{index}",
+        radar=draw_radar(rng, preset),
+        surfaces=(*crowd.surfaces, *draw_ground(rng, preset)),
+        objects=_moving(rng, crowd) if motion else tuple(crowd.things),
+        ego=_ego(rng) if motion else Ego(),
+        weather=draw_weather(rng),
+    )
+    check_scene(scene)
+    return Place(scene, kind, crowd.relays, tuple(crowd.hidden), crowd.overlapping)
+
+
+def _check(seed: int, index: int, preset: str, kind: str | None) -> None:
+    """Arguments at the door."""
+    for name, number in (("seed", seed), ("index", index)):
+        if number < 0:
+            raise ValueError(f"{name} must not be negative, got {number!r}")
+    if preset not in PRESETS:
+        raise ValueError(f"preset must be one of {', '.join(PRESETS)}, got {preset!r}")
+    if kind is not None and kind not in PLACE_KINDS:
+        raise ValueError(f"kind must be one of {', '.join(PLACE_KINDS)}, got {kind!r}")
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """From the plan to the radar's frame: turned, then left and right exchanged."""
+
+    angle_rad: float
+    flip: bool
+
+    def points(self, points: np.ndarray) -> np.ndarray:
+        """Points [N, 2]."""
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        return points @ np.array([[c, s], [-s, c]]) * np.array([1.0, -1.0 if self.flip else 1.0])
+
+    def heading_deg(self, heading_deg: np.ndarray) -> np.ndarray:
+        """Headings [N]."""
+        turned = heading_deg + math.degrees(self.angle_rad)
+        return -turned if self.flip else turned
+
+    def surface(self, piece: Surface) -> Surface:
+        """A wall."""
+        return replace(
+            piece,
+            polyline_m=tuple((x, y) for x, y in self.points(np.array(piece.polyline_m)).tolist()),
+            curvature_per_m=-piece.curvature_per_m if self.flip else piece.curvature_per_m,
+        )
+
+
+@dataclass
+class _Crowd:
+    """Walls, and the road users that stand among them so far."""
+
+    surfaces: tuple[Surface, ...]
+    relays: tuple[RelayKind, ...]
+    layout: Layout
+    turn: _Turn
+    walls: Walls
+    #: Outlines of buildings and containers.
+    rings: tuple[np.ndarray, ...]
+    things: list[SceneObject] = field(default_factory=list)
+    hidden: list[int] = field(default_factory=list)
+    parked: int = 0
+    overlapping: bool = False
+    #: Ranges of the images of hidden objects, and the legs [L, 2] of the paths that show them.
+    image_m: list[float] = field(default_factory=list)
+    leg_a: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    leg_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def add(self, rng: np.random.Generator, hide: bool, beside_m: float | None = None) -> bool:
+        """A road user out of sight (with an image at about a range) or in the open; False where none fits."""
+        spot, heading = _candidates(rng, self.layout, self.turn, CANDIDATES)
+        boxes = Boxes.of(tuple(self.things))
+        keep = ~indoors(spot, self.rings) & (np.hypot(*spot.T) > IMAGE_RANGE_M[0])
+        keep[keep] = hidden(spot[keep], self.walls, boxes) == hide
+        spot, heading = spot[keep], heading[keep]
+        if hide:
+            seen = images(spot, self.walls, boxes, IMAGE_AZIMUTH_RAD, IMAGE_RANGE_M)
+            near = np.full(len(seen.spot), beside_m is None) | (np.abs(seen.range_m - (beside_m or 0.0)) < OVERLAP_M)
+            fits = np.unique(seen.spot[near])
+        else:
+            fits = np.flatnonzero(np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD)
+        share = HIDING_SHARE if hide else CLASS_SHARE
+        for name in rng.choice(list(share), len(share), replace=False, p=list(share.values())):
+            yaw_deg = _yaw_deg(rng, str(name), heading)
+            for chosen in fits[self._stand(str(name), spot[fits], yaw_deg[fits], boxes, hide)][:1]:
+                if hide:
+                    which = (seen.spot == chosen) & near
+                    self._remember(seen.specular[which], spot[chosen], float(seen.range_m[which].min()))
+                self.things.append(_thing(str(name), spot[chosen], yaw_deg[chosen]))
+                return True
+        return False
+
+    def park(self, rng: np.random.Generator) -> None:
+        """Vehicles in some of the bays."""
+        low, high = self.layout.parked
+        count = int(rng.integers(low, high + 1))
+        for bay in rng.permutation(len(self.layout.bays)):
+            if len(self.things) == count:
+                break
+            place = self.layout.bays[bay]
+            name = str(rng.choice(["car", "van", "truck"] if place.large else ["car", "car", "van"]))
+            spot = self.turn.points(np.array([[place.x_m, place.y_m]]) + rng.normal(0.0, 0.1, (1, 2)))
+            yaw_deg = self.turn.heading_deg(
+                np.array([place.heading_deg + rng.choice([0.0, 180.0]) + rng.normal(0.0, 2.0)])
+            )
+            if not indoors(spot, self.rings)[0] and self._stand(name, spot, yaw_deg, Boxes.of(tuple(self.things)))[0]:
+                self.things.append(_thing(name, spot[0], yaw_deg[0]))
+        self.parked = len(self.things)
+
+    def _stand(self, name: str, spot: np.ndarray, yaw_deg: np.ndarray, boxes: Boxes, hide: bool = False) -> np.ndarray:
+        """Which spots [N] leave room to walls, others, the radar, and to the paths that show hidden ones."""
+        size = OBJECT_KINDS[name]
+        fits = np.hypot(*spot.T) > 0.5 * math.hypot(size.length_m, size.width_m) + RADAR_ROOM_M
+        fits[np.flatnonzero(fits)[SHORTLIST:]] = False
+        spot, yaw_deg = spot[fits], yaw_deg[fits]
+
+        def grown(by_m: float) -> Boxes:
+            return Boxes.at(spot, yaw_deg, size.length_m + 2.0 * by_m, size.width_m + 2.0 * by_m)
+
+        own = grown(0.0)
+        good = ~grown(WALL_CLEARANCE_M).cut(*self.walls.footing)
+        good &= ~grown(CLEARANCE_M).cut(*boxes.faces) & ~boxes.contain(spot).any(axis=0)
+        good &= ~own.cut(self.leg_a, self.leg_b)
+        if hide:
+            outline = _outline(own)
+            good[good] = hidden(outline[good].reshape(-1, 2), self.walls, boxes).reshape(-1, outline.shape[1]).all(1)
+        fits[fits] = good
+        return fits
+
+    def _remember(self, specular: np.ndarray, spot: np.ndarray, range_m: float) -> None:
+        """A hidden object and the paths that show it."""
+        self.hidden.append(len(self.things))
+        self.image_m.append(range_m)
+        self.leg_a = np.concatenate([self.leg_a, np.zeros_like(specular), specular])
+        self.leg_b = np.concatenate([self.leg_b, specular, np.broadcast_to(spot, specular.shape)])
+
+
+def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset) -> _Crowd:
+    """A place without road users but for the parked; drawn anew until the radar has room."""
+    while True:
+        layout = draw_layout(rng, kind)
+        turn = _Turn(float(rng.normal(0.0, TURN_RAD)), bool(rng.random() < 0.5))
+        built: list[Built] = [build(rng, line, preset) for line in layout.lines]
+        for block in layout.blocks:
+            built += _block(rng, block, preset)
+        surfaces = tuple(turn.surface(piece) for _, pieces in built for piece in pieces)
+        walls = Walls.of(surfaces)
+        rings = (
+            *(turn.points(_footprint(block)) for block in layout.blocks),
+            *(np.array(wall.polyline_m) for wall in surfaces if wall.polyline_m[0] == wall.polyline_m[-1]),
+        )
+        far = segment_distance_m(ORIGIN[None], walls.a, walls.b).min() > WALL_ROOM_M
+        if far and not indoors(ORIGIN[None], rings)[0]:
+            crowd = _Crowd(surfaces, tuple(kind for kind, _ in built if kind is not None), layout, turn, walls, rings)
+            crowd.park(rng)
+            return crowd
+
+
+def _block(rng: np.random.Generator, block: Block, preset: Preset) -> list[Built]:
+    """A building: its fronts, and one plain wall around the rest."""
+    sides = block.sides()
+    built: list[Built] = [build(rng, sides[side], preset) for side in block.fronts]
+    order = "wnes" * 2
+    first = next(i for i in range(4) if order[i] in block.fronts and order[i + 1] not in block.fronts) + 1
+    plain = [sides[side] for side in order[first : first + 4 - len(block.fronts)]]
+    names = [name for name in ("concrete", "rendered", "brick") if known(FINISHES[name].material, preset)]
+    finish = FINISHES[names[rng.integers(len(names))]]
+    outline = (plain[0].start, *(side.end for side in plain))
+    return [*built, (None, (surface(rng, finish, outline, float(rng.uniform(*block.height_m)), role="occluder"),))]
+
+
+def _footprint(block: Block) -> np.ndarray:
+    """Corners of a building, [4, 2]."""
+    return np.array([side.start for side in block.sides().values()])
+
+
+def _hide(rng: np.random.Generator, crowd: _Crowd, wanted: int, overlap: bool) -> None:
+    """Road users out of sight, the second beside the first one's image if overlap is asked for."""
+    for _ in range(wanted):
+        beside = crowd.image_m[0] if overlap and len(crowd.image_m) == 1 else None
+        if crowd.add(rng, True, beside):
+            crowd.overlapping |= beside is not None
+        elif beside is not None:
+            crowd.add(rng, True)
+
+
+def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Spots [count, 2] all over the zones, and the heading of traffic there (NaN: any)."""
+    zone = rng.integers(len(layout.zones), size=count)
+    share = rng.random((count, 2))
+    low = np.array([(z.x_m[0], z.y_m[0]) for z in layout.zones])
+    size = np.array([(z.x_m[1] - z.x_m[0], z.y_m[1] - z.y_m[0]) for z in layout.zones])
+    angle = np.radians([z.turn_deg for z in layout.zones])[zone]
+    inner = share * size[zone]
+    c, s = np.cos(angle), np.sin(angle)
+    spot = low[zone] + np.column_stack([c * inner[:, 0] - s * inner[:, 1], s * inner[:, 0] + c * inner[:, 1]])
+    heading = np.array([math.nan if z.heading_deg is None else z.heading_deg for z in layout.zones])[zone]
+    return turn.points(spot), turn.heading_deg(heading)
+
+
+def _yaw_deg(rng: np.random.Generator, name: str, heading_deg: np.ndarray) -> np.ndarray:
+    """Headings [N]: with the traffic, either way; pedestrians, and all in a yard, anyhow."""
+    free = np.isnan(heading_deg) | (name == "pedestrian")
+    along = heading_deg + rng.choice([0.0, 180.0], len(heading_deg)) + rng.normal(0.0, 6.0, len(heading_deg))
+    return np.where(free, rng.uniform(0.0, 360.0, len(heading_deg)), along)
+
+
+def _thing(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
+    """An object at rest."""
+    return SceneObject(
+        class_=name,  # type: ignore[arg-type]
+        x_m=float(spot[0]),
+        y_m=float(spot[1]),
+        yaw_deg=math.remainder(float(yaw_deg), 360.0),
+    )
+
+
+def _outline(boxes: Boxes) -> np.ndarray:
+    """Points all around boxes, [N, 16, 2]."""
+    ends = np.roll(boxes.corners, -1, axis=1)
+    share = np.array([0.0, 0.25, 0.5, 0.75])[:, None]
+    return (boxes.corners[:, :, None] + share * (ends - boxes.corners)[:, :, None]).reshape(len(boxes.corners), 16, 2)
+
+
+def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]:
+    """The ground of most places."""
+    if rng.random() >= GROUND_SHARE:
+        return ()
+    names = [name for name in GROUNDS if known(name, preset)]
+    share = np.array([GROUNDS[name][0] for name in names])
+    name = str(rng.choice(names, p=share / share.sum()))
+    return (
+        Surface(
+            role="ground",
+            material=name,
+            roughness_mm=float(rng.uniform(*GROUNDS[name][1])),
+            correlation_mm=float(rng.uniform(*CORRELATION_MM)),
+        ),
+    )
+
+
+def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
+    """Mounting, and the faults of some radars."""
+    return SceneRadar(
+        preset=preset,
+        height_m=float(rng.uniform(0.5, 1.5)),
+        separation_m=float(rng.uniform(0.0, 0.3)) if rng.random() < SEPARATED_SHARE else 0.0,
+        front_end=_faulty(rng) if rng.random() < FAULTY_SHARE else FrontEnd(),
+    )
+
+
+def _faulty(rng: np.random.Generator) -> FrontEnd:
+    """A front end with some of the faults that real ones have."""
+    coupled, skewed, flickers, leaks, spurs = rng.random(5) < FAULT_SHARE
+    return FrontEnd(
+        coupling_db=float(rng.uniform(-30.0, -18.0)) if coupled else None,
+        coupling_phase_deg=float(rng.uniform(-180.0, 180.0)) if coupled else 0.0,
+        iq_gain_db=float(rng.uniform(0.0, 0.5)) if skewed else 0.0,
+        iq_phase_deg=float(rng.uniform(0.0, 3.0)) if skewed else 0.0,
+        flicker_corner_hz=float(rng.uniform(0.0, 50e3)) if flickers else 0.0,
+        leakage_dbm=float(rng.uniform(-60.0, -35.0)) if leaks else None,
+        adc_bits=int(rng.choice([12, 14, 16])),
+        spurs=tuple(
+            Spur(frequency_hz=float(rng.uniform(1e6, 90e6)), power_dbm=float(rng.uniform(-120.0, -95.0)))
+            for _ in range(int(rng.integers(1, 3)) if spurs else 0)
+        ),
+    )
+
+
+def draw_weather(rng: np.random.Generator) -> Weather:
+    """Dry or rainy air, cold to hot."""
+    return Weather(
+        rain_mm_per_h=float(rng.uniform(0.0, 30.0)) if rng.random() < RAIN_SHARE else 0.0,
+        temperature_c=float(rng.uniform(-5.0, 30.0)),
+    )
+
+
+def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
+    """All but the parked set in motion."""
+    return tuple(
+        thing
+        if index < crowd.parked
+        else replace(thing, speed_mps=float(rng.uniform(0.0, MOST_SPEED_MPS[str(thing.class_)])))
+        for index, thing in enumerate(crowd.things)
+    )
+
+
+def _ego(rng: np.random.Generator) -> Ego:
+    """The radar's own motion."""
+    return Ego(speed_mps=float(rng.uniform(0.0, 15.0)), yaw_rate_dps=float(rng.uniform(-10.0, 10.0)))

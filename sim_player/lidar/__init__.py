@@ -1,0 +1,1 @@
+"""Scenes seen by LiDAR: single-photon histograms and point clouds."""

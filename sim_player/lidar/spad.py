@@ -1,0 +1,602 @@
+"""A scene seen by a single-photon LiDAR: level rays at the sensor's height, optical paths, photon histograms.
+
+Each azimuth of the grid is one ray. Where it first meets something, that surface's scattered light comes straight back.
+A wall's smooth face sends the rest on as a mirror, over up to `MIRRORS` walls, to surfaces whose scattered light comes
+back the same way. And from the laser's spot on a wall scattered light reaches hidden objects, which scatter it back to
+the spot: the confocal return of Eq. (8), in patches. Ranges are half the way there and back.
+
+Walls and foliage are opaque, foliage is a matt surface where its line runs, objects are matt. Left out: light through
+panes, the glint of a wall seen head-on, matt returns of hidden walls, and three bounces after a mirror.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from enum import IntEnum
+from functools import cached_property
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from models.physics.curved_mirror import arc_from_ends
+from models.physics.mirror import CLEARANCE_M, crossing_parameters
+from models.physics.photons.counting import (
+    draw_histogram,
+    event_histogram,
+    exact_closed_form,
+    expected_histogram,
+)
+from models.physics.photons.optics import (
+    FresnelMean,
+    confocal_photons,
+    direct_photons,
+)
+from msgs.values.lidar import LidarSetup, SpadParams
+from msgs.values.perception import PathClass
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.lidar.optical_surfaces import PATCH_M, Patches, Surfaces, all_surfaces, patches_of, thing_albedo
+from sim_player.scene.world import Snapshot, World, radar_pose, snapshot, wall_lines
+from sim_player.trace.paths import Paths
+from sim_player.trace.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_passage
+from sim_player.trace.truth import visible_paths
+
+#: Walls that a ray may be mirrored by, one after the other.
+MIRRORS = 2
+#: Rays times surfaces, or spots times patches, that are held at a time.
+MOST_PAIRS = 1 << 18
+#: Detections over a whole scan below which a contribution is left out.
+BUDGET = 1e-3
+
+Contribution = Literal["mirror", "diffuse"]
+
+#: What the options of words may say.
+WORDS = {
+    "fresnel": ("mean", "printed"),
+    "nlos": ("mirror", "diffuse"),
+    "beyond": ("discard", "wrap"),
+    "engine": ("auto", "closed", "events"),
+}
+
+
+class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What is simulated, and how where the text leaves or prints two ways."""
+
+    #: Eq. (14) as the mean of both powers, or as printed.
+    fresnel: FresnelMean = "mean"
+    #: Photons of all paths meet one ambient light before they are counted. False: Eq. (17) as printed, each cell of the
+    #: radar's range axis with its own ambient light and pile-up; more counts than pulses may come of it, which
+    #: `photon_map` refuses.
+    merge: bool = True
+    nlos: tuple[Contribution, ...] = ("mirror", "diffuse")
+    #: What happens to paths beyond the unambiguous range.
+    beyond: Literal["discard", "wrap"] = "discard"
+    #: In closed form wherever that is exact, event by event elsewhere; or one of them (`draw_histogram` says what the
+    #: closed form keeps where it is not exact: the means).
+    engine: Literal["auto", "closed", "events"] = "auto"
+    #: Expected detections a scan below which a contribution is skipped; 0: none is.
+    budget: float = BUDGET
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.budget < math.inf:
+            raise ValueError(f"options.budget must be finite and not negative, got {self.budget!r}")
+        for name, words in WORDS.items():
+            value = getattr(self, name)
+            if not set(value if name == "nlos" else (value,)) <= set(words):
+                raise ValueError(f"options.{name} must be of {', '.join(words)}, got {value!r}")
+
+
+#: Options that nobody set.
+DEFAULT = SpadOptions()
+
+
+class Way(IntEnum):
+    """How the light came: straight, over mirrors, or scattered by a wall on both ways."""
+
+    DIRECT = 0
+    MIRROR = 1
+    DIFFUSE = 2
+
+
+@dataclass(frozen=True)
+class OpticalPaths:
+    """P paths of light, each at one azimuth."""
+
+    azimuth_index: np.ndarray
+    range_m: np.ndarray
+    #: Mean detected signal photons per pulse, Eq. (10).
+    photons: np.ndarray
+    #: `PathClass` and `Way` values, uint8.
+    kind: np.ndarray
+    way: np.ndarray
+    #: Object it comes from, -1 for a wall; int32.
+    thing: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.range_m)
+
+    def take(self, which: np.ndarray) -> OpticalPaths:
+        """The paths of an index or mask."""
+        return OpticalPaths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+class OpticPlan(msgspec.Struct, frozen=True, kw_only=True):
+    """What was decided about one contribution, and why."""
+
+    name: str
+    used: bool
+    #: The most detections it can bring, or move, over all azimuths of a scan.
+    bound: float
+    reason: str
+
+
+def optical_paths(
+    world: World,
+    lidar: LidarSetup,
+    time_s: float = 0.0,
+    options: SpadOptions = DEFAULT,
+    azimuths: np.ndarray | None = None,
+) -> OpticalPaths:
+    """All paths of light at a time after start, for all azimuths of the grid or those of an index array.
+
+    Contributions that `plan_optics` skips are left out, and so are paths beyond the unambiguous range unless they wrap.
+    Raises ValueError for a time that is not finite.
+    """
+    sight = _Sight.of(world, lidar, time_s, options, azimuths)
+    used = {plan.name for plan in _contributions(sight) if plan.used}
+    parts = [sight.direct()]
+    if "mirror" in used:
+        parts += sight.mirrored()
+    if "diffuse" in used:
+        parts += sight.confocal()
+    return _within(join_paths(parts), lidar.spad, options)
+
+
+def plan_optics(
+    world: World, lidar: LidarSetup, time_s: float = 0.0, options: SpadOptions = DEFAULT
+) -> tuple[OpticPlan, ...]:
+    """Which contributions a scene calls for, and which engine counts: a bound and a reason each.
+
+    A bound leaves out what hides and takes every cosine as 1; raises ValueError as `optical_paths`.
+    """
+    return *_contributions(_Sight.of(world, lidar, time_s, options, None)), *_counting(lidar, options)
+
+
+def label_paths(
+    world: World, lidar: LidarSetup, paths: Paths, time_s: float = 0.0, options: SpadOptions = DEFAULT
+) -> OpticalPaths:
+    """The supplement's reading: one path of light for each labelled point of the radar's map.
+
+    `paths` are the radar's, traced in `world` at the same time. Mirrored ones carry the two-bounce factor R_s^2 of
+    their first wall, once for each of their mirrors; an arc counts as its chord. Labels know no normals of objects:
+    these are lit head-on. A label stands at the azimuth nearest to it.
+    """
+    chosen = paths.take(visible_paths(world.setup, paths, lidar.grid))
+    of_wall, at_wall = chosen.thing < 0, chosen.surface >= 0
+    albedo, factor, cosine = np.zeros(len(chosen)), np.ones(len(chosen)), np.ones(len(chosen))
+    walls = Surfaces.of_walls(world).take(chosen.surface[at_wall])
+    incidence = _label_cosines(world, chosen.take(at_wall), time_s)
+    albedo[at_wall] = walls.diffuse(incidence, lidar.spad.wavelength_m, options.fresnel)
+    factor[at_wall] = walls.mirror(incidence, lidar.spad.wavelength_m, options.fresnel) ** (2.0 * chosen.order[at_wall])
+    cosine[at_wall & of_wall] = incidence[of_wall[at_wall]]
+    albedo[~of_wall] = np.array([thing_albedo(thing) for thing in world.scene.objects])[chosen.thing[~of_wall]]
+    range_m = 0.5 * chosen.length_m
+    made = OpticalPaths(
+        azimuth_index=np.rint(lidar.grid.azimuth_index(chosen.azimuth_rad)).astype(np.int64),
+        range_m=range_m,
+        photons=factor * direct_photons(lidar.spad, range_m, albedo, cosine),
+        kind=chosen.kind,
+        way=np.where(chosen.kind == PathClass.LOS, Way.DIRECT, Way.MIRROR).astype(np.uint8),
+        thing=chosen.thing,
+    )
+    return _within(made, lidar.spad, options)
+
+
+def spad_histograms(
+    lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int], options: SpadOptions = DEFAULT
+) -> np.ndarray:
+    """Photon histograms of all azimuths, uint32 [azimuth, bins].
+
+    Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends on no other, nor on how many threads
+    count. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
+    """
+    spad, closed = lidar.spad, _closed(lidar.spad, options)
+    draw = draw_histogram if closed else event_histogram
+    measured = _measured(lidar, paths, options)
+
+    def one(azimuth: int) -> np.ndarray:
+        rng = np.random.default_rng([*seed, azimuth])
+        drawn = [draw(spad, _delay_s(group), group.photons, rng) for group in measured[azimuth]]
+        return np.sum(drawn, axis=0) if drawn else np.zeros(spad.bins, np.int64)
+
+    # counting events lets go of the interpreter; a draw in closed form is too short for that
+    with ThreadPoolExecutor(1 if closed else len(os.sched_getaffinity(0))) as pool:
+        return _as_counts(list(pool.map(one, range(len(measured)))))
+
+
+def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
+    """Histograms as they are sent, uint32; ValueError where paths counted apart make more."""
+    counts = np.array(rows)
+    if counts.max(initial=0) > np.iinfo(np.uint32).max:
+        raise ValueError(f"spad.measurement_time_s must bring counts that fit 32 bits, got {counts.max()}")
+    return counts.astype(np.uint32)
+
+
+def expected_histograms(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions = DEFAULT) -> np.ndarray:
+    """Mean of `spad_histograms`, float64 [azimuth, bins]; raises ValueError for paths off the grid."""
+    spad, rows = lidar.spad, np.zeros((lidar.grid.azimuth_bins, lidar.spad.bins))
+    for row, groups in zip(rows, _measured(lidar, paths, options), strict=True):
+        for group in groups:
+            row += expected_histogram(spad, _delay_s(group), group.photons)
+    return rows
+
+
+def join_paths(parts: Sequence[OpticalPaths]) -> OpticalPaths:
+    """All paths of one or more sets, in order."""
+    return OpticalPaths(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(OpticalPaths)}
+    )
+
+
+# -- rays ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """N level rays on their way."""
+
+    azimuth_index: np.ndarray
+    origin: np.ndarray
+    direction: np.ndarray
+    #: So far: way, share of the mirrors passed on the way out and back, width per radian of divergence and its slope.
+    range_m: np.ndarray
+    share: np.ndarray
+    spread_m: np.ndarray
+    slope: np.ndarray
+
+    def take(self, which: np.ndarray) -> _Rays:
+        """The rays of an index or mask."""
+        return _Rays(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+@dataclass(frozen=True)
+class _Hits:
+    """What N rays met: `rays` led on to there, the piece, its level normal towards the ray, cosine of incidence."""
+
+    rays: _Rays
+    piece: np.ndarray
+    normal: np.ndarray
+    cosine: np.ndarray
+
+    def take(self, which: np.ndarray) -> _Hits:
+        """The hits of an index or mask."""
+        return _Hits(self.rays.take(which), self.piece[which], self.normal[which], self.cosine[which])
+
+
+def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
+    """The first piece each ray meets; rays that meet none are left out."""
+    range_m, piece = _nearest(surfaces, rays.origin, rays.direction)
+    met = np.isfinite(range_m)
+    rays, range_m, piece = rays.take(met), range_m[met], piece[met]
+    point = rays.origin + range_m[:, None] * rays.direction
+    normal = _normals(surfaces, piece, point, rays.direction)
+    there = replace(rays, origin=point, range_m=rays.range_m + range_m, spread_m=rays.spread_m + rays.slope * range_m)
+    cosine = surfaces.level[piece] * np.abs(np.sum(normal * rays.direction, axis=1))
+    return _Hits(there, piece, normal, np.minimum(cosine, 1.0))
+
+
+def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance [N] to the nearest piece (infinite: none) and which it is."""
+    range_m, piece = np.full(len(origin), np.inf), np.zeros(len(origin), np.int64)
+    straight = np.flatnonzero(surfaces.curvature_per_m == 0.0)
+    step = max(MOST_PAIRS // max(len(straight), 1), 1)
+    a, b = surfaces.a[straight], surfaces.b[straight]
+    reach = CLEARANCE_M / np.maximum(np.hypot(*(b - a).T), CLEARANCE_M)
+    for start in range(0, len(origin) if len(straight) else 0, step):
+        some = slice(start, start + step)
+        along, share = crossing_parameters(origin[some], origin[some] + direction[some], a, b)
+        # comparisons with NaN (parallel) are false: not met
+        met = (along > CLEARANCE_M) & (share >= -reach) & (share <= 1.0 + reach)
+        along = np.where(met, along, np.inf)
+        range_m[some], piece[some] = along.min(axis=1), straight[along.argmin(axis=1)]
+    for index in np.flatnonzero(surfaces.curvature_per_m != 0.0):
+        along = _arc_ranges(surfaces.a[index], surfaces.b[index], surfaces.curvature_per_m[index], origin, direction)
+        nearer = along < range_m
+        range_m[nearer], piece[nearer] = along[nearer], index
+    return range_m, piece
+
+
+def _arc_ranges(
+    a: np.ndarray, b: np.ndarray, curvature_per_m: float, origin: np.ndarray, direction: np.ndarray
+) -> np.ndarray:
+    """Distance [N] to one arc, infinite where a ray misses it."""
+    centre, radius_m, _, _ = arc_from_ends(a, b, curvature_per_m)
+    way = origin - centre
+    half = np.sum(way * direction, axis=1)
+    root = np.sqrt(np.maximum(half**2 - np.sum(way**2, axis=1) + radius_m**2, 0.0))
+    along = -half[:, None] + root[:, None] * np.array([-1.0, 1.0])
+    point = origin[:, None] + along[..., None] * direction[:, None]
+    # an arc less than a half circle is the part of its circle beyond the chord, seen from the centre
+    beyond = np.sum((point - 0.5 * (a + b)) * (0.5 * (a + b) - centre), axis=-1) >= -CLEARANCE_M
+    met = (root > 0.0)[:, None] & beyond & (along > ARC_CLEARANCE_M)
+    return np.where(met, along, np.inf).min(axis=1)
+
+
+def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Unit normals [N, 2] of pieces at points, against the rays."""
+    along = surfaces.b[piece] - surfaces.a[piece]
+    normal = np.column_stack([-along[:, 1], along[:, 0]])
+    for index in np.unique(piece[surfaces.curvature_per_m[piece] != 0.0]):
+        here = piece == index
+        ends = surfaces.a[index], surfaces.b[index], surfaces.curvature_per_m[index]
+        normal[here] = point[here] - arc_from_ends(*ends)[0]
+    normal /= np.hypot(*normal.T)[:, None]
+    return np.where(np.sum(normal * direction, axis=1)[:, None] > 0.0, -normal, normal)
+
+
+def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
+    """Rays after a mirror that leaves them a share of their power on each of both ways; the ones left without drop."""
+    rays, level = hits.rays, np.sum(hits.normal * hits.rays.direction, axis=1)
+    along = surfaces.b[hits.piece] - surfaces.a[hits.piece]
+    left = along[:, 0] * hits.normal[:, 1] - along[:, 1] * hits.normal[:, 0] > 0.0
+    # the centre of a positive curvature lies to the left: rays from there are focused
+    bulge = np.where(left, -1.0, 1.0) * surfaces.curvature_per_m[hits.piece]
+    on = replace(
+        rays,
+        direction=rays.direction - 2.0 * level[:, None] * hits.normal,
+        share=rays.share * np.square(share),
+        slope=rays.slope + 2.0 * bulge * rays.spread_m / np.maximum(hits.cosine, 1e-6),
+    )
+    return on.take(on.share > 0.0)
+
+
+# -- one instant -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Sight:
+    """A world frozen at a time, and what the laser's rays meet first."""
+
+    view: Snapshot
+    lidar: LidarSetup
+    options: SpadOptions
+    surfaces: Surfaces
+    first: _Hits
+    #: Share of the scan's azimuths that is looked at.
+    part: float
+
+    @classmethod
+    def of(
+        cls, world: World, lidar: LidarSetup, time_s: float, options: SpadOptions, azimuths: np.ndarray | None
+    ) -> _Sight:
+        """Freeze the world and send the first rays."""
+        if not math.isfinite(time_s):
+            raise ValueError(f"time_s must be finite, got {time_s!r}")
+        index = np.arange(lidar.grid.azimuth_bins) if azimuths is None else np.asarray(azimuths, np.int64)
+        view = snapshot(world, time_s)
+        surfaces = all_surfaces(view, lidar.lidar_height_m)
+        heading = lidar.grid.azimuth_rad[index] + view.pose.yaw_rad
+        zero = np.zeros(len(index))
+        rays = _Rays(
+            azimuth_index=index,
+            origin=np.broadcast_to(view.origin, (len(index), 2)),
+            direction=np.column_stack([np.cos(heading), np.sin(heading)]),
+            range_m=zero,
+            share=zero + 1.0,
+            spread_m=zero,
+            slope=zero + 1.0,
+        )
+        part = len(index) / lidar.grid.azimuth_bins
+        return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
+
+    def returns(self, hits: _Hits, way: Way) -> OpticalPaths:
+        """What the surfaces that were hit scatter straight back along the rays."""
+        rays, met = hits.rays, self.surfaces.take(hits.piece)
+        spad = self.lidar.spad
+        albedo = met.diffuse(hits.cosine, spad.wavelength_m, self.options.fresnel)
+        photons = rays.share * direct_photons(spad, rays.range_m, albedo, hits.cosine, rays.spread_m)
+        return _optical_paths(rays.azimuth_index, rays.range_m, photons, way, met.thing)
+
+    def direct(self) -> OpticalPaths:
+        """The first surface of every azimuth."""
+        return self.returns(self.first, Way.DIRECT)
+
+    def mirrored(self) -> list[OpticalPaths]:
+        """What is seen in one mirror and in two."""
+        found, hits = [], self.first
+        for _ in range(MIRRORS):
+            share = self.surfaces.take(hits.piece).mirror(
+                hits.cosine, self.lidar.spad.wavelength_m, self.options.fresnel
+            )
+            hits = _first_hits(self.surfaces, _reflected(self.surfaces, hits, share))
+            found.append(self.returns(hits, Way.MIRROR))
+        return found
+
+    @property
+    def spots(self) -> _Hits:
+        """Where the laser falls on walls."""
+        return self.first.take(self.surfaces.thing[self.first.piece] < 0)
+
+    @cached_property
+    def patches(self) -> Patches:
+        """All objects in patches."""
+        return patches_of(self.view)
+
+    def confocal(self) -> list[OpticalPaths]:
+        """Confocal returns of all patches, per azimuth and object in cells of half the timing's width."""
+        patches, spots = self.patches, self.spots
+        if not len(patches.area_m2) or not len(spots.piece):
+            return []
+        blockers = _opaque(self.view.blockers)
+        # a million patches still go one spot at a time
+        step = max(MOST_PAIRS // len(patches.area_m2), 1)
+        parts = np.split(np.arange(len(spots.piece)), range(step, len(spots.piece), step))
+        return [self._confocal(spots.take(part), patches, blockers) for part in parts]
+
+    def _confocal(self, spots: _Hits, patches: Patches, blockers: Blockers) -> OpticalPaths:
+        spad, height_m = self.lidar.spad, self.lidar.lidar_height_m
+        spot = np.column_stack([spots.rays.origin, np.full(len(spots.piece), height_m)])
+        way = patches.place_m - spot[:, None]
+        leg_m = np.linalg.norm(way, axis=-1)
+        wall_cosine = np.einsum("nqi,ni->nq", way[..., :2], spots.normal) / leg_m
+        object_cosine = -np.einsum("nqi,qi->nq", way, patches.normal) / leg_m
+        n, q = np.nonzero((wall_cosine > 0.0) & (object_cosine > 0.0))
+        free = free_passage((spot[n], patches.place_m[q]), blockers, patches.owner[q]).free
+        n, q = n[free], q[free]
+        wall_albedo = self.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, self.options.fresnel)
+        photons = confocal_photons(
+            spad,
+            spots.rays.range_m[n],
+            wall_albedo[n],
+            leg_m[n, q],
+            np.minimum(wall_cosine[n, q], 1.0),
+            np.minimum(object_cosine[n, q], 1.0),
+            patches.area_m2[q],
+            patches.albedo[q],
+        )
+        range_m = spots.rays.range_m[n] + leg_m[n, q]
+        return _condensed(spots.rays.azimuth_index[n], range_m, photons, patches.thing[q], spad)
+
+
+def _optical_paths(
+    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, way: Way, thing: np.ndarray
+) -> OpticalPaths:
+    """Paths that came one way."""
+    kind = PathClass.LOS if way == Way.DIRECT else PathClass.MIRRORED
+    count = len(range_m)
+    return OpticalPaths(
+        azimuth_index, range_m, photons, np.full(count, kind, np.uint8), np.full(count, way, np.uint8), thing
+    )
+
+
+def _condensed(
+    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, thing: np.ndarray, spad: SpadParams
+) -> OpticalPaths:
+    """Diffuse paths, those of one object and azimuth that the timing cannot tell apart as one at their mean range.
+
+    Cells are half the timing's standard deviation wide, which widens it by 1 % at most.
+    """
+    cell_m = 0.25 * SPEED_OF_LIGHT_MPS * spad.timing_rms_s
+    key = np.stack([azimuth_index, thing, np.floor(range_m / cell_m).astype(np.int64)])
+    cells, owner = np.unique(key, axis=1, return_inverse=True)
+    owner, count = owner.ravel(), cells.shape[1]
+    weight = np.bincount(owner, photons, count)
+    lit = weight > 0.0
+    mean_m = np.bincount(owner, photons * range_m, count)[lit] / weight[lit]
+    return _optical_paths(cells[0, lit], mean_m, weight[lit], Way.DIFFUSE, cells[1, lit].astype(np.int32))
+
+
+def _opaque(blockers: Blockers) -> Blockers:
+    """The same to light: foliage blocks."""
+    return replace(blockers, kind=np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8))
+
+
+# -- planning and counting -------------------------------------------------------------------------------------------
+
+
+def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
+    """What hidden things can bring in two ways, from what the first rays met."""
+    bounds = {"mirror": _mirror_bound(sight), "diffuse": _diffuse_bound(sight)}
+    plans = []
+    for name, bound in bounds.items():
+        asked = name in sight.options.nlos
+        used = asked and bound > sight.part * sight.options.budget
+        verdict = f"{bound:.3g} detections a scan at most, budget {sight.options.budget:g}"
+        plans.append(OpticPlan(name=name, used=used, bound=bound, reason=verdict if asked else "not asked for"))
+    return tuple(plans)
+
+
+def _mirror_bound(sight: _Sight) -> float:
+    """Detections by way of mirrors if behind each mirror white things stood at its own range."""
+    met, spad, hits = sight.surfaces.take(sight.first.piece), sight.lidar.spad, sight.first
+    share = np.square(met.mirror(hits.cosine, spad.wavelength_m, sight.options.fresnel))
+    # arcs may focus
+    spread_m = 0.0 if sight.surfaces.curvature_per_m.any() else hits.rays.range_m
+    photons = share * direct_photons(spad, hits.rays.range_m, 1.0, 1.0, spread_m)
+    return MIRRORS * spad.pulses * float(photons.sum())
+
+
+def _diffuse_bound(sight: _Sight) -> float:
+    """Detections of confocal returns if each object showed all of its faces, head-on, at its nearest point."""
+    spots, patches, spad = sight.spots, sight.patches, sight.lidar.spad
+    albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, sight.options.fresnel)
+    total = 0.0
+    for index in np.unique(patches.thing):
+        own = patches.thing == index
+        place = patches.place_m[own, :2]
+        middle = place.mean(axis=0)
+        reach_m = PATCH_M + np.hypot(*(place - middle).T).max()
+        way = middle - spots.rays.origin
+        leg_m = np.maximum(np.hypot(*way.T) - reach_m, CLEARANCE_M)
+        before = np.clip((np.sum(way * spots.normal, axis=1) + reach_m) / leg_m, 0.0, 1.0)
+        area_m2, white = patches.area_m2[own].sum(), patches.albedo[own][0]
+        photons = confocal_photons(spad, spots.rays.range_m, albedo, leg_m, before, 1.0, area_m2, white)
+        total += float(photons.sum())
+    return spad.pulses * total
+
+
+def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, OpticPlan]:
+    """Dead time that reaches into the next period, and the engine."""
+    spad = lidar.spad
+    exact, closed = exact_closed_form(spad), _closed(spad, options)
+    carried = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s"
+    how = "drawn in closed form" if closed else "event by event"
+    law = "exact" if exact or not closed else "means exact, periods drawn apart"
+    return (
+        OpticPlan(
+            name="carry_over",
+            used=not exact,
+            bound=0.0 if exact else float(lidar.grid.azimuth_bins * spad.pulses),
+            reason=carried,
+        ),
+        OpticPlan(name="closed_form", used=closed, bound=0.0, reason=f"{how}, {law}; engine {options.engine!r}"),
+    )
+
+
+def _closed(spad: SpadParams, options: SpadOptions) -> bool:
+    """Whether histograms are drawn in closed form."""
+    return options.engine == "closed" or (options.engine == "auto" and exact_closed_form(spad))
+
+
+def _measured(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions) -> list[list[OpticalPaths]]:
+    """Paths of every azimuth, in the sets that are counted together."""
+    count = lidar.grid.azimuth_bins
+    if len(paths) and not 0 <= paths.azimuth_index.min() <= paths.azimuth_index.max() < count:
+        raise ValueError(f"azimuth_index must lie in 0..{count - 1}, got {paths.azimuth_index.tolist()!r}")
+    order = np.argsort(paths.azimuth_index, kind="stable")
+    borders = np.searchsorted(paths.azimuth_index[order], np.arange(1, count))
+    each = [paths.take(which) for which in np.split(order, borders)]
+    if options.merge:
+        return [[one] for one in each]
+    return [_by_cell(one, lidar.grid.range_bin_m) for one in each]
+
+
+def _by_cell(paths: OpticalPaths, range_bin_m: float) -> list[OpticalPaths]:
+    """Paths of one azimuth by class and cell of the radar's range axis: the k of Eq. (17)."""
+    key = np.stack([paths.kind.astype(np.int64), np.rint(paths.range_m / range_bin_m).astype(np.int64)])
+    cells, owner = np.unique(key, axis=1, return_inverse=True)
+    return [paths.take(owner.ravel() == cell) for cell in range(cells.shape[1])]
+
+
+def _within(paths: OpticalPaths, spad: SpadParams, options: SpadOptions) -> OpticalPaths:
+    """Paths within the unambiguous range, or all where they wrap; without those that bring no light."""
+    kept = paths.photons > 0.0
+    if options.beyond == "discard":
+        kept &= paths.range_m < spad.unambiguous_range_m
+    return paths.take(kept)
+
+
+def _delay_s(paths: OpticalPaths) -> np.ndarray:
+    return 2.0 * paths.range_m / SPEED_OF_LIGHT_MPS
+
+
+def _label_cosines(world: World, chosen: Paths, time_s: float) -> np.ndarray:
+    """Cosine of incidence of labelled paths at their walls, from where they seem to come."""
+    pose = radar_pose(world.scene, time_s)
+    normal, _ = wall_lines(world, np.array([pose.x_m, pose.y_m]))
+    level = pose.rotate(chosen.virtual_m[:, :2]) / np.linalg.norm(chosen.virtual_m, axis=1)[:, None]
+    return np.minimum(np.abs(np.sum(level * normal[chosen.surface], axis=1)), 1.0)

@@ -1,0 +1,1 @@
+"""Which effects a scene calls for: bounds and the plan that keeps a budget."""

@@ -1,0 +1,1 @@
+"""A scene: its description, its objects and materials, and its frozen state at a time."""

@@ -1,0 +1,467 @@
+"""A scene: upright walls, objects and the radar's own motion, as YAML says it, checked at the door.
+
+All in the radar frame at start (x forward, y left, metres; heights above the ground). Every complaint is one line:
+file, field, value, rule.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+import yaml
+
+from models.physics.curved_mirror import arc_points
+from models.physics.materials import is_volume, permittivity, wall_layers
+from models.physics.mirror import SHORTEST_WALL_M, crosses
+from msgs.files.yaml_loader import BoundedLoader, in_words
+from msgs.values.known_names import with_known_names
+from msgs.values.lidar import LidarSetup, SpadParams
+from msgs.values.radar import PRESETS, RadarSetup
+from msgs.values.units import db_from_ratio
+from sim_player.scene.front_end import FrontEnd
+from sim_player.scene.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mesh
+
+#: Larger files are no scenes.
+MAX_BYTES = 1 << 20
+#: The radar stands at least this far from every wall.
+RADAR_CLEARANCE_M = 0.1
+#: Straight pieces that stand for an arc in checks leave it by at most this.
+ARC_ERROR_M = 1e-3
+#: A mesh without thickness counts as this thick in plan.
+THINNEST_M = 0.01
+#: Weather that some place on Earth has had, with room to spare.
+WEATHER_RANGES: dict[str, tuple[float, float]] = {
+    "rain_mm_per_h": (0.0, 200.0),
+    "temperature_c": (-60.0, 60.0),
+    "pressure_hpa": (500.0, 1100.0),
+    "water_vapour_g_per_m3": (0.0, 50.0),
+}
+
+#: No place or size of a scene lies farther from the radar: a number beyond is a slip.
+FARTHEST_M = 1e4
+
+Point = tuple[float, float]
+ObjectClass = Literal["car", "van", "truck", "bus", "bicycle", "pedestrian"]
+Primitive = Literal["box", "plate", "dihedral", "trihedral", "cylinder", "sphere"]
+
+
+class ObjectKind(msgspec.Struct, frozen=True):
+    """Size of an object class, its RCS averaged over all aspects, and how sharply its flat faces reflect."""
+
+    length_m: float
+    width_m: float
+    height_m: float
+    mean_rcs_dbsm: float
+    #: Faces reflect as cos^q around their normal: 12 is the 35 deg width of a car's flashes, 0 has no lobe.
+    lobe_exponent: int = 12
+
+
+#: Car and pedestrian: 3GPP TR 38.901 clause 7.9.2 (vehicle, human). The others: the middle of what is commonly
+#: quoted (truck and bus 20-30 dBsm, bicycle with rider -3..+3); none of them was measured at X-band.
+OBJECT_KINDS: dict[str, ObjectKind] = {
+    "car": ObjectKind(4.5, 1.8, 1.5, 11.25),
+    "van": ObjectKind(5.3, 2.0, 2.2, 13.0),
+    "truck": ObjectKind(8.0, 2.5, 3.2, 20.0),
+    "bus": ObjectKind(12.0, 2.55, 3.1, 21.0),
+    "bicycle": ObjectKind(1.8, 0.6, 1.7, 0.0, lobe_exponent=0),
+    "pedestrian": ObjectKind(0.5, 0.5, 1.75, -1.37, lobe_exponent=0),
+}
+
+
+class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which radar, and how high above the ground it is mounted."""
+
+    preset: Literal["xband", "77ghz", "spad"] = "xband"
+    height_m: float = 1.0
+    #: The LiDAR of preset "spad".
+    spad: SpadParams = SpadParams()
+    #: Time from one scan of the LiDAR to the next; None: as long as its measurements take.
+    spad_scan_period_s: float | None = None
+    #: Distance between the transmitting and the receiving array, along y; the radar stands in the middle.
+    separation_m: float = 0.0
+    #: The receiver's, over the preset's; None: the preset's.
+    noise_figure_db: float | None = None
+    front_end: FrontEnd = FrontEnd()
+
+
+class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """An upright wall along a polyline, or the ground (which needs no polyline)."""
+
+    role: Literal["relay", "occluder", "ground"]
+    material: str
+    polyline_m: tuple[Point, ...] = ()
+    height_m: float = 3.0
+    #: None: so thick that its back is never seen.
+    thickness_mm: float | None = None
+    roughness_mm: float = 0.0
+    #: Distance along the wall over which its heights stay alike.
+    correlation_mm: float = 30.0
+    #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the way it runs.
+    curvature_per_m: float = 0.0
+
+
+class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """An object by its class, a mesh file or a primitive; its centre on the ground, heading, speed along the heading.
+
+    Exactly one of `class`, `mesh`, `primitive` is given; the fields after it belong to meshes and primitives alone.
+    """
+
+    class_: ObjectClass | None = msgspec.field(name="class", default=None)
+    #: File, relative to the scene's; `sim_player.scene.meshes.load_mesh` says what is read.
+    mesh: str | None = None
+    unit: Unit = "m"
+    #: None: what the format says, else z.
+    up: UpAxis | None = None
+    #: Sizes that `sim_player.scene.meshes.PRIMITIVES` lists for it.
+    primitive: Primitive | None = None
+    size_m: tuple[float, ...] = ()
+    material: str = "metal"
+    #: Height of its lowest point over the ground.
+    z_m: float = 0.0
+    x_m: float
+    y_m: float
+    yaw_deg: float = 0.0
+    speed_mps: float = 0.0
+
+    @property
+    def object_class(self) -> str:
+        """Its class; of a mesh the file's stem, of a primitive its name."""
+        return self.class_ or self.primitive or Path(self.mesh or "").stem
+
+    @property
+    def kind(self) -> ObjectKind:
+        """Size and RCS of its class; of a mesh those of its box, in metal: RCS a quarter of its surface."""
+        return OBJECT_KINDS[self.class_] if self.class_ else _kind_of(self._key())
+
+    @property
+    def shape(self) -> Mesh | None:
+        """Its mesh in its own frame, lifted to `z_m`; None for a class. ValueError where it cannot be had."""
+        return None if self.class_ else _shape_of(self._key())
+
+    def _key(self) -> SceneObject:
+        """The same shape standing still at the origin: what its mesh depends on, and nothing else."""
+        return msgspec.structs.replace(self, x_m=0.0, y_m=0.0, yaw_deg=0.0, speed_mps=0.0)
+
+    def corners_m(self) -> np.ndarray:
+        """Corners of the box in the plane at start, counter-clockwise from front left, [4, 2]."""
+        half = 0.5 * np.array([self.kind.length_m, self.kind.width_m])
+        corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+        return self.place(corners)
+
+    def place(self, points_m: np.ndarray) -> np.ndarray:
+        """Points [..., 2] of the object's own frame in the scene at start."""
+        c, s = math.cos(math.radians(self.yaw_deg)), math.sin(math.radians(self.yaw_deg))
+        return points_m @ np.array([[c, s], [-s, c]]) + np.array([self.x_m, self.y_m])
+
+    def contains(self, points_m: np.ndarray) -> np.ndarray:
+        """Which points [N, 2] of the scene lie inside the box at start."""
+        c, s = math.cos(math.radians(self.yaw_deg)), math.sin(math.radians(self.yaw_deg))
+        own = (points_m - np.array([self.x_m, self.y_m])) @ np.array([[c, -s], [s, c]])
+        return (np.abs(own) <= 0.5 * np.array([self.kind.length_m, self.kind.width_m])).all(axis=-1)
+
+
+@lru_cache(maxsize=16)
+def _shape_of(thing: SceneObject) -> Mesh:
+    """Mesh of a mesh or primitive object, read once."""
+    if thing.primitive:
+        mesh = primitive_mesh(thing.primitive, thing.size_m, thing.material)
+    else:
+        mesh = load_mesh(Path(thing.mesh or ""), thing.unit, thing.material, thing.up)
+    return dataclasses.replace(mesh, vertices_m=mesh.vertices_m + np.array([0.0, 0.0, thing.z_m]))
+
+
+@lru_cache(maxsize=256)
+def _kind_of(thing: SceneObject) -> ObjectKind:
+    """Box and mean RCS of a mesh or primitive object."""
+    length, width, height = np.maximum(_shape_of(thing).extent_m, THINNEST_M).tolist()
+    surface = 2.0 * (length * width + width * height + height * length)
+    return ObjectKind(length, width, thing.z_m + height, db_from_ratio(surface / 4.0))
+
+
+class Ego(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Constant motion of the vehicle that carries the radar."""
+
+    speed_mps: float = 0.0
+    yaw_rate_dps: float = 0.0
+
+
+class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Air between everything: ITU-R P.676 (gases) and P.838 (rain)."""
+
+    rain_mm_per_h: float = 0.0
+    temperature_c: float = 15.0
+    pressure_hpa: float = 1013.25
+    water_vapour_g_per_m3: float = 7.5
+
+
+class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Everything the simulator is told about a place."""
+
+    name: str
+    radar: SceneRadar = SceneRadar()
+    surfaces: tuple[Surface, ...] = ()
+    objects: tuple[SceneObject, ...] = ()
+    ego: Ego = Ego()
+    weather: Weather = Weather()
+
+    @property
+    def moves(self) -> bool:
+        """Whether anything changes with time."""
+        return bool(self.ego.speed_mps or self.ego.yaw_rate_dps or any(thing.speed_mps for thing in self.objects))
+
+    @property
+    def setup(self) -> RadarSetup:
+        """The preset's radar at the scene's mounting height; of a LiDAR the X-band radar whose labels it shares."""
+        preset = "xband" if self.radar.preset == "spad" else self.radar.preset
+        setup = msgspec.structs.replace(PRESETS[preset], radar_height_m=self.radar.height_m)
+        if self.radar.noise_figure_db is None:
+            return setup
+        radar = msgspec.structs.replace(setup.radar, noise_figure_db=self.radar.noise_figure_db)
+        return msgspec.structs.replace(setup, radar=radar)
+
+    @property
+    def lidar(self) -> LidarSetup:
+        """The scene's LiDAR at the mounting height; ValueError where a scan period is too short for it."""
+        return LidarSetup(
+            spad=self.radar.spad, lidar_height_m=self.radar.height_m, scan_period_s=self.radar.spad_scan_period_s
+        )
+
+
+def load_scene(path: Path) -> Scene:
+    """Read and check a scene file; ValueError in one line that names file, field, value and rule."""
+    try:
+        # before it is read: a scene from elsewhere must not take the memory of a graph
+        if path.stat().st_size > MAX_BYTES:
+            raise ValueError(f"a scene holds at most {MAX_BYTES} bytes, got {path.stat().st_size}")
+        return scene_from_yaml(path.read_text(encoding="utf-8"), path.parent)
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such scene file") from None
+    except OSError as error:
+        raise ValueError(f"{path}: {error.strerror}") from None
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: must be text in UTF-8, its byte {error.start} is none") from None
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+
+
+def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
+    """A checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
+    try:
+        content = yaml.load(text, Loader=BoundedLoader)
+    except yaml.YAMLError as error:
+        raise ValueError(f"not YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(content, dict):
+        raise ValueError(f"expected a mapping of {', '.join(Scene.__struct_fields__)}, got {in_words(content)}")
+    try:
+        scene = msgspec.convert(content, Scene)
+    except msgspec.ValidationError as error:
+        raise ValueError(_field_first(with_known_names(error, Scene))) from None
+    things = tuple(
+        msgspec.structs.replace(thing, mesh=str(folder / thing.mesh)) if thing.mesh else thing
+        for thing in scene.objects
+    )
+    scene = msgspec.structs.replace(scene, objects=things)
+    check_scene(scene)
+    return scene
+
+
+def scene_to_yaml(scene: Scene) -> str:
+    """YAML text that `scene_from_yaml` reads back to the same scene."""
+    return yaml.safe_dump(msgspec.json.decode(msgspec.json.encode(scene)), sort_keys=False, allow_unicode=True)
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise ValueError, field first, where a scene cannot be simulated."""
+    if not scene.name.strip():
+        raise ValueError("name: must not be empty: recordings and pictures are named by it")
+    if not scene.objects and not any(surface.role != "ground" for surface in scene.surfaces):
+        raise ValueError("surfaces: a scene needs at least one wall or object, got none")
+    for field, value in _numbers(msgspec.to_builtins(scene), ""):
+        if not math.isfinite(value):
+            raise ValueError(f"{field}: must be finite, got {value!r}")
+        # frequencies and powers have ranges of their own
+        if abs(value) > FARTHEST_M and field.split(".")[0].split("[")[0] in ("surfaces", "objects"):
+            raise ValueError(f"{field}: must lie within {FARTHEST_M:g} of 0, got {value!r}")
+    _check_radar(scene.radar)
+    try:
+        _ = scene.lidar
+    except ValueError as error:
+        raise ValueError(f"radar.spad_scan_period_s: {error}") from None
+    for field, (least, most) in WEATHER_RANGES.items():
+        if not least <= getattr(scene.weather, field) <= most:
+            raise ValueError(f"weather.{field}: must lie in {least:g}..{most:g}, got {getattr(scene.weather, field)!r}")
+    for index, surface in enumerate(scene.surfaces):
+        _check_surface(f"surfaces[{index}]", surface, scene.setup.radar.carrier_hz)
+    for index, thing in enumerate(scene.objects):
+        _check_object(f"objects[{index}]", thing, scene)
+
+
+def _check_radar(radar: SceneRadar) -> None:
+    """Mounting, and faults that a front end can have."""
+    front_end = radar.front_end
+    if not radar.height_m > 0.0:
+        raise ValueError(f"radar.height_m: must be positive, got {radar.height_m!r}")
+    if not 0.0 <= radar.separation_m < 1.0:
+        raise ValueError(f"radar.separation_m: must be at least 0 and below 1 m, got {radar.separation_m!r}")
+    if radar.noise_figure_db is not None and not -30.0 <= radar.noise_figure_db <= 100.0:
+        raise ValueError(f"radar.noise_figure_db: must be -30..100, got {radar.noise_figure_db!r}")
+    if not 4 <= front_end.adc_bits <= 16:
+        raise ValueError(f"radar.front_end.adc_bits: must be 4..16, got {front_end.adc_bits!r}")
+    if front_end.coupling_db is not None and not front_end.coupling_db < 0.0:
+        raise ValueError(f"radar.front_end.coupling_db: must be negative, got {front_end.coupling_db!r}")
+    if front_end.flicker_corner_hz < 0.0:
+        raise ValueError(
+            f"radar.front_end.flicker_corner_hz: must not be negative, got {front_end.flicker_corner_hz!r}"
+        )
+
+
+def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
+    """Material, sizes, polyline, and the radar's distance of one surface."""
+    if surface.thickness_mm is not None and not surface.thickness_mm > 0.0:
+        raise ValueError(f"{field}.thickness_mm: must be positive, got {surface.thickness_mm!r}")
+    _check_material(field, surface, carrier_hz)
+    if surface.roughness_mm < 0.0:
+        raise ValueError(f"{field}.roughness_mm: must not be negative, got {surface.roughness_mm!r}")
+    if not surface.correlation_mm > 0.0:
+        raise ValueError(f"{field}.correlation_mm: must be positive, got {surface.correlation_mm!r}")
+    if surface.role == "ground":
+        return
+    if not surface.height_m > 0.0:
+        raise ValueError(f"{field}.height_m: must be positive, got {surface.height_m!r}")
+    if len(surface.polyline_m) < 2:
+        raise ValueError(f"{field}.polyline_m: needs two points or more, got {len(surface.polyline_m)}")
+    for index, (a, b) in enumerate(pairwise(surface.polyline_m)):
+        _check_piece(field, index, surface.curvature_per_m, a, b)
+
+
+def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
+    """A build that is known at the carrier; foliage stands upright, it is no ground."""
+    thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
+    try:
+        if not is_volume(surface.material):
+            wall_layers(surface.material, thickness_m, carrier_hz)
+        elif surface.role == "ground":
+            raise ValueError(f"a ground must be a surface, got {surface.material!r}")
+    except ValueError as error:
+        raise ValueError(f"{field}.material: {error}") from None
+
+
+def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Point) -> None:
+    """Length of one piece of wall, its arc, and the radar's distance from it."""
+    chord = math.dist(a, b)
+    if not chord > SHORTEST_WALL_M:
+        raise ValueError(f"{field}.polyline_m[{index + 1}]: a piece of wall must have a length, got {a} to {b}")
+    if not abs(curvature_per_m) * chord < 2.0:
+        raise ValueError(
+            f"{field}.curvature_per_m: |curvature| times the length of a piece must be below 2, the arc of a "
+            f"half circle, got {curvature_per_m!r} for polyline_m[{index}] to [{index + 1}] of {chord:g} m"
+        )
+    pieces = _arc_pieces(a, b, curvature_per_m)
+    if min(_distance_to_origin(np.array(one), np.array(other)) for one, other in pieces) < RADAR_CLEARANCE_M:
+        raise ValueError(
+            f"{field}.polyline_m[{index}]: the radar at (0, 0) must stand {RADAR_CLEARANCE_M} m off every wall, "
+            f"got {a} to {b}" + (f" with curvature {curvature_per_m!r}" if curvature_per_m else "")
+        )
+
+
+def _check_object(field: str, thing: SceneObject, scene: Scene) -> None:
+    """One form, a mesh that can be had, the radar outside the object, the object clear of all walls."""
+    _check_form(field, thing, scene.setup.radar.carrier_hz)
+    if thing.contains(np.zeros((1, 2)))[0]:
+        raise ValueError(f"{field}.x_m: the radar at (0, 0) must stand outside, got a {thing.object_class} around it")
+    index = wall_inside(thing, scene.surfaces)
+    if index is not None:
+        raise ValueError(
+            f"{field}.x_m: must stand clear of surfaces[{index}], "
+            f"got a {thing.object_class} at ({thing.x_m:g}, {thing.y_m:g}) in its wall"
+        )
+
+
+def _check_form(field: str, thing: SceneObject, carrier_hz: float) -> None:
+    """Class, mesh or primitive, with the fields that belong to it; its material and shape."""
+    given = [name for name in ("class", "mesh", "primitive") if getattr(thing, "class_" if name == "class" else name)]
+    if len(given) != 1:
+        raise ValueError(f"{field}: must have one of class, mesh, primitive, got {' and '.join(given) or 'none'}")
+    allowed = {"class": (), "mesh": ("unit", "up", "material", "z_m"), "primitive": ("size_m", "material", "z_m")}
+    plain = SceneObject(x_m=0.0, y_m=0.0)
+    for name in ("unit", "up", "size_m", "material", "z_m"):
+        if name not in allowed[given[0]] and getattr(thing, name) != getattr(plain, name):
+            raise ValueError(f"{field}.{name}: does not belong to a {given[0]}, got {getattr(thing, name)!r}")
+    if thing.z_m < 0.0:
+        raise ValueError(f"{field}.z_m: must not be negative, got {thing.z_m!r}")
+    if thing.class_:
+        return
+    try:
+        permittivity(thing.material, carrier_hz)
+    except ValueError as error:
+        raise ValueError(f"{field}.material: {error}") from None
+    try:
+        _ = thing.shape
+    except ValueError as error:
+        raise ValueError(f"{field}.mesh: {error}" if thing.mesh else f"{field}.{error}") from None
+
+
+def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
+    """Index of the first surface that runs through an object's box, None where it stands clear."""
+    pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
+    if not pieces:
+        return None
+    owner, a, b = (np.array(column) for column in zip(*pieces, strict=True))
+    corners = thing.corners_m()
+    cut = crosses(a, b, corners, np.roll(corners, -1, axis=0)).any(axis=1)
+    inside = cut | thing.contains(a) | thing.contains(b)
+    return int(owner[inside][0]) if inside.any() else None
+
+
+def _segments(surface: Surface) -> list[tuple[Point, Point]]:
+    """The straight pieces of a wall, or those that stand for its arcs; none for the ground."""
+    if surface.role == "ground":
+        return []
+    ends = pairwise(surface.polyline_m)
+    return [piece for a, b in ends for piece in _arc_pieces(a, b, surface.curvature_per_m)]
+
+
+def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point, Point]]:
+    """Straight pieces that follow an arc to `ARC_ERROR_M`; the chord itself where the wall is straight."""
+    if not curvature_per_m:
+        return [(a, b)]
+    half_angle = math.asin(0.5 * math.dist(a, b) * abs(curvature_per_m))
+    step = math.acos(max(1.0 - ARC_ERROR_M * abs(curvature_per_m), 0.0))
+    share = np.linspace(0.0, 1.0, max(math.ceil(half_angle / max(step, 1e-6)), 1) + 1)
+    points = [(float(x), float(y)) for x, y in arc_points(np.array(a), np.array(b), curvature_per_m, share)]
+    return list(pairwise(points))
+
+
+def _distance_to_origin(a: np.ndarray, b: np.ndarray) -> float:
+    """Distance of the segment a -> b from (0, 0)."""
+    along = b - a
+    share = np.clip(-(a @ along) / (along @ along), 0.0, 1.0)
+    return float(np.linalg.norm(a + share * along))
+
+
+def _numbers(value: Any, field: str) -> Iterator[tuple[str, float]]:
+    """All floats below a plain value with the path that leads to them."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _numbers(inner, f"{field}.{key}" if field else str(key))
+    elif isinstance(value, (list, tuple)):
+        for index, inner in enumerate(value):
+            yield from _numbers(inner, f"{field}[{index}]")
+    elif isinstance(value, float):
+        yield field, value
+
+
+def _field_first(message: str) -> str:
+    """A validation message ("Expected `float`, got `str` - at `$.a[0].b`") as "a[0].b: expected ..."."""
+    text, _, path = message.partition(" - at `$")
+    field = path.rstrip("`").lstrip(".")
+    text = text[0].lower() + text[1:]
+    return f"{field}: {text}" if field else text

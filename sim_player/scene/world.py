@@ -1,0 +1,357 @@
+"""A scene made ready for tracing: flat arrays, randomness drawn; and the same frozen at a time."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from models.physics.attenuation import vegetation_db
+from models.physics.curved_mirror import arc_normals, arc_points
+from models.physics.fresnel import (
+    coherent_power,
+    half_space_reflection,
+    slab_reflection,
+    stack_reflection,
+    stack_transmission,
+)
+from models.physics.materials import is_volume, wall_layers
+from msgs.values.frames import Pose2
+from msgs.values.radar import RadarParams, RadarSetup
+from msgs.values.vehicle import ego_motion
+from sim_player.scene.description import Scene, SceneObject, Surface, check_scene
+from sim_player.scene.road_users import ScatteringCentres, scattering_centres
+from sim_player.trace.mesh_rcs import mesh_centres
+from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers
+
+#: Patches of the diffuse return along a wall: shorter than a range bin.
+PATCH_M = 0.13
+#: Median and spread of the wall's own small scatterers (metal parts of a hand's size), every 1-3 m and at all ends.
+STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB = -12.0, 4.0
+STRUCTURE_SPACING_M = (1.0, 3.0)
+
+Layers = tuple[tuple[complex, float], ...]
+
+
+@dataclass(frozen=True)
+class World:
+    """A scene made ready for tracing. W wall pieces, K centres, Q wall scatterers."""
+
+    scene: Scene
+    setup: RadarSetup
+    radar: RadarParams
+    radar_height_m: float
+    #: Wall pieces: ends [W, 2], heights, signed curvature, rms roughness, index of the scene's surface [W].
+    wall_a: np.ndarray
+    wall_b: np.ndarray
+    wall_height_m: np.ndarray
+    wall_curvature_per_m: np.ndarray
+    wall_roughness_m: np.ndarray
+    wall_surface: np.ndarray
+    #: Index into `stacks` of each piece of wall; a volume (foliage) has none: -1.
+    wall_stack: np.ndarray
+    stacks: tuple[Layers, ...]
+    #: Scattering centres of all objects at start: [K, 3], normals [K, 2, 3], the rest [K].
+    centre_m: np.ndarray
+    centre_normals: np.ndarray
+    centre_rcs_m2: np.ndarray
+    centre_phase_rad: np.ndarray
+    centre_exponent: np.ndarray
+    centre_floor: np.ndarray
+    centre_object: np.ndarray
+    #: Box faces of all objects at start, 4 each, and object velocities [objects, 2].
+    face_a: np.ndarray
+    face_b: np.ndarray
+    face_height_m: np.ndarray
+    velocity_mps: np.ndarray
+    #: Wall scatterers: place [Q, 2], piece of wall, length of wall it stands for (0: structure), RCS, unit phasor.
+    speck_m: np.ndarray
+    #: Across the wall where a scatterer sits, either way, [Q, 2].
+    speck_normal: np.ndarray
+    speck_wall: np.ndarray
+    speck_length_m: np.ndarray
+    speck_rcs_m2: np.ndarray
+    speck_phasor: np.ndarray
+
+    @property
+    def is_mirror(self) -> np.ndarray:
+        """Which pieces of wall are walls, not foliage; bool [W]."""
+        return self.wall_stack >= 0
+
+    @property
+    def is_curved(self) -> np.ndarray:
+        """Which pieces of wall bend enough to matter; bool [W]."""
+        chord = np.hypot(*(self.wall_b - self.wall_a).T)
+        return self.is_mirror & (np.abs(self.wall_curvature_per_m) * chord >= STRAIGHT)
+
+    @property
+    def is_flat(self) -> np.ndarray:
+        """Which pieces of wall are mirrors that do not bend; bool [W]."""
+        return self.is_mirror & ~self.is_curved
+
+    @property
+    def ground(self) -> Surface | None:
+        """The scene's ground, if it names one."""
+        return next((surface for surface in self.scene.surfaces if surface.role == "ground"), None)
+
+    @cached_property
+    def passing(self) -> np.ndarray:
+        """Field factor of one crossing of each piece of wall over the cosine, complex128 [W, steps + 1]."""
+        cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
+        radar, table = self.radar, np.zeros((len(self.wall_a), TABLE_STEPS + 1), np.complex128)
+        for stack, layers in enumerate(self.stacks):
+            table[self.wall_stack == stack] = _transmission(layers, cosine, radar.wavelength_m)
+        for wall in np.flatnonzero(~self.is_mirror):
+            table[wall] = _foliage(self.scene.surfaces[self.wall_surface[wall]], cosine, radar.carrier_hz)
+        return table
+
+    def reflection(self, wall: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """One bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by roughness)."""
+        cosine, stack = np.minimum(cosine, 1.0), self.wall_stack[wall]
+        whole, front = np.zeros(len(wall), np.complex128), np.zeros(len(wall), np.complex128)
+        permittivity, thickness_m, layers = self._faces
+        solid = stack >= 0
+        front[solid] = half_space_reflection(permittivity[stack[solid]], cosine[solid])
+        one = solid & (layers[stack] == 1)
+        slab = permittivity[stack[one]], cosine[one], thickness_m[stack[one]]
+        whole[one] = slab_reflection(*slab, self.radar.wavelength_m)
+        for build in np.unique(stack[solid & ~one]):
+            here = stack == build
+            whole[here] = _reflection(self.stacks[build], cosine[here], self.radar.wavelength_m)
+        rough = np.sqrt(coherent_power(self.wall_roughness_m[wall], cosine, self.radar.wavelength_m))
+        return whole, front, rough
+
+    @cached_property
+    def _faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Permittivity and thickness of each build's front layer, how many layers it has; a last row for no build."""
+        permittivity = np.array([layers[0][0] for layers in self.stacks] + [1.0], np.complex128)
+        thickness_m = np.array([layers[0][1] for layers in self.stacks] + [0.0], np.float64)
+        return permittivity, thickness_m, np.array([len(layers) for layers in self.stacks] + [0])
+
+
+def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> World:
+    """Draw a scene's scatterers (phases fixed by `seed`) and flatten it for `trace`; ValueError from `check_scene`."""
+    if seed < 0:
+        raise ValueError(f"seed must not be negative, got {seed!r}")
+    check_scene(scene)
+    setup = scene.setup if setup is None else setup
+    pieces = [
+        (np.array(a), np.array(b), index)
+        for index, surface in enumerate(scene.surfaces)
+        if surface.role != "ground"
+        for a, b in zip(surface.polyline_m[:-1], surface.polyline_m[1:], strict=True)
+    ]
+    owner = np.array([index for *_, index in pieces], np.int32)
+    surfaces = [scene.surfaces[index] for index in owner]
+    wall_a = np.array([a for a, *_ in pieces], np.float64).reshape(-1, 2)
+    wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
+    curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
+    stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
+    return World(
+        scene=scene,
+        setup=setup,
+        radar=setup.radar,
+        radar_height_m=setup.radar_height_m,
+        wall_a=wall_a,
+        wall_b=wall_b,
+        wall_height_m=np.array([surface.height_m for surface in surfaces], np.float64),
+        wall_curvature_per_m=curvature,
+        wall_roughness_m=np.array([1e-3 * surface.roughness_mm for surface in surfaces], np.float64),
+        wall_surface=owner,
+        wall_stack=wall_stack,
+        stacks=stacks,
+        **_object_arrays(scene, setup.radar.wavelength_m, seed),
+        **_wall_specks(wall_a, wall_b, curvature, seed),
+    )
+
+
+def radar_pose(scene: Scene, time_s: float) -> Pose2:
+    """`start_from_now`: where the radar is after a time."""
+    return ego_motion(scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps), time_s)
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """A world frozen at a time: the radar and everything that moves at its place, in the scene's frame."""
+
+    world: World
+    pose: Pose2
+    #: Antenna, with its height over the ground, [3].
+    antenna: np.ndarray
+    radar_velocity: np.ndarray
+    centre: np.ndarray
+    velocity: np.ndarray
+    blockers: Blockers
+    #: Unit normals [W, 2] of all pieces of wall (of an arc: its chord) towards the radar, and their offsets [W].
+    normal: np.ndarray
+    offset: np.ndarray
+
+    @property
+    def origin(self) -> np.ndarray:
+        """The antenna's place in the plane, [2]."""
+        return self.antenna[:2]
+
+
+def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
+    """Move objects and radar to a time."""
+    pose = radar_pose(world.scene, time_s)
+    shift = world.velocity_mps * time_s
+    face_shift = np.repeat(shift, 4, axis=0)
+    speed = world.scene.ego.speed_mps
+    centre = world.centre_m.copy()
+    centre[:, :2] += shift[world.centre_object]
+    origin = np.array([pose.x_m, pose.y_m])
+    normal, offset = wall_lines(world, origin)
+    walls, faces = len(world.wall_a), len(world.face_a)
+    meshes = np.array([thing.class_ is None for thing in world.scene.objects], bool)
+    things = np.repeat(np.arange(len(meshes)), 4)
+    return Snapshot(
+        world=world,
+        pose=pose,
+        antenna=np.array([pose.x_m, pose.y_m, world.radar_height_m]),
+        radar_velocity=speed * np.array([math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)]),
+        centre=centre,
+        velocity=world.velocity_mps[world.centre_object],
+        blockers=Blockers(
+            a=np.concatenate([world.wall_a, world.face_a + face_shift]),
+            b=np.concatenate([world.wall_b, world.face_b + face_shift]),
+            height_m=np.concatenate([world.wall_height_m, world.face_height_m]),
+            curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(faces)]),
+            kind=np.concatenate([np.where(world.is_mirror, WALL, VOLUME), np.full(faces, BODY)]).astype(np.int8),
+            # the patches of a mesh lie inside its box
+            owner=np.concatenate([np.full(walls, -1), np.where(meshes[things], things, -1)]).astype(np.int32),
+            passing=np.concatenate([world.passing, np.zeros((faces, TABLE_STEPS + 1))]),
+        ),
+        normal=normal,
+        offset=offset,
+    )
+
+
+def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals [W, 2] towards a place and offsets [W] of all pieces of wall."""
+    along = world.wall_b - world.wall_a
+    normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
+    middle = 0.5 * (world.wall_a + world.wall_b)
+    side = np.where(np.einsum("wi,wi->w", origin - middle, normal) < 0.0, -1.0, 1.0)
+    normal *= side[:, None]
+    return normal, -np.einsum("wi,wi->w", normal, middle)
+
+
+def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, ...], np.ndarray]:
+    """The distinct builds of all walls, and which of them each piece has."""
+    known: dict[Layers, int] = {}
+    index = []
+    for surface in surfaces:
+        if is_volume(surface.material):
+            index.append(-1)
+            continue
+        thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
+        layers = wall_layers(surface.material, thickness_m, carrier_hz)
+        index.append(known.setdefault(layers, len(known)))
+    return tuple(known), np.array(index, np.int32)
+
+
+def _reflection(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
+    """Field reflection of a build of wall, vertical polarisation (TE)."""
+    permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
+    return np.asarray(stack_reflection(permittivities, thicknesses, cosine, wavelength_m))
+
+
+def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
+    """Field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
+    permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
+    if np.isinf(thicknesses).any():
+        return np.zeros(len(cosine), np.complex128)
+    through = stack_transmission(permittivities, thicknesses, cosine, wavelength_m)
+    air = np.exp(2j * np.pi / wavelength_m * thicknesses.sum() * cosine)
+    return np.asarray(through * air)
+
+
+def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndarray:
+    """Field left after one way through a hedge."""
+    depth_m = 1e-3 * (surface.thickness_mm or 1000.0) / np.maximum(cosine, 0.05)
+    return np.asarray(10.0 ** (-vegetation_db(carrier_hz, depth_m) / 20.0))
+
+
+def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np.ndarray]:
+    """The object fields of `World`."""
+    things = list(scene.objects)
+    centres = [_centres(thing, wavelength_m, seed, index) for index, thing in enumerate(things)]
+    corners = [thing.corners_m() for thing in things]
+    yaw = np.radians([thing.yaw_deg for thing in things])
+    speed = np.array([thing.speed_mps for thing in things])
+
+    def joined(arrays: list[np.ndarray], *shape: int) -> np.ndarray:
+        return np.concatenate(arrays) if arrays else np.zeros((0, *shape))
+
+    def on_plan(thing: SceneObject, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """Points or vectors of the object's frame, their third coordinate kept."""
+        return np.concatenate([thing.place(points[..., :2]) - origin, points[..., 2:]], axis=-1)
+
+    places = [np.array([thing.x_m, thing.y_m]) for thing in things]
+    own = list(zip(things, centres, places, strict=True))
+    return {
+        "centre_m": joined([on_plan(thing, centre.position_m, np.zeros(2)) for thing, centre, _ in own], 3),
+        "centre_normals": joined([on_plan(thing, centre.normals, place) for thing, centre, place in own], 2, 3),
+        "centre_rcs_m2": joined([centre.peak_rcs_m2 for centre in centres]),
+        "centre_phase_rad": joined([centre.phase_rad for centre in centres]),
+        "centre_exponent": joined([centre.lobe_exponent for centre in centres]),
+        "centre_floor": joined([np.full(len(centre.phase_rad), centre.lobe_floor) for centre in centres]),
+        "centre_object": np.repeat(np.arange(len(things)), np.array([len(one.phase_rad) for one in centres], int)),
+        "face_a": joined(corners, 2),
+        "face_b": joined([np.roll(box, -1, axis=0) for box in corners], 2),
+        "face_height_m": np.repeat(np.array([thing.kind.height_m for thing in things], float), 4),
+        "velocity_mps": np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw)]),
+    }
+
+
+def _centres(thing: SceneObject, wavelength_m: float, seed: int, index: int) -> ScatteringCentres:
+    """The scattering centres of one object: drawn for a class, computed for a mesh."""
+    mesh = thing.shape
+    if mesh is None:
+        return scattering_centres(thing.object_class, seed, index)
+    found = mesh_centres(mesh, wavelength_m)
+    return ScatteringCentres(
+        position_m=found.position_m,
+        normals=np.stack([found.normal, found.normal], axis=1),
+        peak_rcs_m2=found.peak_rcs_m2,
+        # what tells the patches of a mesh apart is their place
+        phase_rad=np.zeros(len(found.peak_rcs_m2)),
+        lobe_exponent=found.lobe_exponent,
+        lobe_floor=0.0,
+    )
+
+
+def _wall_specks(
+    wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int
+) -> dict[str, np.ndarray]:
+    """The wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
+    place, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
+    normal = [np.zeros((0, 2))]
+    rng = np.random.default_rng([seed, 2])
+    for index, (a, b) in enumerate(zip(wall_a, wall_b, strict=True)):
+        wall_length = math.dist(a, b)
+        count = max(round(wall_length / PATCH_M), 1)
+        patch = (np.arange(count) + rng.uniform(0.2, 0.8, count)) / count
+        steps = np.cumsum(rng.uniform(*STRUCTURE_SPACING_M, int(wall_length / STRUCTURE_SPACING_M[0]) + 1))
+        joints = np.concatenate([[0.0, 1.0], steps[steps < wall_length] / wall_length])
+        # the ends a hand's breadth inside, where a real edge has its depth
+        joints = np.clip(joints, 0.02 / wall_length, max(1.0 - 0.02 / wall_length, 0.5))
+        share = np.concatenate([patch, joints])
+        place.append(arc_points(a, b, curvature_per_m[index], share))
+        normal.append(arc_normals(a, b, curvature_per_m[index], share))
+        owner.append(np.full(len(share), index))
+        length.append(np.concatenate([np.full(count, wall_length / count), np.zeros(len(joints))]))
+        level_db = rng.normal(STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB, len(joints))
+        rcs.append(np.concatenate([np.zeros(count), 10.0 ** (level_db / 10.0)]))
+    phase = rng.uniform(0.0, 2.0 * np.pi, sum(map(len, rcs)))
+    return {
+        "speck_m": np.concatenate(place),
+        "speck_normal": np.concatenate(normal),
+        "speck_wall": np.concatenate(owner),
+        "speck_length_m": np.concatenate(length),
+        "speck_rcs_m2": np.concatenate(rcs),
+        "speck_phasor": np.exp(1j * phase),
+    }

@@ -1,0 +1,258 @@
+"""From paths to beats: tones summed on a grid, slow time of moving paths in a few terms, noise, int16 codes.
+
+Beats follow the recorded convention m(t) = sum conj(W) exp{+j(2 pi S tau t + 2 pi f_c tau - pi S tau^2)}.
+Left out by this plain signal chain: range migration within one beam (a path moves under 1/10 of a range bin in 0.7 ms
+at 30 m/s), overlap of back-to-back chirps, wideband squint, mutual coupling, flicker noise, I/Q imbalance: those are in
+`sim_player.signal.levels`, which is built from the parts here.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from scipy import fft
+
+from models.physics.antenna import setup_weights, two_way_pattern
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad
+from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.trace.paths import Paths
+
+#: Gridding kernel: width in grid steps and oversampling. 12 at 2 is exact to about 1e-10 of the strongest tone.
+KERNEL_WIDTH, OVERSAMPLING = 12, 2
+#: Samples that the noise and rounding kernel works on at a time.
+BLOCK = 2048
+#: What the slow-time basis may miss of any path, relative to that path.
+SLOW_TIME_TOLERANCE = 1e-5
+
+
+def beam_weights(setup: RadarSetup, paths: Paths, beams: slice = slice(None)) -> np.ndarray:
+    """Recorded weights conj(W) of all paths, antenna included, in sqrt(mW); complex128 [beams, paths]."""
+    there = departure(paths)
+    pattern = two_way_pattern(setup, setup_weights(setup)[beams], paths.azimuth_rad, paths.elevation_rad, *there)
+    return np.conj(paths.amplitude * pattern)
+
+
+def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Azimuth and elevation of departure; (None, None) where all paths return the way they went (half the work)."""
+    azimuth_rad, elevation_rad = paths.departure_azimuth_rad, paths.departure_elevation_rad
+    if np.array_equal(azimuth_rad, paths.azimuth_rad) and np.array_equal(elevation_rad, paths.elevation_rad):
+        return None, None
+    return azimuth_rad, elevation_rad
+
+
+def chirp_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """Sums of beats over one chirp, one per row of `weights` [rows, paths]; complex128 [rows, samples]."""
+    cycles = beat_frequency_hz(radar, length_m) / radar.sample_rate_hz
+    return sum_tones(cycles, weights * np.exp(1j * beat_phase_rad(radar, length_m)), radar.samples_per_chirp)
+
+
+def sum_tones(cycles_per_sample: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
+    """sum_p w_p exp(2 pi j x_p n) for n = 0..count-1, by gridding and one FFT per row; complex128 [rows, count].
+
+    A non-uniform FFT: each tone is spread over the `KERNEL_WIDTH` nearest steps of an oversampled spectrum by a
+    Kaiser-Bessel kernel, whose own transform is divided out afterwards. Cost does not grow with paths x samples.
+    """
+    grid_size = OVERSAMPLING * count
+    steps, kernel = grid_spread((np.asarray(cycles_per_sample, np.float64) % 1.0) * grid_size)
+    # centred samples keep the kernel's transform symmetric and far from its zeros
+    centred = weights * np.exp(2j * np.pi * ((cycles_per_sample * (count // 2)) % 1.0))
+    spectrum = np.empty((len(weights), grid_size), np.complex128)
+    index = (steps % grid_size).ravel()
+    for row, tones in enumerate(centred):
+        spread = (tones[:, None] * kernel).ravel()
+        spectrum[row].real = np.bincount(index, spread.real, grid_size)
+        spectrum[row].imag = np.bincount(index, spread.imag, grid_size)
+    samples = fft.ifft(spectrum, axis=1, norm="forward", overwrite_x=True)
+    half = count // 2
+    ordered = np.concatenate([samples[:, grid_size - half :], samples[:, : count - half]], axis=1)
+    return ordered / kernel_transform(count)
+
+
+def grid_spread(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The grid steps next to each position, and the kernel's value there; [tones, KERNEL_WIDTH] each."""
+    first = np.floor(position).astype(np.int64) - KERNEL_WIDTH // 2 + 1
+    steps = first[:, None] + np.arange(KERNEL_WIDTH)
+    return steps, _kaiser_bessel(position[:, None] - steps)
+
+
+def _kernel_shape() -> float:
+    """Beta of the Kaiser-Bessel kernel at this width and oversampling."""
+    return math.pi * KERNEL_WIDTH * (1.0 - 0.5 / OVERSAMPLING) * 0.98
+
+
+def _kaiser_bessel(offset: np.ndarray) -> np.ndarray:
+    """Kernel at offsets in grid steps, zero beyond half its width."""
+    inside = np.maximum(1.0 - np.square(2.0 * offset / KERNEL_WIDTH), 0.0)
+    return np.i0(_kernel_shape() * np.sqrt(inside))
+
+
+@lru_cache(maxsize=8)
+def kernel_transform(count: int) -> np.ndarray:
+    """Transform of the kernel at the centred samples, [count]."""
+    turns = np.pi * KERNEL_WIDTH * (np.arange(count) - count // 2) / (OVERSAMPLING * count)
+    argument = np.sqrt(_kernel_shape() ** 2 - turns**2)
+    return KERNEL_WIDTH * np.sinh(argument) / argument
+
+
+def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Phases of moving paths over a beam's chirps: exp(j w_p c) = carrier[c] sum_r share[r, p] basis[r, c].
+
+    Chirps count from the middle of the beam. Returns carrier complex128 [chirps], basis float64 [terms, chirps] and
+    share complex128 [terms, paths]. A common turn is taken out first, then the band that is left needs only as many
+    Slepian sequences as it has turns, and a few.
+    """
+    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
+    turn = 4.0 * np.pi * radial_speed_mps * radar.chirp_period_s / radar.wavelength_m
+    middle = 0.5 * (turn.max() + turn.min()) if len(turn) else 0.0
+    widest = 0.5 * (turn.max() - turn.min()) if len(turn) else 0.0
+    basis = _slow_time_basis(radar.chirps_per_beam, _rounded_up(widest))
+    phasors = _phasors(turn - middle, radar.chirps_per_beam)
+    return np.exp(1j * middle * chirp), basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
+
+
+def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
+    """exp(j w_p c), c counted from the middle, [chirps, paths]: sixteenths times single steps, few exponentials."""
+    step = 16
+    coarse = np.arange(-(-chirps // step)) * step - 0.5 * (chirps - 1)
+    coarse_phasors = np.exp(1j * np.multiply.outer(coarse, turn))
+    fine_phasors = np.exp(1j * np.multiply.outer(np.arange(step), turn))
+    return (coarse_phasors[:, None] * fine_phasors[None]).reshape(len(coarse) * step, len(turn))[:chirps]
+
+
+@lru_cache(maxsize=64)
+def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
+    """Orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the tolerance."""
+    # here, because what it brings along takes half a second, of which a player that starts again has no need
+    from scipy.signal.windows import dpss
+
+    chirp = np.arange(chirps) - 0.5 * (chirps - 1)
+    edge = np.exp(1j * widest_rad * chirp)
+    product = min(max(widest_rad * chirps / (2.0 * np.pi), 1e-3), 0.499 * chirps)
+    for terms in range(1, chirps):
+        basis = np.atleast_2d(dpss(chirps, product, terms)) if chirps > 1 else np.ones((1, 1))
+        basis = basis / np.linalg.norm(basis, axis=1, keepdims=True)
+        if np.linalg.norm(edge - basis.T @ (basis @ edge)) <= SLOW_TIME_TOLERANCE * math.sqrt(chirps):
+            return basis
+    return np.eye(chirps)
+
+
+def _rounded_up(value: float) -> float:
+    """The next of few values (six in an octave), so that beams share their cached basis; zero stays zero."""
+    return 2.0 ** (math.ceil(6.0 * math.log2(value)) / 6.0) if value > 1e-9 else 0.0
+
+
+def noise_bank(radar: RadarParams, seed: int) -> np.ndarray:
+    """White complex noise of power k T0 f_s F, float32 [2, slots * samples] in sqrt(mW): what `chirp_codes` reads.
+
+    One slot more than a beam's chirps (64 at least): a beam reads its slots without overlap at a random shift.
+    """
+    size = (max(radar.chirps_per_beam, 64) + 1) * radar.samples_per_chirp
+    rng = np.random.default_rng([seed, 3])
+    return rng.standard_normal((2, size), np.float32) * np.float32(math.sqrt(0.5 * radar.noise_power_mw))
+
+
+def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Where in the bank each chirp of a beam reads its noise, int64 [chirps], and the phasor that turns it [chirps]."""
+    rng = np.random.default_rng(seed)
+    slots = bank.shape[1] // radar.samples_per_chirp - 1
+    start = rng.permutation(slots)[: radar.chirps_per_beam] * radar.samples_per_chirp
+    start += rng.integers(radar.samples_per_chirp)
+    return start, np.exp(2j * np.pi * rng.random(radar.chirps_per_beam))
+
+
+def beam_codes(
+    setup: RadarSetup, beats: np.ndarray, carrier: np.ndarray, basis: np.ndarray, bank: np.ndarray, seed: list[int]
+) -> np.ndarray:
+    """int16 I/Q codes of one beam, [chirps, samples, 2]: sum_r carrier basis[r] beats[r] plus noise.
+
+    `beats` [terms, samples] in sqrt(mW). Rounded to nearest (ties to even), saturated at the ends of int16. Every
+    chirp reads its own stretch of the bank, turned by its own phase: `seed` names the beam.
+    """
+    radar = setup.radar
+    per_milliwatt = 1.0 / amplitude_per_code(setup.full_scale_dbm)
+    start, turn = noise_reads(radar, bank, seed)
+    codes = np.empty((radar.chirps_per_beam, radar.samples_per_chirp, 2), np.int16)
+    sign = float(setup.beat_sign)
+    _fill_codes(
+        np.ascontiguousarray(beats.real * per_milliwatt, np.float32),
+        np.ascontiguousarray(beats.imag * per_milliwatt, np.float32),
+        carrier.astype(np.complex64),
+        basis.astype(np.float32),
+        bank,
+        start,
+        (turn * per_milliwatt).astype(np.complex64),
+        np.float32(sign),
+        codes.reshape(radar.chirps_per_beam, -1),
+    )
+    return codes
+
+
+@njit(cache=True, fastmath=True, nogil=True)
+def _fill_codes(
+    beat_re: np.ndarray,
+    beat_im: np.ndarray,
+    carrier: np.ndarray,
+    basis: np.ndarray,
+    bank: np.ndarray,
+    start: np.ndarray,
+    turn: np.ndarray,
+    sign: np.float32,
+    codes: np.ndarray,
+) -> None:
+    terms, count = beat_re.shape
+    re, im = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
+    both = np.empty(2 * BLOCK, np.float32)
+    least, most = np.float32(-32768.0), np.float32(32767.0)
+    # block by block: the terms of a block stay in the nearest cache for all chirps
+    for first in range(0, count, BLOCK):
+        size = min(BLOCK, count - first)
+        for chirp in range(len(start)):
+            re[:] = np.float32(0.0)
+            im[:] = np.float32(0.0)
+            for term in range(terms):
+                factor = basis[term, chirp]
+                row_re, row_im = beat_re[term, first : first + size], beat_im[term, first : first + size]
+                for n in range(size):
+                    re[n] += factor * row_re[n]
+                for n in range(size):
+                    im[n] += factor * row_im[n]
+            c, s = carrier[chirp].real, carrier[chirp].imag
+            p, q = turn[chirp].real, turn[chirp].imag
+            noise_re = bank[0, start[chirp] + first : start[chirp] + first + size]
+            noise_im = bank[1, start[chirp] + first : start[chirp] + first + size]
+            out = codes[chirp, 2 * first : 2 * (first + size)]
+            for n in range(size):
+                i = c * re[n] - s * im[n] + p * noise_re[n] - q * noise_im[n]
+                j = sign * (s * re[n] + c * im[n]) + q * noise_re[n] + p * noise_im[n]
+                both[2 * n] = min(max(np.rint(i), least), most)
+                both[2 * n + 1] = min(max(np.rint(j), least), most)
+            for n in range(2 * size):
+                out[n] = np.int16(np.int32(both[n]))
+
+
+def literal_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray, chirps: int = 1) -> np.ndarray:
+    """The reference: transmit Eq. (6), delay, mix with the conjugate; complex128 [chirps, samples], for few samples.
+
+    Written out in time with no closed form: g(t) g*(t - tau) summed over paths with recorded weights conj(W)
+    [paths]. Complex mixing leaves no sum frequency, so the low pass has nothing to remove. Chirps repeat.
+    """
+    time_s = np.arange(radar.samples_per_chirp) / radar.sample_rate_hz
+    transmitted = _chirp(radar, time_s)
+    mixed = np.zeros(radar.samples_per_chirp, np.complex128)
+    for length, weight in zip(length_m, weights, strict=True):
+        mixed += weight * transmitted * np.conj(_chirp(radar, time_s - length / SPEED_OF_LIGHT_MPS))
+    return np.tile(mixed, (chirps, 1))
+
+
+def chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
+    """Phase of Eq. (6) in turns, f_c t + S t^2 / 2; to be reduced to a fraction before it becomes an angle."""
+    return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
+
+
+def _chirp(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
+    """Eq. (6): g(t) = exp(j(2 pi f_c t + pi S t^2)), phase reduced before the exponential."""
+    return np.exp(2j * np.pi * (chirp_turns(radar, time_s) % 1.0))

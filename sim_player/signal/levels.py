@@ -1,0 +1,377 @@
+"""One signal at three levels with one answer: kernel (profiles), beat (samples, codes), literal (Eq. (6) in time).
+
+- Kernel: echoes are gathered on a grid of half range bins and convolved with the window's spectrum, by FFT: exact to
+  rounding like `sum_tones`, at a cost that hardly grows with the number of paths. For scenes at rest.
+- Beat: sums of tones over the chirp, terms of slow time over the beam, faults of the receiver, int16 codes.
+- Literal (`sim_player.signal.literal`): the reference. Chirps delayed and mixed, pattern at every sample; nothing
+  expanded.
+
+All take `SignalEffects` and `FrontEnd`; `PLAIN` effects give the signal of `sim_player.signal.fmcw`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+
+import msgspec
+import numpy as np
+from scipy import fft
+
+from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz, window_noise_gain
+from msgs.values.radar import RadarSetup
+from sim_player.scene.front_end import NO_FAULTS, FrontEnd
+from sim_player.signal.fmcw import KERNEL_WIDTH, OVERSAMPLING, beam_codes, grid_spread, kernel_transform, sum_tones
+from sim_player.signal.receiver import (
+    convert,
+    converter_step,
+    dither_objection,
+    flicker_noise,
+    flicker_ratio,
+    iq_factors,
+    iq_imbalance,
+    leakage_beat,
+    leakage_profile,
+    overload_objection,
+    quantisation_power_mw,
+    spur_beat,
+    spur_profile,
+    spur_turns,
+    thermal_noise,
+)
+from sim_player.signal.swept_echoes import (
+    SweptEchoes,
+    cardinal_functions,
+    moving_echoes,
+    overlap_correction,
+    swept_echoes,
+)
+from sim_player.signal.switches import PLAIN, SignalEffects
+from sim_player.trace.paths import Paths
+
+RANGE_BINS = 512
+#: One beam as sum_r carrier[c] basis[r, c] beats[r]: beats [terms, samples], carrier [chirps], basis [terms, chirps].
+Terms = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: Grid of the kernel level: whole blocks of range bins, so that scenes share their kernels; steps left free below 0.
+BLOCK_BINS, MARGIN = 256, KERNEL_WIDTH // 2
+
+
+# --- kernel level
+
+
+def kernel_profiles(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    range_bins: int = RANGE_BINS,
+    precision: str = "float64",
+    seed: int = 0,
+) -> np.ndarray:
+    """Hann-windowed range profiles of all beams without noise, sqrt(mW); complex [beams, bins] of the precision.
+
+    Echoes, leakage and spurs (`seed` draws their phases), with I/Q imbalance; noise is `noise_profiles`'. Agrees with
+    the beat level to 1e-9 in float64, 1e-5 in float32. ValueError where this level cannot hold the signal, with the
+    reason (`kernel_objections`).
+    """
+    _refuse(motion_objection(paths, effects))
+    echoes = swept_echoes(setup, paths, effects, front_end, precision=precision)
+    images = effects.iq_imbalance and iq_factors(front_end)[1] != 0.0
+    bins = range(1 - range_bins if images else 0, range_bins)
+    profiles = echo_profiles(echoes, bins)
+    for beam in range(len(profiles)):
+        for tone in _fixed_profiles(setup, effects, front_end, bins, [seed, 0, beam]):
+            profiles[beam] += tone
+    if images:
+        profiles = iq_imbalance(profiles, profiles[:, ::-1], front_end, setup.beat_sign)[:, range_bins - 1 :]
+    return profiles
+
+
+def kernel_objections(
+    setup: RadarSetup, paths: Paths, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
+) -> list[str]:
+    """Why the kernel level cannot hold a signal, empty where it can: motion, too little dither, a clipping converter.
+
+    The converter's peak is first bounded by the sum of amplitudes; only beams over that are summed up in time.
+    """
+    found = [motion_objection(paths, effects)]
+    if effects.adc:
+        found.append(dither_objection(setup, front_end, effects.thermal_noise))
+        found.append(overload_objection(setup, _peak(setup, paths, effects, front_end)))
+    return [reason for reason in found if reason is not None]
+
+
+def motion_objection(paths: Paths, effects: SignalEffects) -> str | None:
+    """Why Doppler has no place in one profile a beam, if so: the former looks for the strongest Doppler bin."""
+    if not effects.motion or not np.any(paths.radial_speed_mps):
+        return None
+    fastest = float(np.abs(paths.radial_speed_mps).max())
+    return f"paths must be at rest for the kernel level, got {fastest:.2f} m/s: use the beat level"
+
+
+def _refuse(reason: str | None) -> None:
+    if reason is not None:
+        raise ValueError(reason)
+
+
+def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
+    """Hann-windowed profiles of swept echoes in their precision, complex [rows, bins].
+
+    Each echo is spread over the `KERNEL_WIDTH` nearest half bins; the grid is convolved with the spectrum of
+    window x cardinal function, once per instant. The overlapped start is corrected in time.
+    """
+    # here: basic effects have no sweep
+    from scipy.sparse import csr_array
+
+    radar, (instants, rows) = echoes.radar, echoes.weights.shape[:2]
+    kind, real = echoes.weights.dtype, echoes.weights.real.dtype
+    count = radar.samples_per_chirp
+    tone_bin = beat_frequency_hz(radar, echoes.length_m) * radar.chirp_period_s
+    blocks = int(tone_bin.max(initial=0.0)) // BLOCK_BINS + 1
+    steps, kernel = grid_spread(OVERSAMPLING * tone_bin)
+    path = np.arange(len(tone_bin) + 1) * KERNEL_WIDTH
+    size = OVERSAMPLING * BLOCK_BINS * blocks + 2 * MARGIN
+    spreading = csr_array((kernel.astype(real).ravel(), (steps + MARGIN).ravel(), path), (len(tone_bin), size))
+    centre = np.exp(2j * np.pi * ((tone_bin * ((count // 2) / count)) % 1.0)).astype(kind)
+    flat = np.multiply(echoes.weights.reshape(instants * rows, -1).T, centre[:, None], order="C")
+    grid = (spreading.T.tocsr() @ flat.view(real)).view(kind).reshape(size, instants, rows)
+    kernels = _range_kernels(count, instants, bins, blocks, echoes.precision)
+    spectrum = np.einsum("fkr,fk->fr", fft.fft(grid, len(kernels), axis=0), kernels)
+    turns = np.exp(-2j * np.pi * (np.arange(bins.start, bins.stop) * (count // 2) % count) / count)
+    profiles = fft.ifft(spectrum, axis=0)[: OVERSAMPLING * len(bins) : OVERSAMPLING].T * turns.astype(kind)
+    if echoes.head_samples:
+        profiles += hann_profiles(overlap_correction(echoes), count, bins)
+    return profiles
+
+
+@lru_cache(maxsize=16)
+def _range_kernels(count: int, instants: int, bins: range, blocks: int, precision: str) -> np.ndarray:
+    """Transforms of the kernels that carry the half-bin grid to the bins, complex [frequencies, instants].
+
+    H_l = sum_n w(n) l_k(n) / K(n) exp(2 pi j l (n - N/2) / 2N) / N for a grid step l half bins over the bin, K the
+    transform of the spreading kernel. Laid out so that out[2 a] of a circular convolution is bin `bins[a]`.
+    """
+    size = OVERSAMPLING * BLOCK_BINS * blocks + 2 * MARGIN
+    length = fft.next_fast_len(size + OVERSAMPLING * len(bins))
+    sample = np.arange(count) / count
+    nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(instants) + 0.5) / instants)
+    slow = cardinal_functions(nodes, sample) * (1.0 - np.cos(2.0 * np.pi * sample)) / (kernel_transform(count) * count)
+    table = fft.ifft(slow, OVERSAMPLING * count, axis=1, norm="forward")
+    # u = 2 a - j over all grid steps j and bins a
+    lag = np.arange(-(size - 1), OVERSAMPLING * (len(bins) - 1) + 1)
+    step = -lag - MARGIN - OVERSAMPLING * bins.start
+    half = (step * (count // 2)) % (OVERSAMPLING * count) / (OVERSAMPLING * count)
+    laid = np.zeros((length, instants), np.complex128)
+    laid[lag % length] = (table[:, step % (OVERSAMPLING * count)] * np.exp(-2j * np.pi * half)).T
+    return fft.fft(laid, axis=0).astype(np.complex64 if precision == "float32" else np.complex128)
+
+
+def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BINS)) -> np.ndarray:
+    """Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero. Complex [rows, bins]."""
+    window = (1.0 - np.cos(2.0 * np.pi * np.arange(samples.shape[1]) / count)).astype(samples.real.dtype) / count
+    return fft.fft(samples * window, count, axis=1)[:, np.arange(bins.start, bins.stop) % count]
+
+
+def _fixed_profiles(
+    setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd, bins: range, seed: Sequence[int]
+) -> Iterator[np.ndarray]:
+    """Profiles of what the electronics add to one beam: leakage and spurs."""
+    if effects.leakage and front_end.leakage_dbm is not None:
+        yield leakage_profile(setup.radar, front_end.leakage_dbm, bins)
+    if not effects.spurs or not front_end.spurs:
+        return
+    for spur, turns in zip(front_end.spurs, spur_turns(front_end.spurs, seed), strict=True):
+        if setup.beat_sign > 0:
+            yield spur_profile(setup.radar, spur, turns, bins)
+        else:
+            # the receiver conjugates all it gets: the tone stands at -f
+            mirrored = range(1 - bins.stop, 1 - bins.start)
+            yield np.conj(spur_profile(setup.radar, spur, turns, mirrored)[::-1])
+
+
+def noise_profiles(
+    setup: RadarSetup,
+    seed: int,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    range_bins: int = RANGE_BINS,
+) -> np.ndarray:
+    """Noise of all beams as Hann-windowed profiles: thermal, flicker, rounding; complex128 [beams, bins].
+
+    Independent draws per bin, scaled to `noise_density_mw`, then the window's taps.
+    """
+    taps = WINDOW_TAPS["hann"]
+    power = noise_density_mw(setup, np.arange(-1, range_bins + 1), effects, front_end)
+    rng = np.random.default_rng([seed, 6])
+    draws = rng.standard_normal((2, len(setup.beams), range_bins + len(taps) - 1)) * np.sqrt(0.5 * power)
+    white = draws[0] + 1j * draws[1]
+    return sum(tap * white[:, i : i + range_bins] for i, tap in enumerate(taps))
+
+
+def noise_density_mw(
+    setup: RadarSetup, bins: np.ndarray, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
+) -> np.ndarray:
+    """Noise power per bin before the window, after the mean over chirps; mW, float64 [bins].
+
+    (thermal + flicker) (|mu|^2 + |nu|^2) + rounding, over N N_c. ValueError where rounding is no white noise.
+    """
+    radar = setup.radar
+    per_sample = np.full(len(bins), radar.noise_power_mw if effects.thermal_noise else 0.0)
+    if effects.flicker:
+        frequency_hz = np.asarray(bins) / radar.chirp_period_s
+        per_sample += radar.noise_power_mw * flicker_ratio(radar, frequency_hz, front_end.flicker_corner_hz)
+    if effects.iq_imbalance:
+        per_sample *= sum(abs(factor) ** 2 for factor in iq_factors(front_end))
+    if effects.adc:
+        _refuse(dither_objection(setup, front_end, effects.thermal_noise))
+        per_sample += quantisation_power_mw(setup, converter_step(front_end))
+    return per_sample / (radar.samples_per_chirp * radar.chirps_per_beam)
+
+
+def noise_rms(
+    setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS, range_bins: int = RANGE_BINS
+) -> np.ndarray:
+    """Rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [bins]."""
+    density = noise_density_mw(setup, np.arange(range_bins), effects, front_end)
+    return np.sqrt(density * window_noise_gain("hann"))
+
+
+def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd) -> float:
+    """Largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is harmless."""
+    # the overlap exchanges echoes for their like
+    lone = msgspec.structs.replace(effects, chirp_overlap=False)
+    echoes = swept_echoes(setup, paths, lone, front_end, precision="float32")
+    fixed = sum(np.abs(tone).max() for tone, _ in _fixed_beats(setup, effects, front_end, [0]))
+    if effects.thermal_noise:
+        fixed += 5.0 * np.sqrt(0.5 * setup.radar.noise_power_mw)
+    gain = sum(map(abs, iq_factors(front_end))) if effects.iq_imbalance else 1.0
+    amplitude = np.abs(echoes.weights).sum(axis=2).max(axis=0)
+    for beam, bound in enumerate(amplitude):
+        if overload_objection(setup, gain * (bound + fixed)) is not None:
+            beats = beam_beats(setup, paths, effects, front_end, slice(beam, beam + 1))
+            amplitude[beam] = np.abs(beats).max()
+    return float(gain * (amplitude.max() + fixed))
+
+
+# --- beat level
+
+
+def beam_beats(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    beams: slice = slice(None),
+) -> np.ndarray:
+    """Echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
+    return echo_beats(swept_echoes(setup, paths, effects, front_end, beams))
+
+
+def beat_terms(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    beam: int = 0,
+    seed: Sequence[int] = (0,),
+) -> Terms:
+    """All that reaches the receiver in one beam but noise: sum_r carrier[c] basis[r, c] beats[r].
+
+    Echoes in slow-time terms, leakage and spurs as two more terms each. Returns beats complex128 [terms, samples],
+    carrier complex128 [chirps], basis float64 [terms, chirps]. `seed` names the beam.
+    """
+    return with_electronics(setup, echo_terms(setup, paths, effects, front_end, beam), effects, front_end, seed)
+
+
+def echo_terms(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    beam: int = 0,
+    precision: str = "float64",
+) -> Terms:
+    """The echoes of one beam alone, which stay the same from scan to scan while nothing moves."""
+    echoes, carrier, basis = moving_echoes(setup, paths, effects, front_end, beam, precision)
+    return echo_beats(echoes), carrier, basis
+
+
+def with_electronics(
+    setup: RadarSetup, terms: Terms, effects: SignalEffects, front_end: FrontEnd, seed: Sequence[int] = (0,)
+) -> Terms:
+    """Terms with those of leakage and spurs added; `seed` names the beam."""
+    carrier = terms[1]
+    beats, rows = [terms[0]], [terms[2]]
+    for tone, phasor in _fixed_beats(setup, effects, front_end, seed):
+        relative = phasor * np.conj(carrier)
+        beats.append(np.stack([tone, 1j * tone]))
+        rows.append(np.stack([relative.real, relative.imag]))
+    return np.concatenate(beats), carrier, np.concatenate(rows)
+
+
+def record_beam(
+    setup: RadarSetup,
+    terms: Terms,
+    bank: np.ndarray,
+    seed: list[int],
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+) -> np.ndarray:
+    """int16 I/Q codes of one beam from `beat_terms`, [chirps, samples, 2]; the converter always has int16 codes.
+
+    Without flicker, I/Q imbalance and a coarser converter these are the codes of `sim_player.signal.fmcw.beam_codes`.
+    """
+    step = converter_step(front_end) if effects.adc else 1
+    flickers = effects.flicker and front_end.flicker_corner_hz > 0.0
+    unbalanced = effects.iq_imbalance and iq_factors(front_end)[1] != 0.0
+    if not (flickers or unbalanced or step > 1):
+        return beam_codes(setup, *terms, bank if effects.thermal_noise else np.zeros_like(bank), seed)
+    samples = received_samples(setup, terms, bank, seed, effects, front_end)
+    return convert(samples / np.float32(np.sqrt(setup.milliwatt_per_code_squared)), step)
+
+
+def received_samples(
+    setup: RadarSetup,
+    terms: Terms,
+    bank: np.ndarray,
+    seed: list[int],
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+) -> np.ndarray:
+    """What the converter gets: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
+    beats, carrier, basis = terms
+    samples = (carrier[:, None] * basis.T).astype(np.complex64) @ beats.astype(np.complex64)
+    if setup.beat_sign < 0:
+        samples = np.conj(samples)
+    if effects.thermal_noise:
+        samples += thermal_noise(setup.radar, bank, seed)
+    if effects.flicker and front_end.flicker_corner_hz > 0.0:
+        samples += flicker_noise(setup.radar, front_end.flicker_corner_hz, seed)
+    return iq_imbalance(samples, samples, front_end) if effects.iq_imbalance else samples
+
+
+def echo_beats(echoes: SweptEchoes) -> np.ndarray:
+    """Samples of swept echoes over one chirp, complex128 [rows, samples]."""
+    radar, count = echoes.radar, echoes.radar.samples_per_chirp
+    cycles = beat_frequency_hz(radar, echoes.length_m) / radar.sample_rate_hz
+    slow = cardinal_functions(echoes.instants, np.arange(count) / count)
+    beats = np.zeros((echoes.weights.shape[1], count), np.complex128)
+    for weights, factor in zip(echoes.weights, slow, strict=True):
+        beats += factor * sum_tones(cycles, weights, count)
+    beats[:, : echoes.head_samples] += overlap_correction(echoes)
+    return beats
+
+
+def _fixed_beats(
+    setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd, seed: Sequence[int]
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Leakage and spurs of one beam: one chirp of each and its phasor per chirp."""
+    radar = setup.radar
+    if effects.leakage and front_end.leakage_dbm is not None:
+        yield leakage_beat(radar, front_end.leakage_dbm), np.ones(radar.chirps_per_beam)
+    if not effects.spurs or not front_end.spurs:
+        return
+    for spur, turns in zip(front_end.spurs, spur_turns(front_end.spurs, seed), strict=True):
+        tone, phasor = spur_beat(radar, spur, turns)
+        # spurs do not pass the mixer: the hardware's sign, which is applied to all terms later, is not theirs
+        yield (tone, phasor) if setup.beat_sign > 0 else (np.conj(tone), np.conj(phasor))

@@ -1,0 +1,92 @@
+"""The literal level, reference of all others: chirps in time, delayed, mixed, a pattern at every sample.
+
+Nothing is expanded, gridded or summed in closed form; float64, phases reduced to fractions of a turn. For few paths,
+beams and chirps: every path costs its samples times the columns of the array.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.physics.antenna import column_response, element_field, row_field
+from msgs.values.radar import RadarSetup
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.scene.front_end import NO_FAULTS, FrontEnd
+from sim_player.signal.fmcw import chirp_turns
+from sim_player.signal.levels import hann_profiles
+from sim_player.signal.switches import PLAIN, SignalEffects, column_weights, isotropic, sampled, sweep_ratio
+from sim_player.trace.paths import Paths
+
+
+def literal_echoes(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    beam: int = 0,
+    chirps: Sequence[int] = (0,),
+) -> np.ndarray:
+    """The reference: chirps of Eq. (6) back to back, delayed, mixed; complex128 [chirps, samples], in sqrt(mW).
+
+    Every transmitted chirp is Eq. (6) with t from its own start; the transmitter was on before the beam. Delays
+    change sample by sample with range migration, chirp by chirp in phase alone without. Low pass: `sampled`.
+    """
+    setup_seen = setup if effects.element_pattern else isotropic(setup)
+    columns = column_weights(setup, effects, front_end)[beam : beam + 1]
+    samples = np.zeros((len(chirps), setup.radar.samples_per_chirp), np.complex128)
+    for index in range(len(paths)):
+        path = paths.take(np.array([index]))
+        for row, chirp in zip(samples, chirps, strict=True):
+            row += _literal_echo(setup_seen, columns, path, effects, chirp)
+    return samples
+
+
+def literal_profiles(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects = PLAIN,
+    front_end: FrontEnd = NO_FAULTS,
+    beams: Sequence[int] = (0,),
+) -> np.ndarray:
+    """Hann-windowed range profiles of one chirp of each of some beams, sqrt(mW); complex128 [beams, 512]."""
+    samples = [literal_echoes(setup, paths, effects, front_end, int(beam)) for beam in beams]
+    return hann_profiles(np.concatenate(samples), setup.radar.samples_per_chirp)
+
+
+def _literal_echo(
+    setup: RadarSetup, columns: np.ndarray, path: Paths, effects: SignalEffects, chirp: int
+) -> np.ndarray:
+    """One path in one chirp, [samples]."""
+    radar = setup.radar
+    time_s = np.arange(radar.samples_per_chirp) / radar.sample_rate_hz
+    since_middle_s = (chirp - 0.5 * (radar.chirps_per_beam - 1)) * radar.chirp_period_s
+    closing = 2.0 * path.radial_speed_mps[0] / SPEED_OF_LIGHT_MPS if effects.motion else 0.0
+    moved_s = closing * (since_middle_s + time_s)
+    delay_s = path.length_m[0] / SPEED_OF_LIGHT_MPS + (moved_s if effects.range_migration else 0.0)
+    since_sent_s = time_s - delay_s
+    previous = (since_sent_s < 0.0) & effects.chirp_overlap
+    since_sent_s = np.where(previous, since_sent_s + radar.chirp_period_s, since_sent_s)
+    turns = chirp_turns(radar, time_s) - chirp_turns(radar, since_sent_s)
+    if not effects.range_migration:
+        turns = turns + radar.carrier_hz * closing * since_middle_s
+    passes = ~previous | sampled(radar, radar.chirp_slope_hz_per_s * (time_s - since_sent_s))
+    ratio = sweep_ratio(radar, since_sent_s) if effects.squint else 1.0
+    received = _literal_pattern(setup, columns, path.azimuth_rad, path.elevation_rad, ratio)
+    sent = _literal_pattern(setup, columns, path.departure_azimuth_rad, path.departure_elevation_rad, ratio)
+    return passes * np.conj(path.amplitude[0] * sent * received) * np.exp(2j * np.pi * (turns % 1.0))
+
+
+def _literal_pattern(
+    setup: RadarSetup,
+    columns: np.ndarray,
+    azimuth_rad: np.ndarray,
+    elevation_rad: np.ndarray,
+    ratio: float | np.ndarray,
+) -> np.ndarray:
+    """One-way field of one direction, element by element, at every sample's frequency ratio; [samples] or [1]."""
+    array, wavelength_m = setup.array, setup.radar.wavelength_m
+    phased = columns * column_response(array, wavelength_m, azimuth_rad, elevation_rad, ratio)
+    field = phased.sum(axis=-1) / np.sqrt(array.columns) * row_field(array, wavelength_m, elevation_rad, ratio)
+    return field * element_field(setup.element, azimuth_rad, elevation_rad)

@@ -1,0 +1,304 @@
+"""Echoes whose weight changes slowly along the chirp: squint, range migration, and the previous chirp's tail.
+
+A beat is a tone times a slow factor a(t). The factor is taken at a few instants of the chirp (Chebyshev points) and
+interpolated: beat(t) = sum_k l_k(t) a(t_k) tone(t), so every level adds up plain tones. How many instants is known
+beforehand: a phase that swings by +-alpha over the chirp needs them until the Bessel functions J_k(alpha) are gone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import jv
+
+from models.physics.antenna import two_way_pattern
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad
+from msgs.values.radar import RadarParams, RadarSetup
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.scene.front_end import FrontEnd
+from sim_player.signal.fmcw import departure, slow_time_terms
+from sim_player.signal.switches import (
+    SignalEffects,
+    column_weights,
+    isotropic,
+    overlap_samples,
+    previous_length_m,
+    sampled,
+    sweep_ratio,
+)
+from sim_player.trace.paths import Paths
+
+#: What interpolation along the chirp may miss, relative to the array's peak.
+TOLERANCE = {"float64": 1e-11, "float32": 1e-5}
+#: Samples of the overlapped start that are worked on at a time.
+CHUNK = 64
+
+
+@dataclass(frozen=True)
+class SweptEchoes:
+    """P echoes in R rows (beams, or the slow-time terms of one)."""
+
+    radar: RadarParams
+    length_m: np.ndarray
+    #: Instants as shares of the chirp [K], and recorded weights there, beat phase included: [K, R, P].
+    instants: np.ndarray
+    weights: np.ndarray
+    #: The same over the overlapped start, `head_samples` long, instants over its whole chunks (share of the chirp):
+    #: own chirp's echo to take off, last chirp's to put in.
+    head_samples: int
+    head_span: float
+    head_instants: np.ndarray
+    head_own: np.ndarray
+    head_previous: np.ndarray
+    #: Bound of half the phase that the slow factor runs through in a chirp; precision of the weights.
+    swing_rad: float
+    precision: str
+
+
+def cardinal_functions(instants: np.ndarray, share: np.ndarray, span: float = 1.0) -> np.ndarray:
+    """Polynomials that are 1 at one Chebyshev instant and 0 at the others; float64 [instants, shares].
+
+    l_k(x) = (1 + 2 sum_m T_m(x_k) T_m(x)) / K on [0, span], without divisions.
+    """
+    count = len(instants)
+    scale = np.full(count, 2.0 / count)
+    scale[0] = 1.0 / count
+
+    def table(at: np.ndarray) -> np.ndarray:
+        return np.polynomial.chebyshev.chebvander(2.0 * at / span - 1.0, count - 1)
+
+    return (table(instants) * scale) @ table(np.asarray(share, np.float64)).T
+
+
+def chebyshev_instants(swing_rad: float, tolerance: float, span: float = 1.0) -> np.ndarray:
+    """As many Chebyshev points of [0, span] as interpolate exp(j swing x), |x| <= 1, to a tolerance."""
+    orders = np.abs(jv(np.arange(int(2.0 * swing_rad) + 60), swing_rad))
+    left = 4.0 * np.cumsum(orders[::-1])[::-1]
+    count = max(int(np.argmax(left <= tolerance)), 1) if swing_rad > 0.0 else 1
+    return span * (0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count))
+
+
+def squint_swing_rad(setup: RadarSetup, paths: Paths) -> float:
+    """Half the two-way phase that the sweep adds across the array, largest over the paths."""
+    array, wavelength_m = setup.array, setup.radar.wavelength_m
+    across = np.abs(np.sin(paths.azimuth_rad) * np.cos(paths.elevation_rad))
+    across += np.abs(np.sin(paths.departure_azimuth_rad) * np.cos(paths.departure_elevation_rad))
+    up = np.abs(np.sin(paths.elevation_rad)) + np.abs(np.sin(paths.departure_elevation_rad))
+    size_m = 0.5 * (array.columns - 1) * array.column_spacing(wavelength_m) * across
+    size_m += 0.5 * (array.rows - 1) * array.row_spacing(wavelength_m) * up
+    return float(np.pi * setup.radar.bandwidth_hz / SPEED_OF_LIGHT_MPS * size_m.max(initial=0.0))
+
+
+def migration_swing_rad(radar: RadarParams, radial_speed_mps: np.ndarray) -> float:
+    """Half the phase by which the fastest path's Doppler differs over the sweep and the beam."""
+    stretch = 2.0 * np.abs(radial_speed_mps).max(initial=0.0) / SPEED_OF_LIGHT_MPS
+    turns = 0.5 * radar.bandwidth_hz * radar.beam_duration_s + (radar.carrier_hz + radar.bandwidth_hz) * (
+        radar.chirp_period_s
+    )
+    return float(np.pi * stretch * turns)
+
+
+def swept_echoes(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects,
+    front_end: FrontEnd,
+    beams: slice = slice(None),
+    precision: str = "float64",
+) -> SweptEchoes:
+    """Echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown precision."""
+    if precision not in TOLERANCE:
+        raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
+    return _sweep(_Factors(setup, paths, effects, front_end, beams), None, precision)
+
+
+def moving_echoes(
+    setup: RadarSetup,
+    paths: Paths,
+    effects: SignalEffects,
+    front_end: FrontEnd,
+    beam: int,
+    precision: str = "float64",
+) -> tuple[SweptEchoes, np.ndarray, np.ndarray]:
+    """Echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows, chirps].
+
+    ValueError for an unknown precision.
+    """
+    if precision not in TOLERANCE:
+        raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
+    factors = _Factors(setup, paths, effects, front_end, slice(beam, beam + 1))
+    slow = _SlowTime(setup.radar, paths, effects)
+    return _sweep(factors, slow, precision), slow.carrier, slow.basis
+
+
+class _Factors:
+    """The slow factor of every echo: the antenna's conj(B_t B_r) at an instant of the chirp."""
+
+    def __init__(
+        self, setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beams: slice
+    ) -> None:
+        self.setup = setup if effects.element_pattern else isotropic(setup)
+        self.paths, self.effects = paths, effects
+        self._columns = column_weights(setup, effects, front_end)[beams]
+        self.beams = len(self._columns)
+        self._delay_s = paths.length_m / SPEED_OF_LIGHT_MPS
+        self._out = departure(paths)
+
+    def swing_rad(self) -> float:
+        """Bound of the factor's phase swing over a whole sweep."""
+        squint = squint_swing_rad(self.setup, self.paths) if self.effects.squint else 0.0
+        moves = self.effects.motion and self.effects.range_migration
+        return squint + (migration_swing_rad(self.setup.radar, self.paths.radial_speed_mps) if moves else 0.0)
+
+    def since_sent_s(self, share: float, previous: bool) -> np.ndarray:
+        """t - tau at an instant of the chirp, from the start of the chirp that the echo belongs to."""
+        return (share + previous) * self.setup.radar.chirp_period_s - self._delay_s
+
+    def at(self, share: float, previous: bool) -> np.ndarray:
+        """Recorded pattern of all beams at an instant of the chirp, complex128 [beams, P]."""
+        radar, paths = self.setup.radar, self.paths
+        ratio = sweep_ratio(radar, self.since_sent_s(share, previous)) if self.effects.squint else 1.0
+        pattern = two_way_pattern(
+            self.setup, self._columns, paths.azimuth_rad, paths.elevation_rad, *self._out, frequency_ratio=ratio
+        )
+        return np.conj(pattern)
+
+    def recorded(self, previous: bool) -> np.ndarray:
+        """What does not change along the chirp: conj(W), turned by the phase of the beat; complex128 [P]."""
+        radar, length_m = self.setup.radar, self.paths.length_m
+        if not previous:
+            return np.conj(self.paths.amplitude) * np.exp(1j * beat_phase_rad(radar, length_m))
+        length_m = previous_length_m(radar, length_m)
+        passes = sampled(radar, beat_frequency_hz(radar, length_m))
+        return np.conj(self.paths.amplitude) * passes * np.exp(1j * beat_phase_rad(radar, length_m))
+
+
+class _SlowTime:
+    """Doppler of every path in few terms over the beam; with range migration, per instant of the chirp."""
+
+    def __init__(self, radar: RadarParams, paths: Paths, effects: SignalEffects) -> None:
+        self._radar, self._speed_mps = radar, paths.radial_speed_mps
+        self._still = not effects.motion
+        self._migrates = effects.motion and effects.range_migration
+        self.carrier = np.ones(radar.chirps_per_beam, np.complex128)
+        self.basis = np.ones((1, radar.chirps_per_beam))
+
+    def prepare(self, since_sent_s: list[np.ndarray]) -> None:
+        """Find terms that hold for all instants, given t - tau at each, [P] each."""
+        if self._still:
+            self._share = np.ones((len(since_sent_s), 1, len(self._speed_mps)), np.complex128)
+            return
+        instants = since_sent_s if self._migrates else since_sent_s[:1]
+        turn = np.stack([self._doppler(since) for since in instants])
+        self.carrier, self.basis, share = slow_time_terms(self._radar, turn.ravel())
+        share = share.reshape(len(self.basis), len(turn), len(self._speed_mps)).swapaxes(0, 1)
+        self._share = np.broadcast_to(share, (len(since_sent_s), *share.shape[1:]))
+
+    def at(self, index: int, share_of_chirp: float, since_sent_s: np.ndarray) -> np.ndarray:
+        """Share of each term at an instant, complex128 [terms, P]."""
+        if not self._migrates:
+            return self._share[index]
+        # the way moved since the chirp's start, as a phase
+        elapsed_s = share_of_chirp * self._radar.chirp_period_s
+        turns = 2.0 * self._doppler(since_sent_s) / self._radar.wavelength_m * elapsed_s
+        return self._share[index] * np.exp(2j * np.pi * turns)
+
+    def _doppler(self, since_sent_s: np.ndarray) -> np.ndarray:
+        """Speed whose Doppler at f_c is the path's at the frequency of the moment."""
+        if not self._migrates:
+            return self._speed_mps
+        return self._speed_mps * (1.0 + self._radar.chirp_slope_hz_per_s * since_sent_s / self._radar.carrier_hz)
+
+
+def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEchoes:
+    """Weights at all instants, over the chirp and over its overlapped start."""
+    radar, length_m = factors.setup.radar, factors.paths.length_m
+    overlaps = factors.effects.chirp_overlap
+    head_samples = int(overlap_samples(radar, length_m).max(initial=0)) if overlaps else 0
+    span = -(-head_samples // CHUNK) * CHUNK / radar.samples_per_chirp
+    swing_rad, tolerance = factors.swing_rad(), TOLERANCE[precision]
+    instants = chebyshev_instants(swing_rad, tolerance)
+    head = chebyshev_instants(swing_rad * span, tolerance, span) if head_samples else np.zeros(0)
+    # the chirp's own echo over the chirp and over its start, then the previous chirp's over the start
+    places = [(share, False) for share in (*instants, *head)] + [(share, True) for share in head]
+    values = _values(factors, slow, places, np.complex64 if precision == "float32" else np.complex128)
+    own, previous = len(instants), len(instants) + len(head)
+    return SweptEchoes(
+        radar=radar,
+        length_m=length_m,
+        instants=instants,
+        weights=values[:own],
+        head_samples=head_samples,
+        head_span=span,
+        head_instants=head,
+        head_own=values[own:previous],
+        head_previous=values[previous:],
+        swing_rad=swing_rad,
+        precision=precision,
+    )
+
+
+def _values(factors: _Factors, slow: _SlowTime | None, places: list[tuple[float, bool]], kind: type) -> np.ndarray:
+    """Recorded weights at (share of the chirp, previous chirp's?) places, [places, R, P]."""
+    recorded = {previous: factors.recorded(previous) for previous in (False, True)}
+    if slow is None:
+        rows = factors.beams
+    else:
+        slow.prepare([factors.since_sent_s(*place) for place in places])
+        rows = len(slow.basis)
+    values: np.ndarray = np.empty((len(places), rows, len(factors.paths)), kind)
+    for index, place in enumerate(places):
+        values[index] = factors.at(*place) * recorded[place[1]]
+        if slow is not None:
+            values[index] *= slow.at(index, place[0], factors.since_sent_s(*place))
+    return values
+
+
+def overlap_correction(echoes: SweptEchoes) -> np.ndarray:
+    """Samples to add at the start of the chirp: previous chirp's echo minus this one's, for t < tau; [R, head].
+
+    Paths sorted by delay, so that in every chunk of samples the active ones are the first: one matrix product a
+    chunk, over the few instants that its short stretch of the sweep needs.
+    """
+    radar = echoes.radar
+    out = np.zeros((echoes.weights.shape[1], echoes.head_samples), echoes.weights.dtype)
+    if not echoes.head_samples:
+        return out
+    ends = overlap_samples(radar, echoes.length_m)
+    order = np.argsort(-ends, kind="stable")
+    ends, length_m = ends[order], echoes.length_m[order]
+    _add_head(out, echoes, -echoes.head_own[:, :, order], length_m, ends)
+    _add_head(out, echoes, echoes.head_previous[:, :, order], previous_length_m(radar, length_m), ends)
+    return out
+
+
+def _add_head(
+    out: np.ndarray, echoes: SweptEchoes, weights: np.ndarray, length_m: np.ndarray, ends: np.ndarray
+) -> None:
+    """Add tones that stop at their own sample, `ends` falling; weights [head instants, R, P]."""
+    count, (instants, rows, _) = echoes.radar.samples_per_chirp, weights.shape
+    cycles = beat_frequency_hz(echoes.radar, length_m) / echoes.radar.sample_rate_hz
+    fine = _stepped_tones(cycles, CHUNK).astype(weights.dtype)
+    local = chebyshev_instants(echoes.swing_rad * CHUNK / count, TOLERANCE[echoes.precision], CHUNK / count)
+    slow = cardinal_functions(local, np.arange(CHUNK) / count, CHUNK / count).astype(fine.real.dtype)
+    for first in range(0, echoes.head_samples, CHUNK):
+        size = min(CHUNK, echoes.head_samples - first)
+        active, whole = np.searchsorted(-ends, [-first, -(first + size - 1)])
+        tones = fine[:active, :size] * _tones(cycles[:active], np.array([first])).astype(fine.dtype)
+        tones[whole:] *= first + np.arange(size) < ends[whole:active, None]
+        turn = cardinal_functions(echoes.head_instants, local + first / count, echoes.head_span).astype(fine.real.dtype)
+        here = turn.T.astype(fine.dtype) @ weights[:, :, :active].reshape(instants, -1)
+        sums = (here.reshape(len(local) * rows, active) @ tones).reshape(len(local), rows, size)
+        out[:, first : first + size] += np.einsum("krn,kn->rn", sums, slow[:, :size])
+
+
+def _tones(cycles_per_sample: np.ndarray, sample: np.ndarray) -> np.ndarray:
+    """exp(2 pi j x n), complex128 [tones, samples]."""
+    return np.exp(2j * np.pi * (np.multiply.outer(cycles_per_sample, sample) % 1.0))
+
+
+def _stepped_tones(cycles_per_sample: np.ndarray, count: int) -> np.ndarray:
+    """The same for n < count, a multiple of 8: coarse steps times fine ones, few exponentials."""
+    coarse, fine = _tones(cycles_per_sample, np.arange(0, count, 8)), _tones(cycles_per_sample, np.arange(8))
+    return (coarse[:, :, None] * fine[:, None]).reshape(len(coarse), count)

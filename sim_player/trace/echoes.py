@@ -1,0 +1,156 @@
+"""Echoes: a way out, a scatterer, a way back; their weights with and without each effect; their form as `Paths`.
+
+Weight of an echo in sqrt(mW), without the antenna: sqrt(P lambda^2 sigma / (4 pi)^3) times the factors of both ways
+over both lengths, so 1/R^2 for one way there and back (Eq. (5)), and two bounces square the field of one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from msgs.values.perception import PathClass
+from msgs.values.radar import RadarParams
+from sim_player.scene.road_users import seen_rcs_m2
+from sim_player.scene.world import Snapshot, World
+from sim_player.trace.routes import NONE, Routes, dot
+
+
+@dataclass(frozen=True)
+class Echoes:
+    """E echoes in the scene's frame."""
+
+    #: Weight with none of the factors below.
+    weight: np.ndarray
+    #: Field factors of out and back together, as in `Routes`.
+    whole: np.ndarray
+    front: np.ndarray
+    rough: np.ndarray
+    foliage: np.ndarray
+    #: Lengths of both ways, and unit vectors of travel where they leave and (reversed) return, [E, 3].
+    out_m: np.ndarray
+    back_m: np.ndarray
+    depart: np.ndarray
+    arrive: np.ndarray
+    #: Half the rate of change of the length.
+    rate_mps: np.ndarray
+    kind: np.ndarray
+    order: np.ndarray
+    needs: np.ndarray
+    surface: np.ndarray
+    thing: np.ndarray
+    point: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.weight)
+
+    def take(self, which: np.ndarray) -> Echoes:
+        """The echoes of an index or mask."""
+        return Echoes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+def join_echoes(parts: list[Echoes]) -> Echoes:
+    """All echoes of several sets, in order."""
+    return Echoes(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Echoes)}
+    )
+
+
+def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) -> np.ndarray:
+    """Radar equation without the antenna, as a field in sqrt(mW): sqrt(P lambda^2 sigma / ((4 pi)^3 R^4))."""
+    power_mw = 1e3 * radar.transmit_power_w * radar.wavelength_m**2 * rcs_m2 / (4.0 * np.pi) ** 3
+    return np.asarray(np.sqrt(power_mw) / np.square(range_m))
+
+
+def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
+    """Echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice (either first)."""
+    out, back = routes.take(pairs[0]), routes.take(pairs[1])
+    world, centre = view.world, out.target
+    rcs = np.sqrt(centre_rcs_m2(world, centre, -out.arrive) * centre_rcs_m2(world, centre, -back.arrive))
+    twice = np.where(pairs[0] == pairs[1], 1.0, 2.0)
+    constant = echo_amplitude(world.radar, rcs, np.ones(len(centre))) * np.exp(1j * world.centre_phase_rad[centre])
+    mirrored = (out.wall >= 0) | (back.wall >= 0)
+    echoes = Echoes(
+        weight=twice * constant * out.other * back.other / (out.length_m * back.length_m),
+        whole=out.whole * back.whole,
+        front=out.front * back.front,
+        rough=out.rough * back.rough,
+        foliage=out.foliage * back.foliage,
+        out_m=out.length_m,
+        back_m=back.length_m,
+        depart=out.depart,
+        arrive=back.depart,
+        rate_mps=0.5 * (_rate(view, out) + _rate(view, back)),
+        kind=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
+        order=np.maximum(_order(out), _order(back)),
+        needs=out.needs | back.needs | np.uint32(needs),
+        surface=np.where(out.wall >= 0, out.wall, back.wall),
+        thing=world.centre_object[centre].astype(np.int32),
+        point=view.centre[centre],
+    )
+    return echoes.take(rcs > 0.0)
+
+
+def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
+    """Each route taken out and back."""
+    every = np.arange(len(routes))
+    return every, every
+
+
+def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """All index pairs (i, j) with first[i] == second[j]."""
+    order = np.argsort(second, kind="stable")
+    low = np.searchsorted(second[order], first, "left")
+    count = np.searchsorted(second[order], first, "right") - low
+    left = np.repeat(np.arange(len(first)), count)
+    step = np.arange(len(left)) - np.repeat(np.cumsum(count) - count, count)
+    return left, order[np.repeat(low, count) + step]
+
+
+def surface_echoes(
+    view: Snapshot, routes: Routes, weight: np.ndarray, point: np.ndarray, wall: np.ndarray, needs: int
+) -> Echoes:
+    """Echoes of places on walls, out and back by the same route; `weight` already divided by the lengths."""
+    count = len(routes)
+    return Echoes(
+        weight=weight * routes.other**2,
+        whole=routes.whole**2,
+        front=routes.front**2,
+        rough=routes.rough**2,
+        foliage=routes.foliage**2,
+        out_m=routes.length_m,
+        back_m=routes.length_m,
+        depart=routes.depart,
+        arrive=routes.depart,
+        rate_mps=_rate(view, routes, still=True),
+        kind=np.where(routes.wall >= 0, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
+        order=_order(routes),
+        needs=routes.needs | np.uint32(needs),
+        surface=np.asarray(wall, np.int32),
+        thing=np.full(count, NONE, np.int32),
+        point=point,
+    )
+
+
+def _rate(view: Snapshot, routes: Routes, still: bool = False) -> np.ndarray:
+    """Rate of change of a route's length: by Fermat only its ends' motion counts."""
+    own = dot(routes.depart[:, :2], view.radar_velocity)
+    if still:
+        return np.asarray(-own)
+    return np.asarray(dot(routes.arrive[:, :2], view.velocity[routes.target]) - own)
+
+
+def _order(routes: Routes) -> np.ndarray:
+    return ((routes.wall >= 0).astype(np.uint8) + (routes.wall2 >= 0)).astype(np.uint8)
+
+
+def centre_rcs_m2(world: World, which: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """RCS of some centres of a world towards unit vectors [N, 3]."""
+    return seen_rcs_m2(
+        world.centre_rcs_m2[which],
+        world.centre_normals[which],
+        world.centre_exponent[which],
+        direction,
+        world.centre_floor[which],
+    )

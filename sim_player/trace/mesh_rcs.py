@@ -1,0 +1,566 @@
+"""Radar cross section of meshes: physical optics of patches, shooting and bouncing rays, scattering centres.
+
+Fields are square roots of RCS with a phase: |field|^2 is the RCS in m^2, and far away the phase of a point p is
+exp(+j k (s + r).p), s and r unit vectors to source and receiver (e^{+jwt}, origin of the mesh's frame at its foot).
+
+What it leaves out: diffraction by edges beyond what physical optics has of it, creeping waves, transmission through
+thin dielectric faces, and, in patches and centres, shadow and reflection between parts of the object.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from models.physics.fresnel import Polarisation, half_space_reflection
+from models.physics.materials import permittivity
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.scene.meshes import Mesh
+
+#: Rays stand at most this share of a wavelength apart unless told otherwise.
+RAY_SPACING = 1.0 / 8.0
+MOST_RAYS = 16_000_000
+#: Patches: their size, at most so many of a mesh, and what share of the scattered energy the centres keep.
+PATCH_M, MOST_PATCHES, KEPT_SHARE = 0.12, 400, 0.999
+#: Directions of the half space over a patch in which it may be seen.
+LOOKS = 32
+#: Faces of a leaf of the search tree, and entries of the reflection table over the cosine.
+LEAF_FACES, TABLE_SIZE = 4, 2049
+
+
+@dataclass(frozen=True)
+class Patches:
+    """K small, nearly flat pieces of a mesh's outside, each a parallelogram of the same second moments."""
+
+    #: Middle [K, 3], unit outward normal [K, 3], area as the flat piece that reflects alike [K].
+    centre_m: np.ndarray
+    normal: np.ndarray
+    area_m2: np.ndarray
+    #: Edge vectors of the parallelogram, [K, 2, 3].
+    edges_m: np.ndarray
+    #: How far normals spread within the patch along two directions, covariance [K, 2, 2].
+    normal_spread: np.ndarray
+    #: Size that the patches have, grown from the size asked for until they were few enough.
+    patch_m: float
+    #: Triangles of the mesh that went into the patches, and area that no direction outside sees.
+    merged_faces: int
+    unseen_area_m2: float
+
+    def __len__(self) -> int:
+        return len(self.area_m2)
+
+
+@dataclass(frozen=True)
+class MeshCentres:
+    """Scattering centres of a mesh for ray tracing, strongest first, K of them; their phase is their position's."""
+
+    #: Position and normal [K, 3], RCS along the normal [K] m^2, exponent q of its lobe cos^q (of power) [K].
+    position_m: np.ndarray
+    normal: np.ndarray
+    peak_rcs_m2: np.ndarray
+    lobe_exponent: np.ndarray
+    #: Triangles merged into all centres, centres left out as weak, and the share of energy over aspects that is kept.
+    merged_faces: int
+    weak_centres: int
+    kept_share: float
+
+
+def patches(mesh: Mesh, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> Patches:
+    """Cut and merge a mesh's faces into patches of about `patch_m`, larger if there would be more than `most`.
+
+    Pieces of one cell of space and alike in normal become one patch. Faces of an open mesh count on both sides; what
+    nothing outside can see (interiors) is left out and its area told. Raises ValueError for a size that is not
+    positive, or for fewer patches than the faces have directions.
+    """
+    if not (math.isfinite(patch_m) and patch_m > 0.0):
+        raise ValueError(f"patch_m must be finite and positive, got {patch_m!r}")
+    if most < 1:
+        raise ValueError(f"most must be at least 1, got {most!r}")
+    # four times as many as wanted at first: whether a piece can be seen is asked in small
+    patch_m = max(patch_m, math.sqrt(mesh.areas_m2.sum() / (4.0 * most)))
+    pieces, normal, unseen_area_m2 = _outside(mesh, patch_m)
+    middle = mesh.vertices_m.mean(axis=0)
+    while (label := _cells(pieces, normal, middle, patch_m)).max() >= most:
+        if patch_m > 2.0 * mesh.extent_m.max():
+            raise ValueError(
+                f"most: the faces of {mesh.name} point {label.max() + 1} ways, got {most!r} patches for them"
+            )
+        patch_m *= 1.1
+    found = _gather(pieces, normal, label)
+    return Patches(
+        centre_m=found.centre_m,
+        normal=found.normal,
+        area_m2=found.area_m2,
+        edges_m=found.edges_m,
+        normal_spread=found.normal_spread,
+        patch_m=patch_m,
+        merged_faces=len(mesh.faces),
+        unseen_area_m2=unseen_area_m2,
+    )
+
+
+def patch_field(
+    pieces: Patches, wavelength_m: float, to_source: np.ndarray, to_receiver: np.ndarray | None = None
+) -> np.ndarray:
+    """Coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3] far away.
+
+    Each gives sqrt(4 pi) A cos / lambda times the sinc lobe of its parallelogram, where source and receiver (None: the
+    source) both see its face; cos is the mean of both, so that the two may be exchanged.
+    """
+    to_source = np.atleast_2d(to_source)
+    to_receiver = to_source if to_receiver is None else np.atleast_2d(to_receiver)
+    both = to_source + to_receiver
+    lit = (to_source @ pieces.normal.T > 0.0) & (to_receiver @ pieces.normal.T > 0.0)
+    cosine = np.where(lit, 0.5 * both @ pieces.normal.T, 0.0)
+    lobe = np.sinc(np.einsum("ni,kei->nke", both, pieces.edges_m) / wavelength_m).prod(axis=2)
+    phasor = np.exp(2j * np.pi / wavelength_m * (both @ pieces.centre_m.T))
+    return math.sqrt(4.0 * math.pi) / wavelength_m * ((cosine * lobe * phasor) @ pieces.area_m2)
+
+
+def mesh_centres(mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> MeshCentres:
+    """Scattering centres of a mesh at rest in its own frame, for tracers that know points with lobes.
+
+    A patch of area A sends the energy pi A |r|^2 (its RCS summed over all directions of a monostatic radar), whatever
+    its shape. The lobe's solid angle is that of diffraction, lambda^2 / 4A, widened by the spread of its normals: a
+    flat patch peaks at 4 pi A^2 |r|^2 / lambda^2, one that is curved over many Fresnel zones at the mirror's
+    pi R1 R2 |r|^2. The exponent keeps the energy: 2 pi / (q + 1) is the solid angle; the half-power width of a flat
+    square is then 6 % wider than that of its sinc.
+
+    Bias: few points stand for a smooth body, so where several of their lobes overlap (curved sides; flat ones from
+    within 2 patch^2 / lambda) their coherent sum swings as speckle around the right mean.
+    """
+    pieces = patches(mesh, patch_m, most)
+    energy = math.pi * pieces.area_m2 * _normal_reflectance(mesh.material, wavelength_m)
+    diffraction = wavelength_m**2 / (4.0 * pieces.area_m2)
+    widths = diffraction[:, None, None] * np.eye(2) + 12.0 * pieces.normal_spread
+    solid_angle = np.minimum(np.sqrt(np.linalg.det(widths)), 2.0 * np.pi)
+    order = np.argsort(-energy, kind="stable")
+    share = np.cumsum(energy[order]) / energy.sum()
+    kept = order[: int(np.searchsorted(share, KEPT_SHARE)) + 1]
+    return MeshCentres(
+        position_m=pieces.centre_m[kept],
+        normal=pieces.normal[kept],
+        peak_rcs_m2=(energy / solid_angle)[kept],
+        lobe_exponent=(2.0 * np.pi / solid_angle - 1.0)[kept],
+        merged_faces=pieces.merged_faces,
+        weak_centres=len(order) - len(kept),
+        kept_share=float(share[len(kept) - 1]),
+    )
+
+
+def mesh_rcs_m2(
+    mesh: Mesh,
+    direction: np.ndarray,
+    wavelength_m: float,
+    bounces: int = 3,
+    ray_spacing_m: float | None = None,
+    polarisation: Polarisation = "te",
+) -> float:
+    """Monostatic RCS [m^2] towards a radar in `direction` [3], by shooting and bouncing rays: |`mesh_field`|^2."""
+    return abs(mesh_field(mesh, direction, wavelength_m, bounces, ray_spacing_m, polarisation)) ** 2
+
+
+def mesh_field(
+    mesh: Mesh,
+    direction: np.ndarray,
+    wavelength_m: float,
+    bounces: int = 3,
+    ray_spacing_m: float | None = None,
+    polarisation: Polarisation = "te",
+) -> complex:
+    """Square root of the monostatic RCS with its phase: physical optics of the rays' currents at every bounce.
+
+    A grid of rays no wider than `ray_spacing_m` (None: lambda / 8) falls on the mesh from `direction` and is followed
+    through up to `bounces` faces, both sides of which reflect. At each, the total field n x H, E x n of the ray's tube
+    radiates back if nothing stands before the radar; the tube's footprint is integrated in closed form on the face's
+    plane, so the spacing only limits how well edges are met. Materials reflect as half-spaces (TE and TM apart).
+    `te`: the radar's field is as upright as it can be. Raises ValueError for more than 16 million rays.
+    """
+    towards = np.asarray(direction, np.float64)
+    if towards.shape != (3,) or not np.isfinite(towards).all() or not np.linalg.norm(towards) > 0.0:
+        raise ValueError(f"direction must be three finite numbers, not all zero, got {direction!r}")
+    if bounces < 1:
+        raise ValueError(f"bounces must be at least 1, got {bounces!r}")
+    towards = towards / np.linalg.norm(towards)
+    across, up = _aperture_axes(towards)
+    spacing = RAY_SPACING * wavelength_m if ray_spacing_m is None else ray_spacing_m
+    start, cell = _ray_grid(mesh, towards, across, up, spacing)
+    field = _shoot(
+        *_search_tree(mesh.corners_m),
+        start,
+        towards,
+        cell[0] * across,
+        cell[1] * up,
+        up if polarisation == "te" else across,
+        2.0 * math.pi / wavelength_m,
+        bounces,
+        *_reflection_table(mesh.material, wavelength_m),
+        1e-7 * float(mesh.extent_m.max()),
+    )
+    return complex(math.sqrt(4.0 * math.pi) / wavelength_m * cell[0] * cell[1] * field)
+
+
+def _aperture_axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors across the line of sight: level, and as upright as possible."""
+    across = np.cross([0.0, 0.0, 1.0], towards)
+    # straight from above there is no level axis; y is as good as any
+    across = np.array([0.0, 1.0, 0.0]) if np.linalg.norm(across) < 1e-9 else across / np.linalg.norm(across)
+    return across, np.cross(towards, across)
+
+
+def _ray_grid(
+    mesh: Mesh, towards: np.ndarray, across: np.ndarray, up: np.ndarray, spacing_m: float
+) -> tuple[np.ndarray, tuple[float, float]]:
+    """Starts of all rays [N, 3] on a plane before the mesh, in the middles of cells that tile its outline's box."""
+    if not (math.isfinite(spacing_m) and spacing_m > 0.0):
+        raise ValueError(f"ray_spacing_m must be finite and positive, got {spacing_m!r}")
+    seen = mesh.vertices_m @ np.stack([across, up, towards]).T
+    least, size = seen.min(axis=0), np.ptp(seen, axis=0)
+    # even numbers: no ray runs into the middle edge of a symmetric corner
+    count = 2.0 * np.maximum(np.ceil(0.5 * size[:2] / spacing_m * (1.0 - 1e-9)), 1.0)
+    if count.prod() > MOST_RAYS:
+        raise ValueError(
+            f"ray_spacing_m: at most {MOST_RAYS} rays, got {count.prod():.3g} for {size[0]:.3g} x {size[1]:.3g} m "
+            f"at {spacing_m:.3g} m"
+        )
+    cell = size[:2] / count
+    columns, rows = (least[axis] + (np.arange(count[axis]) + 0.5) * cell[axis] for axis in (0, 1))
+    before = (least[2] + size[2] + max(size[2], 1e-3)) * towards
+    start = before + (columns[:, None, None] * across + rows[None, :, None] * up)
+    return start.reshape(-1, 3), (float(cell[0]), float(cell[1]))
+
+
+def _reflection_table(material: str, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Half-space reflection of TE and TM over cosines 0..1 in `TABLE_SIZE` steps; TM with the sign of Eq. (13)."""
+    epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
+    cosine = np.linspace(0.0, 1.0, TABLE_SIZE)
+    return half_space_reflection(np.array(epsilon), cosine), half_space_reflection(np.array(epsilon), cosine, "tm")
+
+
+def _normal_reflectance(material: str, wavelength_m: float) -> float:
+    """|r|^2 at normal incidence."""
+    epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
+    return float(np.abs(half_space_reflection(np.array(epsilon), np.array(1.0))) ** 2)
+
+
+def _outside(mesh: Mesh, patch_m: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Pieces [P, 3, 3] no longer than half a patch that can be seen, outward normals [P, 3], area that cannot.
+
+    A piece of an open mesh that is seen from both sides comes twice.
+    """
+    pieces, owner = _small_pieces(mesh.corners_m, 0.5 * patch_m)
+    normal = mesh.normals[owner]
+    label = _cells(pieces, normal, mesh.vertices_m.mean(axis=0), patch_m)
+    found, tree = _gather(pieces, normal, label), _search_tree(mesh.corners_m)
+    front = _seen(tree, found, 1.0)[label]
+    back = np.zeros(len(front), bool) if mesh.closed else _seen(tree, found, -1.0)[label]
+    unseen_area_m2 = float(_areas(pieces[~(front | back)]).sum())
+    return np.concatenate([pieces[front], pieces[back]]), np.concatenate([normal[front], -normal[back]]), unseen_area_m2
+
+
+def _cells(pieces: np.ndarray, normal: np.ndarray, middle: np.ndarray, patch_m: float) -> np.ndarray:
+    """Number of the patch that each piece belongs to, by cell of space and direction of the normal, no number left out.
+
+    Cells are centred on `middle`, a little off so that sides of a symmetric body do not lie on a border between two.
+    """
+    cell = np.floor((pieces.mean(axis=1) - middle) / patch_m + 0.5 + 1e-6).astype(np.int64)
+    key = np.column_stack([cell, np.round(2.0 * normal).astype(np.int64)])
+    key -= key.min(axis=0)
+    one_number = np.ravel_multi_index(tuple(key.T), tuple(key.max(axis=0) + 1))
+    return np.unique(one_number, return_inverse=True)[1].ravel()
+
+
+@dataclass(frozen=True)
+class _Gathered:
+    """Patches before it is known which can be seen; fields as in `Patches`."""
+
+    centre_m: np.ndarray
+    normal: np.ndarray
+    area_m2: np.ndarray
+    edges_m: np.ndarray
+    normal_spread: np.ndarray
+    #: How thick each is along its normal, rms.
+    depth_m: np.ndarray
+
+
+def _gather(pieces: np.ndarray, normal: np.ndarray, label: np.ndarray) -> _Gathered:
+    """Area, middle, mean normal and second moments of the pieces [P, 3, 3] of each label."""
+    area = _areas(pieces)
+    total = np.bincount(label, area)
+
+    def mean(values: np.ndarray) -> np.ndarray:
+        flat = values.reshape(len(values), -1)
+        sums = np.stack([np.bincount(label, area * column) for column in flat.T], axis=1)
+        return (sums / total[:, None]).reshape(-1, *values.shape[1:])
+
+    middle = pieces.mean(axis=1)
+    centre, mean_normal = mean(middle), mean(normal)
+    flatness = np.linalg.norm(mean_normal, axis=1)
+    axis = mean_normal / flatness[:, None]
+    corner = pieces - middle[:, None]
+    within = np.einsum("pvi,pvj->pij", corner, corner) / 12.0
+    offset = middle - centre[label]
+    moments = mean(within + offset[:, :, None] * offset[:, None, :])
+    flat = np.eye(3) - axis[:, :, None] * axis[:, None, :]
+    size, direction = np.linalg.eigh(flat @ moments @ flat)
+    # ascending: the first is the normal's own, zero
+    tangent = np.swapaxes(direction[:, :, 1:], 1, 2)
+    slope = np.einsum("pti,pi->pt", tangent[label], normal)
+    return _Gathered(
+        centre_m=centre,
+        normal=axis,
+        area_m2=total * flatness,
+        edges_m=tangent * np.sqrt(12.0 * np.maximum(size[:, 1:], 0.0))[:, :, None],
+        normal_spread=mean(slope[:, :, None] * slope[:, None, :]),
+        depth_m=np.sqrt(np.maximum(np.einsum("pi,pij,pj->p", axis, moments, axis), 0.0)),
+    )
+
+
+def _small_pieces(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Triangles halved at their longest edge until none is longer, [P, 3, 3], and the triangle each came from."""
+    owner = np.arange(len(triangles))
+    done, done_owner = [np.zeros((0, 3, 3))], [np.zeros(0, int)]
+    while len(triangles):
+        length = np.linalg.norm(np.roll(triangles, -1, axis=1) - triangles, axis=2)
+        small = length.max(axis=1) <= longest_m
+        done.append(triangles[small])
+        done_owner.append(owner[small])
+        triangles, owner, longest = triangles[~small], owner[~small], length[~small].argmax(axis=1)
+        turned = np.take_along_axis(triangles, ((longest[:, None] + np.arange(3)) % 3)[:, :, None], axis=1)
+        a, b, c = np.moveaxis(turned, 1, 0)
+        middle = 0.5 * (a + b)
+        triangles = np.concatenate([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)])
+        owner = np.concatenate([owner, owner])
+    return np.concatenate(done), np.concatenate(done_owner)
+
+
+def _areas(triangles: np.ndarray) -> np.ndarray:
+    """Areas of triangles [P, 3, 3]."""
+    a, b, c = np.moveaxis(triangles, 1, 0)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+
+
+def _seen(tree: tuple[np.ndarray, ...], found: _Gathered, side: float) -> np.ndarray:
+    """Which patches have a free line of sight to the outside on the side of +-normal, [K]."""
+    normal = side * found.normal
+    first = found.edges_m[:, 1]
+    first = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
+    local = np.stack([first, np.cross(normal, first), normal], axis=1)
+    # a spiral of directions, even over the half space
+    height = (np.arange(LOOKS) + 0.5) / LOOKS
+    turn = np.pi * (3.0 - math.sqrt(5.0)) * np.arange(LOOKS)
+    flat = np.sqrt(1.0 - height**2)
+    looks = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
+    offset = 3.0 * found.depth_m + 1e-6 * np.ptp(tree[0].reshape(-1, 3), axis=0).max()
+    start = found.centre_m + offset[:, None] * normal
+    return _any_free(*tree, start, np.einsum("la,kai->kli", looks, local))
+
+
+def _search_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Triangles in the order of a tree of boxes; of its nodes: bounds [N, 2, 3], first child or face, faces (or 0)."""
+    order, bounds, first, count = _grow_tree(
+        np.ascontiguousarray(corners.min(axis=1)), np.ascontiguousarray(corners.max(axis=1)), LEAF_FACES
+    )
+    return np.ascontiguousarray(corners[order]), bounds, first, count
+
+
+@njit(cache=True)
+def _grow_tree(least: np.ndarray, most: np.ndarray, leaf: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    faces = len(least)
+    order = np.arange(faces)
+    middle = 0.5 * (least + most)
+    bounds = np.empty((2 * faces, 2, 3))
+    first, count = np.zeros(2 * faces, np.int64), np.zeros(2 * faces, np.int64)
+    stack = np.empty((128, 3), np.int64)
+    stack[0] = (0, 0, faces)
+    depth, nodes = 1, 1
+    while depth:
+        depth -= 1
+        node, begin, end = stack[depth]
+        for axis in range(3):
+            low, high = np.inf, -np.inf
+            for i in order[begin:end]:
+                low, high = min(low, least[i, axis]), max(high, most[i, axis])
+            bounds[node, 0, axis], bounds[node, 1, axis] = low, high
+        if end - begin <= leaf:
+            first[node], count[node] = begin, end - begin
+            continue
+        widest = np.argmax(bounds[node, 1] - bounds[node, 0])
+        part = order[begin:end].copy()
+        # halves by number: no split is ever empty, and the tree is as deep as the logarithm
+        order[begin:end] = part[np.argsort(middle[part, widest], kind="mergesort")]
+        half = (begin + end) // 2
+        first[node] = nodes
+        stack[depth] = (nodes, begin, half)
+        stack[depth + 1] = (nodes + 1, half, end)
+        depth, nodes = depth + 2, nodes + 2
+    return order, bounds[:nodes], first[:nodes], count[:nodes]
+
+
+@njit(cache=True)
+def _dot(a, b):  # type: ignore[no-untyped-def]
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def _cross(a, b):  # type: ignore[no-untyped-def]
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def _ahead(a, step, b):  # type: ignore[no-untyped-def]
+    """a + step b."""
+    return a[0] + step * b[0], a[1] + step * b[1], a[2] + step * b[2]
+
+
+@njit(cache=True)
+def _row(array, index):  # type: ignore[no-untyped-def]
+    return array[index, 0], array[index, 1], array[index, 2]
+
+
+@njit(cache=True, error_model="numpy")
+def _first_hit(faces, bounds, first, count, start, way, nearest):  # type: ignore[no-untyped-def]
+    """Distance and index of the first triangle along a ray beyond `nearest`; (inf, -1) for none (Moeller-Trumbore)."""
+    best, hit = np.inf, -1
+    inverse = (_inverse(way[0]), _inverse(way[1]), _inverse(way[2]))
+    stack = np.empty(64, np.int64)
+    stack[0] = 0
+    depth = 1
+    while depth:
+        depth -= 1
+        node = stack[depth]
+        enter, leave = 0.0, best
+        for axis in range(3):
+            one = (bounds[node, 0, axis] - start[axis]) * inverse[axis]
+            other = (bounds[node, 1, axis] - start[axis]) * inverse[axis]
+            enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+        # flat boxes: their two sides may differ by rounding
+        if enter > leave * (1.0 + 1e-12) + 1e-12:
+            continue
+        if count[node] == 0:
+            stack[depth], stack[depth + 1] = first[node], first[node] + 1
+            depth += 2
+            continue
+        for face in range(first[node], first[node] + count[node]):
+            distance = _meet(faces[face], start, way)
+            if nearest < distance < best:
+                best, hit = distance, face
+    return best, hit
+
+
+@njit(cache=True)
+def _inverse(value):  # type: ignore[no-untyped-def]
+    return 1.0 / value if abs(value) > 1e-30 else 1e30
+
+
+@njit(cache=True)
+def _meet(face, start, way):  # type: ignore[no-untyped-def]
+    """Distance along a ray to a triangle, -1 where it passes by."""
+    a = _row(face, 0)
+    ab, ac = _ahead(_row(face, 1), -1.0, a), _ahead(_row(face, 2), -1.0, a)
+    p = _cross(way, ac)
+    volume = _dot(ab, p)
+    if abs(volume) < 1e-300:
+        return -1.0
+    offset = _ahead(start, -1.0, a)
+    u = _dot(offset, p) / volume
+    q = _cross(offset, ab)
+    v = _dot(way, q) / volume
+    if u < 0.0 or v < 0.0 or u + v > 1.0:
+        return -1.0
+    return _dot(ac, q) / volume
+
+
+@njit(cache=True, nogil=True)
+def _any_free(faces, bounds, first, count, start, way):  # type: ignore[no-untyped-def]
+    """Whether any of the ways [K, L, 3] from each start [K, 3] meets no face."""
+    free = np.zeros(len(start), np.bool_)
+    for i in range(len(start)):
+        for j in range(way.shape[1]):
+            if _first_hit(faces, bounds, first, count, _row(start, i), _row(way[i], j), 0.0)[1] < 0:
+                free[i] = True
+                break
+    return free
+
+
+@njit(cache=True)
+def _lookup(table, cosine):  # type: ignore[no-untyped-def]
+    place = cosine * (len(table) - 1)
+    index = min(int(place), len(table) - 2)
+    return table[index] + (place - index) * (table[index + 1] - table[index])
+
+
+@njit(cache=True)
+def _sinc(x):  # type: ignore[no-untyped-def]
+    return math.sin(x) / x if abs(x) > 1e-6 else 1.0 - x * x / 6.0
+
+
+@njit(cache=True)
+def _reflected(field, way, out, normal, te, tm):  # type: ignore[no-untyped-def]
+    """Field after a bounce: its part across the plane of incidence times te, the part within times tm."""
+    s = _cross(way, normal)
+    length = math.sqrt(_dot(s, s))
+    if length < 1e-9:
+        # head on there is no such plane: any will do
+        s = _cross(way, (0.0, 0.0, 1.0) if abs(way[2]) < 0.9 else (1.0, 0.0, 0.0))
+        length = math.sqrt(_dot(s, s))
+    s = (s[0] / length, s[1] / length, s[2] / length)
+    across, within = te * _dot(field, s), tm * _dot(field, _cross(s, way))
+    p = _cross(s, out)
+    return across * s[0] + within * p[0], across * s[1] + within * p[1], across * s[2] + within * p[2]
+
+
+@njit(cache=True)
+def _radiated(field, field_out, way, out, normal, towards, receive):  # type: ignore[no-untyped-def]
+    """Half of what the currents n x H and E x n of incident plus reflected field send towards the receiver."""
+    h, h_out = _cross(way, field), _cross(out, field_out)
+    current = _cross(normal, (h[0] + h_out[0], h[1] + h_out[1], h[2] + h_out[2]))
+    total = (field[0] + field_out[0], field[1] + field_out[1], field[2] + field_out[2])
+    magnetic = _cross(towards, _cross(normal, total))
+    return 0.5 * (_dot(receive, current) + _dot(receive, magnetic))
+
+
+@njit(cache=True, nogil=True)
+def _shoot(faces, bounds, first, count, start, towards, across, up, receive, wavenumber, bounces, te, tm, nearest):  # type: ignore[no-untyped-def]
+    """Sum over rays and bounces of radiated field times footprint, in units of a ray's cross section."""
+    towards_, receive_ = (towards[0], towards[1], towards[2]), (receive[0], receive[1], receive[2])
+    total = 0.0j
+    for ray in range(len(start)):
+        place, way = _row(start, ray), (-towards[0], -towards[1], -towards[2])
+        phase_m = _dot(place, towards_)
+        edge_one, edge_two = (across[0], across[1], across[2]), (up[0], up[1], up[2])
+        field = (receive[0] + 0.0j, receive[1] + 0.0j, receive[2] + 0.0j)
+        for bounce in range(bounces):
+            distance, hit = _first_hit(faces, bounds, first, count, place, way, nearest)
+            if hit < 0:
+                break
+            a = _row(faces[hit], 0)
+            normal = _cross(_ahead(_row(faces[hit], 1), -1.0, a), _ahead(_row(faces[hit], 2), -1.0, a))
+            slant = _dot(normal, way)
+            # the side that the ray meets
+            scale = (-1.0 if slant > 0.0 else 1.0) / math.sqrt(_dot(normal, normal))
+            normal = (scale * normal[0], scale * normal[1], scale * normal[2])
+            cosine = min(-_dot(normal, way), 1.0)
+            if cosine < 1e-6:
+                break
+            place = _ahead(place, distance, way)
+            phase_m -= distance
+            out = _ahead(way, 2.0 * cosine, normal)
+            field_out = _reflected(field, way, out, normal, _lookup(te, cosine), _lookup(tm, cosine))
+            # the tube's footprint on this face
+            edge_one = _ahead(edge_one, _dot(normal, edge_one) / cosine, way)
+            edge_two = _ahead(edge_two, _dot(normal, edge_two) / cosine, way)
+            sees = _dot(normal, towards_) > 1e-9
+            if sees and bounce > 0:
+                sees = _first_hit(faces, bounds, first, count, place, towards_, nearest)[1] < 0
+            if sees:
+                turn = _ahead(towards_, -1.0, way)
+                lobe = _sinc(0.5 * wavenumber * _dot(turn, edge_one)) * _sinc(0.5 * wavenumber * _dot(turn, edge_two))
+                angle = wavenumber * (phase_m + _dot(towards_, place))
+                sent = _radiated(field, field_out, way, out, normal, towards_, receive_)
+                total += sent * lobe / cosine * (math.cos(angle) + 1j * math.sin(angle))
+            way, field = out, field_out
+    return total

@@ -1,0 +1,48 @@
+"""From a scene at a time to paths: every path effect in turn, by the image method, geometry first and fields second."""
+
+from __future__ import annotations
+
+from sim_player.effects import PATHS
+from sim_player.effects.curved_wall import as_chords
+from sim_player.scene.world import Snapshot, World, prepare, radar_pose, snapshot
+from sim_player.trace.conversion import as_paths
+from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes
+from sim_player.trace.paths import Paths
+from sim_player.trace.snapshot import Tracing
+
+__all__ = ["BASIC_EFFECTS", "Paths", "World", "echo_amplitude", "prepare", "radar_pose", "trace", "trace_echoes"]
+
+#: Direct echoes and flat mirrors with everything that belongs to one bounce.
+BASIC_EFFECTS = frozenset(
+    {
+        "los_objects",
+        "los_surfaces",
+        "specular_relay",
+        "diffuse_scattering",
+        "curved_wall",
+        "rough_wall_loss",
+        "slab_resonance",
+    }
+)
+
+
+def trace(world: World, time_s: float = 0.0, effects: frozenset[str] = BASIC_EFFECTS) -> Paths:
+    """All paths at a time after start, of the effects asked for."""
+    view = snapshot(world, time_s)
+    return as_paths(view, trace_echoes(view, effects), effects)
+
+
+def trace_echoes(view: Snapshot, effects: frozenset[str]) -> Echoes:
+    """The echoes of all path effects asked for, in the order of `PATH_EFFECTS`."""
+    return join_echoes(list(trace_each(view, effects).values()))
+
+
+def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
+    """The echoes of every path effect asked for, by name."""
+    tracing, echoes = Tracing(view), dict[str, Echoes]()
+    for name, effect in PATHS.items():
+        if name in effects and effect.absent(view.world) is None:
+            echoes[name] = effect.apply(tracing)
+        elif name == "curved_wall" and "specular_relay" in effects:
+            echoes[name] = as_chords(tracing)
+    return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}

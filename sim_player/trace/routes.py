@@ -1,0 +1,215 @@
+"""One-way routes between the antenna and points of the scene: the geometry that every echo is made of.
+
+A route leaves the antenna in some direction, meets walls, ground or an edge, and arrives at its target; by reciprocity
+it is also the way back. Field of a route: product of its factors / length. The factors that effects exchange are kept
+apart, so that an echo's weight can be asked for with and without them ("geometry first, fields second").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from models.physics.mirror import reflect
+from sim_player.effects.names import bit
+from sim_player.scene.world import Snapshot
+from sim_player.trace.segments import Passage, in_series, passage, without
+
+#: Nearer than this spherical spreading means nothing; lengths are taken as at least this.
+NEAREST_M = 0.1
+NONE = -1
+
+
+@dataclass(frozen=True)
+class Routes:
+    """N one-way routes, in the scene's frame (heights over the ground)."""
+
+    #: Index of the target it arrives at, int32.
+    target: np.ndarray
+    length_m: np.ndarray
+    #: Unit vectors of travel at the antenna and at the target, [N, 3].
+    depart: np.ndarray
+    arrive: np.ndarray
+    #: First and second mirror on the way from the antenna, -1 for none; int32.
+    wall: np.ndarray
+    wall2: np.ndarray
+    #: Edge that bends it, -1 for none; int32.
+    edge: np.ndarray
+    #: Met the ground.
+    ground: np.ndarray
+    #: Field factors: all bounces at walls as built and at their front faces alone, roughness, foliage, all else.
+    whole: np.ndarray
+    front: np.ndarray
+    rough: np.ndarray
+    foliage: np.ndarray
+    other: np.ndarray
+    #: Bit of every effect that made it, uint32.
+    needs: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.length_m)
+
+    def take(self, which: np.ndarray) -> Routes:
+        """The routes of an index or mask."""
+        return Routes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+def join_routes(parts: list[Routes]) -> Routes:
+    """All routes of several sets, in order."""
+    return Routes(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Routes)}
+    )
+
+
+def make_routes(
+    target: np.ndarray,
+    length_m: np.ndarray,
+    depart: np.ndarray,
+    arrive: np.ndarray,
+    legs: Passage,
+    needs: int,
+    *,
+    wall: np.ndarray | int = NONE,
+    wall2: np.ndarray | int = NONE,
+    edge: np.ndarray | int = NONE,
+    ground: bool = False,
+    whole: np.ndarray | complex = 1.0,
+    front: np.ndarray | complex = 1.0,
+    rough: np.ndarray | float = 1.0,
+    other: np.ndarray | complex = 1.0,
+) -> Routes:
+    """Routes from their geometry and what their legs met; factors not given are one."""
+    count = len(target)
+
+    def spread(value: object, dtype: type) -> np.ndarray:
+        return np.array(np.broadcast_to(np.asarray(value, dtype), count))
+
+    return Routes(
+        target=np.asarray(target, np.int32),
+        length_m=np.maximum(length_m, NEAREST_M),
+        depart=depart,
+        arrive=arrive,
+        wall=spread(wall, np.int32),
+        wall2=spread(wall2, np.int32),
+        edge=spread(edge, np.int32),
+        ground=spread(ground, np.bool_),
+        whole=spread(whole, np.complex128),
+        front=spread(front, np.complex128),
+        rough=spread(rough, np.float64),
+        foliage=legs.foliage,
+        other=spread(other, np.complex128),
+        needs=spread(needs, np.uint32),
+    )
+
+
+def no_routes() -> Routes:
+    """None at all."""
+    none, vectors = np.zeros(0), np.zeros((0, 3))
+    return make_routes(np.zeros(0, int), none, vectors, vectors, Passage(none > 0.0, none + 0j, none), 0)
+
+
+def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Passage]:
+    """Straight from the antenna to points [N, 3], whatever stands between; and what stands between."""
+    legs = passage(view.antenna, point_m, view.blockers, owner)
+    ray = point_m - view.antenna
+    length = norm(ray)
+    direction = ray / np.maximum(length, 1e-9)[:, None]
+    routes = make_routes(np.arange(len(point_m)), length, direction, direction, legs, 0)
+    return routes, legs
+
+
+@dataclass(frozen=True)
+class Bounces:
+    """M candidate bounces at straight walls between a source and targets: by the law of reflection, inside the ends."""
+
+    wall: np.ndarray
+    target: np.ndarray
+    #: Specular points [M, 3] and images of the targets [M, 3].
+    specular: np.ndarray
+    image: np.ndarray
+    normal: np.ndarray
+
+
+def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
+    """All (piece of wall, point) pairs where the piece shows the point to a source [3], legs not looked at.
+
+    The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
+    `mirrors` [W]: which pieces are asked.
+    """
+    world = view.world
+    walls = np.flatnonzero(mirrors)
+    normal, offset = view.normal[walls], view.offset[walls]
+    height = normal @ point_m[:, :2].T + offset[:, None]  # [W, N]
+    source_height = (normal @ source[:2] + offset)[:, None]
+    along = world.wall_b[walls] - world.wall_a[walls]
+    squared = dot(along, along)[:, None]
+    start = dot(along, world.wall_a[walls])[:, None]
+    target_share = (along @ point_m[:, :2].T - start) / squared
+    source_share = (along @ source[:2])[:, None] / squared - start / squared
+    same_side = (height * source_height > 0.0) & (np.abs(height) > 1e-9) & (np.abs(source_height) > 1e-9)
+    total = np.where(same_side, height + source_height, 1.0)
+    # similar triangles: the feet of both, weighted by the other's height
+    share = (source_share * height + target_share * source_height) / total
+    index, target = np.nonzero(same_side & (share >= 0.0) & (share <= 1.0))
+    wall = walls[index]
+    image = reflect(point_m[target], view.normal[wall], view.offset[wall])
+    reach = np.abs(source_height[index, 0])
+    portion = reach / (reach + np.abs(height[index, target]))
+    specular = source + portion[:, None] * (image - source)
+    below_top = specular[:, 2] < world.wall_height_m[wall]
+    bounces = Bounces(wall, target, specular, image, view.normal[wall])
+    return _take(bounces, below_top)
+
+
+def mirror_routes(
+    view: Snapshot, point_m: np.ndarray, mirrors: np.ndarray, owner: np.ndarray, ignore_wall: int | None = None
+) -> tuple[Routes, Passage]:
+    """Routes by one straight mirror to points [N, 3], whatever stands in their legs; and what stands there.
+
+    `ignore_wall` names a piece of wall that stands in no leg.
+    """
+    found = plane_bounces(view, view.antenna, point_m, mirrors)
+    target_m = point_m[found.target]
+    blockers = view.blockers if ignore_wall is None else without(view.blockers, ignore_wall)
+    legs = in_series(
+        passage(view.antenna, found.specular, blockers),
+        passage(found.specular, target_m, blockers, owner[found.target]),
+    )
+    ray = found.image - view.antenna
+    length = norm(ray)
+    direction = ray / np.maximum(length, 1e-9)[:, None]
+    arrive = reflect(direction, found.normal, 0.0)
+    whole, front, rough = view.world.reflection(found.wall, np.abs(dot(direction[:, :2], found.normal)))
+    routes = make_routes(
+        found.target,
+        length,
+        direction,
+        arrive,
+        legs,
+        bit("specular_relay"),
+        wall=found.wall,
+        whole=whole,
+        front=front,
+        rough=rough,
+    )
+    return routes, legs
+
+
+def _take(bounces: Bounces, which: np.ndarray) -> Bounces:
+    return Bounces(**{field.name: getattr(bounces, field.name)[which] for field in fields(bounces)})
+
+
+def norm(vectors: np.ndarray) -> np.ndarray:
+    """Lengths of vectors [..., D]."""
+    return np.sqrt(dot(vectors, vectors))
+
+
+def dot(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Scalar products over the last axis."""
+    return np.einsum("...i,...i->...", left, right)
+
+
+def unit(vectors: np.ndarray) -> np.ndarray:
+    """Vectors of length one; zero vectors stay."""
+    return vectors / np.maximum(norm(vectors), 1e-9)[..., None]

@@ -1,0 +1,40 @@
+"""One instant under trace: what the path effects share and add to, in the order of `PATH_EFFECTS`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from sim_player.scene.world import Snapshot
+from sim_player.trace.routes import Routes, join_routes, mirror_routes, no_routes, straight_routes
+from sim_player.trace.segments import Passage
+
+
+@dataclass
+class Tracing:
+    """A snapshot, and the one-way routes to scattering centres that effects have found so far."""
+
+    view: Snapshot
+    routes: dict[str, Routes] = field(default_factory=dict)
+
+    def clear_routes(self, *names: str) -> Routes:
+        """Routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
+        found = [self.routes[name] for name in names if name in self.routes]
+        return join_routes(found) if found else no_routes()
+
+    @cached_property
+    def straight(self) -> tuple[Routes, Passage]:
+        """Straight to all centres, whatever stands between; and what stands between."""
+        return straight_routes(self.view, self.view.centre, self.owner)
+
+    @cached_property
+    def mirrored(self) -> tuple[Routes, Passage]:
+        """To all centres by every straight piece of wall, whatever stands between; and what stands between."""
+        return mirror_routes(self.view, self.view.centre, self.view.world.is_flat, self.owner)
+
+    @property
+    def owner(self) -> np.ndarray:
+        """The object of every centre, int32 [K]."""
+        return self.view.world.centre_object.astype(np.int32)

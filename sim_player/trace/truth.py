@@ -1,0 +1,188 @@
+"""What really is in a scene: visible scattering centres that a map can tell apart, images and their true places."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from models.physics.antenna import setup_weights, two_way_pattern
+from msgs.values.frames import Pose2
+from msgs.values.perception import PathClass, SceneTruth, TruthObject, TruthSurface
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from sim_player.effects.names import bits
+from sim_player.scene.world import World, radar_pose
+from sim_player.signal.fmcw import departure
+from sim_player.trace.paths import Paths
+
+#: Truth points differ by at least this many cells in range or in azimuth.
+SEPARATION_CELLS = 4.0
+#: A centre counts as visible when its own beam power stands this far over a beam's noise.
+VISIBLE_SNR_DB = 10.0
+
+
+#: Ways that a map shows too, but that no truth point stands for: mixtures, bends, light of other objects, ...
+UNLABELLED = bits(
+    frozenset({"non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce"})
+)
+
+
+def labelled(paths: Paths) -> np.ndarray:
+    """Which paths a truth point may stand for: objects and walls in direct sight, objects in one or two mirrors."""
+    plain = (paths.needs & np.uint32(UNLABELLED)) == 0
+    return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.thing >= 0)))
+
+
+def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
+    """Power of each path in the beam that sees it best, mW, [paths]."""
+    pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad, *departure(paths))
+    return np.abs(paths.amplitude) ** 2 * (np.abs(pattern) ** 2).max(axis=0)
+
+
+def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> np.ndarray:
+    """Indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
+    grid = RangeAzimuthGrid() if grid is None else grid
+    power = best_power_mw(setup, paths)
+    row, column, inside = _cells(paths, grid)
+    strong = power > _noise_mw(setup) * 10.0 ** (VISIBLE_SNR_DB / 10.0)
+    candidates = np.flatnonzero(labelled(paths) & inside & strong)
+    candidates = candidates[np.argsort(-power[candidates], kind="stable")]
+    return candidates[thin(row[candidates], column[candidates])]
+
+
+def _noise_mw(setup: RadarSetup) -> float:
+    """Noise of one beam in one range bin."""
+    return setup.radar.noise_power_mw / (setup.radar.samples_per_chirp * setup.radar.chirps_per_beam)
+
+
+def _cells(paths: Paths, grid: RangeAzimuthGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Range and azimuth index of each path, and whether they lie in the grid."""
+    row, column = grid.range_index(0.5 * paths.length_m), grid.azimuth_index(paths.azimuth_rad)
+    return row, column, (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
+
+
+def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
+    """Greedy choice, first come first kept: indices whose cells differ from all kept by 4 in one coordinate."""
+    kept: list[int] = []
+    free = np.ones(len(row), bool)
+    for index in range(len(row)):
+        if free[index]:
+            kept.append(index)
+            free &= (np.abs(row - row[index]) >= SEPARATION_CELLS) | (
+                np.abs(column - column[index]) >= SEPARATION_CELLS
+            )
+    return np.array(kept, int)
+
+
+def scene_truth(
+    world: World,
+    setup: RadarSetup,
+    paths: Paths,
+    time_s: float,
+    stamp_ns: int,
+    scan_id: int,
+    start_from_radar: Pose2 | None = None,
+) -> SceneTruth:
+    """Truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
+
+    `start_from_radar`: where the radar is then; None: where the scene's `ego` takes it.
+    """
+    pose = radar_pose(world.scene, time_s) if start_from_radar is None else start_from_radar
+    radar_from_start = pose.inverse()
+    chosen = paths.take(visible_paths(setup, paths))
+    mirrored = chosen.take(chosen.kind == PathClass.MIRRORED)
+    return SceneTruth(
+        stamp_ns=stamp_ns,
+        scan_id=scan_id,
+        los_points_m=chosen.point_m[chosen.kind == PathClass.LOS].astype(np.float32),
+        mirrored_points_m=mirrored.virtual_m.astype(np.float32),
+        hidden_points_m=mirrored.point_m.astype(np.float32),
+        hidden_object=mirrored.thing.astype(np.int32),
+        objects=_objects(world, paths, time_s, radar_from_start),
+        surfaces=_surfaces(world, radar_from_start),
+    )
+
+
+def hidden_objects(paths: Paths) -> frozenset[int]:
+    """Objects seen in a mirror and not directly."""
+    paths = paths.take(labelled(paths))
+    mirrored = paths.thing[paths.kind == PathClass.MIRRORED]
+    direct = paths.thing[paths.kind == PathClass.LOS]
+    return frozenset(mirrored.tolist()) - frozenset(direct.tolist()) - {-1}
+
+
+@dataclass(frozen=True)
+class ObjectImages:
+    """What could be seen of each of N objects, before any detection."""
+
+    #: Some part is in direct sight; some mirror shows a part, wherever its image lies. bool [N].
+    direct: np.ndarray
+    mirrored: np.ndarray
+    #: Strongest scattering centre among the images in the map, over the noise of the beam that sees it best, dB [N];
+    #: -inf where the map holds no image. The second is that of images by one mirror.
+    snr_db: np.ndarray
+    single_snr_db: np.ndarray
+
+
+def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
+    """Sum up the labelled paths of a scene's `count` objects."""
+    paths = paths.take(labelled(paths))
+    with np.errstate(divide="ignore"):
+        snr_db = 10.0 * np.log10(best_power_mw(setup, paths) / _noise_mw(setup))
+    image = (paths.kind == PathClass.MIRRORED) & (paths.thing >= 0)
+    shown = image & _cells(paths, RangeAzimuthGrid())[2]
+    return ObjectImages(
+        direct=np.bincount(paths.thing[(paths.kind == PathClass.LOS) & (paths.thing >= 0)], minlength=count) > 0,
+        mirrored=np.bincount(paths.thing[image], minlength=count) > 0,
+        snr_db=_strongest(paths.thing[shown], snr_db[shown], count),
+        single_snr_db=_strongest(paths.thing[shown & (paths.order == 1)], snr_db[shown & (paths.order == 1)], count),
+    )
+
+
+def _strongest(thing: np.ndarray, snr_db: np.ndarray, count: int) -> np.ndarray:
+    """Largest value of each object [count]; -inf where it has none."""
+    found = np.full(count, -np.inf)
+    np.maximum.at(found, thing, snr_db)
+    return found
+
+
+def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
+    """All objects of the scene where the radar has them at a time."""
+    hidden = hidden_objects(paths)
+    found = []
+    for index, thing in enumerate(world.scene.objects):
+        velocity = world.velocity_mps[index]
+        x, y = radar_from_start.apply(np.array([thing.x_m, thing.y_m]) + velocity * time_s)
+        vx, vy = radar_from_start.rotate(velocity)
+        found.append(
+            TruthObject(
+                id=index,
+                object_class=thing.object_class,
+                x_m=float(x),
+                y_m=float(y),
+                length_m=thing.kind.length_m,
+                width_m=thing.kind.width_m,
+                yaw_rad=math.remainder(math.radians(thing.yaw_deg) + radar_from_start.yaw_rad, 2.0 * math.pi),
+                velocity_x_mps=float(vx),
+                velocity_y_mps=float(vy),
+                hidden=index in hidden,
+            )
+        )
+    return tuple(found)
+
+
+def _surfaces(world: World, radar_from_start: Pose2) -> tuple[TruthSurface, ...]:
+    """All walls as the radar has them."""
+    walls = [surface for surface in world.scene.surfaces if surface.role != "ground"]
+    return tuple(
+        TruthSurface(
+            role=surface.role,
+            material=surface.material,
+            polyline_m=msgspec.convert(
+                radar_from_start.apply(np.array(surface.polyline_m)).tolist(), tuple[tuple[float, float], ...]
+            ),
+        )
+        for surface in walls
+    )

@@ -1,0 +1,80 @@
+"""All echoes that a truth point may stand for, before neighbours are thinned out: a data set's scenes traced again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from msgs.values.radar import RadarSetup, RangeAzimuthGrid
+from msgs.values.units import ratio_from_db
+from sim_player.dataset.labelled_scan import label_points
+from sim_player.dataset.shards import scene_seed
+from sim_player.effects.names import ALL_EFFECTS
+from sim_player.planner.plan import chosen, plan_world
+from sim_player.scene.description import Scene, scene_from_yaml
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.truth import VISIBLE_SNR_DB, best_power_mw, labelled
+
+
+class DrawnScene(msgspec.Struct, frozen=True, kw_only=True):
+    """What fixes a scene's echoes: its YAML, number and gain, and the series it belongs to (`series.json`)."""
+
+    scene_yaml: str
+    index: int
+    gain_db: float
+    series: dict[str, Any]
+
+    @property
+    def setup(self) -> RadarSetup:
+        """The scene's radar, with so much more power as the data set gave it; basic effects judge echoes without."""
+        setup, gain = self.scene.setup, ratio_from_db(self.gain_db)
+        if self.series.get("effects") == "basic":
+            return setup
+        radar = msgspec.structs.replace(setup.radar, transmit_power_w=gain * setup.radar.transmit_power_w)
+        return msgspec.structs.replace(setup, radar=radar)
+
+    @property
+    def scene(self) -> Scene:
+        """The scene; its mesh files, if any, must lie where its YAML says."""
+        return scene_from_yaml(self.scene_yaml, Path())
+
+
+def trace_again(drawn: DrawnScene) -> Paths:
+    """All paths of a scene as when its data set was made.
+
+    Raises `ValueError` where the series is none of the simulator's.
+    """
+    missing = [name for name in ("seed", "effects") if name not in drawn.series]
+    if missing:
+        raise ValueError(f"series.json must say {' and '.join(missing)} so that scenes can be traced again")
+    scene, setup, effects = drawn.scene, drawn.setup, drawn.series["effects"]
+    world = prepare(scene, scene_seed(drawn.series["seed"], drawn.index), setup)
+    if effects == "auto":
+        return plan_world(world, setup, drawn.series["budget_db"]).paths
+    if effects == "basic":
+        return trace(world)
+    return chosen(world, setup, ALL_EFFECTS if effects == "all" else frozenset(effects)).paths
+
+
+def labelled_paths(drawn: DrawnScene) -> tuple[Paths, np.ndarray]:
+    """All echoes over the noise that a truth point may stand for, and the ranges [m] of the truth points, in order.
+
+    Raises `ValueError` as above.
+    """
+    paths = trace_again(drawn)
+    return unthinned_paths(drawn.setup, paths), label_points(drawn.setup, paths).range_m
+
+
+def unthinned_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> Paths:
+    """The candidates of `sim_player.trace.truth.visible_paths`: labelled, in the grid, over the noise in some beam."""
+    grid = RangeAzimuthGrid() if grid is None else grid
+    radar = setup.radar
+    noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
+    row, column = grid.range_index(0.5 * paths.length_m), grid.azimuth_index(paths.azimuth_rad)
+    inside = (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
+    over_noise = best_power_mw(setup, paths) > noise_mw * ratio_from_db(VISIBLE_SNR_DB)
+    return paths.take(labelled(paths) & inside & over_noise)

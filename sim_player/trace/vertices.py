@@ -1,0 +1,77 @@
+"""The way out of a path as points to draw or to check: antenna, bounces at walls, scatterer."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from models.physics.curved_mirror import arc_normals, arc_points
+from models.physics.mirror import crossing_parameters
+from sim_player.scene.world import World, radar_pose
+from sim_player.trace.paths import Paths
+
+#: Steps of an arc when a ray is sent against it.
+ARC_STEPS = 256
+CLEARANCE_M = 1e-6
+
+
+def ways_out(world: World, paths: Paths, time_s: float = 0.0) -> list[np.ndarray]:
+    """Points [N, 3] of every path's way out in the radar's frame: the antenna, its bounces at walls, the scatterer.
+
+    Followed from the antenna along the direction of departure, mirrored at as many walls as the way has bounces. Bends
+    at edges and bounces on the ground are drawn straight.
+    """
+    a, b, normal = _pieces(world)
+    back = radar_pose(world.scene, time_s).inverse()
+    a, b, normal = back.apply(a), back.apply(b), back.rotate(normal)
+    return [_way(paths, index, a, b, normal) for index in range(len(paths))]
+
+
+def _way(paths: Paths, index: int, a: np.ndarray, b: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """One path's points."""
+    azimuth, elevation = paths.departure_azimuth_rad[index], paths.departure_elevation_rad[index]
+    slope = np.tan(elevation)
+    heading = np.array([np.cos(azimuth), np.sin(azimuth)])
+    place, gone, points = np.zeros(2), 0.0, [np.zeros(3)]
+    end, found, least = paths.point_m[index], [np.zeros(3)], np.inf
+    for bounce in range(int(paths.order[index]) + 1):
+        # a way of two parts may take fewer bounces out than back: the one that heads for the scatterer is it
+        miss = _miss(place, heading, end[:2])
+        if miss < least - 1e-6:
+            found, least = list(points), miss
+        along, wall = _next_wall(place, heading, a, b)
+        if wall < 0 or bounce == paths.order[index]:
+            break
+        place, gone = place + along * heading, gone + along
+        points.append(np.array([*place, gone * slope]))
+        heading = heading - 2.0 * (heading @ normal[wall]) * normal[wall]
+    return np.array([*found, end])
+
+
+def _miss(place: np.ndarray, heading: np.ndarray, target: np.ndarray) -> float:
+    """Angle between a heading and the way to a target."""
+    way = target - place
+    return float(abs(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
+
+
+def _next_wall(place: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, int]:
+    """Distance to the first piece of wall ahead, and which; (inf, -1) for none."""
+    if not len(a):
+        return np.inf, -1
+    along_ray, along_wall = crossing_parameters(place, (place + heading)[None], a, b)
+    ahead = (along_ray[0] > CLEARANCE_M) & (along_wall[0] >= 0.0) & (along_wall[0] <= 1.0)
+    distance = np.where(ahead, along_ray[0], np.inf)
+    nearest = int(np.argmin(distance))
+    return float(distance[nearest]), nearest if np.isfinite(distance[nearest]) else -1
+
+
+def _pieces(world: World) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Ends [M, 2] and unit normals of all walls, arcs cut into short chords with the arc's own normals."""
+    ends_a, ends_b, normals = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros((0, 2))]
+    for wall in np.flatnonzero(world.is_mirror):
+        start, end, curvature = world.wall_a[wall], world.wall_b[wall], float(world.wall_curvature_per_m[wall])
+        share = np.linspace(0.0, 1.0, (ARC_STEPS if world.is_curved[wall] else 1) + 1)
+        points = arc_points(start, end, curvature, share)
+        ends_a.append(points[:-1])
+        ends_b.append(points[1:])
+        normals.append(arc_normals(start, end, curvature, 0.5 * (share[:-1] + share[1:])))
+    return np.concatenate(ends_a), np.concatenate(ends_b), np.concatenate(normals)
