@@ -68,14 +68,14 @@ reference: setup-dev  ## docs/reference, written from the types and the verbs
 	$(BIN)/python -m mirrorwave.reference docs/reference
 
 bench: setup-dev  ## the committed benchmarks, printed
-	$(BIN)/python -m benchmarks.ra_forming
-	$(BIN)/python -m benchmarks.live_graph --duration 60
+	$(BIN)/python -m benchmarks.perception.ra_forming
+	$(BIN)/python -m benchmarks.live.live_graph --duration 60
 
 faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/faults.md (half an hour)
-	$(BIN)/python -m benchmarks.faults
+	$(BIN)/python -m benchmarks.live.faults
 
 soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/faults.md
-	$(BIN)/python -m benchmarks.soak --figure docs/images/soak.png
+	$(BIN)/python -m benchmarks.live.soak --figure docs/images/soak.png
 
 # examples of each test of a node; seconds that all readers share
 FUZZ_EXAMPLES ?= 2000
@@ -101,10 +101,10 @@ compare: setup  ## three sensors over all sweeps, the tables and pictures of doc
 	cp runs/compare/hidden_car_xband.png docs/images/three-sensors.png
 
 results: setup-dev  ## every network of the specification and ours, trained and compared on two CPU cores (hours; goes on if stopped)
-	$(BIN)/python -m benchmarks.learned_table
+	$(BIN)/python -m benchmarks.accuracy.learned_table
 
 results-gpu: setup-dev  ## the same at full size and for the published 100 epochs, on a GPU
-	$(BIN)/python -m benchmarks.learned_table --budget gpu --lanes 1 --work runs/table-gpu --out runs/table-gpu/results
+	$(BIN)/python -m benchmarks.accuracy.learned_table --budget gpu --lanes 1 --work runs/table-gpu --out runs/table-gpu/results
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache

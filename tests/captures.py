@@ -10,7 +10,9 @@ from pathlib import Path
 
 import pytest
 
-_ROOT = Path(__file__).resolve().parents[1]
+from msgs.files.shipped import CHECKOUT
+
+_ROOT = CHECKOUT
 _NAMED = os.environ.get("MIRRORWAVE_DATA")
 
 

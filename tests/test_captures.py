@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from msgs.files.shipped import CHECKOUT
 from tests import captures
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = CHECKOUT
 
 
 def test_the_nearest_folder_is_taken(tmp_path: Path) -> None:

@@ -26,6 +26,7 @@ from mirrorwave.convert.dca1000 import read_config
 from mirrorwave.diagnose.topic_echo import save_arrays
 from msgs.files import array_files
 from msgs.files.array_files import load_arrays
+from msgs.files.shipped import CHECKOUT
 from msgs.recording import mcap as recording
 from msgs.recording.mcap import RecordingReader
 from msgs.values.vehicle import VehicleState
@@ -255,7 +256,7 @@ def test_no_text_steers_the_terminal(capsys: pytest.CaptureFixture[str]) -> None
 
 def _limits() -> dict[str, str]:
     """The table of limits in SECURITY.md."""
-    text = (Path(__file__).parents[1] / "SECURITY.md").read_text(encoding="utf-8")
+    text = (CHECKOUT / "SECURITY.md").read_text(encoding="utf-8")
     table = text.split("| door | limit |")[1].split("\n\n")[0]
     rows = (line.strip("| ").split(" | ") for line in table.splitlines()[2:])
     return {row[0].strip("`"): row[1] for row in rows}

@@ -16,7 +16,9 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from msgs.files.shipped import CHECKOUT
+
+ROOT = CHECKOUT
 #: Nothing is measured against this: it ends a run that would not end.
 PATIENCE_S = 600.0
 #: The end of a run as pytest tells it.

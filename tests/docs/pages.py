@@ -26,9 +26,10 @@ from markdown_it import MarkdownIt
 from mirrorwave.cli import main
 from mirrorwave.commands.graph.nodes import collect_heartbeats
 from msgs.bus.zmq import run_dir
+from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = CHECKOUT
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # tests in the background of a shell: what is started from here would not hear the Ctrl-C that ends it
     signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -69,7 +70,7 @@ SHORTER: tuple[tuple[str, str], ...] = (
         r"^mirrorwave compare (?!--scene).*$",
         "mirrorwave compare --quick --viewpoints 1 --sweep roughness --sensor xband --sensor 77ghz",
     ),
-    # likewise, tests/mirrorwave/test_tradeoff_simulator.py
+    # likewise, tests/mirrorwave/studies/tradeoff/test_simulator.py
     (r"^mirrorwave tradeoff --simulator.*$", "mirrorwave tradeoff --simulator --help"),
     # the other machine is this one: what SSH forwards is relayed between two sockets here
     (r"^ssh -N -L (\$XDG\S+) vehicle( &)?$", r"python -m tests.docs.relay \1\2"),

@@ -14,8 +14,8 @@ from mirrorwave.cli import main
 from msgs.values.vehicle import VehicleState
 from nodes.can.bus import load_dbc, load_mapping
 from sim_player.car import SimulatedCar
-from tests.mirrorwave.test_can import write_drive
-from tests.mirrorwave.test_import_dca1000 import CFG, point, two_lanes
+from tests.mirrorwave.commands.captures.test_can import write_drive
+from tests.mirrorwave.convert.test_dca1000 import CFG, point, two_lanes
 from tests.nodes.test_can_out import write_log
 
 SMALL = ["-p", "player.chirps_per_beam=8"]

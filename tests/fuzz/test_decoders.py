@@ -16,8 +16,9 @@ import pytest
 
 from fuzz.mutations import CHANGES, joined, mutated, split
 from fuzz.targets import TARGETS, Box, Target, execute
+from msgs.files.shipped import CHECKOUT
 
-CORPUS = Path(__file__).parents[2] / "fuzz" / "corpus"
+CORPUS = CHECKOUT / "fuzz" / "corpus"
 #: Changes a target, so that each takes about a tenth of a second: readers of small messages see hundreds.
 CHANGES_A_TARGET = 40
 FAST = dict.fromkeys(

@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from msgs.bus.zmq import ZmqBus
+from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus
 from msgs.values.perception import BevFrame
 
 #: Nothing is measured against this: it ends a test that would wait for ever.
 PATIENCE_S = 120.0
 HEARD = ("perception/hidden_objects", "diagnostics/node", "log")
-ROOT = Path(__file__).parents[2]
+ROOT = CHECKOUT
 
 
 class Said(NamedTuple):

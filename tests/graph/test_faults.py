@@ -33,7 +33,7 @@ import pytest
 import zmq
 from websockets.sync.client import ClientConnection, connect
 
-from benchmarks.faults import processes_of
+from benchmarks.live.faults import processes_of
 from mirrorwave.cli import main
 from models.perception.detection.onnx_model import MAX_MODEL_BYTES
 from msgs.bus.interface import Outgoing

@@ -18,7 +18,8 @@ from typing import Any
 
 import pytest
 
-from benchmarks.faults import processes_of
+from benchmarks.live.faults import processes_of
+from msgs.files.shipped import CHECKOUT
 from nodes.process.launch_file import LaunchFile, launch_from_mapping
 from nodes.process.liveness import Sample, sample
 from nodes.process.supervisor import Supervisor, read_lock
@@ -26,7 +27,7 @@ from nodes.process.supervisor import Supervisor, read_lock
 pytestmark = pytest.mark.graph
 
 TOY = "tests.graph.toy_nodes"
-ROOT = Path(__file__).parents[2]
+ROOT = CHECKOUT
 #: Nothing is measured against this: it ends a test that would wait for ever.
 PATIENCE_S = 120.0
 

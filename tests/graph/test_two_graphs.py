@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.link_stand import free_port
-from benchmarks.two_hosts import SIDES, make_keys
+from benchmarks.transport.link_stand import free_port
+from benchmarks.transport.two_hosts import SIDES, make_keys
 from tests.graph.fault_tools import ROOT, LiveGraph
 
 

@@ -23,7 +23,7 @@ from msgs.recording.mcap import RecordingReader, RecordingWriter, copy_recording
 from msgs.values.vehicle import VehicleState
 from sim_player.dataset.shards import Recipe, shard_arrays
 from sim_player.dataset.writer import write_dataset
-from tests.msgs.test_codec import EXAMPLES
+from tests.msgs.bus.test_codec import EXAMPLES
 
 SCENE = "launch/scenes/two_hidden_vehicles.yaml"
 #: Room on the made-up disk.

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import msgspec
 import pytest
 
 from mirrorwave.reference import fields_of, main, node_modules, pages
+from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import Track
 from nodes.process.launch_file import read_launch_file
 from nodes.recorder import Params as RecorderParams
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = CHECKOUT
 
 
 @pytest.mark.parametrize("name", ["messages.md", "parameters.md", "commands.md"])

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.faults import processes_of
+from benchmarks.live.faults import processes_of
 from mirrorwave.exit_signals import HUNG_UP
 from mirrorwave.terminal import READER_LEFT
 from msgs.recording.mcap import RecordingReader, info

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from benchmarks.yaw_bias import limited
+from benchmarks.perception.yaw_bias import limited
 from models.perception.detection.cfar import CfarParams
 from models.perception.detection.detectors import NetworkDetector, detector_name
 from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
@@ -27,8 +27,8 @@ from msgs.values.radar import ArrayParams, RadarSetup, RangeAzimuthGrid, RangeAz
 from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry
 from nodes.player import Params, scene_player
-from tests.perception.test_confidence import model, scan_of
-from tests.perception.test_yaw_rate_bias import drive, town, turns
+from tests.models.perception.geometry.test_confidence import model, scan_of
+from tests.models.perception.tracking.test_yaw_rate_bias import drive, town, turns
 
 
 def received(message: msgspec.Struct, topic: str) -> Received:

@@ -19,6 +19,7 @@ from msgs.bus.interface import Bus, Envelope, Forwarded
 from msgs.bus.local import LocalNetwork
 from msgs.bus.sequencing import MAX_LATCHED
 from msgs.bus.zmq import ZmqBus
+from msgs.files.shipped import CHECKOUT
 from msgs.link.keys import generate
 from msgs.values.diagnostics import LogRecord, NodeState
 from msgs.values.radar import RadarSetup
@@ -27,7 +28,7 @@ from nodes.link import Link
 from nodes.node import Heartbeat, Stop, load_node, run_loop
 from nodes.process.launch_file import merged, read_launch_file
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = CHECKOUT
 PATIENCE_S = 60.0
 
 

@@ -11,13 +11,14 @@ import pytest
 
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.local import LocalNetwork
+from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.vehicle import VehicleState
 from nodes.node import Heartbeat, InProcessGraph, Node, StageClock, Stop, load_node, run_loop
 from nodes.process.logs import BusLogHandler, LineSplitter, parse_line
 from tests.graph import toy_nodes
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = CHECKOUT
 TOY = "tests.graph.toy_nodes"
 
 

@@ -15,6 +15,7 @@ from models.perception.forming.ra_forming import RaFormer
 from models.sensors.phaser import PhaserParams
 from msgs.bus.interface import Outgoing
 from msgs.bus.local import LocalNetwork
+from msgs.files.shipped import CHECKOUT
 from msgs.recording.sigmf import SigmfCapture, write_capture
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
@@ -24,7 +25,7 @@ from nodes.node import InProcessGraph, load_node
 from nodes.process.launch_file import read_launch_file
 from nodes.ra_former import Params as FormerParams
 from nodes.ra_former import create as create_former
-from tests.nodes.phaser_stand_in import BOARD_URI, CONVERTER_URI, StandInKit, library_on
+from tests.nodes.drivers.phaser_stand_in import BOARD_URI, CONVERTER_URI, StandInKit, library_on
 
 KIT = {"board_uri": BOARD_URI, "converter_uri": CONVERTER_URI}
 #: Gains measured on a board (1 at the weakest element), and phases of about the spread such boards have.
@@ -346,7 +347,7 @@ def test_a_wrong_calibration_file_is_one_line(tmp_path: Path, text: str, message
 
 
 def test_the_launch_file_fits_the_node() -> None:
-    entry = read_launch_file(Path(__file__).parents[2] / "launch" / "phaser.yaml").nodes["radar_driver"]
+    entry = read_launch_file(CHECKOUT / "launch" / "phaser.yaml").nodes["radar_driver"]
     params = msgspec.convert(entry.params, radar_driver.Params)
     assert isinstance(params.cn0566, PhaserParams)
 

@@ -24,7 +24,7 @@ from nodes.recorder import Params, Recorder, create
 from nodes.recording.snapshot_recorder import SnapshotRecorder
 from nodes.recording.snapshot_trigger import TriggerFile, find_recorders
 from tests.graph import toy_nodes
-from tests.msgs.test_codec import EXAMPLES
+from tests.msgs.bus.test_codec import EXAMPLES
 
 TOPICS_HEARD = ("radar/setup", "vehicle/state")
 

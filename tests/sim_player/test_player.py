@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import msgspec
 import numpy as np
 import pytest
 
 from models.physics.antenna import setup_weights
 from models.physics.mirror import blocked
+from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.dataset.writer import clean_profiles
@@ -19,7 +18,7 @@ from sim_player.signal.fmcw import beam_weights, chirp_beats
 from sim_player.trace.ray_tracing import prepare, trace
 from sim_player.trace.truth import hidden_objects
 
-FOLDER = Path(__file__).parents[2] / "launch" / "scenes"
+FOLDER = CHECKOUT / "launch" / "scenes"
 HIDDEN_COUNT = {
     "facade_across_lane": 1,
     "oblique_container": 1,

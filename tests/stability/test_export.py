@@ -18,6 +18,7 @@ from models.perception.detection.encoding import Encoding
 from models.perception.detection.onnx_model import DensePredictor, ModelCard, card_path
 from models.training.export.onnx import Exported, export_onnx, parity, write_card
 from models.training.export.quantize import quantize_int8
+from msgs.files.shipped import CHECKOUT
 from msgs.values.radar import RangeAzimuthGrid
 
 CONFIG = CompactUNetConfig(range_bins=32, columns=8, widths=(8, 16), attention_heads=2, attention_blocks=1)
@@ -175,6 +176,6 @@ def test_calibration_on_empty_maps_leaves_a_network_that_answers(exported: bytes
 
 
 def test_files_hold_no_path_of_the_machine_that_wrote_them(exported: bytes) -> None:
-    root = str(Path(__file__).resolve().parents[2]).encode()
+    root = str(CHECKOUT).encode()
     assert root not in exported
     assert all(not node.doc_string for node in onnx.load_from_string(exported).graph.node)

@@ -1,6 +1,6 @@
 """Two scenes under mild and severe faults of the hardware: mild ones cost nothing, severe ones are never silent.
 
-The short form of `benchmarks.severity` (docs/robustness.md).
+The short form of `benchmarks.accuracy.severity` (docs/robustness.md).
 """
 
 from __future__ import annotations
@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.severity import FAULTS, run
-from benchmarks.six_scenes import SCENES
+from benchmarks.accuracy.severity import FAULTS, run
+from benchmarks.accuracy.six_scenes import SCENES
 
 TWO = [scene for scene in SCENES if scene.stem in ("corner", "two_hidden_vehicles")]
 #: Mild, severe, and the flag that a severe fault must raise.

@@ -1,4 +1,4 @@
-"""The whole chain in single against double precision, on one thread against two: `benchmarks.float64_chain` in short.
+"""The whole chain in single against double precision, one thread against two: `float64_chain` in short.
 
 The field solver, whose kernels alone share their rows among threads, beside it.
 """
@@ -9,7 +9,7 @@ import numba
 import numpy as np
 import pytest
 
-from benchmarks.float64_chain import Answer, Comparison, DoubleChain, compare, double, single, view_bytes
+from benchmarks.perception.float64_chain import Answer, Comparison, DoubleChain, compare, double, single, view_bytes
 from models.perception.detection.onnx_model import DensePredictor
 from models.perception.forming.ra_forming import RaFormer
 from msgs.values.radar import RadarBeam, RadarSetup

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from models.perception.tracking.odometry import Odometry
 from models.perception.tracking.yaw_rate_bias import BiasSource, DrivingBias, YawRateBias
 from msgs.values.vehicle import MOST_SPEED_MPS, MOST_YAW_RATE_RPS, VehicleState
-from tests.perception.test_yaw_rate_bias import BIAS_RPS, drive, learnt, town, turns
+from tests.models.perception.tracking.test_yaw_rate_bias import BIAS_RPS, drive, learnt, town, turns
 from tests.stability.catalogue import Errors
 
 EPOCH_NS = 1_763_750_000_123_456_789

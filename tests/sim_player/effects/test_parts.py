@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
+from msgs.files.shipped import CHECKOUT
 from sim_player.effects import EFFECTS, PATHS, WEIGHTS
 from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS, bit
 from sim_player.signal.switches import SignalEffects
 
-FOLDER = Path(__file__).resolve().parents[3] / "sim_player" / "effects"
+FOLDER = CHECKOUT / "sim_player" / "effects"
 SHARED = {"__init__", "tracing", "noise_bounds"}
 
 

@@ -1,0 +1,276 @@
+"""Heading of drives without a standstill, whose gyroscope has a constant bias: with and without learning the bias.
+
+Made drives: a car with a lag between steering and yaw, understeer, a steering wheel that is not centred and drifts with
+the camber of the road, tyres of unequal size, noise. Its frames are sent and decoded by `launch/can/raw_ranges.*`, so
+every signal has the steps of that DBC (yaw rate 0.244 deg/s). None of its constants is known to the estimator. The
+truth is the yaw rate that was driven. Kinds: town (3 to 15 m/s with turns), slow (2.5 to 5 m/s), motorway (30 m/s,
+hardly a turn), on which the bias cannot be told from the other constants.
+A recorded drive: all states at which it stands are taken out and a bias is put on. The truth there is its own yaw rate
+less the mean at rest, as far as that goes: errors of the gyroscope's scale are not seen.
+Heading error: that of the odometry at the end of the drive. NEES: squared error of the bias over its variance, 1 where
+the standard deviation is honest. `learnt`: drives in which the bias is learnt, and after how many seconds (median).
+Usage: python -m benchmarks.perception.yaw_bias [--seeds 20] [--duration 58] [--bias-dps -0.41] [--json]
+       [--log FILE --dbc FILE --mapping FILE]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from scipy.ndimage import gaussian_filter1d
+
+from benchmarks.accuracy.side_street_drives import read_states
+from models.perception.tracking.odometry import Odometry
+from models.perception.tracking.yaw_rate_bias import BiasSource
+from models.vehicle.can_state import CanDecoder, StateReporter
+from msgs.files.shipped import CHECKOUT
+from msgs.values.frames import wrap_angle
+from msgs.values.units import ns_from_s, s_from_ns
+from msgs.values.vehicle import VehicleState
+from nodes.can.bus import load_dbc, load_mapping
+from sim_player.car import SimulatedCar
+
+CAN = CHECKOUT / "launch" / "can"
+STEP_S, PERIODS_S = 0.02, {"speed": 6.0, "turn": 3.0}
+#: (lowest and highest speed, m/s; largest curvature, 1/m), by kind of drive.
+KINDS = {"town": (3.0, 15.0, 0.03), "slow": (2.5, 5.0, 0.08), "motorway": (29.5, 30.5, 0.0008)}
+SOURCES = {
+    "neither": (False, False), "steering": (True, False), "wheels": (False, True), "both": (True, True),
+}  # fmt: skip
+MAX_LATERAL_MPS2 = 3.0
+#: Time from steering to yawing, s.
+LAG_S = 0.12
+#: The car stands below this: of a recorded drive such states are taken out.
+REST_MPS = 0.3
+#: Biases that are put on a recorded drive, deg/s.
+PUT_ON_DPS = (-0.41, 0.0, 1.0)
+
+
+class Drive(NamedTuple):
+    """What the car says, and how it truly turned since the first state, rad."""
+
+    states: list[VehicleState]
+    heading_rad: float
+
+
+class Outcome(msgspec.Struct, kw_only=True):
+    """What became of one drive."""
+
+    error_before_deg: float
+    error_after_deg: float
+    bias_error_dps: float
+    bias_std_dps: float
+    #: None: never.
+    learnt_after_s: float | None
+
+
+def made_drive(kind: str, seed: int, duration_s: float, bias_rps: float) -> Drive:
+    """A drive of `duration_s` without a standstill; decoded frames, with the error of each sensor."""
+    rng = np.random.default_rng([seed, list(KINDS).index(kind)])
+    time_s = np.arange(0.0, duration_s, STEP_S)
+    speed_mps, curvature = _course(kind, rng, time_s)
+    yaw_rate_rps = _lagged(speed_mps * curvature)
+    said = _sensed(rng, time_s, speed_mps, curvature, yaw_rate_rps, bias_rps)
+    states = list(decoded(said))
+    first = round(s_from_ns(states[0].stamp_ns) / STEP_S)
+    last = round(s_from_ns(states[-1].stamp_ns) / STEP_S)
+    return Drive(states, float(np.trapezoid(yaw_rate_rps[first : last + 1], dx=STEP_S)))
+
+
+def _course(kind: str, rng: np.random.Generator, time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Speed and curvature over time: levels and turns drawn, then smoothed."""
+    slowest, fastest, sharpest = KINDS[kind]
+    knots = {name: np.arange(0.0, time_s[-1] + 2 * period_s, period_s) for name, period_s in PERIODS_S.items()}
+    speeds = rng.uniform(slowest, fastest, len(knots["speed"]))
+    turns = rng.choice([0, 0, 0, 1, -1], len(knots["turn"])) * rng.uniform(0.2, 1.0, len(knots["turn"])) * sharpest
+    speed_mps = gaussian_filter1d(np.interp(time_s, knots["speed"], speeds), 1.0 / STEP_S, mode="nearest")
+    curvature = gaussian_filter1d(np.interp(time_s, knots["turn"], turns), 0.6 / STEP_S, mode="nearest")
+    limit = MAX_LATERAL_MPS2 / speed_mps**2
+    return speed_mps, np.clip(curvature, -limit, limit)
+
+
+def _lagged(wanted: np.ndarray) -> np.ndarray:
+    """What follows `wanted` with a time constant of `LAG_S`."""
+    found = np.zeros_like(wanted)
+    for index in range(1, len(wanted)):
+        found[index] = found[index - 1] + STEP_S / LAG_S * (wanted[index] - found[index - 1])
+    return found
+
+
+def _sensed(
+    rng: np.random.Generator, time_s: np.ndarray, speed_mps: np.ndarray, curvature: np.ndarray,
+    yaw_rate_rps: np.ndarray, bias_rps: float,
+) -> list[VehicleState]:  # fmt: skip
+    """What the sensors of a car with constants of its own measure, not yet in steps."""
+    wheelbase_m, ratio = rng.uniform(2.55, 2.85), rng.uniform(13.0, 18.0)
+    understeer, track_m = rng.uniform(0.0008, 0.0025), rng.uniform(1.48, 1.62)
+    camber_rad = _wander(rng, len(time_s), math.radians(0.8), 20.0)
+    steering = ratio * wheelbase_m * curvature * (1.0 + understeer * speed_mps**2)
+    steering += camber_rad + math.radians(rng.normal(0.0, 2.0))
+    tyres = rng.normal(0.0, 0.003)
+    wheels_mps = yaw_rate_rps * track_m * (1.0 + 0.5 * tyres) + tyres * speed_mps
+    noise = rng.standard_normal((3, len(time_s))) * np.array([[math.radians(0.1)], [math.radians(0.1)], [0.01]])
+    columns = np.stack([speed_mps, yaw_rate_rps + bias_rps + noise[0], steering + noise[1], wheels_mps + noise[2]])
+    return [
+        VehicleState(
+            stamp_ns=ns_from_s(at_s), speed_mps=speed, yaw_rate_rps=rate, steering_rad=angle,
+            wheel_speed_difference_mps=difference,
+        )
+        for at_s, (speed, rate, angle, difference) in zip(time_s.tolist(), columns.T.tolist(), strict=True)
+    ]  # fmt: skip
+
+
+def _wander(rng: np.random.Generator, count: int, std: float, time_s: float) -> np.ndarray:
+    """An Ornstein-Uhlenbeck process from zero on."""
+    found, share = np.zeros(count), STEP_S / time_s
+    for index, draw in enumerate(rng.standard_normal(count - 1), start=1):
+        found[index] = (1.0 - share) * found[index - 1] + math.sqrt(2.0 * share) * std * draw
+    return found
+
+
+def decoded(said: Sequence[VehicleState]) -> Iterator[VehicleState]:
+    """The valid states that a car's frames give by the DBC with ranges in raw counts."""
+    database, mapping = load_dbc(CAN / "raw_ranges.dbc"), load_mapping(CAN / "raw_ranges.yaml")
+    car, decoder = SimulatedCar(database, mapping), CanDecoder(database, mapping)
+    reporter = StateReporter(decoder, 0)
+    for state in said:
+        frames = [(frame, decoder.add(*frame[:2], state.stamp_ns)) for frame in car.frames(state)]
+        for found in (reporter.frame(judged, state.stamp_ns) for _, judged in frames):
+            if found is not None and found.valid:
+                yield decoder.state(state.stamp_ns)
+
+
+def limited(states: Sequence[VehicleState], steering: bool, wheels: bool) -> list[VehicleState]:
+    """The states as a car without some of the sensors says them."""
+    gone = {**({} if steering else {"steering_rad": 0.0}), **({} if wheels else {"wheel_speed_difference_mps": None})}
+    return [msgspec.structs.replace(state, **gone) for state in states]
+
+
+def run(drive: Drive, bias_rps: float) -> Outcome:
+    """One drive through the odometry."""
+    odometry, learnt_ns, turned = Odometry(), None, 0.0
+    last: VehicleState | None = None
+    for state in drive.states:
+        odometry.add(state)
+        if learnt_ns is None and odometry.yaw_rate_bias.source is not BiasSource.NONE:
+            learnt_ns = state.stamp_ns
+        if last is not None:
+            turned += 0.5 * (last.yaw_rate_rps + state.yaw_rate_rps) * s_from_ns(state.stamp_ns - last.stamp_ns)
+        last = state
+    assert last is not None
+    place, driving = odometry.at(last.stamp_ns), odometry.driving_bias
+    assert place is not None
+    after = wrap_angle(place.odom_from_vehicle.yaw_rad - drive.heading_rad)
+    start_ns = drive.states[0].stamp_ns
+    return Outcome(
+        error_before_deg=abs(math.degrees(turned - drive.heading_rad)),
+        error_after_deg=abs(math.degrees(after)),
+        bias_error_dps=math.degrees(driving.rps - bias_rps),
+        bias_std_dps=math.degrees(driving.std_rps),
+        learnt_after_s=None if learnt_ns is None else s_from_ns(learnt_ns - start_ns),
+    )
+
+
+def without_standstill(states: Sequence[VehicleState], bias_rps: float) -> tuple[Drive, float]:
+    """A recorded drive joined over its standstills, with a bias put on; and its own bias, the mean at rest."""
+    valid = [state for state in states if state.valid]
+    # what stands is not what only comes to a stop: the first states of a rest still rock
+    rest = [state.yaw_rate_rps for state in valid if abs(state.speed_mps) <= 0.05]
+    own_rps = float(np.mean(rest)) if rest else 0.0
+    moving, heading_rad, cut_ns = [], 0.0, 0
+    last: VehicleState | None = None
+    for state in valid:
+        if abs(state.speed_mps) <= REST_MPS or (last is not None and state.stamp_ns - last.stamp_ns > ns_from_s(0.1)):
+            # the drive goes on a period later
+            cut_ns += 0 if last is None else state.stamp_ns - last.stamp_ns
+            last = state
+            continue
+        step_s = 0.0 if last is None else s_from_ns(state.stamp_ns - last.stamp_ns)
+        rates = 0.0 if last is None else 0.5 * (last.yaw_rate_rps + state.yaw_rate_rps)
+        heading_rad += (rates - own_rps) * step_s if moving else 0.0
+        moving.append(
+            msgspec.structs.replace(state, stamp_ns=state.stamp_ns - cut_ns, yaw_rate_rps=state.yaw_rate_rps + bias_rps)
+        )
+        last = state
+    return Drive(moving, heading_rad), own_rps + bias_rps
+
+
+def summary(outcomes: Sequence[Outcome]) -> dict[str, float | int | None]:
+    """Medians and worst cases over the seeds."""
+    before = [one.error_before_deg for one in outcomes]
+    after = [one.error_after_deg for one in outcomes]
+    learnt = [one.learnt_after_s for one in outcomes if one.learnt_after_s is not None]
+    return {
+        "drives": len(outcomes),
+        "before_median_deg": float(np.median(before)),
+        "before_max_deg": max(before),
+        "after_median_deg": float(np.median(after)),
+        "after_max_deg": max(after),
+        "learnt": len(learnt),
+        "learnt_after_median_s": float(np.median(learnt)) if learnt else None,
+        "bias_error_rms_dps": float(np.sqrt(np.mean([one.bias_error_dps**2 for one in outcomes]))),
+        "bias_std_median_dps": float(np.median([one.bias_std_dps for one in outcomes])),
+        "nees": float(np.mean([(one.bias_error_dps / one.bias_std_dps) ** 2 for one in outcomes])),
+    }
+
+
+def made_rows(seeds: int, duration_s: float, bias_rps: float) -> Iterator[dict[str, object]]:
+    """A row for each kind of drive and each set of sensors."""
+    for kind in KINDS:
+        drives = [made_drive(kind, seed, duration_s, bias_rps) for seed in range(seeds)]
+        for name, (steering, wheels) in SOURCES.items():
+            runs = [run(drive._replace(states=limited(drive.states, steering, wheels)), bias_rps) for drive in drives]
+            yield {"drive": kind, "sensors": name, "bias_dps": math.degrees(bias_rps), **summary(runs)}
+
+
+def logged_rows(states: Sequence[VehicleState], name: str) -> Iterator[dict[str, object]]:
+    """A row for each bias that is put on a recorded drive and each set of sensors."""
+    for put_on_dps in PUT_ON_DPS:
+        drive, bias_rps = without_standstill(states, math.radians(put_on_dps))
+        for sensors, (steering, wheels) in SOURCES.items():
+            outcome = run(drive._replace(states=limited(drive.states, steering, wheels)), bias_rps)
+            yield {"drive": name, "sensors": sensors, "bias_dps": math.degrees(bias_rps), **summary([outcome])}
+
+
+COLUMNS = (
+    "drive", "sensors", "bias_dps", "drives", "before_median_deg", "before_max_deg", "after_median_deg",
+    "after_max_deg", "learnt", "learnt_after_median_s", "bias_error_rms_dps", "bias_std_median_dps", "nees",
+)  # fmt: skip
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print a row a case."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=20, help="drives of each kind")
+    parser.add_argument("--duration", type=float, default=58.0, metavar="S")
+    parser.add_argument("--bias-dps", type=float, default=-0.41)
+    parser.add_argument("--log", type=Path, help="a recorded drive instead of made ones")
+    parser.add_argument("--dbc", type=Path)
+    parser.add_argument("--mapping", type=Path)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args(arguments)
+    if options.log is None:
+        rows = list(made_rows(options.seeds, options.duration, math.radians(options.bias_dps)))
+    elif options.dbc is None or options.mapping is None:
+        parser.error("--log needs --dbc and --mapping")
+    else:
+        rows = list(logged_rows(read_states(options.log, options.dbc, options.mapping), options.log.name))
+    if options.json:
+        print(json.dumps(rows, indent=1))
+        return 0
+    print(" | ".join(COLUMNS))
+    for row in rows:
+        print(" | ".join(f"{row[name]:.2f}" if isinstance(row[name], float) else str(row[name]) for name in COLUMNS))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

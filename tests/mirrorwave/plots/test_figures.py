@@ -1,0 +1,186 @@
+"""Figures of results: legends off the data (conftest looks at every one), letters for a page, signs for all lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from benchmarks.accuracy import severity, walls_and_corners
+from benchmarks.live import soak
+from benchmarks.perception import peak_refinement
+from mirrorwave.plots.style import legend_below, legend_beside, legend_of_figure, new_figure, save
+from mirrorwave.plots.training_curves import draw_curves as draw_training
+from mirrorwave.studies.evaluate.figures import draw_curves as draw_precision
+from mirrorwave.studies.evaluate.figures import draw_groups
+from mirrorwave.studies.tradeoff.figures import draw_front, draw_stages
+from mirrorwave.studies.tradeoff.report import Report
+from tests.mirrorwave.figures import assert_legends_off_data, assert_readable_at_page_width, legends_of
+
+
+def test_a_legend_over_the_data_or_out_of_the_figure_is_caught() -> None:
+    for place in ({"loc": "upper right"}, {"loc": "upper left", "bbox_to_anchor": (1.4, 1.0)}):
+        figure = new_figure(5.0, 4.0)
+        axes = figure.subplots()
+        axes.plot([0.0, 1.0], [0.0, 1.0], label="a line")
+        axes.legend(**place).set_in_layout(False)
+        with pytest.raises(AssertionError):
+            assert_legends_off_data(figure)
+
+
+def test_small_letters_on_a_wide_figure_are_caught() -> None:
+    # the numbers at the axes have 10 points: 5 on the page of a figure twice as wide
+    wide, right = new_figure(17.2, 4.0), new_figure(8.6, 4.0)
+    for figure in (wide, right):
+        figure.subplots()
+    with pytest.raises(AssertionError):
+        assert_readable_at_page_width(wide)
+    assert_readable_at_page_width(right)
+
+
+@pytest.mark.parametrize("add", [legend_below, legend_beside])
+def test_legends_of_an_axes_stand_off_it(add: Any) -> None:
+    figure = new_figure(8.0, 4.0)
+    for axes in figure.subplots(1, 2):
+        axes.plot([0.0, 1.0], [0.0, 1.0], label="a line with a name of some length")
+        axes.set_xlabel("time [s]")
+        add(axes)
+    assert_legends_off_data(figure)
+
+
+def test_one_legend_for_all_panels_names_each_label_once() -> None:
+    figure = new_figure(8.0, 4.0)
+    first, second = figure.subplots(1, 2)
+    handles = [axes.plot([0.0, 1.0], label=label)[0] for axes in (first, second) for label in ("a", "b")]
+    legend = legend_of_figure(figure, handles, columns=2)
+    assert [text.get_text() for text in legend.get_texts()] == ["a", "b"]
+    assert legend.legend_handles[0].get_color() == handles[0].get_color()
+    assert_legends_off_data(figure)
+
+
+def test_equal_figures_give_equal_bytes(tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        figure = new_figure(4.0, 3.0)
+        figure.subplots().plot([0.0, 1.0])
+        save(figure, tmp_path / name)
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def words(figure: Figure) -> list[str]:
+    return [text.get_text() for legend in legends_of(figure) for text in legend.get_texts()]
+
+
+def test_front_and_stages_of_the_committed_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
+    report = msgspec.json.decode(Path("launch/tradeoff.json").read_bytes(), type=Report)
+    draw_front(report, tmp_path / "front.png")
+    draw_stages(report, tmp_path / "stages.png")
+    front, stages = saved_figures
+    assert {"profile", "changes forming alone", "changes several"} <= set(words(front))
+    # the numbered settings of the front stand in the legend, not beside the axes
+    assert sum(one.startswith("on the front: ") for one in words(front)) == sum(row.pareto for row in report.rows)
+    assert words(stages) == ["transport", "forming", "detection", "geometry"]
+    for figure in saved_figures:
+        assert_readable_at_page_width(figure)
+
+
+def test_precision_and_groups_of_many_methods(tmp_path: Path, saved_figures: list[Figure]) -> None:
+    """26 methods: no name of the legend falls off the figure."""
+    curves = ("los", "mirrored", "recovered_1m", "hidden_1m")
+    point = {curve: {"recall": 0.5, "precision": 0.6} for curve in curves}
+    measures = ("dense_macro_f1", "recovered_1m_f1", "hidden_1m_f1", "recovered_chamfer_capped_m")
+    group = {"group": "place", "value": "street", "frames": 9, **{name: [0.5, 0.4, 0.6] for name in measures}}
+    methods = [
+        {"name": f"method {index} (of some more words)", "threshold": 0.5, "sweep": [{"threshold": 0.5, **point}],
+         "groups": [group] * 6}
+        for index in range(26)
+    ]  # fmt: skip
+    draw_precision({"methods": methods}, tmp_path / "pr.png")
+    draw_groups({"methods": methods}, tmp_path / "groups.png")
+    for figure in saved_figures:
+        assert len(words(figure)) == 26
+        assert_readable_at_page_width(figure)
+
+
+def test_curves_of_a_training_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
+    reports = [
+        SimpleNamespace(
+            epoch=epoch, train_loss=1.0 / (epoch + 1), validation_loss=1.1, macro_f1=0.5, los_f1=0.6, mirrored_f1=0.4,
+            best_macro_f1=0.5 + 0.01 * epoch,
+        )
+        for epoch in range(4)
+    ]  # fmt: skip
+    draw_training(reports, tmp_path / "curves.png")  # type: ignore[arg-type]
+    assert words(saved_figures[-1]) == ["training", "validation", "Macro-F1", "direct", "mirrored", "chosen"]
+    assert_readable_at_page_width(saved_figures[-1])
+
+
+def severity_rows() -> list[severity.Row]:
+    levels = {name: (0.0,) if name == "none" else fault.severities for name, fault in severity.FAULTS.items()}
+    return [
+        severity.Row(
+            fault=name, severity=level, scans=18, asked=18, found=17, missed=1, ghosts=1, error_mean_m=0.4,
+            error_p90_m=0.8, centre_error_mean_m=1.2, centre_error_p90_m=2.0, points_f1=0.9, flagged=float(index > 1),
+            flags={"silent_beams": 1.0}, silent=0,
+        )
+        for name, values in levels.items()
+        for index, level in enumerate(values)
+    ]  # fmt: skip
+
+
+def refinement() -> dict[str, Any]:
+    keys = [f"{way}_{key}" for way in ("ridge", "likelihood", "bound") for key in ("range_m", "azimuth_deg")]
+    keys += [f"{way}_median_azimuth_deg" for way in ("ridge", "likelihood", "bound")] + ["windowed_bound_range_m"]
+    rows = [{"snr_db": snr_db, **dict.fromkeys(keys, 0.1 + 0.1 / snr_db)} for snr_db in peak_refinement.SNR_DB]
+    pairs = [{**row, "cells": cells} for cells in peak_refinement.SEPARATIONS for row in rows]
+    return {"one_point": rows, "model_errors": rows, "two_points": pairs}
+
+
+def folded_rows() -> list[walls_and_corners.Row]:
+    ways = {"curved": ("straight", "arc"), "corner": ("folded once", "folded twice")}
+    return [
+        walls_and_corners.Row(scene=scene, at=at, order=order, way=way, labels=9, median_m=0.5 + at, within_1m=0.5)
+        for scene, names in ways.items()
+        for way in names
+        for at in (0.0, 0.5)
+        for order in (1, 2)
+    ]
+
+
+def an_hour() -> dict[str, Any]:
+    nodes = {name: 100.0 + 10.0 * index for index, name in enumerate(("geometry", "dense_predictor", "player"))}
+    latency = {"p50": 45.0, "p99": 64.0, "max": 80.0}
+    minutes = [
+        {
+            "at_s": 60.0 * minute,
+            "latency_ms": latency,
+            "resident_mib": nodes,
+            "phase": "kills" if minute > 3 else "calm",
+        }
+        for minute in range(1, 6)
+    ]
+    return {"minutes": minutes}
+
+
+@pytest.mark.parametrize(
+    ("draw", "result", "signs"),
+    [
+        (severity.draw, severity_rows, {"made up, per scan", "flagged in half of the scans or more"}),
+        (peak_refinement.draw, refinement, {"likelihood", "bound of the pair", "bound, raw samples"}),
+        (walls_and_corners.draw_figure, folded_rows, {"arc", "image in two walls, folded twice"}),
+        (soak.draw, an_hour, {"p99", "deadline", "kills", "dense_predictor"}),
+    ],
+    ids=["severity", "peak_refinement", "walls_and_corners", "soak"],
+)
+def test_figures_of_benchmarks(
+    draw: Any, result: Any, signs: set[str], tmp_path: Path, saved_figures: list[Figure]
+) -> None:
+    draw(result(), tmp_path / "a.png")
+    (figure,) = saved_figures
+    assert signs <= set(words(figure))
+    assert_readable_at_page_width(figure)
+    assert np.all(np.array(figure.get_size_inches()) < 40.0)

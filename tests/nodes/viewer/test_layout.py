@@ -1,0 +1,163 @@
+"""The page's layout in a real browser: no sideways scrolling on a phone, the timeline over the full width."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, StageTime, TopicCount
+from msgs.values.vehicle import VehicleState
+from nodes.viewer.assembly import Assembly
+from nodes.viewer.newest import Board
+from nodes.viewer.server import ViewerServer
+from tests.nodes.viewer import test_page
+
+pytestmark = test_page.pytestmark
+PHONE, TABLET, DESK = 400, 800, 1440
+Open = Callable[[ViewerServer, str, int], Any]
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with test_page.sync_api.sync_playwright() as playwright:
+        one = playwright.chromium.launch(executable_path=shutil.which("chromium") or "", args=test_page.FLAGS)
+        yield one
+        one.close()
+
+
+@pytest.fixture
+def open_page(browser: Any) -> Iterator[Open]:
+    contexts = []
+
+    def open_it(server: ViewerServer, scheme: str, width: int) -> Any:
+        contexts.append(browser.new_context(viewport={"width": width, "height": 860}, color_scheme=scheme))
+        page = contexts[-1].new_page()
+        page.goto(server.url)
+        test_page.until(page, "mirrorwave.state.connection === 'live'")
+        return page
+
+    yield open_it
+    for context in contexts:
+        context.close()
+
+
+def busy_board(urgent: int = 2) -> Board:
+    """A view with everything that needs room: objects, tracks, urgent and other warnings, nodes with reasons."""
+    board = Board()
+    for scan in range(4):
+        tracks = (
+            test_page.road_user(3, 25.0, 16.0, time_to_appear_s=2.4 - 0.3 * scan),
+            test_page.road_user(12, 30, -9),
+        )
+        test_page.board_tracks(board, scan, *tracks)
+    assembly: Assembly = board.__dict__["assembly"]
+    stage = StageTime(name="dense_predictor", count=1, last_ms=15.0, mean_ms=115.0, max_ms=316.0)
+    lost = TopicCount(topic="perception/hidden_objects", messages=5, bytes=1, lost=3000)
+    for node in ("ra_former", "dense_predictor", "geometry"):
+        assembly.take(
+            NodeStatus(
+                stamp_ns=0, node=node, pid=1, state=NodeState.DEGRADED, reason="a reason of some length " * 2,
+                stages=(stage,), received=(lost,), published=(lost,),
+                shed=(ShedCount(what="scan", reason="behind", count=7),),
+            ),
+            900_000_000,
+        )  # fmt: skip
+    assembly.take(VehicleState(stamp_ns=0, valid=False, reason="no speed since 3 s"), 900_000_000)
+    assembly.take(test_page.frame(4, (11.6, 8.5), (22.0, -13.75)), 1_200_000_000)
+    assembly.post_table(1_200_000_000)
+    return board
+
+
+#: Elements with text that reach beyond the screen or their own box; those for screen readers alone are not shown.
+CUT = """() => [...document.querySelectorAll('header *, .warnings *, main *, footer *')].filter((one) => {
+  const box = one.getBoundingClientRect();
+  if (!box.width || one.closest('.unseen') || one.tagName === 'OPTION') return false;
+  const text = [...one.childNodes].some((part) => part.nodeType === 3 && part.textContent.trim());
+  const clipped = text && one.scrollWidth > one.clientWidth + 1 && getComputedStyle(one).overflowX !== 'visible';
+  return box.right > document.documentElement.clientWidth + 0.5 || box.left < -0.5 || clipped;
+}).map((one) => `${one.tagName}#${one.id}.${one.className} ${one.textContent.trim().slice(0, 40)}`)"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [320, PHONE, TABLET])
+def test_a_narrow_page_scrolls_up_and_down_alone(open_page: Open, scheme: str, width: int) -> None:
+    with ViewerServer(busy_board(), title="a title of some length") as server:
+        page = open_page(server, scheme, width)
+        test_page.until(page, "mirrorwave.state.view && mirrorwave.state.nodes.length === 3")
+        test_page.until(page, "mirrorwave.state.warnings.length >= 2")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate("document.body.scrollWidth") <= width
+        assert page.evaluate(CUT) == []
+        inside = "[...document.querySelectorAll('section')].filter((one) => one.scrollWidth > one.clientWidth + 1)"
+        assert page.evaluate(f"{inside}.length") == 0
+        page.keyboard.press("?")
+        box = page.locator("#help").bounding_box()
+        assert box["x"] >= 0
+        assert box["x"] + box["width"] <= width
+        fits = "document.getElementById('help').scrollWidth <= document.getElementById('help').clientWidth"
+        assert page.evaluate(fits)
+
+
+#: Pixels of the strip's upper lane left of its first scan, 66 px from the left, in the colour of objects.
+ORANGE_LEFT = """() => {
+  const strip = document.getElementById('strip');
+  const ratio = strip.width / strip.clientWidth;
+  const { data } = strip.getContext('2d').getImageData(0, 0, Math.floor(65 * ratio), Math.floor(12 * ratio));
+  const wanted = getComputedStyle(document.documentElement).getPropertyValue('--object').trim().slice(1);
+  const parts = wanted.match(/../g).map((part) => parseInt(part, 16));
+  let count = 0;
+  for (let i = 0; i < data.length; i += 4) count += parts.every((part, k) => Math.abs(data[i + k] - part) < 12);
+  return count;
+}"""
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [PHONE, TABLET, DESK])
+def test_the_timeline_is_as_wide_as_the_page(tmp_path: Path, open_page: Open, scheme: str, width: int) -> None:
+    """Strip and slider reach from padding to padding, and the strip's last mark stands over the slider's end."""
+    from tests.mirrorwave.commands.captures.test_view import write_drive
+
+    with test_page.played(write_drive(tmp_path / "drive.mcap")) as server:
+        page = open_page(server, scheme, width)
+        test_page.until(page, "mirrorwave.state.overview && mirrorwave.state.timeline")
+        footer, strip, seek = (page.locator(one).bounding_box() for one in ("#timeline", "#strip", "#seek"))
+        padding = page.evaluate("parseFloat(getComputedStyle(document.getElementById('timeline')).paddingLeft)")
+        assert footer["width"] == pytest.approx(width, abs=0.5)
+        assert strip["width"] == pytest.approx(width - 2.0 * padding, abs=0.5)
+        assert strip["x"] == pytest.approx(padding, abs=0.5)
+        assert seek["x"] + seek["width"] == pytest.approx(strip["x"] + strip["width"], abs=0.5)
+        # the names of the lanes have the colour of axes alone: no mark of few, wide scans is drawn over them
+        page.evaluate("mirrorwave.state.overview = {times_s: [0, 5, 10], seen: [3, 3, 3], marks: []}")
+        page.evaluate("window.dispatchEvent(new Event('resize'))")
+        page.locator("#seek").fill("0")
+        test_page.until(page, "mirrorwave.state.timeline.index === 0")
+        assert page.evaluate(ORANGE_LEFT) == 0
+        assert page.evaluate(ORANGE_LEFT.replace("65", "200")) > 0
+        # buttons stand beneath, none beside it
+        for button in page.locator("#timeline button:visible").all():
+            assert button.bounding_box()["y"] >= seek["y"] + seek["height"] - 1.0
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.evaluate(CUT) == []
+        page.goto("about:blank")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_word_of_a_warning_is_cut_on_a_desk(open_page: Open, scheme: str) -> None:
+    with ViewerServer(busy_board(urgent=1), title="desk") as server:
+        page = open_page(server, scheme, DESK)
+        test_page.until(page, "mirrorwave.state.warnings.length >= 2")
+        # where several are urgent, these share the banner by their titles and times alone
+        cut = """() => [...document.querySelectorAll('.warnings li:not([data-level=urgent]) .words *')]
+          .filter((one) => {
+          const words = one.closest('.words').getBoundingClientRect();
+          const box = one.getBoundingClientRect();
+          const ends = [one.closest('li'), one.closest('ol')].map((part) => part.getBoundingClientRect().bottom);
+          return box.right > words.right + 1 || box.bottom > Math.min(...ends) + 1 ||
+            getComputedStyle(one).textOverflow === 'ellipsis';
+        }).map((one) => one.textContent)"""
+        assert page.locator(".warnings li:not([data-level=urgent]) .detail").count() >= 1
+        assert page.evaluate(cut) == []

@@ -1,0 +1,260 @@
+"""Scenes as YAML: what is read, and what is refused in one line."""
+
+from __future__ import annotations
+
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from msgs.files.shipped import CHECKOUT
+from sim_player.scene.description import OBJECT_KINDS, SceneObject, load_scene, scene_from_yaml, scene_to_yaml
+
+SCENES = sorted((CHECKOUT / "launch" / "scenes").glob("*.yaml"))
+MESHES = CHECKOUT / "tests" / "data" / "meshes"
+WALL = "{role: relay, material: concrete, polyline_m: [[10, -5], [10, 5]]}"
+
+
+def scene(surfaces: str = f"[{WALL}]", objects: str = "[]", more: str = "") -> str:
+    return f"name: test\nsurfaces: {surfaces}\nobjects: {objects}\n{more}"
+
+
+def test_all_fields_are_read() -> None:
+    text = scene(
+        "[{role: occluder, material: glass, polyline_m: [[5, 2], [8, 2], [8, 9]], height_m: 4, thickness_mm: 6,"
+        " roughness_mm: 0.2}, {role: ground, material: wet_ground}]",
+        "[{class: van, x_m: 12, y_m: 3.5, yaw_deg: 30, speed_mps: 2}]",
+        "radar: {preset: xband, height_m: 0.8}\nego: {speed_mps: 8, yaw_rate_dps: 3}",
+    )
+    read = scene_from_yaml(text)
+    assert read.surfaces[0].polyline_m == ((5.0, 2.0), (8.0, 2.0), (8.0, 9.0))
+    assert read.surfaces[0].thickness_mm == 6.0
+    assert (read.objects[0].class_, read.objects[0].speed_mps) == ("van", 2.0)
+    assert read.setup.radar_height_m == 0.8
+    assert read.moves
+
+
+def test_written_scene_reads_back_the_same() -> None:
+    for path in SCENES:
+        read = load_scene(path)
+        assert scene_from_yaml(scene_to_yaml(read)) == read
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "expected a mapping of name, radar, surfaces, objects, ego, weather, got nothing"),
+        ("[1]", "expected a mapping of name, radar, surfaces, objects, ego, weather, got a list"),
+        ("name: x\nradar: {heigth_m: 1}", "radar: object contains unknown field `heigth_m`; known are preset, height"),
+        (scene(WALL.replace("concrete", "cheese").join("[]")), "surfaces[0].material: unknown material 'cheese'"),
+        (scene("[]"), "surfaces: a scene needs at least one wall or object"),
+        (scene("[{role: ground, material: concrete}]"), "surfaces: a scene needs at least one wall or object"),
+        (scene(WALL.replace("[10, 5]", "[10, -5]").join("[]")), "surfaces[0].polyline_m[1]: a piece of wall must have"),
+        (scene(WALL.replace("[10, 5]", "[.nan, 5]").join("[]")), "surfaces[0].polyline_m[1][0]: must be finite"),
+        (scene(WALL.replace(", [10, 5]", "").join("[]")), "surfaces[0].polyline_m: needs two points or more, got 1"),
+        (scene(WALL.replace("relay", "mirror").join("[]")), "surfaces[0].role: "),
+        (scene(WALL.replace("}", ", thickness_mm: 0}").join("[]")), "surfaces[0].thickness_mm: must be positive"),
+        (scene(WALL.replace("}", ", roughness_mm: -1}").join("[]")), "surfaces[0].roughness_mm: must not be negative"),
+        (scene(WALL.replace("}", ", height_m: 0}").join("[]")), "surfaces[0].height_m: must be positive"),
+        (scene(WALL.replace("}", ", colour: red}").join("[]")), "surfaces[0]: "),
+        (scene(WALL.replace("10", "0.05").join("[]")), "surfaces[0].polyline_m[0]: the radar at (0, 0) must stand"),
+        (scene(objects="[{class: tank, x_m: 5, y_m: 0}]"), "objects[0].class: "),
+        (scene(objects="[{class: car, x_m: 5}]"), "objects[0]: object missing required field `y_m`"),
+        (scene(objects="[{class: car, x_m: .inf, y_m: 0}]"), "objects[0].x_m: must be finite, got inf"),
+        (scene(objects="[{class: car, x_m: 1, y_m: 0}]"), "objects[0].x_m: the radar at (0, 0) must stand outside"),
+        (scene(objects="[{class: car, x_m: 9, y_m: 0}]"), "objects[0].x_m: must stand clear of surfaces[0]"),
+        (scene(objects="[{class: car, x_m: 5, y_m: one}]"), "objects[0].y_m: expected `float`, got `str`"),
+        (scene(objects="[{mesh: car.obj, x_m: 5, y_m: 0}]"), "car.obj: no such mesh file"),
+        (scene(objects="[{mesh: car.obj, unit: cm, x_m: 5, y_m: 0}]"), "objects[0].unit: "),
+        (scene(objects="[{mesh: car.dae, x_m: 5, y_m: 0}]"), "car.dae: format: must be one of .obj, .ply"),
+        (scene(objects="[{x_m: 5, y_m: 0}]"), "objects[0]: must have one of class, mesh, primitive, got none"),
+        (
+            scene(objects="[{class: car, mesh: a.obj, x_m: 5, y_m: 0}]"),
+            "objects[0]: must have one of class, mesh, prim",
+        ),
+        (scene(objects="[{class: car, unit: mm, x_m: 5, y_m: 0}]"), "objects[0].unit: does not belong to a class"),
+        (scene(objects="[{class: car, z_m: 1, x_m: 5, y_m: 0}]"), "objects[0].z_m: does not belong to a class"),
+        (scene(objects="[{primitive: cone, size_m: [1], x_m: 5, y_m: 0}]"), "objects[0].primitive: "),
+        (scene(objects="[{primitive: box, size_m: [1, 2], x_m: 5, y_m: 0}]"), "objects[0].size_m: a box takes [length"),
+        (scene(objects="[{primitive: box, size_m: [1, .nan, 1], x_m: 5, y_m: 0}]"), "size_m[1]: must be finite"),
+        (
+            scene(objects="[{primitive: sphere, size_m: [99], x_m: 5, y_m: 0}]"),
+            "objects[0].size_m: the longest must lie",
+        ),
+        (scene(objects="[{primitive: sphere, size_m: [1], up: y, x_m: 5, y_m: 0}]"), "objects[0].up: does not belong"),
+        (scene(objects="[{primitive: sphere, size_m: [1], z_m: -1, x_m: 5, y_m: 0}]"), "objects[0].z_m: must not be"),
+        (
+            scene(objects="[{primitive: sphere, size_m: [1], material: jam, x_m: 5, y_m: 0}]"),
+            "objects[0].material: unk",
+        ),
+        (scene(objects="[{primitive: box, size_m: [2, 2, 2], x_m: 0.5, y_m: 0}]"), "must stand outside, got a box"),
+        (scene(objects="[{primitive: plate, size_m: [2, 2], x_m: 10, y_m: 0}]"), "must stand clear of surfaces[0]"),
+        (
+            scene(f"[{WALL}, {{role: ground, material: hedge}}]"),
+            "a ground must be a surf",
+        ),
+        (scene(WALL.replace("concrete", "double_glazing").replace("}", ", thickness_mm: 6}").join("[]")), "thickness"),
+        (scene(WALL.replace("}", ", correlation_mm: 0}").join("[]")), "surfaces[0].correlation_mm: must be positive"),
+        (
+            scene(WALL.replace("}", ", curvature_per_m: 0.2}").join("[]")),
+            "surfaces[0].curvature_per_m: |curvature| times",
+        ),
+        (
+            scene(WALL.replace("}", ", curvature_per_m: .nan}").join("[]")),
+            "surfaces[0].curvature_per_m: must be finite",
+        ),
+        (scene(more="radar: {separation_m: -0.1}"), "radar.separation_m: must be at least 0 and below 1 m, got -0.1"),
+        (scene(more="radar: {separation_m: 1}"), "radar.separation_m: must be at least 0 and below 1 m, got 1.0"),
+        (scene(more="radar: {front_end: {adc_bits: 3}}"), "radar.front_end.adc_bits: must be 4..16, got 3"),
+        (scene(more="radar: {front_end: {adc_bits: 17}}"), "radar.front_end.adc_bits: must be 4..16, got 17"),
+        (scene(more="radar: {front_end: {coupling_db: 0}}"), "radar.front_end.coupling_db: must be negative, got 0.0"),
+        (scene(more="radar: {front_end: {iq_gain_db: .inf}}"), "radar.front_end.iq_gain_db: must be finite, got inf"),
+        (scene(more="radar: {front_end: {flicker_corner_hz: -1}}"), "radar.front_end.flicker_corner_hz: must not be"),
+        (
+            scene(more="radar: {front_end: {spurs: [{frequency_hz: .nan, power_dbm: 0}]}}"),
+            "spurs[0].frequency_hz: must",
+        ),
+        (scene(more="weather: {rain_mm_per_h: 201}"), "weather.rain_mm_per_h: must lie in 0..200, got 201.0"),
+        (scene(more="weather: {temperature_c: -61}"), "weather.temperature_c: must lie in -60..60, got -61.0"),
+        (scene(more="weather: {pressure_hpa: 101325}"), "weather.pressure_hpa: must lie in 500..1100, got 101325.0"),
+        (scene(more="weather: {water_vapour_g_per_m3: 51}"), "weather.water_vapour_g_per_m3: must lie in 0..50"),
+        (scene(more="radar: {preset: sonar}"), "radar.preset: "),
+        (scene(more="radar: {height_m: 0}"), "radar.height_m: must be positive"),
+        (scene(WALL.replace("concrete", "brick").join("[]"), more="radar: {preset: 77ghz}"), "got 77 GHz"),
+        ("name: [", "not YAML: "),
+        ("just words", "weather, got text"),
+    ],
+)
+def test_bad_scenes_are_refused_in_one_line(text: str, complaint: str, tmp_path: Path) -> None:
+    """Every complaint starts with the file, then the field; it has one line."""
+    path = tmp_path / "x.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ValueError) as caught:
+        load_scene(path)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ")
+    assert complaint in message
+    assert "\n" not in message
+
+
+def test_missing_and_binary_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"none\.yaml: no such scene file"):
+        load_scene(tmp_path / "none.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ValueError, match=r"binary\.yaml: must be text in UTF-8, its byte 0 is none$"):
+        load_scene(tmp_path / "binary.yaml")
+    with pytest.raises(ValueError, match=r": Is a directory$"):
+        load_scene(tmp_path)
+
+
+def test_wall_that_swallows_a_wall_end_is_refused() -> None:
+    """A short wall wholly inside a bus crosses none of its faces, and is still in its way."""
+    text = scene(
+        "[{role: relay, material: metal, polyline_m: [[20, -0.2], [20, 0.2]]}]", "[{class: bus, x_m: 20, y_m: 0}]"
+    )
+    with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must stand clear of surfaces\[0\]"):
+        scene_from_yaml(text)
+
+
+def test_every_class_has_a_size() -> None:
+    assert list(OBJECT_KINDS) == ["car", "van", "truck", "bus", "bicycle", "pedestrian"]
+    for kind in OBJECT_KINDS.values():
+        assert min(kind.length_m, kind.width_m, kind.height_m) > 0.0
+
+
+def test_meshes_are_found_beside_the_scene(tmp_path: Path) -> None:
+    """A scene names its mesh by file; the object has the mesh's box and name, and the scene reads back alike."""
+    (tmp_path / "shapes").mkdir()
+    shutil.copy(MESHES / "two_box_car.glb", tmp_path / "shapes")
+    path = tmp_path / "x.yaml"
+    path.write_text(scene(objects="[{mesh: shapes/two_box_car.glb, x_m: 5, y_m: 3, yaw_deg: 90, speed_mps: 1}]"))
+    read = load_scene(path)
+    car = read.objects[0]
+    assert car.object_class == "two_box_car"
+    assert (car.kind.length_m, car.kind.width_m, car.kind.height_m) == pytest.approx((4.2, 1.8, 1.4), abs=1e-5)
+    # a quarter of the box's surface
+    assert car.kind.mean_rcs_dbsm == pytest.approx(10.0 * math.log10(2 * (4.2 * 1.8 + 1.8 * 1.4 + 1.4 * 4.2) / 4))
+    assert car.corners_m() == pytest.approx(np.array([[4.1, 5.1], [4.1, 0.9], [5.9, 0.9], [5.9, 5.1]]), abs=1e-5)
+    assert car.contains(np.array([[5.8, 5.0], [5.8, 5.2]])).tolist() == [True, False]
+    assert car.shape is not None
+    assert len(car.shape.faces) == 24
+    assert scene_from_yaml(scene_to_yaml(read)) == read
+
+
+def test_millimetres_read_as_metres_name_file_field_value_and_rule(tmp_path: Path) -> None:
+    shutil.copy(MESHES / "two_box_car_mm.ply", tmp_path / "car.ply")
+    path = tmp_path / "x.yaml"
+    path.write_text(scene(objects="[{mesh: car.ply, x_m: 5, y_m: 0}]"))
+    with pytest.raises(ValueError) as caught:
+        load_scene(path)
+    assert str(caught.value) == (
+        f"{path}: objects[0].mesh: {tmp_path / 'car.ply'}: unit: the longest extent must lie in 0.05..40 m, "
+        "got 4200 m in m: give unit: mm?"
+    )
+    path.write_text(scene(objects="[{mesh: car.ply, unit: mm, x_m: 5, y_m: 0}]"))
+    assert load_scene(path).objects[0].kind.length_m == pytest.approx(4.2, abs=1e-5)
+
+
+def test_primitives_stand_where_told() -> None:
+    """A thin plate keeps a body in plan; z_m lifts the mesh and its top."""
+    text = scene(
+        objects="[{primitive: plate, size_m: [2, 1], material: glass, z_m: 0.5, x_m: 5, y_m: 1, yaw_deg: 180}]"
+    )
+    read = scene_from_yaml(text)
+    sign = read.objects[0]
+    assert (sign.object_class, sign.kind.height_m, sign.kind.width_m) == ("plate", 1.5, 2.0)
+    assert sign.kind.length_m > 0.0
+    assert sign.shape is not None
+    assert sign.shape.material == "glass"
+    assert sign.shape.vertices_m[:, 2].min() == pytest.approx(0.5)
+    assert scene_from_yaml(scene_to_yaml(read)) == read
+    assert "class" not in scene_to_yaml(read)
+
+
+def test_a_class_has_no_mesh() -> None:
+    car = SceneObject(class_="car", x_m=5.0, y_m=0.0)
+    assert (car.object_class, car.shape, car.kind) == ("car", None, OBJECT_KINDS["car"])
+
+
+def test_walls_may_be_built_of_layers_or_be_foliage() -> None:
+    for material in ("double_glazing", "insulated_wall", "vegetation", "hedge"):
+        assert scene_from_yaml(scene(WALL.replace("concrete", material).join("[]"))).surfaces[0].material == material
+
+
+BULGE_M = (1.0 - math.sqrt(1.0 - (5.0 * 0.19) ** 2)) / 0.19
+
+
+@pytest.mark.parametrize(
+    ("curvature_per_m", "gap_m", "clear"), [(-0.19, 0.09, False), (-0.19, 0.11, True), (0.19, 0.09, True)]
+)
+def test_radar_keeps_off_arcs(curvature_per_m: float, gap_m: float, clear: bool) -> None:
+    """An arc over a chord of 10 m along +y must pass the radar 0.1 m off, wherever its chord is.
+
+    Left of +y is -x, where the centre of a positive curvature lies; with a negative one the arc bulges towards the
+    radar by `BULGE_M`, and its vertex passes at `gap_m`.
+    """
+    chord_m = BULGE_M + gap_m
+    wall = (
+        f"[{{role: relay, material: metal, polyline_m: [[{chord_m}, -5], [{chord_m}, 5]],"
+        f" curvature_per_m: {curvature_per_m}}}]"
+    )
+    if clear:
+        scene_from_yaml(scene(wall))
+    else:
+        with pytest.raises(ValueError, match=r"surfaces\[0\]\.polyline_m\[0\]: the radar .* with curvature -0\.19"):
+            scene_from_yaml(scene(wall))
+
+
+def test_object_in_the_bulge_of_an_arc_is_refused() -> None:
+    """The arc passes 3.6 m beyond its chord: there a car stands in the wall, on the chord it does not."""
+    wall = "[{role: relay, material: metal, polyline_m: [[9, -5], [9, 5]], curvature_per_m: 0.19}]"
+    scene_from_yaml(scene(wall, "[{class: car, x_m: 9, y_m: 0, yaw_deg: 90}]"))
+    with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must stand clear of surfaces\[0\]"):
+        scene_from_yaml(scene(wall, f"[{{class: car, x_m: {9.0 + BULGE_M}, y_m: 0, yaw_deg: 90}}]"))
+
+
+def test_places_out_of_this_world_are_refused() -> None:
+    with pytest.raises(ValueError, match=r"objects\[0\]\.x_m: must lie within 10000 of 0"):
+        scene_from_yaml("{name: a, objects: [{class: car, x_m: 1.0e+300, y_m: 0}]}")
