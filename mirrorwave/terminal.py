@@ -34,9 +34,13 @@ def open_closed_streams() -> None:
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115
 
 
+class _ReaderLeftError(BaseException):
+    """The reader of stdout has left; a library that handles every `Exception` must not take it for one of its own."""
+
+
 @contextlib.contextmanager
 def ends_with_reader() -> Iterator[None]:
-    """While the body runs, raise `BrokenPipeError` in it as soon as the reader of stdout has left.
+    """End the body with `BrokenPipeError` as soon as the reader of stdout has left, wherever the body is.
 
     Without it a listening verb would notice with its next line, which may never come. For the main thread.
     """
@@ -54,13 +58,18 @@ def ends_with_reader() -> Iterator[None]:
 
     thread = threading.Thread(target=watch, name="reader", daemon=True)
     before = signal.signal(signal.SIGPIPE, _say_reader_left)
-    thread.start()
+    # who had left before is noticed as soon as the thread runs
     try:
-        yield
+        thread.start()
+        try:
+            yield
+        finally:
+            os.close(end)
+            thread.join()
+            os.close(wake)
+    except _ReaderLeftError:
+        raise BrokenPipeError from None
     finally:
-        os.close(end)
-        thread.join()
-        os.close(wake)
         signal.signal(signal.SIGPIPE, before)
 
 
@@ -94,4 +103,4 @@ def _say_reader_left(number: int, frame: object) -> None:
     descriptor = _pipe_of_stdout()
     if descriptor is not None and _has_left(descriptor):
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-        raise BrokenPipeError
+        raise _ReaderLeftError

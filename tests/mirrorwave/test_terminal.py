@@ -291,6 +291,23 @@ def test_listening_verbs_do_not_wait_for_their_next_line(verb: str, box: Path) -
         assert process.stderr.read() == ""
 
 
+def test_a_body_that_survives_every_exception_ends_with_its_reader(box: Path) -> None:
+    """Libraries wrap what is raised in them, as python-can does around the import of an interface."""
+    code = (
+        "import time\nfrom mirrorwave.terminal import ends_with_reader\ntry:\n    with ends_with_reader():\n"
+        "        print('up', flush=True)\n        while True:\n            try:\n                time.sleep(60)\n"
+        "            except Exception:\n                pass\nexcept BrokenPipeError:\n    raise SystemExit(7)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"up\n"
+        process.stdout.close()
+        try:
+            assert process.wait(PATIENCE_S) == 7
+        finally:
+            process.kill()
+
+
 def test_the_head_of_a_stream(box: Path) -> None:
     with graph(box):
         echo = through_shell("mirrorwave topic echo vehicle/state | head -3")
