@@ -41,8 +41,6 @@ ROOT = CHECKOUT
 LIST = Path(__file__).with_name("mutations.yaml")
 #: What a copy of the tree does without, at its top.
 LEFT_OUT = (".git", ".venv", ".pytest_cache", ".mypy_cache", ".ruff_cache", ".hypothesis", "runs", "out", "data")
-#: Sources of these rooms have tests that mirror them under another name.
-MIRRORED_ROOMS = {"nodes/viewer": ("tests/viewer", "tests/nodes")}
 LAST_STAGE = "tests/stability"
 
 
@@ -130,8 +128,7 @@ def stages_of(root: Path, mutation: Mutation) -> list[list[str]]:
     package, _, stem = module.rpartition(r"\.")
     imports = re.compile(rf"\b{module}\b|from {package} import [^\n]*\b{stem}\b")
     importing = [file for file in files if imports.search((root / file).read_text())]
-    rooms = [f"{folder}/" for folder in mirrored_rooms(path)]
-    room = [file for file in files if file.startswith(tuple(rooms))]
+    room = [file for file in files if file.startswith(f"{mirrored_room(path)}/")]
     # a test that walks through the whole tree of sources or starts whole programs says nothing of one module
     importing = [file for file in importing if not file.startswith(("tests/docs/", "tests/fuzz/"))]
     stages, taken = [], set[str]()
@@ -143,13 +140,9 @@ def stages_of(root: Path, mutation: Mutation) -> list[list[str]]:
     return stages
 
 
-def mirrored_rooms(path: Path) -> tuple[str, ...]:
-    """Folders of tests that mirror a source's room: of models the inner one's name, else the room's own."""
-    folder = path.parent.as_posix()
-    if folder in MIRRORED_ROOMS:
-        return MIRRORED_ROOMS[folder]
-    parts = path.parts
-    return (f"tests/{parts[1] if parts[0] == 'models' else parts[0]}",)
+def mirrored_room(path: Path) -> str:
+    """Folder of the tests that mirror a source's room: of models the inner one's, else the root's."""
+    return "/".join(("tests", *path.parts[: 2 if path.parts[0] == "models" else 1]))
 
 
 class Workspace:
