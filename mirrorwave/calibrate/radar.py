@@ -30,7 +30,7 @@ def measure_background(
     """
     setup = capture.setup
     shape = setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2
-    found = []
+    beams = []
     for scan in complete_scans(capture.beams(), len(setup.beams), on_scan, scans):
         for beam in scan:
             if beam.samples.shape != shape or beam.full_scale_dbm != setup.full_scale_dbm:
@@ -38,10 +38,10 @@ def measure_background(
                     f"{capture.path}: beam {beam.beam_index} of scan {beam.scan_id} is not of the set-up: "
                     f"samples {beam.samples.shape}, full_scale_dbm {beam.full_scale_dbm!r}"
                 )
-        found.append(np.stack([mean_chirp(beam) for beam in scan]))
-    if len(found) < MIN_SCANS:
-        raise ValueError(f"{capture.path}: a background needs at least {MIN_SCANS} complete scans, got {len(found)}")
-    chirps = np.stack(found)
+        beams.append(np.stack([mean_chirp(beam) for beam in scan]))
+    if len(beams) < MIN_SCANS:
+        raise ValueError(f"{capture.path}: a background needs at least {MIN_SCANS} complete scans, got {len(beams)}")
+    chirps = np.stack(beams)
     background, outlier_share = background_of(chirps)
     try:
         return background, background_quality(chirps, setup, outlier_share)
@@ -52,12 +52,12 @@ def measure_background(
 def measure_noise(capture: Capture, scans: int, on_scan: Callable[[], None] = lambda: None) -> NoiseFloor:
     """Noise floor of up to so many scans; ValueError naming the file."""
     try:
-        meter, seen = NoiseMeter(capture.setup), set[int]()
+        meter, scan_ids = NoiseMeter(capture.setup), set[int]()
         for beam in capture.beams():
-            if beam.scan_id not in seen and len(seen) == scans:
+            if beam.scan_id not in scan_ids and len(scan_ids) == scans:
                 break
             meter.add(beam)
-            seen.add(beam.scan_id)
+            scan_ids.add(beam.scan_id)
             if beam.beam_index == beam.beam_count - 1:
                 on_scan()
         return meter.result()

@@ -9,9 +9,9 @@ import pytest
 from models.physics.waveform import window_noise_gain
 from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
 from sim_player.generate.places import random_place
+from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, choose, chosen, clean_profiles, plan_effects, plan_world, planned_profiles
-from sim_player.planner import plan as planner
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
