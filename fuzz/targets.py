@@ -775,7 +775,7 @@ def _dca_seeds() -> list[Parts]:
 def _json_seeds() -> list[Parts]:
     from fuzz import seeds
 
-    report = (seeds.ROOT / "launch/tradeoff.json").read_bytes()
+    report = (seeds.ROOT / "docs/results/tradeoff.json").read_bytes()
     return [
         [b"\0", report if len(report) < 1 << 15 else b"{}"],
         [b"\1", b'{"key": "a", "times_ms": {}}'],

@@ -121,8 +121,8 @@ def _load(target: str) -> Any:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss.
 
-    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/tools.md); 141 where the reader
-    of its output has left.
+    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/guides/watch-a-graph.md); 141
+    where the reader of its output has left.
     """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     code = _run(argv)

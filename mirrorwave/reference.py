@@ -54,7 +54,7 @@ not here is refused with its name. Parameters that are structures of their own a
 _COMMANDS_HEAD = """\
 Written by `make reference` from the command line itself; a test fails where this page and `--help` differ. Exit codes
 of all: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss, above 128 ended by a signal
-([tools](../tools.md#exit-codes)).
+([watch a graph](../guides/watch-a-graph.md#exit-codes)).
 """
 
 

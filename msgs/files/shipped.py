@@ -8,3 +8,5 @@ from pathlib import Path
 CHECKOUT = Path(__file__).resolve().parents[2]
 LAUNCH = CHECKOUT / "launch"
 WEIGHTS = CHECKOUT / "models" / "weights"
+#: What benchmarks measured, as pages and as files that the program reads.
+RESULTS = CHECKOUT / "docs" / "results"

@@ -36,7 +36,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 CHUNK_BYTES = 1 << 20
-#: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/recording.md).
+#: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/results/live.md).
 RESERVE_BYTES = 16 << 20
 #: What was written is sent to the disk, and its memory given back, while so much more is written.
 CACHED_BYTES = 64 << 20

@@ -34,7 +34,7 @@ SIGNAL_EFFECTS = (
     "spurs",
 )
 ALL_EFFECTS = frozenset(PATH_EFFECTS + WEIGHT_EFFECTS + SIGNAL_EFFECTS)
-#: What a path costs as a tone of a signal, on one core of the reference machine (docs/figures.md).
+#: What a path costs as a tone of a signal, on one core of the reference machine (docs/results/simulator.md).
 TONE_S = 6e-6
 _BIT = {name: 1 << index for index, name in enumerate(PATH_EFFECTS)}
 

@@ -65,7 +65,7 @@ def record(
     min_free: MinFree = None,
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
-    """Record a running graph until Ctrl-C (docs/recording.md); exit code 3 if messages are missing."""
+    """Record a running graph until Ctrl-C (docs/guides/recordings.md); exit code 3 if messages are missing."""
     from msgs.bus.zmq import ZmqBus, run_dir
     from nodes.node import Heartbeat, Stop, run_loop
     from nodes.recorder import Params
@@ -217,7 +217,9 @@ def convert(
     to: Annotated[Format | None, typer.Option("--to", help="Format; follows from OUT's suffix if left out.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Convert a recording for other tools (docs/convert.md); exit code 3 if something was missing or damaged."""
+    """Convert a recording for other tools (docs/guides/recordings.md); exit code 3 if something was missing or
+    damaged.
+    """
     require_new_file(out)
     found = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
     if as_json:

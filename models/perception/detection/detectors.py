@@ -23,7 +23,7 @@ from msgs.values.radar import RadarSetup, RangeAzimuthMap
 #: complex map makes point echoes likeliest; at the maxima, then there too; by pursuit, as many peaks as the heatmap's
 #: mass is worth.
 Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"]
-#: What `True` means: the best on the validation scenes (docs/learned-reconstruction.md).
+#: What `True` means: the best on the validation scenes (docs/results/learned.md).
 DEFAULT_REFINE: Refine = "pursuit"
 
 

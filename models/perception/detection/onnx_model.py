@@ -27,7 +27,7 @@ _NO_NETWORK = tuple(
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
 #: Where a network comes from that has all it needs.
-GUIDE = "`mirrorwave export` writes a network with its card: docs/train-on-my-captures.md"
+GUIDE = "`mirrorwave export` writes a network with its card: docs/guides/train-on-my-captures.md"
 #: The network in use unless another is named.
 DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
 

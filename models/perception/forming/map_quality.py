@@ -1,6 +1,6 @@
 """What a scan says of its own hardware: checks that need no truth, each on what folding leaves over anyway.
 
-Severities at which each speaks, and false alarms over clean scenes: docs/robustness.md.
+Severities at which each speaks, and false alarms over clean scenes: docs/explain/faults.md.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ _LOOKED_AT = 128
 #: Range bins this near hold the transmitter's leakage, which fills all beams by nature.
 _NEAR_BINS = 4
 #: A silent beam's mean power stays under the first over at least so many bins in which some beam is over the second:
-#: the side lobes of echoes this loud bring every live beam to 17 dB (docs/robustness.md). Their echoes must come from
+#: the side lobes of echoes this loud bring every live beam to 17 dB (docs/explain/faults.md). Their echoes come from
 #: so many directions: a lone one has nulls.
 _SILENT_DB, _LOUD_DB, _LOUD_BINS, _LOUD_DIRECTIONS = 5.0, 40.0, 8, 4
 #: A beam's noise over that of the others from which it is better left out.

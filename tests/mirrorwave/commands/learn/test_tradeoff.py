@@ -175,8 +175,8 @@ def test_the_front_is_what_none_beats_in_both() -> None:
 
 
 def test_the_documented_schema_is_that_of_the_report() -> None:
-    """`python -c "..."` of docs/formats.md writes it anew."""
-    documented = json.loads((CHECKOUT / "docs" / "tradeoff.schema.json").read_text())
+    """`python -c "..."` of docs/guides/formats.md writes it anew."""
+    documented = json.loads((CHECKOUT / "docs" / "results" / "tradeoff.schema.json").read_text())
     assert documented == msgspec.json.schema(Report)
 
 
