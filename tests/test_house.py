@@ -95,6 +95,58 @@ def test_the_law_catches_a_breach(module: str, source: str) -> None:
     assert violations(module, imported_modules(source))
 
 
+def import_graph(sources: dict[str, str]) -> dict[str, set[str]]:
+    """Which modules of `sources` each one imports: at its top, late in a function, or for its types alone."""
+    graph: dict[str, set[str]] = {module: set() for module in sources}
+    for module, source in sources.items():
+        for name in imported_modules(source):
+            # a name that is no module itself comes out of its module
+            target = name if name in sources else name.rpartition(".")[0]
+            if target in sources and target != module:
+                graph[module].add(target)
+    return graph
+
+
+def import_circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that all reach each other by imports, each group sorted."""
+    reached = {module: _reached_from(module, graph) for module in graph}
+    groups = {frozenset(other for other in found if module in reached[other]) for module, found in reached.items()}
+    return sorted(sorted(group) for group in groups if group)
+
+
+def _reached_from(module: str, graph: dict[str, set[str]]) -> set[str]:
+    """Modules that imports lead to from a module, itself only by way of a circle."""
+    found: set[str] = set()
+    waiting = set(graph[module])
+    while waiting:
+        found.add(name := waiting.pop())
+        waiting |= graph[name] - found
+    return found
+
+
+def test_no_modules_import_each_other() -> None:
+    """A module is read and tested with all that it imports; in a circle that is every one of its modules."""
+    assert import_circles(import_graph({module_name(path): path.read_text() for path in SOURCES})) == []
+
+
+@pytest.mark.parametrize(
+    ("sources", "circle"),
+    [
+        ({"a": "import b", "b": "from a import name"}, ["a", "b"]),
+        ({"a": "import b", "b": "def late():\n    import a"}, ["a", "b"]),
+        ({"a": "from r import b", "r.b": "if TYPE_CHECKING:\n    from a import Name"}, ["a", "r.b"]),
+        ({"a": "import b", "b": "import c", "c": "import a", "d": "import a"}, ["a", "b", "c"]),
+    ],
+)
+def test_the_law_of_circles_catches_a_breach(sources: dict[str, str], circle: list[str]) -> None:
+    assert import_circles(import_graph(sources)) == [circle]
+
+
+def test_the_law_of_circles_lets_pass_what_runs_one_way() -> None:
+    sources = {"a": "import b, c", "b": "import c\nfrom c import b", "c": "import numpy", "r": "from r import a"}
+    assert import_circles(import_graph(sources)) == []
+
+
 def test_supervisor_imports_no_process_of_the_graph() -> None:
     """A launch file names modules; the supervisor must not pull numba, onnxruntime or a scene into its own process."""
     heavy = {"nodes.ra_former", "nodes.player", "nodes.geometry", "nodes.dense_predictor"}

@@ -17,7 +17,7 @@ from models.physics.waveform import range_profile, window_noise_gain
 from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import Plan, chosen, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
 from sim_player.scene.description import Scene

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from sim_player.dataset.labelled_scan import LABELS, EffectChoice, LabelledScan, Labels, labelled_scan, noise_power_mw
-from sim_player.effects.names import check_effects
+from sim_player.effects.table import check_effects
 from sim_player.generate.domain_shift import (
     HARD,
     SHIFTS,

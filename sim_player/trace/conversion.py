@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sim_player.effects import WEIGHTS
+from sim_player.effects.table import WEIGHTS
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.paths import Paths

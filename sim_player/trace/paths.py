@@ -26,7 +26,7 @@ class Paths:
     amplitude: np.ndarray
     #: Bounces at walls on the way out and the way back, the larger of the two; uint8.
     order: np.ndarray
-    #: Bit of every effect without which the path would not be there (`sim_player.effects`), uint32.
+    #: Bit of every effect without which the path would not be there (`sim_player.effects.names`), uint32.
     needs: np.ndarray
     #: Piece of wall that returned or first mirrored it (index into `World.wall_a`), -1 for none; int32.
     surface: np.ndarray

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from sim_player.effects import PATHS
 from sim_player.effects.curved_wall import as_chords
+from sim_player.effects.table import PATHS
 from sim_player.scene.world import Snapshot, World, prepare, radar_pose, snapshot
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes

@@ -12,7 +12,7 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_scan import label_points
 from sim_player.dataset.shards import scene_seed
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import chosen, plan_world
 from sim_player.scene.description import Scene, scene_from_yaml
 from sim_player.trace.paths import Paths

@@ -36,7 +36,7 @@ def effects(
     """Which effects a scene calls for, what each could change, and why it is used or skipped."""
     import msgspec
 
-    from sim_player.effects.names import ALL_EFFECTS
+    from sim_player.effects.table import ALL_EFFECTS
     from sim_player.lidar.spad import plan_optics
     from sim_player.planner.plan import choose, chosen, plan_world
     from sim_player.scene.description import load_scene
