@@ -38,7 +38,7 @@ SEEK_NS = 5 * NANOSECONDS_PER_SECOND
 _CATCH_UP_NS = NANOSECONDS_PER_SECOND * 3 // 10
 #: A scan begun before the end is played to its end; one that lacks its last beam no longer than this.
 _SCAN_ENDS_NS = NANOSECONDS_PER_SECOND
-#: Older vehicle states say nothing about a scan (`nodes.inputs.state_history`).
+#: Older vehicle states say nothing about a scan (`models.perception.state_history`).
 _STATES_NS = NANOSECONDS_PER_SECOND // 2
 _TURN_S = 0.02
 _STATE = "vehicle/state"

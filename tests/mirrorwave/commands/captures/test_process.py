@@ -12,10 +12,9 @@ import pytest
 
 from mirrorwave.api import views
 from mirrorwave.cli import main
+from mirrorwave.convert.result_lines import bev_to_json, track_to_json
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
-from models.perception.geometry.objects import bev_to_json
-from models.perception.tracking.tracker import track_to_json
 from msgs.recording.mcap import RecordingWriter, info
 from msgs.values.radar import BeamGrid
 from msgs.values.vehicle import VehicleState
