@@ -18,7 +18,7 @@ from mirrorwave.studies.evaluate.objects import (
     run_objects,
     scenes_sha256,
 )
-from mirrorwave.studies.tradeoff.profile_chain import profile_setting
+from mirrorwave.studies.tradeoff.settings import profile_setting
 from models.evaluation.frame_scores import Estimate, bootstrap_weights
 from models.evaluation.object_metrics import (
     BANDS,

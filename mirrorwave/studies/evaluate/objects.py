@@ -11,7 +11,7 @@ from pathlib import Path
 import msgspec
 from threadpoolctl import threadpool_limits
 
-from mirrorwave.studies.tradeoff.profile_chain import ProfileParts
+from mirrorwave.node_chain import SharedParts
 from mirrorwave.studies.tradeoff.runner import claim
 from mirrorwave.studies.tradeoff.settings import Setting
 from models.evaluation.object_metrics import ImageTruth, ScanRow, scan_row
@@ -124,22 +124,20 @@ def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
 
 def _reports(player: ScenePlayer, settings: Sequence[Setting]) -> dict[str, Sequence[HiddenObject]]:
     """Objects that each profile reports of the first scan; none where it gives no view."""
-    # the receiver is not told how far its radar's power is off the nominal one
-    setup = RadarSetup()
-    chains: dict[str, Chain] = {one.value: _parts(msgspec.json.encode(one)).chain(setup) for one in settings}
+    chains: dict[str, Chain] = {one.value: _parts(msgspec.json.encode(one)).chain() for one in settings}
     reports: dict[str, Sequence[HiddenObject]] = dict.fromkeys(chains, ())
     state = player.vehicle_state(player.stamp_ns(0))
     for beam in (player.beam(0, index) for index in range(len(player.setup.beams))):
         for name, chain in chains.items():
             for view in chain.add(beam, state):
-                reports[name] = view.objects
+                reports[name] = view.frame.objects
     return reports
 
 
 @lru_cache(maxsize=64)
-def _parts(setting: bytes) -> ProfileParts:
-    """Parts of a profile, loaded once a process."""
-    return ProfileParts.of(msgspec.json.decode(setting, type=Setting), RadarSetup())
+def _parts(setting: bytes) -> SharedParts:
+    """Parts of a profile, loaded once a process; they know the nominal power, not how far off this radar's is."""
+    return SharedParts.of(msgspec.json.decode(setting, type=Setting).params, RadarSetup())
 
 
 def image_truth(player: ScenePlayer) -> list[ImageTruth]:

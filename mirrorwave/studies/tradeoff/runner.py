@@ -20,7 +20,9 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from mirrorwave.api import scan_beams
 from mirrorwave.console import error_line
+from mirrorwave.node_chain import SharedParts, stage_params
 from mirrorwave.studies.evaluate.runner import answer_of, truth_of_points
 from mirrorwave.studies.tradeoff.settings import STAGES, Setting
 from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
@@ -33,18 +35,11 @@ from msgs.values.frames import xy_from_polar
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.units import ns_from_s
-from nodes import dense_predictor, geometry, ra_former
-from nodes.process.validation import convert_at
+from nodes import dense_predictor, geometry
 from sim_player.dataset.labelled_beams import LabelledPlace
 
 #: What a row's latency is made of, in order: from the arrival of the last beam to that of the view.
 PARTS = ("transport", "forming", "detection", "geometry")
-#: What the parameters of a stage are.
-PARAMS: dict[str, type[Any]] = {
-    "ra_former": ra_former.Params,
-    "dense_predictor": dense_predictor.Params,
-    "geometry": geometry.Params,
-}
 #: Beside them, the work on all beams but the last, done while the next one is measured.
 BEFORE = "earlier beams"
 #: A hop over a socket on one machine that takes longer never comes.
@@ -126,11 +121,6 @@ def socket_hop() -> Iterator[Hop]:
             source.close()
 
 
-def params_of(row: Setting, stage: str) -> Any:
-    """A node's parameters under a row; raises `ValueError` naming the field that does not fit."""
-    return convert_at(row.of(stage), PARAMS[stage], stage)
-
-
 @dataclass
 class _Stages:
     """The parts of all rows, built at first use, and why some could not be."""
@@ -143,11 +133,13 @@ class _Stages:
         """Build what a row needs; raises whatever its parameters raise."""
         way, setup = Way.of(row), RadarSetup()
         if way.former not in self.former:
-            self.former[way.former] = RaFormer(setup, params_of(row, "ra_former"))
+            self.former[way.former] = RaFormer(setup, stage_params("ra_former", row.of("ra_former")))
         if way.detector[1] not in self.detector:
-            self.detector[way.detector[1]] = dense_predictor.detector_for(params_of(row, "dense_predictor"), setup)
+            self.detector[way.detector[1]] = dense_predictor.detector_for(
+                stage_params("dense_predictor", row.of("dense_predictor")), setup
+            )
         if way.geometry[2] not in self.geometry:
-            self.geometry[way.geometry[2]] = geometry.parts_of(params_of(row, "geometry"))
+            self.geometry[way.geometry[2]] = geometry.parts_of(stage_params("geometry", row.of("geometry")))
 
 
 @contextmanager
@@ -340,22 +332,11 @@ def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda
 
 def _row_memory_mib(row: Setting) -> float:
     """Run one empty scan through a row's chain in the calling process."""
-    stages, setup, way = _Stages(), RadarSetup(), Way.of(row)
-    stages.build(row)
-    samples = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
-    maps: list[RangeAzimuthMap] = []
-    for index, azimuth_rad in enumerate(setup.beams.azimuth_rad):
-        beam = RadarBeam(
-            stamp_ns=index * setup.beam_interval_ns,
-            scan_id=0,
-            beam_index=index,
-            beam_count=len(setup.beams),
-            azimuth_rad=float(azimuth_rad),
-            samples=samples,
-            full_scale_dbm=setup.full_scale_dbm,
-        )
-        maps += stages.former[way.former].add(beam)
-    recover_bev(stages.detector[way.detector[1]].detect(maps[0]), *stages.geometry[way.geometry[2]])
+    setup = RadarSetup()
+    chain = SharedParts.of(row.params, setup).chain()
+    beam = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
+    for one in scan_beams(np.broadcast_to(beam, (len(setup.beams), *beam.shape)), setup):
+        chain.add(one)
     return _peak_resident_mib()
 
 

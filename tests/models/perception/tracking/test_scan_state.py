@@ -97,12 +97,12 @@ def test_arrival_does_not_decide() -> None:
 def test_the_chain_says_the_same_as_the_node() -> None:
     player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4))
     detector = CfarDetector(player.setup)
-    chain = Chain(player.setup, detector, memory=MemoryParams(wall_map=True))
+    chain = Chain.of(player.setup, detector, memory=MemoryParams(wall_map=True))
     memory = ScanMemory(MemoryParams())
     for number in range(4):
         state = player.vehicle_state(player.stamp_ns(number))
         memory.add(state)
-        frames = [view for index in range(25) for view in chain.add(player.beam(number, index), state)]
+        frames = [view.frame for index in range(25) for view in chain.add(player.beam(number, index), state)]
         tracks = memory.tracked(frames[0], Pose2()).tracks
         assert frames[0].tracks == tracks
     assert tracks
