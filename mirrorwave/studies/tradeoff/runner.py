@@ -21,15 +21,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from mirrorwave.api import scan_beams
-from mirrorwave.console import error_line
 from mirrorwave.node_chain import SharedParts, stage_params
 from mirrorwave.studies.evaluate.runner import answer_of, truth_of_points
+from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.settings import STAGES, Setting
 from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
 from models.perception.detection.detectors import Detector
 from models.perception.forming.ra_forming import RaFormer
 from models.perception.geometry.stage import fold_scan, recover_bev
-from models.training.files import json_lines, write_whole
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import Peaks
@@ -140,15 +139,6 @@ class _Stages:
             )
         if way.geometry[2] not in self.geometry:
             self.geometry[way.geometry[2]] = geometry.parts_of(stage_params("geometry", row.of("geometry")))
-
-
-@contextmanager
-def charged(failed: dict[str, str], *names: str) -> Iterator[None]:
-    """What the body raises is the failure of these rows, put into `failed` in one line, and not of the run."""
-    try:
-        yield
-    except Exception as error:  # noqa: BLE001 - a row that cannot run is a result
-        failed.update(dict.fromkeys(names, error_line(error)))
 
 
 class Measuring:
@@ -291,31 +281,17 @@ def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None)
 
     Raises `ValueError` where `out` holds another run.
     """
-    claim(plan, out)
-    paths = [out / "frames" / f"frame-{index:05d}.msgpack" for index in range(plan.frames)]
-    missing = [index for index, path in enumerate(paths) if not path.exists()]
-    for _ in range(len(paths) - len(missing)):
-        on_frame()
-    if missing:
-        paths[0].parent.mkdir(parents=True, exist_ok=True)
+    files = {index: f"frames/frame-{index:05d}.msgpack" for index in range(plan.frames)}
+    run = ResumableRun(plan, out, FrameResult, files)
+    if missing := run.missing(on_frame):
         with socket_hop() as hop:
             measuring = Measuring(plan, hop)
             # the first call of anything compiles, allocates, reads
             measuring.frame(missing[0])
             for index in missing:
-                write_whole(paths[index], msgspec.msgpack.encode(measuring.frame(index)))
+                run.keep(index, measuring.frame(index))
                 on_frame()
-    return [msgspec.msgpack.decode(path.read_bytes(), type=FrameResult) for path in paths]
-
-
-def claim(plan: msgspec.Struct, out: Path) -> None:
-    """Write down which run a folder holds (`plan.json`); `ValueError` where it holds another."""
-    path, wanted = out / "plan.json", json_lines(plan)
-    if not path.exists():
-        out.mkdir(parents=True, exist_ok=True)
-        write_whole(path, wanted)
-    elif path.read_bytes() != wanted:
-        raise ValueError(f"{path}: out must be a new folder or hold the same run, holds another one")
+    return run.results()
 
 
 def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda: None) -> dict[str, float]:

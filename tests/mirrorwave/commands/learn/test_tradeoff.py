@@ -16,11 +16,10 @@ from typer.testing import CliRunner
 
 from mirrorwave.commands.learn.tradeoff import tradeoff
 from mirrorwave.node_chain import STAGE_PARAMS
+from mirrorwave.studies.report import Interval, Times
 from mirrorwave.studies.tradeoff.report import (
-    Interval,
     Report,
     Row,
-    Times,
     latency_ms,
     measuring_ms,
     read_report,
