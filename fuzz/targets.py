@@ -176,7 +176,7 @@ def _told(reader: Any) -> list[tuple[str, int, bytes]]:
 
 
 def _replay(parts: Parts, box: Box) -> None:
-    from mirrorwave.replay.schedule import LatchedMessages, ReplayParams, first_sensed_ns, whole_scans
+    from mirrorwave.replay.schedule import first_sensed_ns, latched_before, whole_scans
     from msgs.bus.topics import TOPICS
     from msgs.recording.mcap import RecordingReader
     from nodes.player import capture_events, moved
@@ -187,8 +187,7 @@ def _replay(parts: Parts, box: Box) -> None:
     with RecordingReader(path) as reader:
         topics = tuple(topic for topic in reader.types if topic in TOPICS)
         first_ns = first_sensed_ns(reader, topics, {})
-        params = ReplayParams(topics=topics, first_ns=first_ns, start_ns=first_ns)
-        LatchedMessages(reader, params).until(first_ns)
+        latched_before(reader, [topic for topic in topics if TOPICS[topic].latched], {}, first_ns)
         is_cut, end_ns = bool(number(parts, 1, 2)), None if number(parts, 1, 4) < 2 else first_ns + 400_000_000
         for recorded in whole_scans(reader.messages(topics, first_ns), is_cut, end_ns):
             moved(recorded.message, 1_000_000_000)

@@ -1,9 +1,9 @@
-"""What a type would have known, said beside msgspec's word on a field or a choice that it does not."""
+"""The fields and choices that a type has, listed where a value names another."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import msgspec.inspect
@@ -27,6 +27,31 @@ def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
         return text
     rule, place, path = text.partition(_PLACE)
     return f"{rule}; known are {', '.join(known)}{place}{path}"
+
+
+def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
+    """Raise `ValueError` for a field or a choice that `wanted` does not have; it lists those that are known.
+
+    `where` names the value; keys of mappings are named as they are written. Values of a wrong type are passed over:
+    what converts them says what is wrong with them.
+    """
+    _refuse(value, msgspec.inspect.type_info(wanted), where)
+
+
+def _refuse(value: Any, wanted: msgspec.inspect.Type, where: str) -> None:
+    for kind in _plain(wanted):
+        if isinstance(kind, msgspec.inspect.StructType) and isinstance(value, Mapping):
+            known = {field.encode_name: field.type for field in kind.fields}
+            for name, inner in value.items():
+                path = f"{where}.{name}" if where else str(name)
+                if name not in known:
+                    raise ValueError(f"{path}: unknown field; known are {', '.join(known)}")
+                _refuse(inner, known[name], path)
+        elif isinstance(kind, msgspec.inspect.DictType) and isinstance(value, Mapping):
+            for name, inner in value.items():
+                _refuse(inner, kind.value_type, f"{where}.{name}")
+        elif (choices := _choices(kind)) and isinstance(value, str) and value not in choices:
+            raise ValueError(f"{where}: unknown {value!r}; known are {', '.join(choices)}")
 
 
 def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:
