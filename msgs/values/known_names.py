@@ -62,7 +62,9 @@ def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:
     kinds = _alternatives(wanted)
     for step in _STEP.finditer(path):
         kinds = [inner for kind in kinds for inner in _inside(kind, step["field"])]
-    return list(dict.fromkeys(name for kind in kinds for name in (_fields(kind) if fields else _choices(kind))))
+    # of a Literal msgspec keeps no order
+    names = [name for kind in kinds for name in (_fields(kind) if fields else _choices(kind, in_order=False))]
+    return list(dict.fromkeys(names))
 
 
 def _alternatives(wanted: Any) -> list[Any]:
@@ -84,10 +86,11 @@ def _fields(kind: Any) -> dict[str, Any]:
     return {field.encode_name: field.type for field in msgspec.structs.fields(kind)} if _is_struct(kind) else {}
 
 
-def _choices(kind: Any) -> list[str]:
-    """The values that a type may have, where only some may."""
+def _choices(kind: Any, in_order: bool = True) -> list[str]:
+    """The values that a type may have, where only some may; those of a Literal in their order or sorted."""
     if typing.get_origin(kind) is typing.Literal:
-        return [str(value) for value in typing.get_args(kind)]
+        values = [str(value) for value in typing.get_args(kind)]
+        return values if in_order else sorted(values)
     return [str(item.value) for item in kind] if isinstance(kind, type) and issubclass(kind, Enum) else []
 
 

@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.commands.learn.evaluate_objects import ObjectRequest, measured, tables
+from mirrorwave.studies.evaluate.object_report import ObjectRequest, measured, tables
 from mirrorwave.studies.evaluate.objects import (
     ObjectPlan,
     ObjectSet,
@@ -137,7 +137,7 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
     sets = read_sets()
     small = {name: ObjectSet(seed=seed, places=1, effects="basic") for name, seed in (("a", 1), ("b", 2))}
     monkeypatch.setattr(
-        "mirrorwave.commands.learn.evaluate_objects.read_sets",
+        "mirrorwave.studies.evaluate.object_report.read_sets",
         lambda: msgspec.structs.replace(sets, sets=small, false_cost=0.25),
     )
     request = ObjectRequest(
