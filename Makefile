@@ -16,7 +16,7 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -m venv $(VENV) || { echo "cannot make $(VENV); on Debian: apt-get install python3-venv"; exit 1; }
 	$(BIN)/pip install --quiet --editable .
 	@# compiles the kernels once, so that no node does when it starts
-	$(BIN)/python -c "from models.perception.chain import Chain; from models.perception.detection.detectors import NetworkDetector; from msgs.values.radar import RadarSetup; Chain(RadarSetup(), NetworkDetector(RadarSetup()))"
+	$(BIN)/python -c "from models.perception.chain import Chain; from models.perception.detection.detectors import NetworkDetector; from msgs.values.radar import RadarSetup; Chain.of(RadarSetup(), NetworkDetector(RadarSetup()))"
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed

@@ -160,6 +160,72 @@ def test_no_room_is_a_warehouse(folder: Path) -> None:
     assert len(files) <= MAX_FILES, sorted(files)
 
 
+#: What a verb needs no import of: it hands options to one call, which computes or draws, and prints the answer.
+COMPUTING = ("numpy", "scipy", "numba", "matplotlib", "onnxruntime", "torch", "mirrorwave.plots.style")
+#: Lines of a module of verbs, lines of a function's body, products and quotients in one.
+MAX_VERB_LINES, MAX_VERB_BODY, MAX_VERB_PRODUCTS = 280, 55, 4
+VERBS = [path for path in SOURCES if module_name(path).startswith("mirrorwave.commands.")]
+
+
+def algorithms(source: str) -> list[str]:
+    """Signs that a module of verbs computes itself."""
+    tree = ast.parse(source)
+    found = [
+        f"imports {name}" for name in _run_time_imports(tree) if f"{name}.".startswith(tuple(map(_dotted, COMPUTING)))
+    ]
+    lines = len(source.splitlines())
+    found += [f"{lines} lines"] if lines > MAX_VERB_LINES else []
+    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+        body = (function.end_lineno or 0) - function.body[0].lineno + 1
+        found += [f"{function.name}: a body of {body} lines"] if body > MAX_VERB_BODY else []
+        operators = [node.op for node in ast.walk(function) if isinstance(node, ast.BinOp)]
+        products = sum(isinstance(one, ast.Mult | ast.Div | ast.Pow | ast.MatMult) for one in operators)
+        found += [f"{function.name}: {products} products"] if products > MAX_VERB_PRODUCTS else []
+    return found
+
+
+def _dotted(name: str) -> str:
+    return f"{name}."
+
+
+def _run_time_imports(tree: ast.Module) -> list[str]:
+    """Every import that is made when the program runs, lazy ones included, those for type checkers not."""
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    left = [
+        node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom) and id(node) not in typing_only
+    ]
+    return [name for node in left for name in imported_modules(ast.unparse(node))]
+
+
+@pytest.mark.parametrize("path", VERBS, ids=module_name)
+def test_verbs_hold_no_algorithm(path: Path) -> None:
+    assert algorithms(path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import numpy as np",
+        "def late():\n    from scipy import signal",
+        "def draw():\n    from mirrorwave.plots.style import new_figure",
+        "x = 1\n" * (MAX_VERB_LINES + 1),
+        "def verb():\n" + "    x = 1\n" * (MAX_VERB_BODY + 1),
+        "def level(a):\n    return a * a * a * a * a * a",
+    ],
+)
+def test_the_law_of_verbs_catches_a_breach(source: str) -> None:
+    assert algorithms(source)
+
+
+def test_the_law_of_verbs_lets_types_pass() -> None:
+    assert algorithms("if TYPE_CHECKING:\n    import numpy as np") == []
+
+
 @pytest.mark.parametrize("path", SOURCES, ids=module_name)
 def test_no_forbidden_words(path: Path) -> None:
     """No pickle, eval, exec, exit or print in the four floors below the command line."""

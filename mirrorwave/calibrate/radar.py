@@ -18,6 +18,7 @@ from models.perception.forming.background import (
     mean_chirp,
 )
 from models.perception.forming.noise_floor import NoiseFloor, NoiseMeter
+from msgs.files.whole_files import whole
 from msgs.values.units import db_from_ratio
 
 
@@ -91,6 +92,12 @@ def scene_with_receiver(path: Path, floor: NoiseFloor) -> str:
     scene = msgspec.structs.replace(scene, radar=radar)
     check_scene(scene)
     return scene_to_yaml(scene)
+
+
+def save_background(values: np.ndarray, out: Path) -> None:
+    """Write a background [beams, samples] as an array file."""
+    with whole(out) as part, part.open("wb") as file:
+        np.save(file, values)
 
 
 def draw_background(background: np.ndarray, capture: Capture, path: Path) -> None:

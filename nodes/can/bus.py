@@ -17,9 +17,10 @@ from cantools.database import Database
 from models.vehicle.can_state import CanDecoder, Judged, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule
 from msgs.files.shipped import CHECKOUT
+from msgs.values.known_names import refuse_unknown
 from msgs.values.units import NANOSECONDS_PER_SECOND, ns_from_s
 from nodes.process.launch_file import read_yaml_mapping
-from nodes.process.validation import convert_at, refuse_unknown
+from nodes.process.validation import convert_at
 
 _LOG = logging.getLogger(__name__)
 

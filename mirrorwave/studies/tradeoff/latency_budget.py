@@ -11,7 +11,8 @@ from tempfile import TemporaryDirectory
 import msgspec
 import numpy as np
 
-from mirrorwave.studies.tradeoff.report import latency_ms, machine, point_of, read_report, versions
+from mirrorwave.studies.report import machine, versions
+from mirrorwave.studies.tradeoff.report import latency_ms, point_of, read_report
 from mirrorwave.studies.tradeoff.runner import PARTS, Plan, run_plan
 from mirrorwave.studies.tradeoff.settings import PROFILE, Setting, profiles
 from models.training.files import json_lines, write_whole

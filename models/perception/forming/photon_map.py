@@ -7,6 +7,7 @@ uncorrelated. Sums over range cells have the variance of the sum, whatever stand
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -14,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 from scipy import sparse
 
+from models.perception.timing import Timed
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS
@@ -40,6 +42,25 @@ def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid)
     """
     _require_shape(np.shape(counts), spad, grid)
     return np.asarray(_overlaps(spad, grid) @ np.asarray(counts, np.float64).T)
+
+
+class PhotonFormer:
+    """Maps of one LiDAR; the counterpart of `FormingStage` for histograms."""
+
+    def __init__(self, timed: Timed = nullcontext) -> None:
+        self._setup: LidarSetup | None = None
+        self._timed = timed
+
+    def set_up(self, setup: LidarSetup) -> None:
+        """Form by another set-up."""
+        self._setup = setup
+
+    def add(self, histograms: PhotonHistograms) -> RangeAzimuthMap:
+        """Return the map of one scan; `ValueError` for histograms of another set-up, or before any."""
+        if self._setup is None:
+            raise ValueError(f"histograms of scan {histograms.scan_id} came before lidar/setup")
+        with self._timed("map"):
+            return photon_map(self._setup, histograms)
 
 
 def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthMap:

@@ -1,4 +1,4 @@
-"""Hidden objects from recovered points: clusters, boxes of what was seen, scores, covariances; and their JSON line.
+"""Hidden objects from recovered points: clusters, boxes of what was seen, scores, covariances.
 
 The centre is the mean of the seen points, weighted by amplitude and score: the centre of the visible face, which is
 what the radar measures. It is not pushed inwards by half a typical depth: that would trade a known quantity for a guess
@@ -20,7 +20,7 @@ from models.perception.geometry.rejection import in_open_view
 from models.physics.plane import segment_distance_m
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy
-from msgs.values.perception import BevFrame, HiddenObject, Wall
+from msgs.values.perception import HiddenObject, Wall
 
 #: A uniform face of length L has variance L^2 / 12 along it.
 UNIFORM_FACE = 12.0
@@ -249,35 +249,3 @@ def _across_ray(cluster: Recovered, weights: np.ndarray) -> float:
 def _half_turn(yaw_rad: float) -> float:
     """The same axis in (-pi/2, pi/2]: a box has no front."""
     return math.pi / 2.0 - (math.pi / 2.0 - yaw_rad) % math.pi
-
-
-def bev_to_json(frame: BevFrame) -> dict[str, object]:
-    """One line of `objects.jsonl` (DESIGN section 4): plain numbers, exact, so that equal frames give equal bytes."""
-    return {
-        "scan_id": frame.scan_id,
-        "stamp_ns": frame.stamp_ns,
-        "frame": "radar",
-        "walls": [
-            {
-                "normal": list(wall.normal),
-                "offset_m": wall.offset_m,
-                "ends_m": [list(end) for end in wall.ends_m],
-                "inliers": wall.inliers,
-            }
-            for wall in frame.walls
-        ],
-        "points": [{"x_m": point.x_m, "y_m": point.y_m, "score": point.score} for point in frame.points],
-        "objects": [
-            {
-                "id": one.id,
-                "x_m": one.x_m,
-                "y_m": one.y_m,
-                "length_m": one.length_m,
-                "width_m": one.width_m,
-                "yaw_rad": one.yaw_rad,
-                "score": one.score,
-                "cov_m2": [list(row) for row in one.cov_m2],
-            }
-            for one in frame.objects
-        ],
-    }

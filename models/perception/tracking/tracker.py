@@ -342,11 +342,6 @@ def _wall_ends(walls: Sequence[Wall], odom_from_radar: Pose2) -> tuple[np.ndarra
     return odom_from_radar.apply(ends[:, 0]), odom_from_radar.apply(ends[:, 1])
 
 
-def track_to_json(track: Track) -> dict[str, object]:
-    """One track of a line of `tracks.jsonl`: plain numbers, exact, so that equal tracks give equal bytes."""
-    return {name: getattr(track, name) for name in track.__struct_fields__}
-
-
 def _rotation(pose: Pose2) -> np.ndarray:
     c, s = math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)
     return np.array([[c, -s], [s, c]])

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 import typer
 
-from mirrorwave.commands.sim.material import material, overview, parse_angles
+from mirrorwave.commands.sim.material import material
 from mirrorwave.console import error_line, exit_code_of
+from mirrorwave.studies.walls.curves import overview, parse_angles
 from models.physics.attenuation import gas_db_per_m, rain_db_per_m, vegetation_db
 from models.physics.fresnel import slab_reflection, slab_transmission, stack_reflection, stack_transmission
 from models.physics.materials import permittivity, wall_layers

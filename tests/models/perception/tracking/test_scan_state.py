@@ -16,7 +16,6 @@ from models.perception.forming.ra_forming import FormingParams, RaFormer
 from models.perception.geometry.stage import GeometryParams, recover_bev
 from models.perception.tracking.odometry import MOST_WAITING, Odometry, ScanOdometry, standing
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
-from models.perception.tracking.tracker import track_to_json
 from msgs.bus.interface import Envelope, Received
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import Peaks
@@ -84,7 +83,7 @@ def lines(steps: Iterator[list[VehicleState | Peaks]]) -> str:
             for one in messages
         ]
         told += [out.message for out in node.step(received, 0)]
-    return "\n".join(repr([track_to_json(one) for one in view.tracks]) for view in told)
+    return "\n".join(repr(view.tracks) for view in told)
 
 
 def test_arrival_does_not_decide() -> None:
@@ -98,12 +97,12 @@ def test_arrival_does_not_decide() -> None:
 def test_the_chain_says_the_same_as_the_node() -> None:
     player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4))
     detector = CfarDetector(player.setup)
-    chain = Chain(player.setup, detector, memory=MemoryParams(wall_map=True))
+    chain = Chain.of(player.setup, detector, memory=MemoryParams(wall_map=True))
     memory = ScanMemory(MemoryParams())
     for number in range(4):
         state = player.vehicle_state(player.stamp_ns(number))
         memory.add(state)
-        frames = [view for index in range(25) for view in chain.add(player.beam(number, index), state)]
+        frames = [view.frame for index in range(25) for view in chain.add(player.beam(number, index), state)]
         tracks = memory.tracked(frames[0], Pose2()).tracks
         assert frames[0].tracks == tracks
     assert tracks

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from models.perception.state_history import KEPT_NS, KEPT_STATES, MAX_AGE_NS, StateHistory
 from msgs.values.vehicle import VehicleState
-from nodes.inputs.state_history import KEPT_NS, KEPT_STATES, MAX_AGE_NS, StateHistory
 
 
 def history(*stamps_ns: int) -> StateHistory:
