@@ -118,7 +118,7 @@ def _start_ray(ray: Any, workers: int) -> None:
 
 
 def _ray_result(ray: Any, ready: Any) -> Any:
-    """The result, or what the job itself raised."""
+    """Return the result, or what the job itself raised."""
     try:
         return ray.get(ready)
     except ray.exceptions.RayTaskError as error:
@@ -153,7 +153,7 @@ def _slurm(
 
 
 def _caught(function: Callable[[Job], Result], job: Job) -> Result | OSError | ValueError:
-    """A result, or the error itself: a task that fails would send its traceback as text."""
+    """Return a result, or the error itself: a task that fails would send its traceback as text."""
     try:
         return function(job)
     except (OSError, ValueError) as error:
@@ -161,7 +161,7 @@ def _caught(function: Callable[[Job], Result], job: Job) -> Result | OSError | V
 
 
 def _slurm_result(task: Any) -> Any:
-    """The result; raises what the job raised, or one line that says where the log of a dead task is."""
+    """Return the result; raises what the job raised, or one line that says where the log of a dead task is."""
     if task.exception() is not None:
         raise RuntimeError(f"job {task.job_id} died, its log is {task.paths.stderr}")
     result = task.result()

@@ -89,23 +89,24 @@ class LabelledScan:
 
 
 def clean_profiles(setup: RadarSetup, paths: Paths, range_bins: int = RANGE_BINS) -> np.ndarray:
-    """Windowed range profiles of all beams without noise, sqrt(mW), complex128 [beams, bins]."""
+    """Return the windowed range profiles of all beams without noise, sqrt(mW), complex128 [beams, bins]."""
     return beam_weights(setup, paths) @ range_profile(setup.radar, paths.length_m, range_bins, WINDOW)
 
 
 def profile_noise(setup: RadarSetup, seed: int, range_bins: int = RANGE_BINS) -> np.ndarray:
-    """Thermal noise of all beams as the profiles see it, and nothing else of the receiver; [beams, bins]."""
+    """Return the thermal noise of all beams as the profiles see it, and nothing else of the receiver; [beams, bins]."""
     return noise_profiles(setup, seed, THERMAL, range_bins=range_bins)
 
 
 def noise_power_mw(setup: RadarSetup) -> float:
-    """Mean thermal noise power of one profile bin, mW."""
+    """Return the mean thermal noise power of one profile bin, mW."""
     radar = setup.radar
     return radar.noise_power_mw * window_noise_gain(WINDOW) / (radar.samples_per_chirp * radar.chirps_per_beam)
 
 
 def simulate_profiles(scene: Scene, seed: int, gain_db: float = 0.0) -> tuple[np.ndarray, float, SceneTruth]:
-    """One scan of a scene at rest, basic effects: (profiles complex64 [beams, 512], noise power a bin in mW, truth).
+    """Return one scan of a scene at rest, basic effects: (profiles complex64 [beams, 512], noise power a bin in mW,
+    truth).
 
     `gain_db` scales the echoes, not the noise. Raises ValueError for a scene that moves.
     """
@@ -116,7 +117,8 @@ def simulate_profiles(scene: Scene, seed: int, gain_db: float = 0.0) -> tuple[np
 def scene_profiles(
     scene: Scene, seed: int, choice: EffectChoice = "auto", budget_db: float = -20.0, gain_db: float = 0.0
 ) -> tuple[np.ndarray, Labels, SceneTruth, Plan | None]:
-    """One scan of a scene at rest: (profiles complex64 [beams, 512] with noise, labels, truth, plan if there is one).
+    """Return one scan of a scene at rest: (profiles complex64 [beams, 512] with noise, labels, truth, plan if there is
+    one).
 
     ValueError for a scene that moves, an unknown effect, a budget that is not negative.
     """
@@ -128,12 +130,12 @@ def scene_profiles(
 def labelled_scan(
     scene: Scene, seed: int, choice: EffectChoice = "auto", budget_db: float = -20.0, gain_db: float = 0.0
 ) -> LabelledScan:
-    """The same as a data set keeps it; ValueError as above."""
+    """Return the same as a data set keeps it; ValueError as above."""
     return _Scan(scene, seed, choice, budget_db, gain_db).labelled()
 
 
 def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tuple[str, ...] | None = None) -> Labels:
-    """The truth points of traced paths as training labels; `classes` are those of the objects, in order."""
+    """Return the truth points of traced paths as training labels; `classes` are those of the objects, in order."""
     seen = paths.take(visible_paths(setup, paths))
     grid = RangeAzimuthGrid()
     names = np.array([*(classes or ["object"] * (int(seen.thing.max(initial=-1)) + 1)), WALL])
@@ -167,7 +169,7 @@ class _Scan:
         self.paths = trace(self.world) if self.plan is None else self.plan.paths
 
     def labelled(self) -> LabelledScan:
-        """Profiles and labels."""
+        """Return the profiles and labels."""
         profiles = self._basic_profiles() if self.plan is None else self._planned_profiles(self.plan)
         classes = tuple(thing.object_class for thing in self.scene.objects)
         return LabelledScan(
@@ -185,7 +187,7 @@ class _Scan:
         return np.asarray(echoes + profile_noise(self.setup, self.seed))
 
     def _planned_profiles(self, plan: Plan) -> np.ndarray:
-        """Echoes and noise under a plan, the converter only where this level can hold it."""
+        """Return the Echoes and noise under a plan, the converter only where this level can hold it."""
         objections = kernel_objections(self.setup, self.paths, plan.signal, self.scene.radar.front_end)
         if objections:
             self.plan = plan = without_converter(plan, "; ".join(objections))
@@ -195,14 +197,14 @@ class _Scan:
 
 
 def _plan(world: World, setup: RadarSetup, choice: EffectChoice, budget_db: float) -> Plan:
-    """What is decided about the effects of a scene."""
+    """Return what is decided about the effects of a scene."""
     if choice == "auto":
         return plan_world(world, setup, budget_db)
     return chosen(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
 
 
 def without_converter(plan: Plan, reason: str) -> Plan:
-    """A plan whose converter is ideal, and why: rounding or clipping that this level cannot hold."""
+    """Return a plan whose converter is ideal, and why: rounding or clipping that this level cannot hold."""
     left_out = {"used": False, "reason": f"left out at the kernel level: {reason}"}
     effects = (
         msgspec.structs.replace(effect, **left_out) if effect.name == "adc" else effect for effect in plan.effects
@@ -211,6 +213,6 @@ def without_converter(plan: Plan, reason: str) -> Plan:
 
 
 def _stronger(setup: RadarSetup, gain: float) -> RadarSetup:
-    """A set-up whose transmitter has so much more power."""
+    """Return a set-up whose transmitter has so much more power."""
     radar = msgspec.structs.replace(setup.radar, transmit_power_w=gain * setup.radar.transmit_power_w)
     return msgspec.structs.replace(setup, radar=radar)

@@ -104,7 +104,9 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return len(setup.beams) * RANGE_BINS * np.dtype(np.complex64).itemsize + _SCENE_TEXT_BYTES
 
     def described(self, seed: int) -> dict[str, Any]:
-        """A series as its folder says it: the generator by name, effects resolved, no budget where none is used."""
+        """Return a series as its folder says it: the generator by name, effects resolved, no budget where none is
+        used.
+        """
         choice = self.choice
         plain = msgspec.to_builtins(self) | {"seed": seed}
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
@@ -118,7 +120,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return dict(sorted(plain.items()))
 
     def shard_name(self, first: int) -> str:
-        """File of the scenes from `first` on."""
+        """Return the File of the scenes from `first` on."""
         return f"shard-{first // self.scenes_per_shard:05d}.npz"
 
 
@@ -164,7 +166,7 @@ def make_shard(job: ShardJob) -> ShardDone:
 
 
 def shard_done(job: ShardJob, state: Literal["kept", "made", "rewritten"]) -> ShardDone:
-    """What is told of a shard that is there."""
+    """Return what is told of a shard that is there."""
     return ShardDone(
         shard=job.path.name,
         first_scene=job.first,
@@ -176,7 +178,8 @@ def shard_done(job: ShardJob, state: Literal["kept", "made", "rewritten"]) -> Sh
 
 
 def shard_fault(job: ShardJob, sha256: str | None) -> str | None:
-    """Why a shard must be made: "" where there is none or only its beginning, else what is wrong; None: nothing is.
+    """Return why a shard must be made: "" where there is none or only its beginning, else what is wrong; None: nothing
+    is.
 
     A shard must be readable to its last array (npz carries CRC-32) and have its checksum where that is known.
     """
@@ -194,12 +197,12 @@ def shard_fault(job: ShardJob, sha256: str | None) -> str | None:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
+    """Return the SHA-256 of a file, hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read_shard(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of a shard; raises `ValueError` where it is none, `OSError` where it cannot be read."""
+    """Return all arrays of a shard; raises `ValueError` where it is none, `OSError` where it cannot be read."""
     return load_arrays(path)
 
 
@@ -212,7 +215,9 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Arrays of scenes first..first+count-1 of the series of a seed; `sim_player.dataset.writer` says which."""
+    """Return the arrays of scenes first..first+count-1 of the series of a seed; `sim_player.dataset.writer` says
+    which.
+    """
     profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
     for index in range(first, first + count):
         scene, place = draw_scene(recipe, seed, index)
@@ -243,7 +248,7 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
 
 
 def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, Any]]:
-    """Scene number `index` of a series, with its type of place and the kinds of its walls."""
+    """Return the scene number `index` of a series, with its type of place and the kinds of its walls."""
     if recipe.places == "street_v1":
         scene, facts = random_street(seed, index), {"place": "street_v1", "relays": []}
     else:
@@ -256,7 +261,7 @@ def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, 
 
 
 def scene_facts(scene: Scene) -> dict[str, Any]:
-    """What statistics need of a scene, so that nobody has to read its YAML."""
+    """Return what statistics need of a scene, so that nobody has to read its YAML."""
     names = ("role", "material", "roughness_mm", "curvature_per_m")
     return {
         "objects": [thing.object_class for thing in scene.objects],
@@ -265,12 +270,12 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
 
 
 def scene_seed(seed: int, index: int) -> int:
-    """One integer that names a scene's speckle and noise."""
+    """Return one integer that names a scene's speckle and noise."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1, np.uint64)[0])
 
 
 def _plan_line(recipe: Recipe, scan: LabelledScan) -> bytes:
-    """Which effects a scan has and, where they were planned, why."""
+    """Return which effects a scan has and, where they were planned, why."""
     line: dict[str, Any] = {"used": sorted(scan.used), "paths": scan.paths}
     plan = scan.plan
     if plan is not None:
@@ -286,7 +291,7 @@ def _shift_rng(seed: int, index: int, part: int) -> np.random.Generator:
 
 
 def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
-    """What a shard says of faulty boards; nothing where there are none."""
+    """Return what a shard says of faulty boards; nothing where there are none."""
     if not boards:
         return {}
     return {
@@ -296,5 +301,5 @@ def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
 
 
 def _joined(labels: list[Labels], name: str) -> np.ndarray:
-    """One array of all scenes' points."""
+    """Return one array of all scenes' points."""
     return np.concatenate([getattr(points, name) for points in labels])

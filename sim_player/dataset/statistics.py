@@ -85,7 +85,7 @@ _POINTS = ("range_m", "azimuth_rad", "path_class", "power_mw", "order", "object_
 
 
 def series_of(folder: Path) -> dict[str, Any]:
-    """What `series.json` says; ValueError where the folder holds no data set."""
+    """Return what `series.json` says; ValueError where the folder holds no data set."""
     path = folder / "series.json"
     try:
         found: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
@@ -116,7 +116,7 @@ def dataset_statistics(folder: Path) -> Statistics:
 
 
 def count_up(series: dict[str, Any], records: Iterable[SceneRecord]) -> Statistics:
-    """Statistics of records."""
+    """Return the statistics of records."""
     tally = _Tally()
     for record in records:
         tally.add(record)
@@ -193,7 +193,7 @@ class _Tally:
         self.hidden_in_noise += len(set(record.facts["hidden"]) - mirrored - direct)
 
     def statistics(self, series: dict[str, Any]) -> Statistics:
-        """All counts as they stand; ValueError without a scene."""
+        """Return all counts as they stand; ValueError without a scene."""
         scenes = self.places.total()
         if not scenes:
             raise ValueError("a data set must hold at least one scene, got none")
@@ -221,7 +221,7 @@ class _Tally:
 
 
 def histogram(edges: tuple[float, ...], values: dict[str, np.ndarray]) -> Histogram:
-    """Counts of values between edges; what lies outside goes to the first or the last bin."""
+    """Return the counts of values between edges; what lies outside goes to the first or the last bin."""
     inside = {name: np.clip(one, edges[0], np.nextafter(edges[-1], edges[0])) for name, one in values.items()}
     return Histogram(
         edges=edges, counts={name: np.histogram(one, np.array(edges))[0].tolist() for name, one in inside.items()}

@@ -123,7 +123,7 @@ class _Manifest:
         self.path, self.lines = path, _known(path)
 
     def sha256(self, job: ShardJob) -> str | None:
-        """Checksum of a shard as long as it should be, if it is known."""
+        """Return the checksum of a shard as long as it should be, if it is known."""
         line = self.lines.get(job.path.name, {})
         return line["sha256"] if line.get("scenes") == job.count else None
 
@@ -140,7 +140,7 @@ class _Manifest:
 
 
 def _known(manifest: Path) -> dict[str, dict[str, Any]]:
-    """Lines of a manifest by shard; none where it cannot be read."""
+    """Return the lines of a manifest by shard; none where it cannot be read."""
     names = ("shard", "first_scene", "scenes", "sha256")
     try:
         lines = [msgspec.json.decode(line) for line in manifest.read_bytes().splitlines()]
@@ -150,7 +150,7 @@ def _known(manifest: Path) -> dict[str, dict[str, Any]]:
 
 
 def _jobs(out_dir: Path, count: int, seed: int, recipe: Recipe) -> list[ShardJob]:
-    """All shards of a data set."""
+    """Return all shards of a data set."""
     size = recipe.scenes_per_shard
     return [
         ShardJob(folder=out_dir, recipe=recipe, seed=seed, first=first, count=min(size, count - first))

@@ -129,7 +129,7 @@ class _Bench:
         self.rows = (self.source + before // 2, self.back + behind // 2, self.front)
 
     def run(self, wall: bool, on_step: Callable[[int, float], None] | None) -> tuple[np.ndarray, np.ndarray, YeeGrid]:
-        """Phasors of u on the detector rows [3, nx] and everywhere [nx, nz], and the grid."""
+        """Return the phasors of u on the detector rows [3, nx] and everywhere [nx, nz], and the grid."""
         grid = YeeGrid(self.params, self._media() if wall else Media())
         drive = Drive(self.source, self.profile, 1.0 / (PULSE_SHARE * self.params.phase_per_step))
         every = max(1, int(2.0 * math.pi / (PICTURES_A_PERIOD * self.params.phase_per_step)))
@@ -144,11 +144,11 @@ class _Bench:
         return spectra, picture * every, grid
 
     def plane_wave(self, row: np.ndarray) -> complex:
-        """Share of the plane wave with k_par in a row of phasors."""
+        """Return the share of the plane wave with k_par in a row of phasors."""
         return complex(np.sum(row * np.exp(1j * self.along_per_m * self.x_m)))
 
     def _media(self) -> Media:
-        """Layers across the whole width."""
+        """Return the layers across the whole width."""
         shape = (self.params.cells_x, self.params.cells_z)
 
         def column(offset: float, inverse: bool = False) -> np.ndarray:

@@ -82,7 +82,7 @@ class GridParams:
         return 2.0 / (self.courant * self.cell_m) * math.sin(0.5 * self.phase_per_step)
 
     def wave_number(self, symbol: float) -> float:
-        """Wave number whose central difference (2/h) sin(k h / 2) is `symbol` [rad/m]."""
+        """Return the Wave number whose central difference (2/h) sin(k h / 2) is `symbol` [rad/m]."""
         return 2.0 / self.cell_m * math.asin(0.5 * self.cell_m * symbol)
 
 
@@ -185,7 +185,7 @@ class YeeGrid:
         return self.level / self.peak if self.peak > 0.0 else 1.0
 
     def energy(self) -> float:
-        """Electric plus magnetic energy at the present half-staggered instant, arbitrary unit (float64)."""
+        """Return the Electric plus magnetic energy at the present half-staggered instant, arbitrary unit (float64)."""
         total = 0.0
         for field, (_, drive) in ((self.u, self.at_u), (self.vx, self.at_vx), (self.vz, self.at_vz)):
             weight = self.params.courant / np.asarray(drive, np.float64)
@@ -193,7 +193,7 @@ class YeeGrid:
         return total
 
     def _medium(self, permittivity: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients a and b of an E component with ghost rows, [nx + 2, nz]."""
+        """Return the coefficients a and b of an E component with ghost rows, [nx + 2, nz]."""
         params = self.params
         shape = (params.cells_x, params.cells_z)
         eps = np.ones(shape, np.complex128) if permittivity is None else np.asarray(permittivity, np.complex128)
@@ -208,7 +208,7 @@ class YeeGrid:
     def _absorbers(
         self, position: np.ndarray, length: float, index: tuple[float, float] | None
     ) -> tuple[np.ndarray, ...]:
-        """Decay, drive, 1/kappa at nodes, then at half places; index None: no absorber."""
+        """Return the decay, drive, 1/kappa at nodes, then at half places; index None: no absorber."""
         params = self.params
         arrays: list[np.ndarray] = []
         for place in (position, position + 0.5):

@@ -191,7 +191,7 @@ class ReflectanceTable:
         roughness_m: float = 0.0,
         polarisation: Polarisation = "te",
     ) -> np.ndarray:
-        """alpha of Eq. (2), the power ratio of one bounce in the mirror direction (shape of cos_theta).
+        """Return alpha of Eq. (2), the power ratio of one bounce in the mirror direction (shape of cos_theta).
 
         The smooth wall's r by a spline over angle; what roughness leaves, in dB, linearly over cos^2 and over s^2, in
         which Kirchhoff's factor is straight. ValueError outside the table, and where a cell needed is absent, with why.
@@ -210,7 +210,9 @@ class ReflectanceTable:
     def reflected_power(
         self, wall: str, frequency_hz: float, polarisation: Polarisation = "te"
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Power reflected into all directions and the diffuse share of it, [L, B] each; nan where not measured."""
+        """Return the power reflected into all directions and the diffuse share of it, [L, B] each; nan where not
+        measured.
+        """
         at = self._index(wall, frequency_hz, polarisation)
         present = self.status[at] == MEASURED
         smooth = self._smooth_power(at, self.rough_angle_deg)
@@ -218,11 +220,13 @@ class ReflectanceTable:
         return reflected * smooth, 1.0 - self.specular_share[at] / reflected
 
     def compare(self) -> list[Comparison]:
-        """FDTD minus |r_exact|^2 exp(-g^2), one row a wall, band, polarisation and roughness that was run."""
+        """Return the FDTD minus |r_exact|^2 exp(-g^2), one row a wall, band, polarisation and roughness that was
+        run.
+        """
         return list(self._comparisons())
 
     def absent(self) -> list[tuple[str, float, Polarisation, float, float, str]]:
-        """Rough cells without a value: wall, band [Hz], polarisation, roughness [m], angle [deg], reason."""
+        """Return the rough cells without a value: wall, band [Hz], polarisation, roughness [m], angle [deg], reason."""
         found = []
         for w, f, p, level, b in np.argwhere(self.status != MEASURED):
             place = float(self.roughness_m[f, level]), float(self.rough_angle_deg[b])
@@ -231,7 +235,7 @@ class ReflectanceTable:
         return found
 
     def to_bytes(self) -> bytes:
-        """The arrays as npz; equal tables give equal bytes."""
+        """Return the arrays as npz; equal tables give equal bytes."""
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **{name: getattr(self, name) for name in self.ARRAYS})
         return buffer.getvalue()
@@ -282,7 +286,9 @@ class ReflectanceTable:
         return found
 
     def _roughness_db(self, at: tuple[int, int, int], angle_deg: np.ndarray, roughness_m: float) -> np.ndarray:
-        """What roughness takes [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent cell."""
+        """Return what roughness takes [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent
+        cell.
+        """
         levels = np.concatenate([[0.0], np.square(self.roughness_m[at[1]])])
         upper = int(np.clip(np.searchsorted(levels, roughness_m**2), 1, len(levels) - 1))
         share = (roughness_m**2 - levels[upper - 1]) / (levels[upper] - levels[upper - 1])
@@ -293,7 +299,7 @@ class ReflectanceTable:
         return loss_db
 
     def _level_db(self, at: tuple[int, int, int], level: int, angle_deg: np.ndarray) -> np.ndarray:
-        """What one roughness level takes [dB] over angle."""
+        """Return what one roughness level takes [dB] over angle."""
         angles_deg, status = self.rough_angle_deg, self.status[(*at, level)]
         needed = np.zeros(len(angles_deg), bool)
         right = np.clip(np.searchsorted(angles_deg, angle_deg), 1, len(angles_deg) - 1)
@@ -323,7 +329,7 @@ class ReflectanceTable:
         return self.walls.index(wall), near[0], POLARISATIONS.index(polarisation)
 
     def _angle_deg(self, cos_theta: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
-        """Angles [deg] of cosines; ValueError outside the table's."""
+        """Return the angles [deg] of cosines; ValueError outside the table's."""
         least = math.cos(math.radians(angles_deg[-1]))
         if not np.all((cos_theta >= least - 1e-12) & (cos_theta <= 1.0 + 1e-12)):
             raise ValueError(
@@ -333,7 +339,7 @@ class ReflectanceTable:
 
 
 def table_entries() -> list[Entry]:
-    """What the shipped table is made of, short runs first; a rough entry is one angle."""
+    """Return what the shipped table is made of, short runs first; a rough entry is one angle."""
     smooth = tuple(float(angle) for angle in SMOOTH_ANGLES_DEG)
     found = [Entry(wall, band, pol, 0.0, smooth) for wall in WALLS for band in BANDS_HZ for pol in POLARISATIONS]
     for angle in ROUGH_ANGLES_DEG:
@@ -409,7 +415,7 @@ def _load_card(path: Path) -> dict[str, Any]:
 
 
 def layers_of(wall: str, frequency_hz: float) -> Layers:
-    """Layers of a table's wall, beyond the range of its material too."""
+    """Return the layers of a table's wall, beyond the range of its material too."""
     material, thickness_m = WALLS[wall]
     return wall_layers(material, thickness_m, frequency_hz, extrapolate=True)
 
@@ -431,7 +437,7 @@ def simulate(entry: Entry) -> Done:
 
 
 def cut_opaque(layers: Layers, frequency_hz: float) -> Layers:
-    """The layers down to the first that nothing comes back through (OPAQUE_DB), which becomes a half-space."""
+    """Return the layers down to the first that nothing comes back through (OPAQUE_DB), which becomes a half-space."""
     for index, (eps, depth_m) in enumerate(layers):
         # the way straight through is the one with least loss
         decay_per_m = -2.0 * math.pi * frequency_hz / SPEED_OF_LIGHT_MPS * np.sqrt(complex(eps)).imag
@@ -441,7 +447,8 @@ def cut_opaque(layers: Layers, frequency_hz: float) -> Layers:
 
 
 def mirror_field(ratio: np.ndarray, kirchhoff: np.ndarray, phase_rad: float) -> tuple[complex, float]:
-    """Mean field of a rough wall and its standard error, from r_0 of surfaces and their Kirchhoff sums, both [seeds].
+    """Return the mean field of a rough wall and its standard error, from r_0 of surfaces and their Kirchhoff sums,
+    both [seeds].
 
     With g = phase_rad: mean(r_0) - beta (mean(K) - exp(-g^2/2)), beta the least-squares slope of r_0 on K; the
     error is that of what K leaves unexplained.
@@ -454,7 +461,7 @@ def mirror_field(ratio: np.ndarray, kirchhoff: np.ndarray, phase_rad: float) -> 
 
 
 def _rough_cell(entry: Entry, layers: Layers, angle_deg: float) -> Cell:
-    """Surfaces of all seeds at one angle, against the smooth wall."""
+    """Return the surfaces of all seeds at one angle, against the smooth wall."""
     angle_rad, wavelength_m = math.radians(angle_deg), SPEED_OF_LIGHT_MPS / entry.frequency_hz
     cells = METAL_CELLS if any(is_conductor(eps) for eps, _ in layers) else ROUGH_CELLS
     correlation_m = CORRELATION_WAVELENGTHS * wavelength_m
@@ -489,7 +496,7 @@ def _rough_cell(entry: Entry, layers: Layers, angle_deg: float) -> Cell:
 def _reference(
     layers: Layers, angle_rad: float, frequency_hz: float, polarisation: Polarisation, cells: float
 ) -> complex:
-    """Reflection of the smooth wall that a rough one is compared with.
+    """Return the reflection of the smooth wall that a rough one is compared with.
 
     A slab's on the same cells, which move its resonance. A half-space has none, and its face lies on nodes, which a
     rough face does not: there the exact value is nearer.
@@ -502,7 +509,7 @@ def _reference(
 
 
 def _read_partial(path: Path) -> dict[Entry, tuple[Cell, ...]]:
-    """Entries done by an earlier build under the same settings; a line cut off by its end is passed over."""
+    """Return the Entries done by an earlier build under the same settings; a line cut off by its end is passed over."""
     if not path.exists():
         return {}
     found = {}
@@ -557,7 +564,7 @@ def _place(cell: Cell, at: tuple[int, ...], status: np.ndarray, values: dict[str
 
 
 def _refused(walls: tuple[str, ...], bands_hz: tuple[float, ...]) -> np.ndarray:
-    """Where the engine takes no rough wall, bool [W, F, P]."""
+    """Return where the engine takes no rough wall, bool [W, F, P]."""
     metal = [[any(is_conductor(eps) for eps, _ in layers_of(wall, band)) for band in bands_hz] for wall in walls]
     return np.array(metal)[:, :, None] & (np.array(POLARISATIONS) == "tm")
 
@@ -570,7 +577,7 @@ def _described(
     rough_deg: np.ndarray,
     status: np.ndarray,
 ) -> dict[str, Any]:
-    """The card's part that the table knows itself."""
+    """Return the card's part that the table knows itself."""
     return {
         "walls": [{"name": wall, "built_of": _built_of(wall), "bands": _media_of(wall, bands_hz)} for wall in walls],
         "bands_ghz": [band / 1e9 for band in bands_hz],
@@ -597,7 +604,7 @@ def _built_of(wall: str) -> str:
 
 
 def _media_of(wall: str, bands_hz: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Permittivity of the front layer in each band, and what is extrapolated or cut."""
+    """Return the permittivity of the front layer in each band, and what is extrapolated or cut."""
     rows = []
     for band in bands_hz:
         layers = layers_of(wall, band)
@@ -611,7 +618,7 @@ def _media_of(wall: str, bands_hz: tuple[float, ...]) -> list[dict[str, Any]]:
 def _exact_db(
     wall: str, frequency_hz: float, polarisation: Polarisation, roughness_m: float, angles_deg: np.ndarray
 ) -> np.ndarray:
-    """The closed form of the ray tracer [dB]."""
+    """Return the closed form of the ray tracer [dB]."""
     media, thicknesses_m = zip(*layers_of(wall, frequency_hz), strict=True)
     cosine = np.cos(np.radians(angles_deg))
     r = stack_reflection(media, thicknesses_m, cosine, SPEED_OF_LIGHT_MPS / frequency_hz, polarisation)
@@ -619,7 +626,7 @@ def _exact_db(
 
 
 def _factor_db(roughness_m: float, angles_deg: np.ndarray, frequency_hz: float) -> np.ndarray:
-    """Kirchhoff's factor [dB]."""
+    """Return the Kirchhoff's factor [dB]."""
     cosine = np.cos(np.radians(angles_deg))
     return 10.0 * np.log10(coherent_power(np.asarray(roughness_m), cosine, SPEED_OF_LIGHT_MPS / frequency_hz))
 

@@ -67,7 +67,7 @@ class FloquetOrders:
 
 
 def rough_profile(width_m: float, roughness_m: float, correlation_m: float, seed: int, x_m: np.ndarray) -> np.ndarray:
-    """Heights [m] at x of a periodic Gaussian surface with correlation exp(-x^2 / correlation^2).
+    """Return the heights [m] at x of a periodic Gaussian surface with correlation exp(-x^2 / correlation^2).
 
     The same surface for any sampling. Each one is scaled to the wanted rms height exactly, its mean is zero.
     """
@@ -147,7 +147,7 @@ class _Strip:
         self.grid = replace(self.grid, bloch_rad=self.along_per_m * self.width_m)
 
     def media(self) -> Media:
-        """Permittivity where the fields live; tangential and normal E take arithmetic and harmonic means."""
+        """Return the permittivity where the fields live; tangential and normal E take arithmetic and harmonic means."""
         if self.grid.polarisation == "te":
             return Media(out=self._mean(0.0, 0.0))
         return Media(along=self._mean(0.0, 0.5), normal=1.0 / self._mean(0.5, 0.0, inverse=True))
@@ -155,7 +155,7 @@ class _Strip:
     def run(
         self, media: Media | None, on_step: Callable[[int, float], None] | None = None
     ) -> tuple[np.ndarray, YeeGrid]:
-        """Phasors of u at the probe rows, complex128 [2, nx]; without media one column of air."""
+        """Return the phasors of u at the probe rows, complex128 [2, nx]; without media one column of air."""
         params = self.grid
         if media is None:
             index = (params.normal_index[0],) * 2
@@ -201,7 +201,7 @@ class _Strip:
         )
 
     def _heights(self, cells_x: int, offset: float) -> np.ndarray:
-        """Heights in cells, [nx, sub-columns], of the columns around (i + offset)."""
+        """Return the heights in cells, [nx, sub-columns], of the columns around (i + offset)."""
         if self.rough.roughness_m == 0.0:
             return np.zeros((cells_x, 1))
         inside = (np.arange(SUB_COLUMNS) + 0.5) / SUB_COLUMNS - 0.5
@@ -210,7 +210,9 @@ class _Strip:
         return rough_profile(self.width_m, rough.roughness_m, rough.correlation_m, rough.seed, x_m) / self.cell_m
 
     def _mean(self, offset_x: float, offset_z: float, inverse: bool = False) -> np.ndarray:
-        """Mean of eps (or of 1 / eps) over the cells around (i + offset_x, k + offset_z), complex128 [nx, nz]."""
+        """Return the mean of eps (or of 1 / eps) over the cells around (i + offset_x, k + offset_z), complex128 [nx,
+        nz].
+        """
         top = np.arange(self.grid.cells_z) + offset_z + 0.5
         values = [1.0 + 0j, *(eps for eps, _ in self.layers)] + ([] if self.endless else [1.0 + 0j])
         values = [1.0 / value for value in values] if inverse else values
@@ -226,7 +228,9 @@ class _Strip:
 
 
 def cell_size(layers: Layers, wavelength_m: float, cells_per_wavelength: float) -> float:
-    """Cell [m] for so many a wavelength in the densest layer (good conductors apart), a whole number to layer one."""
+    """Return the cell [m] for so many a wavelength in the densest layer (good conductors apart), a whole number to
+    layer one.
+    """
     indices = [math.sqrt(eps.real) if is_conductor(eps) else np.sqrt(eps).real for eps, _ in layers]
     cell_m = wavelength_m / (cells_per_wavelength * max(indices))
     depth_m = layers[0][1]
@@ -234,7 +238,8 @@ def cell_size(layers: Layers, wavelength_m: float, cells_per_wavelength: float) 
 
 
 def quiet_width(least_m: float, sine: float, wavelength_m: float) -> float:
-    """Width [m], up to a wavelength above the least, whose orders keep clear of grazing, where they ring for long.
+    """Return the width [m], up to a wavelength above the least, whose orders keep clear of grazing, where they ring
+    for long.
 
     An order grazes where width (1 - sin) or width (1 + sin) is a whole number of wavelengths.
     """
@@ -245,5 +250,5 @@ def quiet_width(least_m: float, sine: float, wavelength_m: float) -> float:
 
 
 def is_conductor(permittivity: complex) -> bool:
-    """True where the skin is too thin for square cells: loss above ten times the permittivity."""
+    """Return True where the skin is too thin for square cells: loss above ten times the permittivity."""
     return -permittivity.imag > 10.0 * permittivity.real

@@ -52,7 +52,8 @@ def reflect(
     dtype: str = "float64",
     on_step: Callable[[int, float], None] | None = None,
 ) -> Scattered:
-    """Reflection of a plane wave by layers (permittivity, thickness_m) in air, front first, by time stepping.
+    """Return the reflection of a plane wave by layers (permittivity, thickness_m) in air, front first, by time
+    stepping.
 
     Smooth walls run on one column of cells, rough ones (rms height, correlation exp(-x^2/l^2)) on a periodic strip of
     `width_m`. Angle from the normal, at most 89 deg (86 deg rough). `on_step(steps, residue)` is called now and then.
@@ -78,7 +79,9 @@ def reflect_angles(
     dtype: str = "float64",
     workers: int = 2,
 ) -> list[Scattered]:
-    """`reflect` of a smooth wall at many angles, side by side on threads; same results for any number of workers."""
+    """Return `reflect` of a smooth wall at many angles, side by side on threads; same results for any number of
+    workers.
+    """
 
     def one(angle_rad: float) -> Scattered:
         return reflect(layers, float(angle_rad), frequency_hz, polarisation, cells_per_wavelength, dtype=dtype)
@@ -95,7 +98,9 @@ def _reflect_smooth(
     params: StripParams,
     on_step: Callable[[int, float], None] | None,
 ) -> Scattered:
-    """Two runs of a column, with and without the wall: their difference at the front face is the reflected wave."""
+    """Return two runs of a column, with and without the wall: their difference at the front face is the reflected
+    wave.
+    """
     if not 0.0 <= angle_rad <= MOST_ANGLE_RAD:
         raise ValueError(f"angle_rad must lie in [0, 89 deg], got {angle_rad!r}")
     wall, air = build_strips(layers, angle_rad, frequency_hz, params)
@@ -113,7 +118,7 @@ def _reflect_smooth(
 
 
 def _from_orders(found: FloquetOrders) -> Scattered:
-    """The public form of a wide strip's answer."""
+    """Return the public form of a wide strip's answer."""
     return Scattered(
         found.r,
         found.t,

@@ -81,13 +81,13 @@ class Phasors:
 
 
 def courant_limit_s(cell_m: np.ndarray, eps_r: np.ndarray, transverse_per_m: float) -> float:
-    """Longest stable time step of a column: c dt sqrt(1/h^2 + (k_par/2)^2) <= sqrt(eps_r) in every cell."""
+    """Return the longest stable time step of a column: c dt sqrt(1/h^2 + (k_par/2)^2) <= sqrt(eps_r) in every cell."""
     rate = np.sqrt((1.0 / np.square(cell_m) + (0.5 * transverse_per_m) ** 2) / eps_r)
     return float(1.0 / (SPEED_OF_LIGHT_MPS * rate.max()))
 
 
 def build_strips(layers: Layers, angle_rad: float, frequency_hz: float, params: StripParams) -> tuple[Strip, Strip]:
-    """The column with the wall and the one of air alone, on the same air cells and time step."""
+    """Return the column with the wall and the one of air alone, on the same air cells and time step."""
     layers = checked_layers(layers)
     sine, cosine = math.sin(angle_rad), math.cos(angle_rad)
     if not (0.0 <= angle_rad < 0.5 * math.pi and cosine > 1e-4):
@@ -158,7 +158,9 @@ def run_strip(strip: Strip, frequency_hz: float, polarisation: Polarisation, par
 
 
 def _node_mean(per_cell: np.ndarray, cell_m: np.ndarray) -> np.ndarray:
-    """Mean over the cell around each node: tangential E is continuous, so its permittivities add by length."""
+    """Return the mean over the cell around each node: tangential E is continuous, so its permittivities add by
+    length.
+    """
     mean = np.empty(len(per_cell) + 1)
     mean[0], mean[-1] = per_cell[0], per_cell[-1]
     weighted = per_cell * cell_m
@@ -169,7 +171,7 @@ def _node_mean(per_cell: np.ndarray, cell_m: np.ndarray) -> np.ndarray:
 def _absorbers(
     strip: Strip, position: np.ndarray, absorber: CpmlParams, frequency_hz: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decay, drive and 1/kappa of both ends at positions counted in cells."""
+    """Return the decay, drive and 1/kappa of both ends at positions counted in cells."""
     low = layer(
         absorber,
         absorber.cells - position,

@@ -93,7 +93,7 @@ class Corner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def corner_scene(corner: Corner, seed: int = 0, viewpoint: int = 0) -> Scene:
-    """The scene of a setting at X-band, from one viewpoint of a seeded series; always passes `check_scene`.
+    """Return the scene of a setting at X-band, from one viewpoint of a seeded series; always passes `check_scene`.
 
     Surfaces: relay wall, hiding wall; one object. ValueError for a negative seed or viewpoint, and where the object
     finds no room beside the walls or cannot be hidden (too large for its range or too steep an incidence).
@@ -114,7 +114,7 @@ def corner_scene(corner: Corner, seed: int = 0, viewpoint: int = 0) -> Scene:
 
 
 def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
-    """One attempt; the same numbers are drawn whatever the setting."""
+    """Return one attempt; the same numbers are drawn whatever the setting."""
     azimuth_rad, yaw_rad = np.radians(rng.uniform(-1.0, 1.0, 2) * [AZIMUTH_DEG, YAW_DEG]).tolist()
     shift_m, flip = rng.uniform(-SHIFT_M, SHIFT_M, 2), float(rng.choice([-1.0, 1.0]))
     theta, near_m = math.radians(corner.incidence_deg), corner.wall_share * corner.range_m
@@ -141,7 +141,7 @@ def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
 
 
 def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
-    """A wall of `WALLS`."""
+    """Return a wall of `WALLS`."""
     kind = WALLS[name]
     return Surface(
         role="relay",
@@ -154,7 +154,9 @@ def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
 
 
 def _hiding_span(radar: np.ndarray, box: np.ndarray) -> tuple[float, float] | None:
-    """From where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it all."""
+    """Return the From where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it
+    all.
+    """
     if box.min() < CLEARANCE_M:
         return None
     share = -radar[0] / (box[:, 0] - radar[0])
@@ -179,11 +181,11 @@ class _Frame:
         return self.azimuth_rad + self.flip * (0.5 * math.pi - self.theta)
 
     def heading_rad(self, angle_rad: float) -> float:
-        """A heading against u as one against x."""
+        """Return a heading against u as one against x."""
         return math.remainder(self.along_rad + self.flip * angle_rad, 2.0 * math.pi)
 
     def points(self, points: np.ndarray | list[list[float]] | list[np.ndarray]) -> tuple[Point, ...]:
-        """Points [N, 2]."""
+        """Return the points [N, 2]."""
         u = np.array([math.cos(self.along_rad), math.sin(self.along_rad)])
         n = self.flip * np.array([-u[1], u[0]])
         origin = self.near_m * np.array([math.cos(self.azimuth_rad), math.sin(self.azimuth_rad)])
@@ -192,7 +194,7 @@ class _Frame:
 
 
 def comparison_place(seed: int, index: int, kind: PlaceKind) -> Scene:
-    """A random place of a kind whose materials are known at both bands, with the X-band radar in it.
+    """Return a random place of a kind whose materials are known at both bands, with the X-band radar in it.
 
     ValueError as `draw_place`.
     """
@@ -200,7 +202,7 @@ def comparison_place(seed: int, index: int, kind: PlaceKind) -> Scene:
 
 
 def with_sensor(scene: Scene, preset: str, spad: SpadParams | None = None) -> Scene:
-    """The same place seen by another sensor, without faults, at the same spot.
+    """Return the same place seen by another sensor, without faults, at the same spot.
 
     ValueError where the sensor or a material at its carrier is unknown.
     """
@@ -227,7 +229,7 @@ class MirrorWay:
 
 
 def mirror_way(scene: Scene, surface: int = 0, thing: int = 0) -> MirrorWay:
-    """The way from the sensor to an object by the line of a straight wall of two points."""
+    """Return the way from the sensor to an object by the line of a straight wall of two points."""
     a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
     normal, offset_m = wall_from_ends(a, b, np.zeros(2))
     place = np.array([scene.objects[thing].x_m, scene.objects[thing].y_m])
@@ -257,7 +259,8 @@ class ShownPoints:
 
 
 def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = None) -> ShownPoints:
-    """Points on the sides of objects that one mirror shows within the grid: geometry alone, no power is looked at.
+    """Return the points on the sides of objects that one mirror shows within the grid: geometry alone, no power is
+    looked at.
 
     Scattering centres of the objects, thinned to `TRUTH_SPACING_M` in order; the same for every sensor.
     """
@@ -278,7 +281,7 @@ def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = No
 
 
 def incidences(scene: Scene, shown: ShownPoints, surface: int = 0) -> tuple[float, float]:
-    """Least and largest cosine of incidence at the line of a straight wall, over what it shows."""
+    """Return the least and largest cosine of incidence at the line of a straight wall, over what it shows."""
     a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
     normal, _ = wall_from_ends(a, b, np.zeros(2))
     cosine = -(shown.image_m @ normal) / np.linalg.norm(shown.image_m, axis=1)
@@ -286,7 +289,7 @@ def incidences(scene: Scene, shown: ShownPoints, surface: int = 0) -> tuple[floa
 
 
 def _apart(points_m: np.ndarray, thing: np.ndarray) -> np.ndarray:
-    """Greedy choice: indices of points at least `TRUTH_SPACING_M` from all kept ones of their object."""
+    """Return the greedy choice: indices of points at least `TRUTH_SPACING_M` from all kept ones of their object."""
     kept: list[int] = []
     for index, point_m in enumerate(points_m):
         own = [one for one in kept if thing[one] == thing[index]]

@@ -84,7 +84,7 @@ class BoardFaults:
 
 
 def shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = HARD) -> Scene:
-    """The same place with rougher surfaces and clutter; passes `check_scene`."""
+    """Return the same place with rougher surfaces and clutter; passes `check_scene`."""
     factor = float(rng.uniform(*params.roughness_factor))
     surfaces = tuple(msgspec.structs.replace(one, roughness_mm=factor * one.roughness_mm) for one in scene.surfaces)
     scene = msgspec.structs.replace(scene, surfaces=surfaces)
@@ -96,7 +96,7 @@ def shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = 
 
 
 def draw_faults(rng: np.random.Generator, beams: int, params: ShiftParams = HARD) -> BoardFaults:
-    """Faults of one scan; a board with fewer beams than are to die keeps one."""
+    """Return the Faults of one scan; a board with fewer beams than are to die keeps one."""
     gain = rng.uniform(*params.beam_gain, beams)
     phase_rad = math.radians(params.beam_phase_deg) * rng.standard_normal(beams)
     dead = np.zeros(beams, bool)
@@ -105,7 +105,7 @@ def draw_faults(rng: np.random.Generator, beams: int, params: ShiftParams = HARD
 
 
 def faulty_profiles(profiles: np.ndarray, faults: BoardFaults, setup: RadarSetup, seed: int) -> np.ndarray:
-    """Profiles complex64 [beams, bins] as such a board gives them; dead beams hold zeros.
+    """Return the profiles complex64 [beams, bins] as such a board gives them; dead beams hold zeros.
 
     Weaker echoes meet the same thermal noise: what the gain takes of it is drawn anew, so the noise stays as stated.
     """
@@ -122,14 +122,14 @@ def _count(rng: np.random.Generator, band: tuple[int, int]) -> int:
 
 
 def _spot(rng: np.random.Generator) -> np.ndarray:
-    """A place before the radar, uniform over the plane's sector, [2]."""
+    """Return a place before the radar, uniform over the plane's sector, [2]."""
     range_m = math.sqrt(rng.uniform(RADAR_ROOM_M**2, FARTHEST_M**2))
     azimuth_rad = rng.uniform(-SECTOR_RAD, SECTOR_RAD)
     return range_m * np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
 
 
 def _with_clutter(scene: Scene, kind: Clutter, rng: np.random.Generator) -> Scene:
-    """A scene with one more piece of clutter where it has room; the scene as it is where none was found."""
+    """Return a scene with one more piece of clutter where it has room; the scene as it is where none was found."""
     length_m, height_m = float(rng.uniform(*kind.length_m)), float(rng.uniform(*kind.height_m))
     for _ in range(ATTEMPTS):
         start, angle = _spot(rng), float(rng.uniform(0.0, math.pi))
@@ -142,7 +142,7 @@ def _with_clutter(scene: Scene, kind: Clutter, rng: np.random.Generator) -> Scen
 
 
 def _has_room(scene: Scene, outline_m: np.ndarray) -> bool:
-    """Whether an outline [N, 2] keeps its distance from radar, walls and things."""
+    """Return whether an outline [N, 2] keeps its distance from radar, walls and things."""
     boxes, walls = Boxes.of(scene.objects), _walls(scene.surfaces)
     if np.linalg.norm(outline_m, axis=1).min() < RADAR_ROOM_M or boxes.contain(outline_m).any():
         return False
@@ -154,6 +154,6 @@ def _has_room(scene: Scene, outline_m: np.ndarray) -> bool:
 
 
 def _walls(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Ends [W, 2] of all upright pieces; none where there is only ground."""
+    """Return the Ends [W, 2] of all upright pieces; none where there is only ground."""
     upright = tuple(one for one in surfaces if one.role != "ground")
     return Walls.of(upright).footing if upright else (np.zeros((0, 2)), np.zeros((0, 2)))

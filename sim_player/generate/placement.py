@@ -63,12 +63,12 @@ class Boxes:
 
     @classmethod
     def of(cls, things: tuple[SceneObject, ...]) -> Boxes:
-        """Boxes of objects."""
+        """Return the boxes of objects."""
         return cls(np.array([thing.corners_m() for thing in things]).reshape(-1, 4, 2))
 
     @classmethod
     def at(cls, spot: np.ndarray, yaw_deg: np.ndarray, length_m: float, width_m: float) -> Boxes:
-        """Boxes of one size at N spots [N, 2] and headings [N]."""
+        """Return the boxes of one size at N spots [N, 2] and headings [N]."""
         along = np.column_stack([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
         across = np.column_stack([-along[:, 1], along[:, 0]])
         signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
@@ -81,13 +81,13 @@ class Boxes:
         return self.corners.reshape(-1, 2), np.roll(self.corners, -1, axis=1).reshape(-1, 2)
 
     def contain(self, points: np.ndarray) -> np.ndarray:
-        """Which boxes hold which points [P, 2]; [N, P]."""
+        """Return which boxes hold which points [P, 2]; [N, P]."""
         edge = np.roll(self.corners, -1, axis=1) - self.corners  # [N, 4, 2]
         offset = points[None, :, None] - self.corners[:, None]  # [N, P, 4, 2]
         return (edge[:, None, :, 0] * offset[..., 1] - edge[:, None, :, 1] * offset[..., 0] >= 0.0).all(axis=-1)
 
     def cut(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Which boxes have segments a -> b [M, 2] through or in them; [N]."""
+        """Return which boxes have segments a -> b [M, 2] through or in them; [N]."""
         if not len(a) or not len(self.corners):
             return np.zeros(len(self.corners), bool)
         start, end = self.faces
@@ -105,7 +105,7 @@ class Images:
 
 
 def chords(surface: Surface) -> np.ndarray:
-    """A wall's points, [N, 2], with arcs cut into chords."""
+    """Return a wall's points, [N, 2], with arcs cut into chords."""
     points = np.array(surface.polyline_m, np.float64).reshape(-1, 2)
     if surface.curvature_per_m == 0.0:
         return points
@@ -114,7 +114,7 @@ def chords(surface: Surface) -> np.ndarray:
 
 
 def _arc(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> np.ndarray:
-    """Points on an arc from a (left out) to b; positive curvature has its centre on the left."""
+    """Return the points on an arc from a (left out) to b; positive curvature has its centre on the left."""
     chord = b - a
     length = math.hypot(*chord)
     half_turn = math.asin(0.5 * length * curvature_per_m)
@@ -126,20 +126,20 @@ def _arc(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> np.ndarray:
 
 
 def hidden(points: np.ndarray, walls: Walls, boxes: Boxes) -> np.ndarray:
-    """Which points [N, 2] the radar cannot see past opaque walls and other road users."""
+    """Return which points [N, 2] the radar cannot see past opaque walls and other road users."""
     start, end = boxes.faces
     a, b = np.concatenate([walls.a[walls.hides], start]), np.concatenate([walls.b[walls.hides], end])
     return blocked(ORIGIN, points, a, b)
 
 
 def clear(start: np.ndarray, end: np.ndarray, walls: Walls, boxes: Boxes) -> np.ndarray:
-    """Which legs [N] pass by everything."""
+    """Return which legs [N] pass by everything."""
     face_a, face_b = boxes.faces
     return ~blocked(start, end, np.concatenate([walls.a, face_a]), np.concatenate([walls.b, face_b]))
 
 
 def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, range_m: tuple[float, float]) -> Images:
-    """Mirror images of spots [N, 2] that the radar sees: both legs free, within its range and angle."""
+    """Return the mirror images of spots [N, 2] that the radar sees: both legs free, within its range and angle."""
     a, b = walls.a[walls.mirrors], walls.b[walls.mirrors]
     along = b - a
     along = along / np.hypot(*along.T)[:, None]
@@ -166,7 +166,9 @@ def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, rang
 
 
 def indoors(points: np.ndarray, rings: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Which points [N, 2] lie within some ring of points (a building, a container), by counting crossings; [N]."""
+    """Return which points [N, 2] lie within some ring of points (a building, a container), by counting crossings;
+    [N].
+    """
     inside = np.zeros(len(points), bool)
     far = points + np.array([1e4, 137.0])
     for ring in rings:

@@ -85,7 +85,8 @@ def random_place(
     kind: PlaceKind | None = None,
     motion: bool = False,
 ) -> Scene:
-    """Scene number `index` of the series `seed`: a place of a kind (None: any of the four), at rest unless `motion`.
+    """Return the scene number `index` of the series `seed`: a place of a kind (None: any of the four), at rest unless
+    `motion`.
 
     Fixed by its arguments, whatever was drawn before; always passes `check_scene`. A 77 GHz scene has only materials
     known there, so it also stands at X-band. ValueError for a negative seed or index and an unknown preset or kind.
@@ -100,7 +101,7 @@ def draw_place(
     kind: PlaceKind | None = None,
     motion: bool = False,
 ) -> Place:
-    """`random_place` with what the scene was made of."""
+    """Return `random_place` with what the scene was made of."""
     _check(seed, index, preset, kind)
     rng = np.random.default_rng([seed, index])
     drawn: PlaceKind = PLACE_KINDS[rng.integers(len(PLACE_KINDS))]
@@ -145,17 +146,17 @@ class _Turn:
     flip: bool
 
     def points(self, points: np.ndarray) -> np.ndarray:
-        """Points [N, 2]."""
+        """Return the points [N, 2]."""
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         return points @ np.array([[c, s], [-s, c]]) * np.array([1.0, -1.0 if self.flip else 1.0])
 
     def heading_deg(self, heading_deg: np.ndarray) -> np.ndarray:
-        """Headings [N]."""
+        """Return the headings [N]."""
         turned = heading_deg + math.degrees(self.angle_rad)
         return -turned if self.flip else turned
 
     def surface(self, piece: Surface) -> Surface:
-        """A wall."""
+        """Return a wall."""
         return replace(
             piece,
             polyline_m=tuple((x, y) for x, y in self.points(np.array(piece.polyline_m)).tolist()),
@@ -184,7 +185,7 @@ class _Crowd:
     leg_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def add(self, rng: np.random.Generator, hide: bool, beside_m: float | None = None) -> bool:
-        """A road user out of sight (with an image at about a range) or in the open; False where none fits."""
+        """Return a road user out of sight (with an image at about a range) or in the open; False where none fits."""
         spot, heading = _candidates(rng, self.layout, self.turn, CANDIDATES)
         boxes = Boxes.of(tuple(self.things))
         keep = ~indoors(spot, self.rings) & (np.hypot(*spot.T) > IMAGE_RANGE_M[0])
@@ -225,7 +226,7 @@ class _Crowd:
         self.parked = len(self.things)
 
     def _stand(self, name: str, spot: np.ndarray, yaw_deg: np.ndarray, boxes: Boxes, hide: bool = False) -> np.ndarray:
-        """Which spots [N] leave room to walls, others, the radar, and to the paths that show hidden ones."""
+        """Return which spots [N] leave room to walls, others, the radar, and to the paths that show hidden ones."""
         size = OBJECT_KINDS[name]
         fits = np.hypot(*spot.T) > 0.5 * math.hypot(size.length_m, size.width_m) + RADAR_ROOM_M
         fits[np.flatnonzero(fits)[SHORTLIST:]] = False
@@ -253,7 +254,7 @@ class _Crowd:
 
 
 def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset) -> _Crowd:
-    """A place without road users but for the parked; drawn anew until the radar has room."""
+    """Return a place without road users but for the parked; drawn anew until the radar has room."""
     while True:
         layout = draw_layout(rng, kind)
         turn = _Turn(float(rng.normal(0.0, TURN_RAD)), bool(rng.random() < 0.5))
@@ -274,7 +275,7 @@ def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset)
 
 
 def _block(rng: np.random.Generator, block: Block, preset: Preset) -> list[Built]:
-    """A building: its fronts, and one plain wall around the rest."""
+    """Return a building: its fronts, and one plain wall around the rest."""
     sides = block.sides()
     built: list[Built] = [build(rng, sides[side], preset) for side in block.fronts]
     order = "wnes" * 2
@@ -287,7 +288,7 @@ def _block(rng: np.random.Generator, block: Block, preset: Preset) -> list[Built
 
 
 def _footprint(block: Block) -> np.ndarray:
-    """Corners of a building, [4, 2]."""
+    """Return the corners of a building, [4, 2]."""
     return np.array([side.start for side in block.sides().values()])
 
 
@@ -302,7 +303,7 @@ def _hide(rng: np.random.Generator, crowd: _Crowd, wanted: int, overlap: bool) -
 
 
 def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Spots [count, 2] all over the zones, and the heading of traffic there (NaN: any)."""
+    """Return the spots [count, 2] all over the zones, and the heading of traffic there (NaN: any)."""
     zone = rng.integers(len(layout.zones), size=count)
     share = rng.random((count, 2))
     low = np.array([(z.x_m[0], z.y_m[0]) for z in layout.zones])
@@ -316,14 +317,14 @@ def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: in
 
 
 def _yaw_deg(rng: np.random.Generator, name: str, heading_deg: np.ndarray) -> np.ndarray:
-    """Headings [N]: with the traffic, either way; pedestrians, and all in a yard, anyhow."""
+    """Return the headings [N]: with the traffic, either way; pedestrians, and all in a yard, anyhow."""
     free = np.isnan(heading_deg) | (name == "pedestrian")
     along = heading_deg + rng.choice([0.0, 180.0], len(heading_deg)) + rng.normal(0.0, 6.0, len(heading_deg))
     return np.where(free, rng.uniform(0.0, 360.0, len(heading_deg)), along)
 
 
 def _thing(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
-    """An object at rest."""
+    """Return an object at rest."""
     return SceneObject(
         class_=name,  # type: ignore[arg-type]
         x_m=float(spot[0]),
@@ -333,14 +334,14 @@ def _thing(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
 
 
 def _outline(boxes: Boxes) -> np.ndarray:
-    """Points all around boxes, [N, 16, 2]."""
+    """Return the points all around boxes, [N, 16, 2]."""
     ends = np.roll(boxes.corners, -1, axis=1)
     share = np.array([0.0, 0.25, 0.5, 0.75])[:, None]
     return (boxes.corners[:, :, None] + share * (ends - boxes.corners)[:, :, None]).reshape(len(boxes.corners), 16, 2)
 
 
 def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]:
-    """The ground of most places."""
+    """Return the ground of most places."""
     if rng.random() >= GROUND_SHARE:
         return ()
     names = [name for name in GROUNDS if known(name, preset)]
@@ -357,7 +358,7 @@ def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]
 
 
 def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
-    """Mounting, and the faults of some radars."""
+    """Return the mounting, and the faults of some radars."""
     return SceneRadar(
         preset=preset,
         height_m=float(rng.uniform(0.5, 1.5)),
@@ -367,7 +368,7 @@ def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
 
 
 def _faulty(rng: np.random.Generator) -> FrontEnd:
-    """A front end with some of the faults that real ones have."""
+    """Return a front end with some of the faults that real ones have."""
     coupled, skewed, flickers, leaks, spurs = rng.random(5) < FAULT_SHARE
     return FrontEnd(
         coupling_db=float(rng.uniform(-30.0, -18.0)) if coupled else None,
@@ -385,7 +386,7 @@ def _faulty(rng: np.random.Generator) -> FrontEnd:
 
 
 def draw_weather(rng: np.random.Generator) -> Weather:
-    """Dry or rainy air, cold to hot."""
+    """Return the dry or rainy air, cold to hot."""
     return Weather(
         rain_mm_per_h=float(rng.uniform(0.0, 30.0)) if rng.random() < RAIN_SHARE else 0.0,
         temperature_c=float(rng.uniform(-5.0, 30.0)),
@@ -393,7 +394,7 @@ def draw_weather(rng: np.random.Generator) -> Weather:
 
 
 def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
-    """All but the parked set in motion."""
+    """Return all but the parked set in motion."""
     return tuple(
         thing
         if index < crowd.parked
@@ -403,5 +404,5 @@ def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
 
 
 def _ego(rng: np.random.Generator) -> Ego:
-    """The radar's own motion."""
+    """Return the radar's own motion."""
     return Ego(speed_mps=float(rng.uniform(0.0, 15.0)), yaw_rate_dps=float(rng.uniform(-10.0, 10.0)))

@@ -41,7 +41,9 @@ ORIGIN = np.zeros(2)
 
 
 def random_street(seed: int, index: int = 0) -> Scene:
-    """Scene number `index` of the series `seed`: any of four layouts, either side; always passes `check_scene`."""
+    """Return the scene number `index` of the series `seed`: any of four layouts, either side; always passes
+    `check_scene`.
+    """
     rng = np.random.default_rng([seed, index])
     layout = (_across, _oblique, _parallel, _bend)[rng.integers(4)]
     surfaces = _flipped(layout(rng), flip=bool(rng.random() < 0.5))
@@ -56,7 +58,7 @@ def random_street(seed: int, index: int = 0) -> Scene:
 
 
 def _wall(rng: np.random.Generator, role: str, polyline: list[Point]) -> Surface:
-    """A wall of random material along a polyline."""
+    """Return a wall of random material along a polyline."""
     material = str(rng.choice(list(THICKNESS_MM)))
     roughness_mm = math.exp(rng.uniform(math.log(ROUGHNESS_MM[0]), math.log(ROUGHNESS_MM[1])))
     return Surface(
@@ -70,13 +72,13 @@ def _wall(rng: np.random.Generator, role: str, polyline: list[Point]) -> Surface
 
 
 def _corner(rng: np.random.Generator, wall_x_m: float) -> Surface:
-    """A building on the left whose corner hides the side street."""
+    """Return a building on the left whose corner hides the side street."""
     x, y = rng.uniform(0.25, 0.5) * wall_x_m, rng.uniform(2.5, 5.5)
     return _wall(rng, "occluder", [(0.5, y), (x, y), (x, y + rng.uniform(12.0, 25.0))])
 
 
 def _across(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """T-junction: a facade across the end of the street."""
+    """Return the T-junction: a facade across the end of the street."""
     x, lean = rng.uniform(12.0, 35.0), math.tan(rng.uniform(-0.12, 0.12))
     low, high = -rng.uniform(4.0, 15.0), rng.uniform(6.0, 22.0)
     relay = _wall(rng, "relay", [(x + lean * low, low), (x + lean * high, high)])
@@ -84,7 +86,7 @@ def _across(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _oblique(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """A free-standing wall turned towards the hidden side."""
+    """Return a free-standing wall turned towards the hidden side."""
     distance, bearing = rng.uniform(10.0, 28.0), rng.uniform(-0.35, 0.25)
     turn, half = rng.uniform(-0.65, -0.15), 0.5 * rng.uniform(8.0, 20.0)
     middle = distance * np.array([math.cos(bearing), math.sin(bearing)])
@@ -95,7 +97,7 @@ def _oblique(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _parallel(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """A street wall along the right side, and something big ahead."""
+    """Return a street wall along the right side, and something big ahead."""
     y, lean = -rng.uniform(3.0, 9.0), math.tan(rng.uniform(-0.08, 0.08))
     start, end = rng.uniform(3.0, 8.0), rng.uniform(25.0, 60.0)
     relay = _wall(rng, "relay", [(start, y + lean * start), (end, y + lean * end)])
@@ -105,7 +107,7 @@ def _parallel(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _bend(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """A bend to the left: the far wall turns with the street."""
+    """Return a bend to the left: the far wall turns with the street."""
     x, y = rng.uniform(10.0, 24.0), -rng.uniform(4.0, 10.0)
     turn, length = rng.uniform(0.7, 1.3), rng.uniform(10.0, 24.0)
     far = (x + length * math.cos(turn), y + length * math.sin(turn))
@@ -114,7 +116,7 @@ def _bend(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
-    """The same street with plain floats, left and right exchanged if asked."""
+    """Return the same street with plain floats, left and right exchanged if asked."""
     sign = -1.0 if flip else 1.0
     return tuple(
         Surface(
@@ -132,7 +134,7 @@ def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
 def _place(
     rng: np.random.Generator, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
 ) -> SceneObject | None:
-    """A random road user at the first candidate place that fits; None where none does."""
+    """Return a random road user at the first candidate place that fits; None where none does."""
     name = str(rng.choice(list(CLASS_SHARE), p=list(CLASS_SHARE.values())))
     spot = np.column_stack([rng.uniform(4.0, 50.0, CANDIDATES), rng.uniform(-35.0, 35.0, CANDIDATES)])
     yaw_deg = rng.choice([0.0, 90.0, 180.0, 270.0], CANDIDATES) + rng.normal(0.0, 12.0, CANDIDATES)
@@ -152,7 +154,7 @@ def _place(
 def _stands_well(
     thing: SceneObject, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
 ) -> bool:
-    """Clear of radar, walls and others; if hidden, out of sight as a whole and not only its centre."""
+    """Return the clear of radar, walls and others; if hidden, out of sight as a whole and not only its centre."""
     return (
         math.hypot(thing.x_m, thing.y_m) > thing.kind.length_m
         and all(_apart(thing, other) for other in things)
@@ -162,7 +164,7 @@ def _stands_well(
 
 
 def _pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of all straight pieces of wall, [W, 2] each."""
+    """Return the Ends of all straight pieces of wall, [W, 2] each."""
     return (
         np.array([point for surface in surfaces for point in surface.polyline_m[:-1]]),
         np.array([point for surface in surfaces for point in surface.polyline_m[1:]]),
@@ -170,13 +172,13 @@ def _pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _in_open(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
-    """Places in direct sight within the radar's field of view."""
+    """Return the places in direct sight within the radar's field of view."""
     ahead = np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD
     return ahead & (np.hypot(*spot.T) > IMAGE_RANGE_M[0]) & ~blocked(ORIGIN, spot, *_pieces(surfaces))
 
 
 def _in_mirror(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
-    """Places out of direct sight that some wall shows, at a range and azimuth the radar covers."""
+    """Return the places out of direct sight that some wall shows, at a range and azimuth the radar covers."""
     a, b = _pieces(surfaces)
     shown = np.zeros(len(spot), bool)
     for start, end in zip(a, b, strict=True):
@@ -192,6 +194,6 @@ def _in_mirror(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
 
 
 def _apart(one: SceneObject, other: SceneObject) -> bool:
-    """Whether the circles around two objects stay apart."""
+    """Return whether the circles around two objects stay apart."""
     reach = 0.5 * sum(math.hypot(thing.kind.length_m, thing.kind.width_m) for thing in (one, other))
     return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) > reach

@@ -59,7 +59,7 @@ class Viewpoint:
     roll_deg: float = 0.0
 
     def scene_from_lidar(self) -> np.ndarray:
-        """Rigid transform [4, 4]."""
+        """Return the rigid transform [4, 4]."""
         return rigid(
             (self.x_m, self.y_m, self.z_m), math.radians(self.roll_deg), math.radians(self.pitch_deg),
             math.radians(self.yaw_deg),
@@ -87,7 +87,7 @@ def rigid(place_m: tuple[float, float, float], roll_rad: float, pitch_rad: float
 
 
 def ray_directions(params: LidarParams) -> np.ndarray:
-    """Unit vectors [channels * azimuths, 3] in the LiDAR's frame, channel after channel from below."""
+    """Return the unit vectors [channels * azimuths, 3] in the LiDAR's frame, channel after channel from below."""
     limit_rad = math.radians(params.elevation_limit_deg)
     elevation = np.linspace(-limit_rad, limit_rad, params.channels)[:, None]
     azimuth = np.linspace(-np.pi, np.pi, params.azimuths, endpoint=False)[None]
@@ -96,7 +96,7 @@ def ray_directions(params: LidarParams) -> np.ndarray:
 
 
 def scene_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Corners [F, 3, 3] of all surfaces in the scene's frame and what each face belongs to [F]."""
+    """Return the corners [F, 3, 3] of all surfaces in the scene's frame and what each face belongs to [F]."""
     flat = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_HALF_M
     faces, owner = [flat[[[0, 1, 2], [0, 2, 3]]]], [GROUND]
     for surface in scene.surfaces:
@@ -110,7 +110,7 @@ def scene_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _upright(line_m: np.ndarray, height_m: float) -> np.ndarray:
-    """Triangles of a wall along a line in plan."""
+    """Return the triangles of a wall along a line in plan."""
     pieces = []
     for (ax, ay), (bx, by) in pairwise(line_m.tolist()):
         a, b = (ax, ay, 0.0), (bx, by, 0.0)
@@ -120,7 +120,7 @@ def _upright(line_m: np.ndarray, height_m: float) -> np.ndarray:
 
 
 def _placed(thing: SceneObject) -> np.ndarray:
-    """Triangles of an object where it stands; a class is the box of its kind."""
+    """Return the triangles of an object where it stands; a class is the box of its kind."""
     kind = thing.kind
     mesh: Mesh = thing.shape or box(kind.length_m, kind.width_m, kind.height_m)
     corners = mesh.corners_m
@@ -130,7 +130,9 @@ def _placed(thing: SceneObject) -> np.ndarray:
 def nearest_hits(
     scene: Scene, origin_m: np.ndarray, directions: np.ndarray, max_range_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Range [N] to the first surface along unit vectors [N, 3] from a place [3] (or infinity), and what it is."""
+    """Return the range [N] to the first surface along unit vectors [N, 3] from a place [3] (or infinity), and what
+    it is.
+    """
     o3d = import_open3d()
     triangles, owner = scene_triangles(scene)
     caster = o3d.t.geometry.RaycastingScene(nthreads=1)
@@ -145,7 +147,7 @@ def nearest_hits(
 
 
 def lidar_cloud(scene: Scene, viewpoint: Viewpoint, params: LidarParams, seed: int) -> LidarCloud:
-    """What a LiDAR measures at one place of a scene at rest, noise drawn from `seed`."""
+    """Return what a LiDAR measures at one place of a scene at rest, noise drawn from `seed`."""
     scene_from_lidar = viewpoint.scene_from_lidar()
     directions = ray_directions(params)
     range_m, surface = nearest_hits(
@@ -162,7 +164,8 @@ def radar_from_scene(scene: Scene) -> np.ndarray:
 
 
 def choose_viewpoints(scene: Scene, most: int = 3, spacing_m: float = 1.0) -> tuple[Viewpoint, ...]:
-    """The radar's own place and up to `most` - 1 others that together see as much as they can of all objects' sides.
+    """Return the radar's own place and up to `most` - 1 others that together see as much as they can of all objects'
+    sides.
 
     Each next place is in sight of the last chosen ones and near one of them, so that clouds overlap; greedy, on a grid.
     """
@@ -176,7 +179,7 @@ def choose_viewpoints(scene: Scene, most: int = 3, spacing_m: float = 1.0) -> tu
     places = _free_places(a, b, boxes, samples, spacing_m)
 
     def seen_from(place: np.ndarray) -> np.ndarray:
-        """Samples in sight, not so edge-on that rays would miss them."""
+        """Return the samples in sight, not so edge-on that rays would miss them."""
         way = place - samples
         faced = np.sum(way * outward, axis=1) > LEAST_COSINE * np.hypot(way[:, 0], way[:, 1])
         return np.asarray(faced & ~blocked(place, samples, a, b))
@@ -197,7 +200,9 @@ def choose_viewpoints(scene: Scene, most: int = 3, spacing_m: float = 1.0) -> tu
 
 
 def _side_samples(face_a: np.ndarray, face_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Points a hand's breadth inside the ends of sides and between, a little outside, [N, 2], and the normals there."""
+    """Return the points a hand's breadth inside the ends of sides and between, a little outside, [N, 2], and the
+    normals there.
+    """
     share = np.array([0.05, 0.275, 0.5, 0.725, 0.95])
     along = face_b - face_a
     outward = np.column_stack([along[:, 1], -along[:, 0]]) / np.hypot(*along.T)[:, None]
@@ -206,7 +211,7 @@ def _side_samples(face_a: np.ndarray, face_b: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _free_places(a: np.ndarray, b: np.ndarray, boxes: Boxes, samples: np.ndarray, spacing_m: float) -> np.ndarray:
-    """Grid places [N, 2] around the radar and the objects that keep clear of everything."""
+    """Return the grid places [N, 2] around the radar and the objects that keep clear of everything."""
     every = np.concatenate([np.zeros((1, 2)), samples])
     low, high = every.min(axis=0) - 4.0, every.max(axis=0) + 4.0
     x, y = (np.arange(math.ceil(lo), hi, spacing_m) for lo, hi in zip(low, high, strict=True))

@@ -49,7 +49,7 @@ class Surfaces:
 
     @classmethod
     def of_walls(cls, world: World) -> Surfaces:
-        """All pieces of wall, in the order of the world."""
+        """Return all pieces of wall, in the order of the world."""
         built = [world.scene.surfaces[surface] for surface in world.wall_surface]
         optics = [optical_material(surface.material) for surface in built]
         return cls(
@@ -66,7 +66,7 @@ class Surfaces:
 
     @classmethod
     def of_object(cls, thing: int, a: np.ndarray, b: np.ndarray, level: np.ndarray, albedo: float) -> Surfaces:
-        """Matt pieces of one object."""
+        """Return the matt pieces of one object."""
         count, zero = len(a), np.zeros(len(a))
         return cls(
             a=a,
@@ -81,22 +81,22 @@ class Surfaces:
         )
 
     def take(self, which: np.ndarray) -> Surfaces:
-        """The pieces of an index or mask."""
+        """Return the pieces of an index or mask."""
         return Surfaces(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
     def diffuse(self, cosine: np.ndarray, wavelength_m: float, fresnel: FresnelMean) -> np.ndarray:
-        """Share of the light that each piece scatters at a cosine of incidence."""
+        """Return the share of the light that each piece scatters at a cosine of incidence."""
         bare = diffuse_reflectance(self.index, self.albedo, cosine, self.roughness_m, wavelength_m, fresnel)
         return np.where(self.matt, self.albedo, bare)
 
     def mirror(self, cosine: np.ndarray, wavelength_m: float, fresnel: FresnelMean) -> np.ndarray:
-        """Share that each piece mirrors at a cosine of incidence: R_s of Eq. (16)."""
+        """Return the share that each piece mirrors at a cosine of incidence: R_s of Eq. (16)."""
         whole = optical_reflectance(self.index, cosine, self.roughness_m, wavelength_m, fresnel)
         return np.where(self.matt, 0.0, whole)
 
 
 def all_surfaces(view: Snapshot, height_m: float) -> Surfaces:
-    """Everything in a frozen world that reaches the sensor's height."""
+    """Return everything in a frozen world that reaches the sensor's height."""
     world, blockers = view.world, view.blockers
     walls = len(world.wall_a)
     parts = [Surfaces.of_walls(world).take(world.wall_height_m > height_m)]
@@ -114,14 +114,14 @@ def all_surfaces(view: Snapshot, height_m: float) -> Surfaces:
 
 
 def thing_albedo(thing: SceneObject) -> float:
-    """Share that an object scatters: its class's, or its material's as a rough piece."""
+    """Return the share that an object scatters: its class's, or its material's as a rough piece."""
     if thing.class_ is not None:
         return OBJECT_ALBEDO[thing.class_]
     return matt_albedo(optical_material(thing.material))
 
 
 def _triangles(view: Snapshot, index: int) -> np.ndarray:
-    """Corners of a mesh's faces where it stands, heights over the ground, [F, 3, 3]."""
+    """Return the corners of a mesh's faces where it stands, heights over the ground, [F, 3, 3]."""
     mesh = view.world.scene.objects[index].shape
     corners = np.zeros((0, 3, 3)) if mesh is None else mesh.corners_m
     thing = view.world.scene.objects[index]
@@ -158,7 +158,7 @@ class Patches:
 
 
 def patches_of(view: Snapshot) -> Patches:
-    """The patches of a frozen world: sides and roofs of classes, faces of meshes."""
+    """Return the patches of a frozen world: sides and roofs of classes, faces of meshes."""
     things = view.world.scene.objects
     made = [_box_patches(view, i) if thing.class_ else _mesh_patches(view, i) for i, thing in enumerate(things)]
     count = np.array([len(area) for *_, area in made], int)
@@ -175,7 +175,7 @@ def patches_of(view: Snapshot) -> Patches:
 
 
 def _box_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places, normals and areas of the patches of a box: four sides and the roof."""
+    """Return the places, normals and areas of the patches of a box: four sides and the roof."""
     height_m = view.world.scene.objects[index].kind.height_m
     start = len(view.world.wall_a) + 4 * index
     corners = np.column_stack([view.blockers.a[start : start + 4], np.zeros(4)])
@@ -187,7 +187,7 @@ def _box_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _cells(corner: np.ndarray, along: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A rectangle in equal cells of at most `PATCH_M`: their middles [Q, 3], normals along x up, areas [Q]."""
+    """Return a rectangle in equal cells of at most `PATCH_M`: their middles [Q, 3], normals along x up, areas [Q]."""
     columns, rows = (max(math.ceil(float(np.linalg.norm(edge)) / PATCH_M), 1) for edge in (along, up))
     across, high = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
     place = corner + across.reshape(-1, 1) * along + high.reshape(-1, 1) * up
@@ -198,7 +198,9 @@ def _cells(corner: np.ndarray, along: np.ndarray, up: np.ndarray) -> tuple[np.nd
 
 
 def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places, normals and areas of a mesh: pieces of its faces, joined where one cube holds some that face alike."""
+    """Return the places, normals and areas of a mesh: pieces of its faces, joined where one cube holds some that
+    face alike.
+    """
     corners = _split(_triangles(view, index))
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if not view.world.scene.objects[index].shape.closed:  # type: ignore[union-attr]
@@ -218,7 +220,7 @@ def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, n
 
 
 def _split(corners: np.ndarray) -> np.ndarray:
-    """Triangles [F, 3, 3] halved across their longest edge until none is longer than `PATCH_M`."""
+    """Return the triangles [F, 3, 3] halved across their longest edge until none is longer than `PATCH_M`."""
     done = []
     while len(corners):
         edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)

@@ -120,7 +120,7 @@ class OpticalPaths:
         return len(self.range_m)
 
     def take(self, which: np.ndarray) -> OpticalPaths:
-        """The paths of an index or mask."""
+        """Return the paths of an index or mask."""
         return OpticalPaths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
@@ -141,7 +141,7 @@ def optical_paths(
     options: SpadOptions = DEFAULT,
     azimuths: np.ndarray | None = None,
 ) -> OpticalPaths:
-    """All paths of light at a time after start, for all azimuths of the grid or those of an index array.
+    """Return all paths of light at a time after start, for all azimuths of the grid or those of an index array.
 
     Contributions that `plan_optics` skips are left out, and so are paths beyond the unambiguous range unless they wrap.
     Raises ValueError for a time that is not finite.
@@ -159,7 +159,7 @@ def optical_paths(
 def plan_optics(
     world: World, lidar: LidarSetup, time_s: float = 0.0, options: SpadOptions = DEFAULT
 ) -> tuple[OpticPlan, ...]:
-    """Which contributions a scene calls for, and which engine counts: a bound and a reason each.
+    """Return which contributions a scene calls for, and which engine counts: a bound and a reason each.
 
     A bound leaves out what hides and takes every cosine as 1; raises ValueError as `optical_paths`.
     """
@@ -169,7 +169,7 @@ def plan_optics(
 def label_paths(
     world: World, lidar: LidarSetup, paths: Paths, time_s: float = 0.0, options: SpadOptions = DEFAULT
 ) -> OpticalPaths:
-    """The supplement's reading: one path of light for each labelled point of the radar's map.
+    """Return the supplement's reading: one path of light for each labelled point of the radar's map.
 
     `paths` are the radar's, traced in `world` at the same time. Mirrored ones carry the two-bounce factor R_s^2 of
     their first wall, once for each of their mirrors; an arc counts as its chord. Labels know no normals of objects:
@@ -199,7 +199,7 @@ def label_paths(
 def spad_histograms(
     lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int], options: SpadOptions = DEFAULT
 ) -> np.ndarray:
-    """Photon histograms of all azimuths, uint32 [azimuth, bins].
+    """Return the photon histograms of all azimuths, uint32 [azimuth, bins].
 
     Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends on no other, nor on how many threads
     count. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
@@ -219,7 +219,7 @@ def spad_histograms(
 
 
 def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
-    """Histograms as they are sent, uint32; ValueError where paths counted apart make more."""
+    """Return the histograms as they are sent, uint32; ValueError where paths counted apart make more."""
     counts = np.array(rows)
     if counts.max(initial=0) > np.iinfo(np.uint32).max:
         raise ValueError(f"spad.measurement_time_s must bring counts that fit 32 bits, got {counts.max()}")
@@ -227,7 +227,7 @@ def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
 
 
 def expected_histograms(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions = DEFAULT) -> np.ndarray:
-    """Mean of `spad_histograms`, float64 [azimuth, bins]; raises ValueError for paths off the grid."""
+    """Return the mean of `spad_histograms`, float64 [azimuth, bins]; raises ValueError for paths off the grid."""
     spad, rows = lidar.spad, np.zeros((lidar.grid.azimuth_bins, lidar.spad.bins))
     for row, groups in zip(rows, _measured(lidar, paths, options), strict=True):
         for group in groups:
@@ -236,7 +236,7 @@ def expected_histograms(lidar: LidarSetup, paths: OpticalPaths, options: SpadOpt
 
 
 def join_paths(parts: Sequence[OpticalPaths]) -> OpticalPaths:
-    """All paths of one or more sets, in order."""
+    """Return all paths of one or more sets, in order."""
     return OpticalPaths(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(OpticalPaths)}
     )
@@ -259,7 +259,7 @@ class _Rays:
     slope: np.ndarray
 
     def take(self, which: np.ndarray) -> _Rays:
-        """The rays of an index or mask."""
+        """Return the rays of an index or mask."""
         return _Rays(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
@@ -273,12 +273,12 @@ class _Hits:
     cosine: np.ndarray
 
     def take(self, which: np.ndarray) -> _Hits:
-        """The hits of an index or mask."""
+        """Return the hits of an index or mask."""
         return _Hits(self.rays.take(which), self.piece[which], self.normal[which], self.cosine[which])
 
 
 def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
-    """The first piece each ray meets; rays that meet none are left out."""
+    """Return the first piece each ray meets; rays that meet none are left out."""
     range_m, piece = _nearest(surfaces, rays.origin, rays.direction)
     met = np.isfinite(range_m)
     rays, range_m, piece = rays.take(met), range_m[met], piece[met]
@@ -290,7 +290,7 @@ def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
 
 
 def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance [N] to the nearest piece (infinite: none) and which it is."""
+    """Return the distance [N] to the nearest piece (infinite: none) and which it is."""
     range_m, piece = np.full(len(origin), np.inf), np.zeros(len(origin), np.int64)
     straight = np.flatnonzero(surfaces.curvature_per_m == 0.0)
     step = max(MOST_PAIRS // max(len(straight), 1), 1)
@@ -313,7 +313,7 @@ def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> t
 def _arc_ranges(
     a: np.ndarray, b: np.ndarray, curvature_per_m: float, origin: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
-    """Distance [N] to one arc, infinite where a ray misses it."""
+    """Return the distance [N] to one arc, infinite where a ray misses it."""
     centre, radius_m, _, _ = arc_from_ends(a, b, curvature_per_m)
     way = origin - centre
     half = np.sum(way * direction, axis=1)
@@ -327,7 +327,7 @@ def _arc_ranges(
 
 
 def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Unit normals [N, 2] of pieces at points, against the rays."""
+    """Return the unit normals [N, 2] of pieces at points, against the rays."""
     along = surfaces.b[piece] - surfaces.a[piece]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     for index in np.unique(piece[surfaces.curvature_per_m[piece] != 0.0]):
@@ -339,7 +339,9 @@ def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction
 
 
 def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
-    """Rays after a mirror that leaves them a share of their power on each of both ways; the ones left without drop."""
+    """Return the Rays after a mirror that leaves them a share of their power on each of both ways; the ones left
+    without drop.
+    """
     rays, level = hits.rays, np.sum(hits.normal * hits.rays.direction, axis=1)
     along = surfaces.b[hits.piece] - surfaces.a[hits.piece]
     left = along[:, 0] * hits.normal[:, 1] - along[:, 1] * hits.normal[:, 0] > 0.0
@@ -394,7 +396,7 @@ class _Sight:
         return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
 
     def returns(self, hits: _Hits, way: Way) -> OpticalPaths:
-        """What the surfaces that were hit scatter straight back along the rays."""
+        """Return what the surfaces that were hit scatter straight back along the rays."""
         rays, met = hits.rays, self.surfaces.take(hits.piece)
         spad = self.lidar.spad
         albedo = met.diffuse(hits.cosine, spad.wavelength_m, self.options.fresnel)
@@ -402,11 +404,11 @@ class _Sight:
         return _optical_paths(rays.azimuth_index, rays.range_m, photons, way, met.thing)
 
     def direct(self) -> OpticalPaths:
-        """The first surface of every azimuth."""
+        """Return the first surface of every azimuth."""
         return self.returns(self.first, Way.DIRECT)
 
     def mirrored(self) -> list[OpticalPaths]:
-        """What is seen in one mirror and in two."""
+        """Return what is seen in one mirror and in two."""
         found, hits = [], self.first
         for _ in range(MIRRORS):
             share = self.surfaces.take(hits.piece).mirror(
@@ -427,7 +429,7 @@ class _Sight:
         return patches_of(self.view)
 
     def confocal(self) -> list[OpticalPaths]:
-        """Confocal returns of all patches, per azimuth and object in cells of half the timing's width."""
+        """Return the confocal returns of all patches, per azimuth and object in cells of half the timing's width."""
         patches, spots = self.patches, self.spots
         if not len(patches.area_m2) or not len(spots.piece):
             return []
@@ -465,7 +467,7 @@ class _Sight:
 def _optical_paths(
     azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, way: Way, thing: np.ndarray
 ) -> OpticalPaths:
-    """Paths that came one way."""
+    """Return the paths that came one way."""
     kind = PathClass.LOS if way == Way.DIRECT else PathClass.MIRRORED
     count = len(range_m)
     return OpticalPaths(
@@ -476,7 +478,8 @@ def _optical_paths(
 def _condensed(
     azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, thing: np.ndarray, spad: SpadParams
 ) -> OpticalPaths:
-    """Diffuse paths, those of one object and azimuth that the timing cannot tell apart as one at their mean range.
+    """Return the diffuse paths, those of one object and azimuth that the timing cannot tell apart as one at their mean
+    range.
 
     Cells are half the timing's standard deviation wide, which widens it by 1 % at most.
     """
@@ -491,7 +494,7 @@ def _condensed(
 
 
 def _opaque(blockers: Blockers) -> Blockers:
-    """The same to light: foliage blocks."""
+    """Return the same to light: foliage blocks."""
     return replace(blockers, kind=np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8))
 
 
@@ -499,7 +502,7 @@ def _opaque(blockers: Blockers) -> Blockers:
 
 
 def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
-    """What hidden things can bring in two ways, from what the first rays met."""
+    """Return what hidden things can bring in two ways, from what the first rays met."""
     bounds = {"mirror": _mirror_bound(sight), "diffuse": _diffuse_bound(sight)}
     plans = []
     for name, bound in bounds.items():
@@ -511,7 +514,7 @@ def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
 
 
 def _mirror_bound(sight: _Sight) -> float:
-    """Detections by way of mirrors if behind each mirror white things stood at its own range."""
+    """Return the detections by way of mirrors if behind each mirror white things stood at its own range."""
     met, spad, hits = sight.surfaces.take(sight.first.piece), sight.lidar.spad, sight.first
     share = np.square(met.mirror(hits.cosine, spad.wavelength_m, sight.options.fresnel))
     # arcs may focus
@@ -521,7 +524,9 @@ def _mirror_bound(sight: _Sight) -> float:
 
 
 def _diffuse_bound(sight: _Sight) -> float:
-    """Detections of confocal returns if each object showed all of its faces, head-on, at its nearest point."""
+    """Return the detections of confocal returns if each object showed all of its faces, head-on, at its nearest
+    point.
+    """
     spots, patches, spad = sight.spots, sight.patches, sight.lidar.spad
     albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, sight.options.fresnel)
     total = 0.0
@@ -540,7 +545,7 @@ def _diffuse_bound(sight: _Sight) -> float:
 
 
 def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, OpticPlan]:
-    """Dead time that reaches into the next period, and the engine."""
+    """Return the dead time that reaches into the next period, and the engine."""
     spad = lidar.spad
     exact, closed = exact_closed_form(spad), _closed(spad, options)
     carried = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s"
@@ -558,12 +563,12 @@ def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, Optic
 
 
 def _closed(spad: SpadParams, options: SpadOptions) -> bool:
-    """Whether histograms are drawn in closed form."""
+    """Return whether histograms are drawn in closed form."""
     return options.engine == "closed" or (options.engine == "auto" and exact_closed_form(spad))
 
 
 def _measured(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions) -> list[list[OpticalPaths]]:
-    """Paths of every azimuth, in the sets that are counted together."""
+    """Return the paths of every azimuth, in the sets that are counted together."""
     count = lidar.grid.azimuth_bins
     if len(paths) and not 0 <= paths.azimuth_index.min() <= paths.azimuth_index.max() < count:
         raise ValueError(f"azimuth_index must lie in 0..{count - 1}, got {paths.azimuth_index.tolist()!r}")
@@ -576,14 +581,14 @@ def _measured(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions) -> l
 
 
 def _by_cell(paths: OpticalPaths, range_bin_m: float) -> list[OpticalPaths]:
-    """Paths of one azimuth by class and cell of the radar's range axis: the k of Eq. (17)."""
+    """Return the paths of one azimuth by class and cell of the radar's range axis: the k of Eq. (17)."""
     key = np.stack([paths.kind.astype(np.int64), np.rint(paths.range_m / range_bin_m).astype(np.int64)])
     cells, owner = np.unique(key, axis=1, return_inverse=True)
     return [paths.take(owner.ravel() == cell) for cell in range(cells.shape[1])]
 
 
 def _within(paths: OpticalPaths, spad: SpadParams, options: SpadOptions) -> OpticalPaths:
-    """Paths within the unambiguous range, or all where they wrap; without those that bring no light."""
+    """Return the paths within the unambiguous range, or all where they wrap; without those that bring no light."""
     kept = paths.photons > 0.0
     if options.beyond == "discard":
         kept &= paths.range_m < spad.unambiguous_range_m
@@ -595,7 +600,7 @@ def _delay_s(paths: OpticalPaths) -> np.ndarray:
 
 
 def _label_cosines(world: World, chosen: Paths, time_s: float) -> np.ndarray:
-    """Cosine of incidence of labelled paths at their walls, from where they seem to come."""
+    """Return the cosine of incidence of labelled paths at their walls, from where they seem to come."""
     pose = radar_pose(world.scene, time_s)
     normal, _ = wall_lines(world, np.array([pose.x_m, pose.y_m]))
     level = pose.rotate(chosen.virtual_m[:, :2]) / np.linalg.norm(chosen.virtual_m, axis=1)[:, None]

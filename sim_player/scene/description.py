@@ -147,22 +147,22 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
         return None if self.class_ else _shape_of(self._key())
 
     def _key(self) -> SceneObject:
-        """The same shape standing still at the origin: what its mesh depends on, and nothing else."""
+        """Return the same shape standing still at the origin: what its mesh depends on, and nothing else."""
         return msgspec.structs.replace(self, x_m=0.0, y_m=0.0, yaw_deg=0.0, speed_mps=0.0)
 
     def corners_m(self) -> np.ndarray:
-        """Corners of the box in the plane at start, counter-clockwise from front left, [4, 2]."""
+        """Return the corners of the box in the plane at start, counter-clockwise from front left, [4, 2]."""
         half = 0.5 * np.array([self.kind.length_m, self.kind.width_m])
         corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
         return self.place(corners)
 
     def place(self, points_m: np.ndarray) -> np.ndarray:
-        """Points [..., 2] of the object's own frame in the scene at start."""
+        """Return the points [..., 2] of the object's own frame in the scene at start."""
         c, s = math.cos(math.radians(self.yaw_deg)), math.sin(math.radians(self.yaw_deg))
         return points_m @ np.array([[c, s], [-s, c]]) + np.array([self.x_m, self.y_m])
 
     def contains(self, points_m: np.ndarray) -> np.ndarray:
-        """Which points [N, 2] of the scene lie inside the box at start."""
+        """Return which points [N, 2] of the scene lie inside the box at start."""
         c, s = math.cos(math.radians(self.yaw_deg)), math.sin(math.radians(self.yaw_deg))
         own = (points_m - np.array([self.x_m, self.y_m])) @ np.array([[c, -s], [s, c]])
         return (np.abs(own) <= 0.5 * np.array([self.kind.length_m, self.kind.width_m])).all(axis=-1)
@@ -170,7 +170,7 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 @lru_cache(maxsize=16)
 def _shape_of(thing: SceneObject) -> Mesh:
-    """Mesh of a mesh or primitive object, read once."""
+    """Return the mesh of a mesh or primitive object, read once."""
     if thing.primitive:
         mesh = primitive_mesh(thing.primitive, thing.size_m, thing.material)
     else:
@@ -180,7 +180,7 @@ def _shape_of(thing: SceneObject) -> Mesh:
 
 @lru_cache(maxsize=256)
 def _kind_of(thing: SceneObject) -> ObjectKind:
-    """Box and mean RCS of a mesh or primitive object."""
+    """Return the box and mean RCS of a mesh or primitive object."""
     length, width, height = np.maximum(_shape_of(thing).extent_m, THINNEST_M).tolist()
     surface = 2.0 * (length * width + width * height + height * length)
     return ObjectKind(length, width, thing.z_m + height, db_from_ratio(surface / 4.0))
@@ -253,7 +253,7 @@ def load_scene(path: Path) -> Scene:
 
 
 def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
-    """A checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
+    """Return a checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
     try:
         content = yaml.load(text, Loader=BoundedLoader)
     except yaml.YAMLError as error:
@@ -274,7 +274,7 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
 
 
 def scene_to_yaml(scene: Scene) -> str:
-    """YAML text that `scene_from_yaml` reads back to the same scene."""
+    """Return the YAML text that `scene_from_yaml` reads back to the same scene."""
     return yaml.safe_dump(msgspec.json.decode(msgspec.json.encode(scene)), sort_keys=False, allow_unicode=True)
 
 
@@ -410,7 +410,7 @@ def _check_form(field: str, thing: SceneObject, carrier_hz: float) -> None:
 
 
 def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
-    """Index of the first surface that runs through an object's box, None where it stands clear."""
+    """Return the index of the first surface that runs through an object's box, None where it stands clear."""
     pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
     if not pieces:
         return None
@@ -422,7 +422,7 @@ def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None
 
 
 def _segments(surface: Surface) -> list[tuple[Point, Point]]:
-    """The straight pieces of a wall, or those that stand for its arcs; none for the ground."""
+    """Return the straight pieces of a wall, or those that stand for its arcs; none for the ground."""
     if surface.role == "ground":
         return []
     ends = pairwise(surface.polyline_m)
@@ -430,7 +430,7 @@ def _segments(surface: Surface) -> list[tuple[Point, Point]]:
 
 
 def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point, Point]]:
-    """Straight pieces that follow an arc to `ARC_ERROR_M`; the chord itself where the wall is straight."""
+    """Return the straight pieces that follow an arc to `ARC_ERROR_M`; the chord itself where the wall is straight."""
     if not curvature_per_m:
         return [(a, b)]
     half_angle = math.asin(0.5 * math.dist(a, b) * abs(curvature_per_m))
@@ -441,7 +441,7 @@ def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point,
 
 
 def _distance_to_origin(a: np.ndarray, b: np.ndarray) -> float:
-    """Distance of the segment a -> b from (0, 0)."""
+    """Return the distance of the segment a -> b from (0, 0)."""
     along = b - a
     share = np.clip(-(a @ along) / (along @ along), 0.0, 1.0)
     return float(np.linalg.norm(a + share * along))
@@ -460,7 +460,7 @@ def _numbers(value: Any, field: str) -> Iterator[tuple[str, float]]:
 
 
 def _field_first(message: str) -> str:
-    """A validation message ("Expected `float`, got `str` - at `$.a[0].b`") as "a[0].b: expected ..."."""
+    """Return a validation message ("Expected `float`, got `str` - at `$.a[0].b`") as "a[0].b: expected ..."."""
     text, _, path = message.partition(" - at `$")
     field = path.rstrip("`").lstrip(".")
     text = text[0].lower() + text[1:]

@@ -79,7 +79,7 @@ class Mesh:
 
 
 def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis | None = None) -> Mesh:
-    """A mesh from an OBJ, PLY, STL, GLB or glTF file, in metres, z up, on the ground, centred in plan.
+    """Return a mesh from an OBJ, PLY, STL, GLB or glTF file, in metres, z up, on the ground, centred in plan.
 
     glTF is y up with its front along +z: turned so that the front is x and up is z (also for other formats read with
     `up="y"`). Closed parts are wound outward; open ones keep the file's winding, made consistent. ValueError in one
@@ -102,7 +102,8 @@ def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis 
 
 
 def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, name: str) -> Mesh:
-    """A mesh from plain arrays: welded, faces without area dropped, wound outward, on the ground, centred in plan.
+    """Return a mesh from plain arrays: welded, faces without area dropped, wound outward, on the ground, centred in
+    plan.
 
     Raises ValueError where no face has an area.
     """
@@ -116,27 +117,27 @@ def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, n
 
 
 def grounded(mesh: Mesh) -> Mesh:
-    """The mesh on the ground (min z = 0), the middle of its box over the origin."""
+    """Return the mesh on the ground (min z = 0), the middle of its box over the origin."""
     least, most = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
     middle = 0.5 * (least + most)
     return replace(mesh, vertices_m=mesh.vertices_m - np.array([middle[0], middle[1], least[2]]))
 
 
 def box(length_m: float, width_m: float, height_m: float, material: str = "metal") -> Mesh:
-    """A closed box: length along x, width along y."""
+    """Return a closed box: length along x, width along y."""
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return _primitive("box", unit * (length_m, width_m, height_m), _halved(quads), material)
 
 
 def plate(width_m: float, height_m: float, material: str = "metal") -> Mesh:
-    """An upright plate without thickness that faces +x; both sides reflect."""
+    """Return an upright plate without thickness that faces +x; both sides reflect."""
     y, z = np.array([0.0, width_m, width_m, 0.0]), np.array([0.0, 0.0, height_m, height_m])
     return _primitive("plate", np.column_stack([np.zeros(4), y, z]), _halved([(0, 1, 2, 3)]), material)
 
 
 def dihedral(width_m: float, height_m: float, material: str = "metal") -> Mesh:
-    """Two upright plates of a width that meet at 90 degrees along z and open towards +x."""
+    """Return two upright plates of a width that meet at 90 degrees along z and open towards +x."""
     reach = width_m / math.sqrt(2.0)
     plan = np.array([[0.0, 0.0], [reach, reach], [reach, -reach]])
     vertices = np.concatenate([np.column_stack([plan, np.full(3, z)]) for z in (0.0, height_m)])
@@ -144,7 +145,7 @@ def dihedral(width_m: float, height_m: float, material: str = "metal") -> Mesh:
 
 
 def trihedral(edge_m: float, material: str = "metal") -> Mesh:
-    """A triangular corner reflector of three faces at right angles, its axis of symmetry along +x."""
+    """Return a triangular corner reflector of three faces at right angles, its axis of symmetry along +x."""
     axis = np.array([1.0, 1.0, 1.0]) / math.sqrt(3.0)
     left = np.array([-1.0, 1.0, 0.0]) / math.sqrt(2.0)
     vertices = np.concatenate([np.zeros((1, 3)), edge_m * np.eye(3)]) @ np.stack([axis, left, np.cross(axis, left)]).T
@@ -152,7 +153,7 @@ def trihedral(edge_m: float, material: str = "metal") -> Mesh:
 
 
 def cylinder(diameter_m: float, height_m: float, material: str = "metal", sides: int = 192) -> Mesh:
-    """A closed upright cylinder of flat sides."""
+    """Return a closed upright cylinder of flat sides."""
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = 0.5 * diameter_m * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
     top_middle = np.array([[0.0, 0.0, height_m]])
@@ -165,7 +166,7 @@ def cylinder(diameter_m: float, height_m: float, material: str = "metal", sides:
 
 
 def sphere(diameter_m: float, material: str = "metal", rounds: int = 4) -> Mesh:
-    """A closed sphere: an icosahedron whose faces are cut in four `rounds` times (20 * 4^rounds faces)."""
+    """Return a closed sphere: an icosahedron whose faces are cut in four `rounds` times (20 * 4^rounds faces)."""
     golden = 0.5 * (1.0 + math.sqrt(5.0))
     corners = [(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
     vertices = np.array([np.roll(corner, turn) for turn in range(3) for corner in corners])
@@ -191,7 +192,7 @@ PRIMITIVES: dict[str, tuple[Any, tuple[str, ...]]] = {
 
 
 def primitive_mesh(name: str, size_m: tuple[float, ...], material: str = "metal") -> Mesh:
-    """A primitive by name; ValueError where the sizes do not fit it or the extent is not plausible."""
+    """Return a primitive by name; ValueError where the sizes do not fit it or the extent is not plausible."""
     if name not in PRIMITIVES:
         raise ValueError(f"primitive: must be one of {', '.join(PRIMITIVES)}, got {name!r}")
     build, sizes = PRIMITIVES[name]
@@ -206,24 +207,24 @@ def primitive_mesh(name: str, size_m: tuple[float, ...], material: str = "metal"
 
 
 def _quartered(triangles: np.ndarray) -> np.ndarray:
-    """Triangles [N, 3, 3] cut in four at the middles of their edges, [4 N, 3, 3], same winding."""
+    """Return the triangles [N, 3, 3] cut in four at the middles of their edges, [4 N, 3, 3], same winding."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     return np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
 def _primitive(name: str, vertices_m: np.ndarray, faces: np.ndarray, material: str) -> Mesh:
-    """A primitive through the same door as files."""
+    """Return a primitive through the same door as files."""
     return mesh_from_arrays(vertices_m, faces, material, name)
 
 
 def _halved(quads: list[tuple[int, int, int, int]]) -> np.ndarray:
-    """Two triangles of each quadrangle."""
+    """Return two triangles of each quadrangle."""
     return np.array([half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))])
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V, 3] and faces [F, 3] as the file has them, all parts of it in one."""
+    """Return the vertices [V, 3] and faces [F, 3] as the file has them, all parts of it in one."""
     import trimesh
 
     if not path.is_file():
@@ -277,14 +278,14 @@ def _check_extent(extent_m: float, unit: Unit) -> None:
 
 
 def _weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices at one place become one, so that faces know their neighbours."""
+    """Return the vertices at one place become one, so that faces know their neighbours."""
     step = WELD_SHARE * max(float(np.ptp(vertices, axis=0).max()), 1e-12)
     _, first, label = np.unique(np.round(vertices / step), axis=0, return_index=True, return_inverse=True)
     return vertices[first], label.ravel()[faces]
 
 
 def _have_area(corners: np.ndarray) -> np.ndarray:
-    """Which triangles [F, 3, 3] are more than a line."""
+    """Return which triangles [F, 3, 3] are more than a line."""
     edges = np.roll(corners, -1, axis=1) - corners
     longest = np.linalg.norm(edges, axis=2).max(axis=1)
     doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
@@ -292,18 +293,18 @@ def _have_area(corners: np.ndarray) -> np.ndarray:
 
 
 def _used(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Only the vertices that some face has."""
+    """Return only the vertices that some face has."""
     kept, label = np.unique(faces, return_inverse=True)
     return vertices[kept], label.reshape(faces.shape)
 
 
 def _directed_edges(faces: np.ndarray) -> np.ndarray:
-    """The three edges of every face, in the order of its corners, [3 F, 2]."""
+    """Return the three edges of every face, in the order of its corners, [3 F, 2]."""
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
 def _wind_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Faces of each connected part wound alike, and outward where the part encloses a volume."""
+    """Return the Faces of each connected part wound alike, and outward where the part encloses a volume."""
     part, flipped, closed = _parts(faces)
     faces = np.where(flipped[:, None], faces[:, ::-1], faces)
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
@@ -313,7 +314,8 @@ def _wind_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Connected part of each face, which faces to turn over so that a part is wound alike, which parts are closed.
+    """Return the connected part of each face, which faces to turn over so that a part is wound alike, which parts are
+    closed.
 
     Two nodes a face, as it is and turned over; neighbours join the nodes that are wound alike. A part then falls into
     two components, one the other turned over (a Moebius strip into one: its winding stays as it is). Only edges of
@@ -340,7 +342,7 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _components(count: int, one: np.ndarray, other: np.ndarray) -> tuple[int, np.ndarray]:
-    """Connected components of an undirected graph: their number and the label of each node."""
+    """Return the connected components of an undirected graph: their number and the label of each node."""
     # here: most scenes have no mesh
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -351,6 +353,6 @@ def _components(count: int, one: np.ndarray, other: np.ndarray) -> tuple[int, np
 
 
 def _signed_volume(corners: np.ndarray) -> float:
-    """Volume enclosed by triangles [F, 3, 3], positive where they are wound outward."""
+    """Return the volume enclosed by triangles [F, 3, 3], positive where they are wound outward."""
     a, b, c = np.moveaxis(corners, 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

@@ -108,7 +108,9 @@ class World:
         return table
 
     def reflection(self, wall: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """One bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by roughness)."""
+        """Return one bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by
+        roughness).
+        """
         cosine, stack = np.minimum(cosine, 1.0), self.wall_stack[wall]
         whole, front = np.zeros(len(wall), np.complex128), np.zeros(len(wall), np.complex128)
         permittivity, thickness_m, layers = self._faces
@@ -168,7 +170,7 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
 
 
 def radar_pose(scene: Scene, time_s: float) -> Pose2:
-    """`start_from_now`: where the radar is after a time."""
+    """Return `start_from_now`: where the radar is after a time."""
     return ego_motion(scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps), time_s)
 
 
@@ -230,7 +232,7 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
 
 
 def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals [W, 2] towards a place and offsets [W] of all pieces of wall."""
+    """Return the unit normals [W, 2] towards a place and offsets [W] of all pieces of wall."""
     along = world.wall_b - world.wall_a
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
     middle = 0.5 * (world.wall_a + world.wall_b)
@@ -240,7 +242,7 @@ def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, ...], np.ndarray]:
-    """The distinct builds of all walls, and which of them each piece has."""
+    """Return the distinct builds of all walls, and which of them each piece has."""
     known: dict[Layers, int] = {}
     index = []
     for surface in surfaces:
@@ -254,13 +256,13 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
 
 
 def _reflection(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Field reflection of a build of wall, vertical polarisation (TE)."""
+    """Return the Field reflection of a build of wall, vertical polarisation (TE)."""
     permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
     return np.asarray(stack_reflection(permittivities, thicknesses, cosine, wavelength_m))
 
 
 def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
+    """Return the Field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
     permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
     if np.isinf(thicknesses).any():
         return np.zeros(len(cosine), np.complex128)
@@ -270,13 +272,13 @@ def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np
 
 
 def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndarray:
-    """Field left after one way through a hedge."""
+    """Return the Field left after one way through a hedge."""
     depth_m = 1e-3 * (surface.thickness_mm or 1000.0) / np.maximum(cosine, 0.05)
     return np.asarray(10.0 ** (-vegetation_db(carrier_hz, depth_m) / 20.0))
 
 
 def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np.ndarray]:
-    """The object fields of `World`."""
+    """Return the object fields of `World`."""
     things = list(scene.objects)
     centres = [_centres(thing, wavelength_m, seed, index) for index, thing in enumerate(things)]
     corners = [thing.corners_m() for thing in things]
@@ -287,7 +289,7 @@ def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np
         return np.concatenate(arrays) if arrays else np.zeros((0, *shape))
 
     def on_plan(thing: SceneObject, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
-        """Points or vectors of the object's frame, their third coordinate kept."""
+        """Return the points or vectors of the object's frame, their third coordinate kept."""
         return np.concatenate([thing.place(points[..., :2]) - origin, points[..., 2:]], axis=-1)
 
     places = [np.array([thing.x_m, thing.y_m]) for thing in things]
@@ -308,7 +310,7 @@ def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np
 
 
 def _centres(thing: SceneObject, wavelength_m: float, seed: int, index: int) -> ScatteringCentres:
-    """The scattering centres of one object: drawn for a class, computed for a mesh."""
+    """Return the scattering centres of one object: drawn for a class, computed for a mesh."""
     mesh = thing.shape
     if mesh is None:
         return scattering_centres(thing.object_class, seed, index)
@@ -327,7 +329,7 @@ def _centres(thing: SceneObject, wavelength_m: float, seed: int, index: int) -> 
 def _wall_specks(
     wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
-    """The wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
+    """Return the wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
     place, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
     normal = [np.zeros((0, 2))]
     rng = np.random.default_rng([seed, 2])

@@ -68,7 +68,8 @@ def kernel_profiles(
     precision: str = "float64",
     seed: int = 0,
 ) -> np.ndarray:
-    """Hann-windowed range profiles of all beams without noise, sqrt(mW); complex [beams, bins] of the precision.
+    """Return the Hann-windowed range profiles of all beams without noise, sqrt(mW); complex [beams, bins] of the
+    precision.
 
     Echoes, leakage and spurs (`seed` draws their phases), with I/Q imbalance; noise is `noise_profiles`'. Agrees with
     the beat level to 1e-9 in float64, 1e-5 in float32. ValueError where this level cannot hold the signal, with the
@@ -90,7 +91,8 @@ def kernel_profiles(
 def kernel_objections(
     setup: RadarSetup, paths: Paths, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
 ) -> list[str]:
-    """Why the kernel level cannot hold a signal, empty where it can: motion, too little dither, a clipping converter.
+    """Return why the kernel level cannot hold a signal, empty where it can: motion, too little dither, a clipping
+    converter.
 
     The converter's peak is first bounded by the sum of amplitudes; only beams over that are summed up in time.
     """
@@ -102,7 +104,7 @@ def kernel_objections(
 
 
 def motion_objection(paths: Paths, effects: SignalEffects) -> str | None:
-    """Why Doppler has no place in one profile a beam, if so: the former looks for the strongest Doppler bin."""
+    """Return why Doppler has no place in one profile a beam, if so: the former looks for the strongest Doppler bin."""
     if not effects.motion or not np.any(paths.radial_speed_mps):
         return None
     fastest = float(np.abs(paths.radial_speed_mps).max())
@@ -115,7 +117,7 @@ def _refuse(reason: str | None) -> None:
 
 
 def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
-    """Hann-windowed profiles of swept echoes in their precision, complex [rows, bins].
+    """Return the Hann-windowed profiles of swept echoes in their precision, complex [rows, bins].
 
     Each echo is spread over the `KERNEL_WIDTH` nearest half bins; the grid is convolved with the spectrum of
     window x cardinal function, once per instant. The overlapped start is corrected in time.
@@ -146,7 +148,7 @@ def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def _range_kernels(count: int, instants: int, bins: range, blocks: int, precision: str) -> np.ndarray:
-    """Transforms of the kernels that carry the half-bin grid to the bins, complex [frequencies, instants].
+    """Return the transforms of the kernels that carry the half-bin grid to the bins, complex [frequencies, instants].
 
     H_l = sum_n w(n) l_k(n) / K(n) exp(2 pi j l (n - N/2) / 2N) / N for a grid step l half bins over the bin, K the
     transform of the spreading kernel. Laid out so that out[2 a] of a circular convolution is bin `bins[a]`.
@@ -167,7 +169,9 @@ def _range_kernels(count: int, instants: int, bins: range, blocks: int, precisio
 
 
 def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BINS)) -> np.ndarray:
-    """Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero. Complex [rows, bins]."""
+    """Return the Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero. Complex [rows,
+    bins].
+    """
     window = (1.0 - np.cos(2.0 * np.pi * np.arange(samples.shape[1]) / count)).astype(samples.real.dtype) / count
     return fft.fft(samples * window, count, axis=1)[:, np.arange(bins.start, bins.stop) % count]
 
@@ -196,7 +200,7 @@ def noise_profiles(
     front_end: FrontEnd = NO_FAULTS,
     range_bins: int = RANGE_BINS,
 ) -> np.ndarray:
-    """Noise of all beams as Hann-windowed profiles: thermal, flicker, rounding; complex128 [beams, bins].
+    """Return the noise of all beams as Hann-windowed profiles: thermal, flicker, rounding; complex128 [beams, bins].
 
     Independent draws per bin, scaled to `noise_density_mw`, then the window's taps.
     """
@@ -211,7 +215,7 @@ def noise_profiles(
 def noise_density_mw(
     setup: RadarSetup, bins: np.ndarray, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
 ) -> np.ndarray:
-    """Noise power per bin before the window, after the mean over chirps; mW, float64 [bins].
+    """Return the noise power per bin before the window, after the mean over chirps; mW, float64 [bins].
 
     (thermal + flicker) (|mu|^2 + |nu|^2) + rounding, over N N_c. ValueError where rounding is no white noise.
     """
@@ -231,13 +235,15 @@ def noise_density_mw(
 def noise_rms(
     setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS, range_bins: int = RANGE_BINS
 ) -> np.ndarray:
-    """Rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [bins]."""
+    """Return the rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [bins]."""
     density = noise_density_mw(setup, np.arange(range_bins), effects, front_end)
     return np.sqrt(density * window_noise_gain("hann"))
 
 
 def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd) -> float:
-    """Largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is harmless."""
+    """Return the largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is
+    harmless.
+    """
     # the overlap exchanges echoes for their like
     lone = msgspec.structs.replace(effects, chirp_overlap=False)
     echoes = swept_echoes(setup, paths, lone, front_end, precision="float32")
@@ -263,7 +269,7 @@ def beam_beats(
     front_end: FrontEnd = NO_FAULTS,
     beams: slice = slice(None),
 ) -> np.ndarray:
-    """Echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
+    """Return the Echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
     return echo_beats(swept_echoes(setup, paths, effects, front_end, beams))
 
 
@@ -275,7 +281,7 @@ def beat_terms(
     beam: int = 0,
     seed: Sequence[int] = (0,),
 ) -> Terms:
-    """All that reaches the receiver in one beam but noise: sum_r carrier[c] basis[r, c] beats[r].
+    """Return all that reaches the receiver in one beam but noise: sum_r carrier[c] basis[r, c] beats[r].
 
     Echoes in slow-time terms, leakage and spurs as two more terms each. Returns beats complex128 [terms, samples],
     carrier complex128 [chirps], basis float64 [terms, chirps]. `seed` names the beam.
@@ -291,7 +297,7 @@ def echo_terms(
     beam: int = 0,
     precision: str = "float64",
 ) -> Terms:
-    """The echoes of one beam alone, which stay the same from scan to scan while nothing moves."""
+    """Return the echoes of one beam alone, which stay the same from scan to scan while nothing moves."""
     echoes, carrier, basis = moving_echoes(setup, paths, effects, front_end, beam, precision)
     return echo_beats(echoes), carrier, basis
 
@@ -299,7 +305,7 @@ def echo_terms(
 def with_electronics(
     setup: RadarSetup, terms: Terms, effects: SignalEffects, front_end: FrontEnd, seed: Sequence[int] = (0,)
 ) -> Terms:
-    """Terms with those of leakage and spurs added; `seed` names the beam."""
+    """Return the terms with those of leakage and spurs added; `seed` names the beam."""
     carrier = terms[1]
     beats, rows = [terms[0]], [terms[2]]
     for tone, phasor in _fixed_beats(setup, effects, front_end, seed):
@@ -317,7 +323,7 @@ def record_beam(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
 ) -> np.ndarray:
-    """int16 I/Q codes of one beam from `beat_terms`, [chirps, samples, 2]; the converter always has int16 codes.
+    """Return int16 I/Q codes of one beam from `beat_terms`, [chirps, samples, 2]; the converter always has int16 codes.
 
     Without flicker, I/Q imbalance and a coarser converter these are the codes of `sim_player.signal.fmcw.beam_codes`.
     """
@@ -338,7 +344,7 @@ def received_samples(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
 ) -> np.ndarray:
-    """What the converter gets: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
+    """Return what the converter gets: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
     beats, carrier, basis = terms
     samples = (carrier[:, None] * basis.T).astype(np.complex64) @ beats.astype(np.complex64)
     if setup.beat_sign < 0:
@@ -351,7 +357,7 @@ def received_samples(
 
 
 def echo_beats(echoes: SweptEchoes) -> np.ndarray:
-    """Samples of swept echoes over one chirp, complex128 [rows, samples]."""
+    """Return the samples of swept echoes over one chirp, complex128 [rows, samples]."""
     radar, count = echoes.radar, echoes.radar.samples_per_chirp
     cycles = beat_frequency_hz(radar, echoes.length_m) / radar.sample_rate_hz
     slow = cardinal_functions(echoes.instants, np.arange(count) / count)

@@ -46,25 +46,29 @@ class Echoes:
         return len(self.weight)
 
     def take(self, which: np.ndarray) -> Echoes:
-        """The echoes of an index or mask."""
+        """Return the echoes of an index or mask."""
         return Echoes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 def join_echoes(parts: list[Echoes]) -> Echoes:
-    """All echoes of several sets, in order."""
+    """Return all echoes of several sets, in order."""
     return Echoes(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Echoes)}
     )
 
 
 def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) -> np.ndarray:
-    """Radar equation without the antenna, as a field in sqrt(mW): sqrt(P lambda^2 sigma / ((4 pi)^3 R^4))."""
+    """Return the radar equation without the antenna, as a field in sqrt(mW): sqrt(P lambda^2 sigma / ((4 pi)^3
+    R^4)).
+    """
     power_mw = 1e3 * radar.transmit_power_w * radar.wavelength_m**2 * rcs_m2 / (4.0 * np.pi) ** 3
     return np.asarray(np.sqrt(power_mw) / np.square(range_m))
 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
-    """Echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice (either first)."""
+    """Return the Echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice
+    (either first).
+    """
     out, back = routes.take(pairs[0]), routes.take(pairs[1])
     world, centre = view.world, out.target
     rcs = np.sqrt(centre_rcs_m2(world, centre, -out.arrive) * centre_rcs_m2(world, centre, -back.arrive))
@@ -93,13 +97,13 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
 
 
 def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
-    """Each route taken out and back."""
+    """Return each route taken out and back."""
     every = np.arange(len(routes))
     return every, every
 
 
 def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All index pairs (i, j) with first[i] == second[j]."""
+    """Return all index pairs (i, j) with first[i] == second[j]."""
     order = np.argsort(second, kind="stable")
     low = np.searchsorted(second[order], first, "left")
     count = np.searchsorted(second[order], first, "right") - low
@@ -111,7 +115,7 @@ def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def surface_echoes(
     view: Snapshot, routes: Routes, weight: np.ndarray, point: np.ndarray, wall: np.ndarray, needs: int
 ) -> Echoes:
-    """Echoes of places on walls, out and back by the same route; `weight` already divided by the lengths."""
+    """Return the Echoes of places on walls, out and back by the same route; `weight` already divided by the lengths."""
     count = len(routes)
     return Echoes(
         weight=weight * routes.other**2,
@@ -134,7 +138,7 @@ def surface_echoes(
 
 
 def _rate(view: Snapshot, routes: Routes, still: bool = False) -> np.ndarray:
-    """Rate of change of a route's length: by Fermat only its ends' motion counts."""
+    """Return the rate of change of a route's length: by Fermat only its ends' motion counts."""
     own = dot(routes.depart[:, :2], view.radar_velocity)
     if still:
         return np.asarray(-own)
@@ -146,7 +150,7 @@ def _order(routes: Routes) -> np.ndarray:
 
 
 def centre_rcs_m2(world: World, which: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """RCS of some centres of a world towards unit vectors [N, 3]."""
+    """Return the RCS of some centres of a world towards unit vectors [N, 3]."""
     return seen_rcs_m2(
         world.centre_rcs_m2[which],
         world.centre_normals[which],

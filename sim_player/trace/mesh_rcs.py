@@ -105,7 +105,8 @@ def patches(mesh: Mesh, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> P
 def patch_field(
     pieces: Patches, wavelength_m: float, to_source: np.ndarray, to_receiver: np.ndarray | None = None
 ) -> np.ndarray:
-    """Coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3] far away.
+    """Return the coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3]
+    far away.
 
     Each gives sqrt(4 pi) A cos / lambda times the sinc lobe of its parallelogram, where source and receiver (None: the
     source) both see its face; cos is the mean of both, so that the two may be exchanged.
@@ -121,7 +122,7 @@ def patch_field(
 
 
 def mesh_centres(mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> MeshCentres:
-    """Scattering centres of a mesh at rest in its own frame, for tracers that know points with lobes.
+    """Return the scattering centres of a mesh at rest in its own frame, for tracers that know points with lobes.
 
     A patch of area A sends the energy pi A |r|^2 (its RCS summed over all directions of a monostatic radar), whatever
     its shape. The lobe's solid angle is that of diffraction, lambda^2 / 4A, widened by the spread of its normals: a
@@ -159,7 +160,9 @@ def mesh_rcs_m2(
     ray_spacing_m: float | None = None,
     polarisation: Polarisation = "te",
 ) -> float:
-    """Monostatic RCS [m^2] towards a radar in `direction` [3], by shooting and bouncing rays: |`mesh_field`|^2."""
+    """Return the monostatic RCS [m^2] towards a radar in `direction` [3], by shooting and bouncing rays:
+    |`mesh_field`|^2.
+    """
     return abs(mesh_field(mesh, direction, wavelength_m, bounces, ray_spacing_m, polarisation)) ** 2
 
 
@@ -171,7 +174,8 @@ def mesh_field(
     ray_spacing_m: float | None = None,
     polarisation: Polarisation = "te",
 ) -> complex:
-    """Square root of the monostatic RCS with its phase: physical optics of the rays' currents at every bounce.
+    """Return the square root of the monostatic RCS with its phase: physical optics of the rays' currents at every
+    bounce.
 
     A grid of rays no wider than `ray_spacing_m` (None: lambda / 8) falls on the mesh from `direction` and is followed
     through up to `bounces` faces, both sides of which reflect. At each, the total field n x H, E x n of the ray's tube
@@ -204,7 +208,7 @@ def mesh_field(
 
 
 def _aperture_axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors across the line of sight: level, and as upright as possible."""
+    """Return the unit vectors across the line of sight: level, and as upright as possible."""
     across = np.cross([0.0, 0.0, 1.0], towards)
     # straight from above there is no level axis; y is as good as any
     across = np.array([0.0, 1.0, 0.0]) if np.linalg.norm(across) < 1e-9 else across / np.linalg.norm(across)
@@ -214,7 +218,9 @@ def _aperture_axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _ray_grid(
     mesh: Mesh, towards: np.ndarray, across: np.ndarray, up: np.ndarray, spacing_m: float
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """Starts of all rays [N, 3] on a plane before the mesh, in the middles of cells that tile its outline's box."""
+    """Return the starts of all rays [N, 3] on a plane before the mesh, in the middles of cells that tile its
+    outline's box.
+    """
     if not (math.isfinite(spacing_m) and spacing_m > 0.0):
         raise ValueError(f"ray_spacing_m must be finite and positive, got {spacing_m!r}")
     seen = mesh.vertices_m @ np.stack([across, up, towards]).T
@@ -234,20 +240,23 @@ def _ray_grid(
 
 
 def _reflection_table(material: str, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Half-space reflection of TE and TM over cosines 0..1 in `TABLE_SIZE` steps; TM with the sign of Eq. (13)."""
+    """Return the half-space reflection of TE and TM over cosines 0..1 in `TABLE_SIZE` steps; TM with the sign of Eq.
+    (13).
+    """
     epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
     cosine = np.linspace(0.0, 1.0, TABLE_SIZE)
     return half_space_reflection(np.array(epsilon), cosine), half_space_reflection(np.array(epsilon), cosine, "tm")
 
 
 def _normal_reflectance(material: str, wavelength_m: float) -> float:
-    """|r|^2 at normal incidence."""
+    """Return |r|^2 at normal incidence."""
     epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
     return float(np.abs(half_space_reflection(np.array(epsilon), np.array(1.0))) ** 2)
 
 
 def _outside(mesh: Mesh, patch_m: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Pieces [P, 3, 3] no longer than half a patch that can be seen, outward normals [P, 3], area that cannot.
+    """Return the pieces [P, 3, 3] no longer than half a patch that can be seen, outward normals [P, 3], area that
+    cannot.
 
     A piece of an open mesh that is seen from both sides comes twice.
     """
@@ -262,7 +271,8 @@ def _outside(mesh: Mesh, patch_m: float) -> tuple[np.ndarray, np.ndarray, float]
 
 
 def _cells(pieces: np.ndarray, normal: np.ndarray, middle: np.ndarray, patch_m: float) -> np.ndarray:
-    """Number of the patch that each piece belongs to, by cell of space and direction of the normal, no number left out.
+    """Return the number of the patch that each piece belongs to, by cell of space and direction of the normal, no
+    number left out.
 
     Cells are centred on `middle`, a little off so that sides of a symmetric body do not lie on a border between two.
     """
@@ -287,7 +297,7 @@ class _Gathered:
 
 
 def _gather(pieces: np.ndarray, normal: np.ndarray, label: np.ndarray) -> _Gathered:
-    """Area, middle, mean normal and second moments of the pieces [P, 3, 3] of each label."""
+    """Return the area, middle, mean normal and second moments of the pieces [P, 3, 3] of each label."""
     area = _areas(pieces)
     total = np.bincount(label, area)
 
@@ -320,7 +330,9 @@ def _gather(pieces: np.ndarray, normal: np.ndarray, label: np.ndarray) -> _Gathe
 
 
 def _small_pieces(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles halved at their longest edge until none is longer, [P, 3, 3], and the triangle each came from."""
+    """Return the triangles halved at their longest edge until none is longer, [P, 3, 3], and the triangle each came
+    from.
+    """
     owner = np.arange(len(triangles))
     done, done_owner = [np.zeros((0, 3, 3))], [np.zeros(0, int)]
     while len(triangles):
@@ -338,13 +350,13 @@ def _small_pieces(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, 
 
 
 def _areas(triangles: np.ndarray) -> np.ndarray:
-    """Areas of triangles [P, 3, 3]."""
+    """Return the areas of triangles [P, 3, 3]."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
 def _seen(tree: tuple[np.ndarray, ...], found: _Gathered, side: float) -> np.ndarray:
-    """Which patches have a free line of sight to the outside on the side of +-normal, [K]."""
+    """Return which patches have a free line of sight to the outside on the side of +-normal, [K]."""
     normal = side * found.normal
     first = found.edges_m[:, 1]
     first = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
@@ -360,7 +372,9 @@ def _seen(tree: tuple[np.ndarray, ...], found: _Gathered, side: float) -> np.nda
 
 
 def _search_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles in the order of a tree of boxes; of its nodes: bounds [N, 2, 3], first child or face, faces (or 0)."""
+    """Return the triangles in the order of a tree of boxes; of its nodes: bounds [N, 2, 3], first child or face,
+    faces (or 0).
+    """
     order, bounds, first, count = _grow_tree(
         np.ascontiguousarray(corners.min(axis=1)), np.ascontiguousarray(corners.max(axis=1)), LEAF_FACES
     )

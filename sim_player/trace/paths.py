@@ -40,12 +40,12 @@ class Paths:
         return len(self.length_m)
 
     def take(self, which: np.ndarray) -> Paths:
-        """The paths of an index or mask."""
+        """Return the paths of an index or mask."""
         return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 def join(parts: list[Paths]) -> Paths:
-    """All paths of one or more sets, in order."""
+    """Return all paths of one or more sets, in order."""
     return Paths(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Paths)}
     )

@@ -27,18 +27,18 @@ BASIC_EFFECTS = frozenset(
 
 
 def trace(world: World, time_s: float = 0.0, effects: frozenset[str] = BASIC_EFFECTS) -> Paths:
-    """All paths at a time after start, of the effects asked for."""
+    """Return all paths at a time after start, of the effects asked for."""
     view = snapshot(world, time_s)
     return as_paths(view, trace_echoes(view, effects), effects)
 
 
 def trace_echoes(view: Snapshot, effects: frozenset[str]) -> Echoes:
-    """The echoes of all path effects asked for, in the order of `PATH_EFFECTS`."""
+    """Return the echoes of all path effects asked for, in the order of `PATH_EFFECTS`."""
     return join_echoes(list(trace_each(view, effects).values()))
 
 
 def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
-    """The echoes of every path effect asked for, by name."""
+    """Return the echoes of every path effect asked for, by name."""
     tracing, echoes = Tracing(view), dict[str, Echoes]()
     for name, effect in PATHS.items():
         if name in effects and effect.absent(view.world) is None:

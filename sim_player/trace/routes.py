@@ -51,12 +51,12 @@ class Routes:
         return len(self.length_m)
 
     def take(self, which: np.ndarray) -> Routes:
-        """The routes of an index or mask."""
+        """Return the routes of an index or mask."""
         return Routes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
 
 def join_routes(parts: list[Routes]) -> Routes:
-    """All routes of several sets, in order."""
+    """Return all routes of several sets, in order."""
     return Routes(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Routes)}
     )
@@ -79,7 +79,7 @@ def make_routes(
     rough: np.ndarray | float = 1.0,
     other: np.ndarray | complex = 1.0,
 ) -> Routes:
-    """Routes from their geometry and what their legs met; factors not given are one."""
+    """Return the routes from their geometry and what their legs met; factors not given are one."""
     count = len(target)
 
     def spread(value: object, dtype: type) -> np.ndarray:
@@ -104,13 +104,13 @@ def make_routes(
 
 
 def no_routes() -> Routes:
-    """None at all."""
+    """Return None at all."""
     none, vectors = np.zeros(0), np.zeros((0, 3))
     return make_routes(np.zeros(0, int), none, vectors, vectors, Passage(none > 0.0, none + 0j, none), 0)
 
 
 def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Passage]:
-    """Straight from the antenna to points [N, 3], whatever stands between; and what stands between."""
+    """Return the straight from the antenna to points [N, 3], whatever stands between; and what stands between."""
     legs = passage(view.antenna, point_m, view.blockers, owner)
     ray = point_m - view.antenna
     length = norm(ray)
@@ -132,7 +132,7 @@ class Bounces:
 
 
 def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
-    """All (piece of wall, point) pairs where the piece shows the point to a source [3], legs not looked at.
+    """Return all (piece of wall, point) pairs where the piece shows the point to a source [3], legs not looked at.
 
     The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
     `mirrors` [W]: which pieces are asked.
@@ -165,7 +165,7 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
 def mirror_routes(
     view: Snapshot, point_m: np.ndarray, mirrors: np.ndarray, owner: np.ndarray, ignore_wall: int | None = None
 ) -> tuple[Routes, Passage]:
-    """Routes by one straight mirror to points [N, 3], whatever stands in their legs; and what stands there.
+    """Return the routes by one straight mirror to points [N, 3], whatever stands in their legs; and what stands there.
 
     `ignore_wall` names a piece of wall that stands in no leg.
     """
@@ -201,15 +201,15 @@ def _take(bounces: Bounces, which: np.ndarray) -> Bounces:
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:
-    """Lengths of vectors [..., D]."""
+    """Return the lengths of vectors [..., D]."""
     return np.sqrt(dot(vectors, vectors))
 
 
 def dot(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Scalar products over the last axis."""
+    """Return the scalar products over the last axis."""
     return np.einsum("...i,...i->...", left, right)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors of length one; zero vectors stay."""
+    """Return the vectors of length one; zero vectors stay."""
     return vectors / np.maximum(norm(vectors), 1e-9)[..., None]

@@ -52,12 +52,14 @@ class Passage:
     foliage: np.ndarray
 
     def take(self, which: np.ndarray) -> Passage:
-        """The legs of an index or mask."""
+        """Return the legs of an index or mask."""
         return Passage(self.free[which], self.through[which], self.foliage[which])
 
 
 def passing_factor(passing: np.ndarray, which: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all pieces."""
+    """Return the Field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all
+    pieces.
+    """
     position = np.clip(cosine, 0.0, 1.0) * TABLE_STEPS
     step = np.minimum(position.astype(np.int64), TABLE_STEPS - 1)
     share = position - step
@@ -73,7 +75,8 @@ def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.nd
 
 
 def free_passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
-    """Legs in series from point to point, for those who want free ones only: a chain is given up where it is blocked.
+    """Return the legs in series from point to point, for those who want free ones only: a chain is given up where it
+    is blocked.
 
     `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to its leg. Of chains that are
     not free, `through` is 0 and `foliage` what was met so far.
@@ -102,14 +105,14 @@ def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarr
 
 
 def without(blockers: Blockers, index: int) -> Blockers:
-    """All blockers but one."""
+    """Return all blockers but one."""
     return Blockers(
         **{field.name: np.delete(getattr(blockers, field.name), index, axis=0) for field in fields(Blockers)}
     )
 
 
 def in_series(*legs: Passage) -> Passage:
-    """Legs travelled one after the other."""
+    """Return the legs travelled one after the other."""
     free, through, foliage = legs[0].free, legs[0].through, legs[0].foliage
     for leg in legs[1:]:
         free, through, foliage = free & leg.free, through * leg.through, foliage * leg.foliage

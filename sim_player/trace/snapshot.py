@@ -20,7 +20,7 @@ class Tracing:
     routes: dict[str, Routes] = field(default_factory=dict)
 
     def clear_routes(self, *names: str) -> Routes:
-        """Routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
+        """Return the routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
         found = [self.routes[name] for name in names if name in self.routes]
         return join_routes(found) if found else no_routes()
 

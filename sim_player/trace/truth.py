@@ -30,19 +30,21 @@ UNLABELLED = bits(
 
 
 def labelled(paths: Paths) -> np.ndarray:
-    """Which paths a truth point may stand for: objects and walls in direct sight, objects in one or two mirrors."""
+    """Return which paths a truth point may stand for: objects and walls in direct sight, objects in one or two
+    mirrors.
+    """
     plain = (paths.needs & np.uint32(UNLABELLED)) == 0
     return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.thing >= 0)))
 
 
 def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
-    """Power of each path in the beam that sees it best, mW, [paths]."""
+    """Return the power of each path in the beam that sees it best, mW, [paths]."""
     pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad, *departure(paths))
     return np.abs(paths.amplitude) ** 2 * (np.abs(pattern) ** 2).max(axis=0)
 
 
 def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> np.ndarray:
-    """Indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
+    """Return the indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
     grid = RangeAzimuthGrid() if grid is None else grid
     power = best_power_mw(setup, paths)
     row, column, inside = _cells(paths, grid)
@@ -53,18 +55,20 @@ def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None
 
 
 def _noise_mw(setup: RadarSetup) -> float:
-    """Noise of one beam in one range bin."""
+    """Return the noise of one beam in one range bin."""
     return setup.radar.noise_power_mw / (setup.radar.samples_per_chirp * setup.radar.chirps_per_beam)
 
 
 def _cells(paths: Paths, grid: RangeAzimuthGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Range and azimuth index of each path, and whether they lie in the grid."""
+    """Return the range and azimuth index of each path, and whether they lie in the grid."""
     row, column = grid.range_index(0.5 * paths.length_m), grid.azimuth_index(paths.azimuth_rad)
     return row, column, (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
 
 
 def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Greedy choice, first come first kept: indices whose cells differ from all kept by 4 in one coordinate."""
+    """Return the greedy choice, first come first kept: indices whose cells differ from all kept by 4 in one
+    coordinate.
+    """
     kept: list[int] = []
     free = np.ones(len(row), bool)
     for index in range(len(row)):
@@ -85,7 +89,7 @@ def scene_truth(
     scan_id: int,
     start_from_radar: Pose2 | None = None,
 ) -> SceneTruth:
-    """Truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
+    """Return the truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
 
     `start_from_radar`: where the radar is then; None: where the scene's `ego` takes it.
     """
@@ -106,7 +110,7 @@ def scene_truth(
 
 
 def hidden_objects(paths: Paths) -> frozenset[int]:
-    """Objects seen in a mirror and not directly."""
+    """Return the objects seen in a mirror and not directly."""
     paths = paths.take(labelled(paths))
     mirrored = paths.thing[paths.kind == PathClass.MIRRORED]
     direct = paths.thing[paths.kind == PathClass.LOS]
@@ -127,7 +131,7 @@ class ObjectImages:
 
 
 def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
-    """Sum up the labelled paths of a scene's `count` objects."""
+    """Return the sum up the labelled paths of a scene's `count` objects."""
     paths = paths.take(labelled(paths))
     with np.errstate(divide="ignore"):
         snr_db = 10.0 * np.log10(best_power_mw(setup, paths) / _noise_mw(setup))
@@ -142,14 +146,14 @@ def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
 
 
 def _strongest(thing: np.ndarray, snr_db: np.ndarray, count: int) -> np.ndarray:
-    """Largest value of each object [count]; -inf where it has none."""
+    """Return the largest value of each object [count]; -inf where it has none."""
     found = np.full(count, -np.inf)
     np.maximum.at(found, thing, snr_db)
     return found
 
 
 def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
-    """All objects of the scene where the radar has them at a time."""
+    """Return all objects of the scene where the radar has them at a time."""
     hidden = hidden_objects(paths)
     found = []
     for index, thing in enumerate(world.scene.objects):
@@ -174,7 +178,7 @@ def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2)
 
 
 def _surfaces(world: World, radar_from_start: Pose2) -> tuple[TruthSurface, ...]:
-    """All walls as the radar has them."""
+    """Return all walls as the radar has them."""
     walls = [surface for surface in world.scene.surfaces if surface.role != "ground"]
     return tuple(
         TruthSurface(

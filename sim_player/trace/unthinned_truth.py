@@ -44,7 +44,7 @@ class DrawnScene(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def trace_again(drawn: DrawnScene) -> Paths:
-    """All paths of a scene as when its data set was made.
+    """Return all paths of a scene as when its data set was made.
 
     Raises `ValueError` where the series is none of the simulator's.
     """
@@ -61,7 +61,8 @@ def trace_again(drawn: DrawnScene) -> Paths:
 
 
 def labelled_paths(drawn: DrawnScene) -> tuple[Paths, np.ndarray]:
-    """All echoes over the noise that a truth point may stand for, and the ranges [m] of the truth points, in order.
+    """Return all echoes over the noise that a truth point may stand for, and the ranges [m] of the truth points, in
+    order.
 
     Raises `ValueError` as above.
     """
@@ -70,7 +71,9 @@ def labelled_paths(drawn: DrawnScene) -> tuple[Paths, np.ndarray]:
 
 
 def unthinned_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> Paths:
-    """The candidates of `sim_player.trace.truth.visible_paths`: labelled, in the grid, over the noise in some beam."""
+    """Return the candidates of `sim_player.trace.truth.visible_paths`: labelled, in the grid, over the noise in some
+    beam.
+    """
     grid = RangeAzimuthGrid() if grid is None else grid
     radar = setup.radar
     noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)

@@ -15,7 +15,8 @@ CLEARANCE_M = 1e-6
 
 
 def ways_out(world: World, paths: Paths, time_s: float = 0.0) -> list[np.ndarray]:
-    """Points [N, 3] of every path's way out in the radar's frame: the antenna, its bounces at walls, the scatterer.
+    """Return the points [N, 3] of every path's way out in the radar's frame: the antenna, its bounces at walls, the
+    scatterer.
 
     Followed from the antenna along the direction of departure, mirrored at as many walls as the way has bounces. Bends
     at edges and bounces on the ground are drawn straight.
@@ -27,7 +28,7 @@ def ways_out(world: World, paths: Paths, time_s: float = 0.0) -> list[np.ndarray
 
 
 def _way(paths: Paths, index: int, a: np.ndarray, b: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """One path's points."""
+    """Return one path's points."""
     azimuth, elevation = paths.departure_azimuth_rad[index], paths.departure_elevation_rad[index]
     slope = np.tan(elevation)
     heading = np.array([np.cos(azimuth), np.sin(azimuth)])
@@ -48,13 +49,13 @@ def _way(paths: Paths, index: int, a: np.ndarray, b: np.ndarray, normal: np.ndar
 
 
 def _miss(place: np.ndarray, heading: np.ndarray, target: np.ndarray) -> float:
-    """Angle between a heading and the way to a target."""
+    """Return the angle between a heading and the way to a target."""
     way = target - place
     return float(abs(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
 
 
 def _next_wall(place: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, int]:
-    """Distance to the first piece of wall ahead, and which; (inf, -1) for none."""
+    """Return the distance to the first piece of wall ahead, and which; (inf, -1) for none."""
     if not len(a):
         return np.inf, -1
     along_ray, along_wall = crossing_parameters(place, (place + heading)[None], a, b)
@@ -65,7 +66,7 @@ def _next_wall(place: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndar
 
 
 def _pieces(world: World) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ends [M, 2] and unit normals of all walls, arcs cut into short chords with the arc's own normals."""
+    """Return the Ends [M, 2] and unit normals of all walls, arcs cut into short chords with the arc's own normals."""
     ends_a, ends_b, normals = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros((0, 2))]
     for wall in np.flatnonzero(world.is_mirror):
         start, end, curvature = world.wall_a[wall], world.wall_b[wall], float(world.wall_curvature_per_m[wall])

@@ -14,12 +14,14 @@ CHANNELS = NOISE + 3
 
 
 def anchor_cells(count: int, stride: int) -> np.ndarray:
-    """Fractional cells of the map [count] on which the anchors of one axis lie: the middle of each `stride` cells."""
+    """Return the Fractional cells of the map [count] on which the anchors of one axis lie: the middle of each
+    `stride` cells.
+    """
     return stride * np.arange(count) + 0.5 * (stride - 1)
 
 
 def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distance: int) -> Points:
-    """Points in an answer [5, rows, columns], of cells of the map.
+    """Return the points in an answer [5, rows, columns], of cells of the map.
 
     A point is an anchor whose class probability is at least
     `threshold` and no less than its neighbours', plus its offset, kept on the map; one within `min_distance` cells (on
@@ -60,7 +62,7 @@ def _softmax(logits: np.ndarray) -> np.ndarray:
 
 
 def _points(output: np.ndarray, anchors: np.ndarray, stride: int) -> np.ndarray:
-    """Fractional cells [N, 2] to which the anchors [N, 2] point, kept on the map."""
+    """Return the Fractional cells [N, 2] to which the anchors [N, 2] point, kept on the map."""
     rows, columns = (anchor_cells(count, stride) for count in output.shape[1:])
     at = np.stack([rows[anchors[:, 0]], columns[anchors[:, 1]]], axis=-1)
     offset = output[NOISE + 1 :, anchors[:, 0], anchors[:, 1]].T

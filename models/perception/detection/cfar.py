@@ -63,7 +63,7 @@ PHOTON_CFAR = CfarParams(
 
 
 def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Cells whose power exceeds alpha times the local noise level; bool [range, azimuth].
+    """Return the cells whose power exceeds alpha times the local noise level; bool [range, azimuth].
 
     alpha keeps `false_alarm_rate` exactly for exponential (square-law) noise.
     """
@@ -71,7 +71,8 @@ def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R, A].
+    """Return the cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R,
+    A].
 
     The noise of counts is known and need not be measured beside a cell, where a period's end or a wall may lie.
     """
@@ -79,7 +80,8 @@ def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """CA-CFAR: against the mean of the training cells about each cell, alpha = n (P_fa^(-1/n) - 1); bool [R, A].
+    """Return the CA-CFAR: against the mean of the training cells about each cell, alpha = n (P_fa^(-1/n) - 1); bool
+    [R, A].
 
     Windows shrink at the edges of the map and n with them. Blind beside what is longer than its guard.
     """
@@ -92,7 +94,7 @@ def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
+    """Return the OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
 
     Walls fill many cells: they raise a mean, but not the quarter of quiet cells between them. Each stretch of
     `stride` ranges shares one window, which stays inside the map.
@@ -126,7 +128,7 @@ def _rank(window: int, params: CfarParams) -> int:
 
 @lru_cache(maxsize=32)
 def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> float:
-    """Threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
+    """Return the threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
     # here: a network needs no threshold, and this is a fifth of what its node takes to start
     from scipy.optimize import brentq
 
@@ -135,7 +137,7 @@ def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> f
 
 
 def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
-    """Sums over windows of the given half widths, cut off at the edges, by an integral image; float64."""
+    """Return the sums over windows of the given half widths, cut off at the edges, by an integral image; float64."""
     integral = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
     integral[1:, 1:] = values.astype(np.float64).cumsum(axis=0).cumsum(axis=1)
     (low_r, high_r), (low_a, high_a) = (
@@ -151,12 +153,14 @@ def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
 
 
 def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
-    """Classified peaks of a map without a network: detect, then tell images by the walls in front of them."""
+    """Return the classified peaks of a map without a network: detect, then tell images by the walls in front of
+    them.
+    """
     return classify_behind_walls(detect(ra_map, params), params)
 
 
 def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
-    """Ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
+    """Return the ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
 
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
@@ -192,7 +196,7 @@ def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
 
 
 def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> np.ndarray:
-    """Points [N, 2] behind the nearest wall that hides any; bool [N]."""
+    """Return the points [N, 2] behind the nearest wall that hides any; bool [N]."""
     for wall in sorted(walls, key=lambda wall: wall.offset_m):
         hidden = behind_walls(points_m, _drawn_in(wall), depth_m)
         if hidden.any():
@@ -201,7 +205,7 @@ def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> 
 
 
 def _drawn_in(wall: Wall) -> WallArrays:
-    """The wall without its outermost half metre, which an azimuth error may have made up."""
+    """Return the wall without its outermost half metre, which an azimuth error may have made up."""
     arrays = wall_arrays([wall])
     a, b = arrays.trimmed(0.5)
     return replace(arrays, a=a, b=b)

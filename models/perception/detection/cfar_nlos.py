@@ -42,7 +42,7 @@ def privileged_peaks(
     truth_class: np.ndarray,
     params: CfarNlosParams | None = None,
 ) -> Peaks:
-    """CFAR detections of a map, LOS where they lie within the tolerances of a true LOS point, else mirrored.
+    """Return the CFAR detections of a map, LOS where they lie within the tolerances of a true LOS point, else mirrored.
 
     Truth of all classes [N], radar frame; only its LOS points are looked at (section 4.1). Raises ValueError where the
     truth's arrays differ in length or hold what is not finite.
@@ -56,7 +56,7 @@ def privileged_peaks(
 
 
 def near_truth(peaks: Peaks, range_m: np.ndarray, azimuth_rad: np.ndarray, params: CfarNlosParams) -> np.ndarray:
-    """Which peaks [N] lie within both tolerances of some point [M]; bool [N]."""
+    """Return which peaks [N] lie within both tolerances of some point [M]; bool [N]."""
     in_range = np.abs(peaks.range_m[:, None] - range_m) <= params.range_tolerance_m
     in_azimuth = np.abs(peaks.azimuth_rad[:, None] - azimuth_rad) <= math.radians(params.azimuth_tolerance_deg)
     return np.asarray((in_range & in_azimuth).any(axis=1))
@@ -65,7 +65,7 @@ def near_truth(peaks: Peaks, range_m: np.ndarray, azimuth_rad: np.ndarray, param
 def _direct_truth(
     range_m: np.ndarray, azimuth_rad: np.ndarray, path_class: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The LOS points of a truth, checked."""
+    """Return the LOS points of a truth, checked."""
     if not len(range_m) == len(azimuth_rad) == len(path_class):
         raise ValueError(
             "truth_range_m, truth_azimuth_rad and truth_class must have one length, "

@@ -31,7 +31,7 @@ class Detector(Protocol):
     """Finds LOS and mirrored returns in a map."""
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
 
 
 class NetworkDetector:
@@ -71,7 +71,7 @@ class NetworkDetector:
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
         peaks = self._own_peaks(ra_map)
         if self._refiner is not None:
             peaks = refined_peaks(peaks, ra_map, self._refiner)
@@ -79,7 +79,7 @@ class NetworkDetector:
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name)
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Peaks before any refinement on the complex map."""
+        """Return the peaks before any refinement on the complex map."""
         if self._refine in ("ridge", "likelihood"):
             return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._named)
         if self._refine == "pursuit":
@@ -92,12 +92,12 @@ class NetworkDetector:
 
 
 def detector_name(sha256: str, way: Refine, flip_test: bool) -> str:
-    """What `Peaks.detector` says of a network's peaks: which file, placed how."""
+    """Return what `Peaks.detector` says of a network's peaks: which file, placed how."""
     return f"{sha256}/{way}{'/flip_test' if flip_test else ''}"
 
 
 def refine_way(refine: bool | Refine) -> Refine:
-    """The way that a switch or a word stands for; raises ValueError for another word."""
+    """Return the way that a switch or a word stands for; raises ValueError for another word."""
     if isinstance(refine, bool):
         return DEFAULT_REFINE if refine else "none"
     if refine not in get_args(Refine):
@@ -114,7 +114,7 @@ class CfarDetector:
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
         peaks = cfar_peaks(ra_map, self._params)
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
 
@@ -129,5 +129,5 @@ class PhotonDetector:
         self._params = params
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
         return msgspec.structs.replace(cfar_peaks(ra_map, self._params), sensitivity_db=UNKNOWN_SENSITIVITY_DB)

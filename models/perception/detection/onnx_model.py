@@ -104,7 +104,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
         check_table("card.calibration", self.calibration)
 
     def threshold_for(self, way: str) -> float:
-        """Threshold of a way to place peaks (`models.perception.detection.detectors.Refine`)."""
+        """Return the threshold of a way to place peaks (`models.perception.detection.detectors.Refine`)."""
         return self.pursuit_threshold or self.threshold if way == "pursuit" else self.threshold
 
     @property
@@ -142,7 +142,8 @@ class DensePredictor:
         self.infer(np.zeros(self.card.input_shape[1:], np.float32))
 
     def predict(self, ra_map: RangeAzimuthMap) -> np.ndarray:
-        """Probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the network sees.
+        """Return the probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the
+        network sees.
 
         Raises `ValueError` when the map's grid is not the card's, or the network answers at anchors.
         """
@@ -157,32 +158,32 @@ class DensePredictor:
         return confidence
 
     def points(self, ra_map: RangeAzimuthMap, threshold: float, min_distance: int) -> Points:
-        """What the answer itself points at: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
+        """Return what the answer itself points at: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
 
         Raises `ValueError` when the map's grid is not the card's.
         """
         return answered_points(self.card, self.answer(ra_map), threshold, min_distance)
 
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
-        """The network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
+        """Return the network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
         if ra_map.grid != self.card.grid:
             raise ValueError(f"map.grid must be the {self.card.name} card's, {self.card.grid}, got {ra_map.grid}")
         return self.infer(encode_map(self.card.encoding, ra_map))
 
     def infer(self, encoded: np.ndarray) -> np.ndarray:
-        """The network's answer to an encoded map [channels, range, columns]."""
+        """Return the network's answer to an encoded map [channels, range, columns]."""
         return self._session.run(None, {self._input: encoded[None]})[0][0]
 
 
 def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_distance: int) -> Points:
-    """Points of one answer [channels, rows, columns] with at least a score of `threshold`."""
+    """Return the points of one answer [channels, rows, columns] with at least a score of `threshold`."""
     if card.head == "anchors":
         return anchor_points(answer, card.anchor_stride, threshold, min_distance)
     return heatmap_points(answer, threshold, min_distance)
 
 
 def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxruntime.InferenceSession]:
-    """A network and its card; raises one `ValueError` with all that is wrong with either, and the guide."""
+    """Return a network and its card; raises one `ValueError` with all that is wrong with either, and the guide."""
     card: ModelCard | None = None
     session: onnxruntime.InferenceSession | None = None
     wrong: list[str] = []
@@ -206,7 +207,7 @@ def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxrunt
 
 
 def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
-    """A session for a file with this checksum; raises `ValueError` naming the file."""
+    """Return a session for a file with this checksum; raises `ValueError` naming the file."""
     model = read_learned(model_path, MAX_MODEL_BYTES)
     if wrong := _wrong_checksum(model_path, model, sha256):
         raise ValueError(wrong[0])
@@ -231,7 +232,7 @@ def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infere
 
 
 def _wrong_card(model_path: Path, card: ModelCard) -> list[str]:
-    """Shapes of a card that its own encoding and grid do not give."""
+    """Return the shapes of a card that its own encoding and grid do not give."""
     wanted = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
     shapes = {"input": card.input_shape, "output": card.output_shape}
     return [
@@ -242,7 +243,7 @@ def _wrong_card(model_path: Path, card: ModelCard) -> list[str]:
 
 
 def _wrong_session(model_path: Path, card: ModelCard | None, session: onnxruntime.InferenceSession) -> list[str]:
-    """Types of a network that are not ours, and shapes that are not its card's."""
+    """Return the types of a network that are not ours, and shapes that are not its card's."""
     wrong = []
     entries = {"input": session.get_inputs(), "output": session.get_outputs()}
     for end, found in entries.items():

@@ -36,7 +36,7 @@ class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:
-    """Cells int64 [N, 2] and scores float64 [N] of a confidence map [range, azimuth], strongest first.
+    """Return the cells int64 [N, 2] and scores float64 [N] of a confidence map [range, azimuth], strongest first.
 
     A score is what is left of the blurred confidence when its cell is taken; none is below `threshold`. Of equal cells
     the first one is taken. Cells that are not finite count as empty.
@@ -50,7 +50,7 @@ def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParam
 
 
 def _gaussian(std: float) -> np.ndarray:
-    """Weights of a blur out to four standard deviations, of sum 1; of one cell where there is none."""
+    """Return the weights of a blur out to four standard deviations, of sum 1; of one cell where there is none."""
     reach = int(4.0 * std + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(std, 1e-9)) ** 2)
     return np.asarray(weights / weights.sum())
@@ -58,7 +58,7 @@ def _gaussian(std: float) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """A map [rows, columns] blurred by both kernels, zero beyond its edges and where it is not finite.
+    """Return a map [rows, columns] blurred by both kernels, zero beyond its edges and where it is not finite.
 
     A mean is no higher than the highest of its cells: rows that have none at the threshold within reach stay zero.
     """
@@ -85,7 +85,7 @@ def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across:
 
 
 def _kept(explained: tuple[float, float]) -> np.ndarray:
-    """What a point leaves of the cells about it: 1 less its Gaussian, out to three standard deviations."""
+    """Return what a point leaves of the cells about it: 1 less its Gaussian, out to three standard deviations."""
     row, column = (np.arange(-int(np.ceil(3.0 * std)), int(np.ceil(3.0 * std)) + 1) / std for std in explained)
     return 1.0 - np.exp(-0.5 * np.add.outer(row**2, column**2))
 

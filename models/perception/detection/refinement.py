@@ -110,7 +110,7 @@ class EchoRefiner:
         self._bases: dict[tuple[RangeAzimuthGrid, tuple[int, ...]], _Basis] = {}
 
     def refine(self, ra_map: RangeAzimuthMap, fractional: np.ndarray) -> RefinedEchoes:
-        """Likeliest places of the echoes that start at fractional bins [N, 2] (range, azimuth).
+        """Return the likeliest places of the echoes that start at fractional bins [N, 2] (range, azimuth).
 
         Echoes on bins of magnitudes alone, and all echoes of a map that this set-up cannot have made (other range
         bins, columns that no beams explain), stay as they are.
@@ -135,7 +135,9 @@ class EchoRefiner:
         return result
 
     def range_response(self, offset_bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """White response [..., patch] of a tone `offset_bins` [...] from a patch's first bin, and its derivative."""
+        """Return the white response [..., patch] of a tone `offset_bins` [...] from a patch's first bin, and its
+        derivative.
+        """
         taps = WINDOW_TAPS[self.window]
         reach, bins = len(taps) // 2, self.params.patch_bins
         x = offset_bins[..., None] - np.arange(-reach, bins + reach)
@@ -146,7 +148,7 @@ class EchoRefiner:
         return both[0] @ self._whiten.T, both[1] @ self._whiten.T
 
     def _first_bins(self, start: np.ndarray, range_bins: int) -> np.ndarray:
-        """First range bin of each patch, patches kept within the map."""
+        """Return the First range bin of each patch, patches kept within the map."""
         bins = self.params.patch_bins
         return np.clip(np.rint(start[:, 0]).astype(np.int64) - bins // 2, 0, range_bins - bins)
 
@@ -173,7 +175,9 @@ class _Basis:
         self._from_coarray = beams[:rank] @ beam_matrix(setup) / peak_field(setup)
 
     def coefficients(self, values: np.ndarray, patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients [N, patch, rank] of the rows [N, patch], their noise a beam's; share of energy they hold [N]."""
+        """Return the coefficients [N, patch, rank] of the rows [N, patch], their noise a beam's; share of energy
+        they hold [N].
+        """
         rows, index = np.unique(patch, return_inverse=True)
         inside = values[rows] @ self._columns
         whole, held = (np.sum(np.abs(part) ** 2, axis=1)[index.reshape(patch.shape)] for part in (values[rows], inside))
@@ -181,7 +185,7 @@ class _Basis:
         return (inside / self._size)[index.reshape(patch.shape)].astype(np.complex128), share
 
     def response(self, azimuth_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients [N, rank] of unit echoes at azimuths [N], and their derivatives."""
+        """Return the coefficients [N, rank] of unit echoes at azimuths [N], and their derivatives."""
         position = coefficient_phases(self._setup)
         echo = np.exp(-1j * np.multiply.outer(np.sin(azimuth_rad), position))
         change = -1j * np.multiply.outer(np.cos(azimuth_rad), position) * echo
@@ -221,7 +225,7 @@ class _Fit:
         self._felt = np.take_along_axis(apart[..., 0], self._group, axis=1) <= self.params.patch_bins
 
     def run(self) -> np.ndarray:
-        """All steps; the covariance [N, 2, 2] of (range bin, azimuth bin) at the end."""
+        """Return all steps; the covariance [N, 2, 2] of (range bin, azimuth bin) at the end."""
         limit = np.array(self._grid.shape) - 1.0
         for _ in range(self.params.iterations):
             information, gradient = self._linearise()
@@ -231,7 +235,7 @@ class _Fit:
         return np.linalg.inv(information)[:, 2:4, 2:4]
 
     def _linearise(self) -> tuple[np.ndarray, np.ndarray]:
-        """Information [N, 4K, 4K] and gradient [N, 4K] of every group in its first echo's patch."""
+        """Return the information [N, 4K, 4K] and gradient [N, 4K] of every group in its first echo's patch."""
         tone, change = self._range_responses()
         azimuth, turning = self._basis.response(self._grid.azimuth_at(self.place[:, 1]))
         self._solve_amplitudes(tone, azimuth)
@@ -264,7 +268,7 @@ class _Fit:
         return information, gradient - pull.reshape(count, -1)
 
     def _range_responses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tone and slope of echo j in the patch of echo i, [i, j, patch]; zero where they are far apart."""
+        """Return the tone and slope of echo j in the patch of echo i, [i, j, patch]; zero where they are far apart."""
         i, j = np.nonzero(self._near)
         responses = np.zeros((2, *self._near.shape, self.params.patch_bins), np.complex128)
         responses[:, i, j] = self._refiner.range_response(self.place[j, 0] - self._first[i])
@@ -288,7 +292,7 @@ class _Fit:
 
 
 def refined_peaks(peaks: Peaks, ra_map: RangeAzimuthMap, refiner: EchoRefiner) -> Peaks:
-    """Peaks at their likeliest places; the rest of the message stays.
+    """Return the peaks at their likeliest places; the rest of the message stays.
 
     A peak that fits a point brings the covariance of its fit. One that does not stands for many scatterers in a cell,
     whose spread the peak's own error model knows better than a bound on points.
@@ -306,7 +310,7 @@ def refined_peaks(peaks: Peaks, ra_map: RangeAzimuthMap, refiner: EchoRefiner) -
 
 
 def _sinc_slope(x: np.ndarray) -> np.ndarray:
-    """Derivative of sin(pi x) / (pi x); 0 at 0."""
+    """Return the derivative of sin(pi x) / (pi x); 0 at 0."""
     away = np.where(np.abs(x) < 1e-4, 1.0, x)
     # near 0 the quotient loses its digits: -pi^2 x / 3 there
     return np.where(np.abs(x) < 1e-4, -(np.pi**2) * x / 3.0, (np.cos(np.pi * x) - np.sinc(x)) / away)

@@ -21,7 +21,9 @@ class NamedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 def named_peaks(heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams, params: NamedParams) -> Peaks:
-    """Ridges that the heatmap [2, range, azimuth] names, then its own maxima where no ridge of their class stands."""
+    """Return the ridges that the heatmap [2, range, azimuth] names, then its own maxima where no ridge of their
+    class stands.
+    """
     # here: as in `find_ridges`
     from scipy import ndimage
 
@@ -42,6 +44,6 @@ def named_peaks(heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams,
 
 
 def _alone(cells: np.ndarray, others: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Which cells [N, 2] stand further than `spacing` in one axis at least from all others [M, 2]; bool [N]."""
+    """Return which cells [N, 2] stand further than `spacing` in one axis at least from all others [M, 2]; bool [N]."""
     apart = np.abs(cells[:, None] - others[None])
     return ~np.logical_and.reduce(apart <= spacing, axis=-1).any(axis=1)

@@ -40,7 +40,8 @@ class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 def find_ridges(
     power: np.ndarray, allowed: np.ndarray, noise_power_mw: float, range_m: np.ndarray, params: RidgeParams
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ridge cells [N, 2] among `allowed` cells and their fractional places [N, 2]; highest first, lobes left out.
+    """Return the ridge cells [N, 2] among `allowed` cells and their fractional places [N, 2]; highest first, lobes
+    left out.
 
     `power` [range, azimuth] in milliwatt, `range_m` [range].
     """
@@ -56,7 +57,9 @@ def find_ridges(
 
 
 def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it; highest first."""
+    """Return the cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it;
+    highest first.
+    """
     # here: pursuit needs no ridges, and a node that starts again need not wait for this
     from scipy import ndimage
 
@@ -67,7 +70,9 @@ def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
 
 
 def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either side."""
+    """Return the Fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either
+    side.
+    """
     reach = 3
     inner = np.clip(cells[:, 1], reach, level_db.shape[1] - 1 - reach)
     before, here, after = (level_db[cells[:, 0], inner + k] for k in (-reach, 0, reach))
@@ -78,7 +83,9 @@ def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: RidgeParams) -> np.ndarray:
-    """Which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its beam; [N]."""
+    """Return which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its
+    beam; [N].
+    """
     range_apart = np.abs(cells[:, 0, None] - cells[:, 0])
     azimuth_apart = np.abs(cells[:, 1, None] - cells[:, 1])
     weaker_db = level_db - level_db[:, None]  # [N, N]: how much stronger the other one is

@@ -47,14 +47,14 @@ class BackgroundQuality(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def mean_chirp(beam: RadarBeam) -> np.ndarray:
-    """Mean over a beam's chirps in codes, complex64 [samples]."""
+    """Return the mean over a beam's chirps in codes, complex64 [samples]."""
     sums, _ = fold_chirps(beam.samples, 1)
     mean: np.ndarray = sums.astype(np.float32).view(np.complex64)[0, :, 0] / np.float32(len(beam.samples))
     return mean
 
 
 def background_of(chirps: np.ndarray) -> tuple[np.ndarray, float]:
-    """Background [beams, samples] of mean chirps [scans, beams, samples], and the share of cells left out.
+    """Return the background [beams, samples] of mean chirps [scans, beams, samples], and the share of cells left out.
 
     Works bin by bin of the chirp's spectrum, where a mover is in few cells. Raises ValueError under `MIN_SCANS` scans.
     """
@@ -71,7 +71,9 @@ def background_of(chirps: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _robust_mean(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """Mean over axis 0 of complex values [N, bins] without those far from their median, and how many those are."""
+    """Return the mean over axis 0 of complex values [N, bins] without those far from their median, and how many
+    those are.
+    """
     median = np.median(values.real, axis=0) + 1j * np.median(values.imag, axis=0)
     off = np.abs(values - median)
     # a bin's own spread where 1/f noise makes it wide, never under that of all: of few scans one bin's says little
@@ -85,7 +87,7 @@ def _robust_mean(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: float) -> BackgroundQuality:
-    """What the background of mean chirps [scans, beams, samples] is worth, judged on scans it was not made of.
+    """Return what the background of mean chirps [scans, beams, samples] is worth, judged on scans it was not made of.
 
     Raises ValueError where the scans are all the same: nothing then tells what is static from noise.
     """
@@ -117,7 +119,7 @@ def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: flo
 
 
 def _power_scale(setup: RadarSetup, chirps: np.ndarray) -> np.ndarray:
-    """Spectra of mean chirps in sqrt(mW) per bin, complex64 [scans, beams, bins]."""
+    """Return the spectra of mean chirps in sqrt(mW) per bin, complex64 [scans, beams, bins]."""
     scale = math.sqrt(setup.milliwatt_per_code_squared) / chirps.shape[-1]
     spectra: np.ndarray = fft.fft(chirps, axis=-1)
     if setup.beat_sign < 0:
@@ -127,13 +129,13 @@ def _power_scale(setup: RadarSetup, chirps: np.ndarray) -> np.ndarray:
 
 
 def _robust_halves(spectra: np.ndarray) -> np.ndarray:
-    """Robust mean over scans of spectra [scans, beams, bins]."""
+    """Return the robust mean over scans of spectra [scans, beams, bins]."""
     return np.stack([_robust_mean(spectra[:, beam])[0] for beam in range(spectra.shape[1])])
 
 
 def noise_by_scans(spectra: np.ndarray) -> list[tuple[int, float]]:
-    """Noise power per bin of the mean over 1, 2, 4, ... scans of spectra [scans, beams, bins], from differences of
-    neighbouring means: what is static falls out. Median over bins, so that a mover does not set it."""
+    """Return the noise power per bin of the mean over 1, 2, 4, ... scans of spectra [scans, beams, bins], from
+    differences of neighbouring means: what is static falls out. Median over bins, so that a mover does not set it."""
     found, count = [], 1
     while 2 * count <= len(spectra):
         pairs = len(spectra) // (2 * count)
@@ -146,7 +148,7 @@ def noise_by_scans(spectra: np.ndarray) -> list[tuple[int, float]]:
 
 
 def load_background(path: Path) -> np.ndarray:
-    """The background [beams, samples] of a file; `ValueError` naming file and rule where it holds none."""
+    """Return the background [beams, samples] of a file; `ValueError` naming file and rule where it holds none."""
     try:
         background = load_array(path)
     except FileNotFoundError:

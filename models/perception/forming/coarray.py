@@ -101,12 +101,14 @@ def require_bearable(setup: RadarSetup) -> None:
 
 
 def peak_field(setup: RadarSetup) -> float:
-    """What an ideal beam steered at a unit echo holds, power normalised: N, or sqrt(N) one way."""
+    """Return what an ideal beam steered at a unit echo holds, power normalised: N, or sqrt(N) one way."""
     return float(setup.array.columns) ** (0.5 * setup.array.steered_ways)
 
 
 def coefficient_phases(setup: RadarSetup) -> np.ndarray:
-    """Phase k d p of each co-array coefficient per unit of sin(azimuth), centred; float64 [2N-1], or [N] one way."""
+    """Return the phase k d p of each co-array coefficient per unit of sin(azimuth), centred; float64 [2N-1], or [N]
+    one way.
+    """
     columns, wavelength_m = setup.array.columns, setup.radar.wavelength_m
     reach = 0.5 * setup.array.steered_ways * (columns - 1)
     step_rad = 2.0 * np.pi / wavelength_m * setup.array.column_spacing(wavelength_m)
@@ -114,7 +116,9 @@ def coefficient_phases(setup: RadarSetup) -> np.ndarray:
 
 
 def beam_matrix(setup: RadarSetup) -> np.ndarray:
-    """Co-array coefficients to beams, with the weights as set; complex128 [beams, 2N-1], or [beams, N] one way."""
+    """Return the co-array coefficients to beams, with the weights as set; complex128 [beams, 2N-1], or [beams, N]
+    one way.
+    """
     weights = setup_weights(setup)
     if setup.array.steered_ways == 2:
         weights = coarray_weights(weights)
@@ -122,7 +126,9 @@ def beam_matrix(setup: RadarSetup) -> np.ndarray:
 
 
 def ideal_beams(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Co-array coefficients to ideal beams at any azimuths [...]; complex128 [..., 2N-1], or [..., N] one way."""
+    """Return the co-array coefficients to ideal beams at any azimuths [...]; complex128 [..., 2N-1], or [..., N] one
+    way.
+    """
     if setup.array.steered_ways == 2:
         return _ideal_two_way(setup, azimuth_rad)
     steering = np.exp(1j * np.multiply.outer(np.sin(azimuth_rad), coefficient_phases(setup)))
@@ -130,7 +136,7 @@ def ideal_beams(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
 
 
 def _ideal_two_way(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Ideal two-way beams, which are the squares of one-way ones as well; complex128 [..., 2N-1]."""
+    """Return the ideal two-way beams, which are the squares of one-way ones as well; complex128 [..., 2N-1]."""
     columns = setup.array.columns
     wavelength_m = setup.radar.wavelength_m
     step_rad = 2.0 * np.pi / wavelength_m * setup.array.column_spacing(wavelength_m)
@@ -178,7 +184,8 @@ class AzimuthInterpolator:
         missing: tuple[int, ...] = (),
         look_azimuth_rad: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Complex64 [range, azimuth] of beam profiles complex64 [beams, range], and bool [range]: magnitudes only.
+        """Return the complex64 [range, azimuth] of beam profiles complex64 [beams, range], and bool [range]:
+        magnitudes only.
 
         `noise_power_mw` is a beam's noise per bin. Rows of `missing` beams are not looked at. `look_azimuth_rad`
         [beams, range] says where each beam looked as seen from the map's pose, where that is not its steering angle.
@@ -204,7 +211,9 @@ class AzimuthInterpolator:
     def interpolate_magnitude(
         self, magnitudes: np.ndarray, missing: tuple[int, ...] = (), look_azimuth_rad: np.ndarray | None = None
     ) -> np.ndarray:
-        """Magnitudes float32 [range, azimuth] of beam magnitudes float32 [beams, range]; arguments as above."""
+        """Return the magnitudes float32 [range, azimuth] of beam magnitudes float32 [beams, range]; arguments as
+        above.
+        """
         present = self._present(missing)
         looks = None if look_azimuth_rad is None else look_azimuth_rad[present]
         values = self._magnitudes(np.ascontiguousarray(magnitudes[present].T), self._inverse(missing), looks)
@@ -212,11 +221,13 @@ class AzimuthInterpolator:
         return values
 
     def noise_gain(self, missing: tuple[int, ...] = ()) -> float:
-        """Mean noise power of a coherent cell relative to a beam's (0.58 with all of the default beams)."""
+        """Return the mean noise power of a coherent cell relative to a beam's (0.58 with all of the default beams)."""
         return self._inverse(missing).noise_gain
 
     def _unseen(self, missing: tuple[int, ...]) -> np.ndarray:
-        """Azimuths [azimuth] that beams should have seen but for the missing ones: there the fit would be invention."""
+        """Return the azimuths [azimuth] that beams should have seen but for the missing ones: there the fit would be
+        invention.
+        """
         if self.setup.array.digital:
             return (self._inverse(()).share >= SEEN_SHARE) & (self._inverse(missing).share < SEEN_SHARE)
         reach_rad = SEEN_SPACINGS * np.median(np.diff(np.sort(self.setup.beams.azimuth_rad), prepend=-np.pi))
@@ -239,7 +250,9 @@ class AzimuthInterpolator:
         return self._inverses[missing]
 
     def _incoherent(self, beams: np.ndarray, inverse: _Inverse, noise_power_mw: float) -> np.ndarray:
-        """Bins [range] whose residual noise cannot explain, nor errors of the model; none without freedom to test."""
+        """Return the bins [range] whose residual noise cannot explain, nor errors of the model; none without freedom
+        to test.
+        """
         # here: a detector knows arrays, but forms no maps
         from scipy.special import gammainccinv
 
@@ -250,8 +263,8 @@ class AzimuthInterpolator:
         return (left_over > noise_limit) & (left_over > self.coherence.model_error * _energy(beams))
 
     def _steered_at(self, looks: np.ndarray, present: list[int]) -> np.ndarray | None:
-        """Where a beam that looked at each azimuth of the map was steered, [range, azimuth], from the looks of the
-        present beams [beams, range]; None where they looked where they were steered."""
+        """Return where a beam that looked at each azimuth of the map was steered, [range, azimuth], from the looks of
+        the present beams [beams, range]; None where they looked where they were steered."""
         beam_rad, grid_rad = self.setup.beams.azimuth_rad[present], self.grid.azimuth_rad
         off_rad = (looks - beam_rad[:, None]).T
         if np.abs(off_rad).max(initial=0.0) <= _STILL_RAD:
@@ -264,7 +277,9 @@ class AzimuthInterpolator:
         return np.asarray(grid_rad - off_rad / np.clip(1.0 + slope, 0.5, 2.0))
 
     def _steered(self, coefficients: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
-        """Ideal beams of coefficients [range, 2N-1], each range at azimuths of its own [range, azimuth]; complex64."""
+        """Return the ideal beams of coefficients [range, 2N-1], each range at azimuths of its own [range, azimuth];
+        complex64.
+        """
         first, second = coefficient_phases(self.setup)[:2].tolist()
         sine = np.sin(azimuth_rad.astype(np.float32))
         turn = np.exp(1j * (second - first) * sine)
@@ -276,7 +291,7 @@ class AzimuthInterpolator:
         return np.asarray(values * np.exp(1j * first * sine))
 
     def _magnitudes(self, magnitudes: np.ndarray, inverse: _Inverse, looks: np.ndarray | None) -> np.ndarray:
-        """Least squares on magnitudes [range, beams], on their squares one way, not below zero."""
+        """Return the least squares on magnitudes [range, beams], on their squares one way, not below zero."""
         one_way = self.setup.array.steered_ways == 1
         spanned = magnitudes**2 if one_way else magnitudes
         if looks is None:
@@ -288,7 +303,7 @@ class AzimuthInterpolator:
 
 
 def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray, np.ndarray]) -> _Inverse:
-    """Both inverses from the beams [beams, coefficients] and the steering [azimuth, coefficients] of each."""
+    """Return both inverses from the beams [beams, coefficients] and the steering [azimuth, coefficients] of each."""
     beams, steering = fields
     coherent, back = _ridge_inverse(*fields)
     residual = np.eye(len(beams)) - beams @ back
@@ -305,12 +320,14 @@ def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray,
 
 
 def _share(seen: np.ndarray, steering: np.ndarray) -> np.ndarray:
-    """How much of the wanted steering [azimuth, coefficients] the one arrived at holds, [azimuth]."""
+    """Return how much of the wanted steering [azimuth, coefficients] the one arrived at holds, [azimuth]."""
     return np.abs(np.sum(seen * steering.conj(), axis=1)) / np.sum(np.abs(steering) ** 2, axis=1)
 
 
 def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Beams to azimuths [azimuth, beams] and to coefficients [2N-1, beams], at the least ridge noise allows."""
+    """Return the beams to azimuths [azimuth, beams] and to coefficients [2N-1, beams], at the least ridge noise
+    allows.
+    """
     largest = np.linalg.norm(beams, 2) ** 2 if len(beams) else 1.0
     gram = beams.conj().T @ beams
     for ridge in _RIDGES:
@@ -322,7 +339,8 @@ def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray,
 
 
 def _solve_each(beams: np.ndarray, magnitudes: np.ndarray) -> np.ndarray:
-    """Coefficients [range, 2N-1] of magnitudes [range, beams], each bin with its own matrix [range, beams, 2N-1].
+    """Return the coefficients [range, 2N-1] of magnitudes [range, beams], each bin with its own matrix [range, beams,
+    2N-1].
 
     B' (B B' + r)^-1 = (B' B + r)^-1 B': the smaller of the two is solved.
     """
@@ -338,7 +356,7 @@ def _solve_each(beams: np.ndarray, magnitudes: np.ndarray) -> np.ndarray:
 
 
 def _energy(rows: np.ndarray) -> np.ndarray:
-    """Sum of |value|^2 of each row, float64."""
+    """Return the sum of |value|^2 of each row, float64."""
     return np.einsum("rb,rb->r", rows.real, rows.real, dtype=np.float64) + np.einsum(
         "rb,rb->r", rows.imag, rows.imag, dtype=np.float64
     )

@@ -28,13 +28,17 @@ ARRAY_LIMIT = 0.12
 
 
 def lost_chirps(samples: np.ndarray) -> int:
-    """Chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise alone never is all zeros."""
+    """Return the chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise alone never is all
+    zeros.
+    """
     step = max(samples.shape[1] // _LOOKED_AT, 1)
     return int(np.count_nonzero(~samples[:, ::step].any(axis=(1, 2))))
 
 
 def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
-    """Beams that hold noise alone where others hear loud echoes; bool [beams] of profiles complex [beams, range]."""
+    """Return the beams that hold noise alone where others hear loud echoes; bool [beams] of profiles complex [beams,
+    range].
+    """
     power = _power(profiles[:, _NEAR_BINS:])
     loud = power.max(axis=0, initial=0.0) > ratio_from_db(_LOUD_DB) * noise_power_mw
     if np.count_nonzero(loud) < _LOUD_BINS or len(np.unique(power[:, loud].argmax(axis=0))) < _LOUD_DIRECTIONS:
@@ -43,7 +47,7 @@ def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
 
 
 def drowned_beams(noise_power_mw: np.ndarray) -> np.ndarray:
-    """Beams far noisier than most, bool [beams] of the noise of each, nan for those that never came.
+    """Return the beams far noisier than most, bool [beams] of the noise of each, nan for those that never came.
 
     Only those between two others that are neither: the neighbours must see in their place.
     """
@@ -53,7 +57,9 @@ def drowned_beams(noise_power_mw: np.ndarray) -> np.ndarray:
 
 
 def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
-    """Whether a range bin beyond the near ones is about equally full in every beam [beams, range]: no echo is."""
+    """Return whether a range bin beyond the near ones is about equally full in every beam [beams, range]: no echo
+    is.
+    """
     power = _power(profiles[:, _NEAR_BINS:])
     if len(power) < 3 or not noise_power_mw > 0.0:
         return False
@@ -63,7 +69,7 @@ def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
 
 
 def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:
-    """How far the array is from what its set-up says; zero without enough ranges to tell.
+    """Return how far the array is from what its set-up says; zero without enough ranges to tell.
 
     `coefficients` complex [range, 2N-1] of the co-array. An echo alone at its range has a[k] exp(j k u): in
     c[k+1] c[k-1] / c[k]^2 neither its strength nor its direction is left, only what gains and phases of the columns
@@ -82,7 +88,7 @@ def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:
 
 
 def _level(values: np.ndarray) -> np.ndarray:
-    """Logarithm of magnitudes; that of nothing is far down, not infinite."""
+    """Return the logarithm of magnitudes; that of nothing is far down, not infinite."""
     return np.log(np.maximum(np.abs(values), np.finfo(np.float32).tiny))
 
 

@@ -105,7 +105,7 @@ class NoiseMeter:
         self._scans.add(beam.scan_id)
 
     def result(self) -> NoiseFloor:
-        """The floor of all beams so far; ValueError before the first or where nothing is heard."""
+        """Return the floor of all beams so far; ValueError before the first or where nothing is heard."""
         total, number = self._white
         if not number.any():
             raise ValueError("noise needs at least one beam, got none")
@@ -143,12 +143,12 @@ class NoiseMeter:
 
 
 def noise_figure_db(radar: RadarParams, power_mw: float) -> float:
-    """F of a noise power over the sampled band: power / (k T0 f_s), in dB."""
+    """Return the F of a noise power over the sampled band: power / (k T0 f_s), in dB."""
     return db_from_ratio(power_mw / (1e3 * BOLTZMANN_J_PER_K * REFERENCE_TEMPERATURE_K * radar.sample_rate_hz))
 
 
 def _between_echoes(radar: RadarParams) -> np.ndarray:
-    """Bins of a whole beam's spectrum away from the multiples of 1 / T_c, bool [chirps * samples]."""
+    """Return the bins of a whole beam's spectrum away from the multiples of 1 / T_c, bool [chirps * samples]."""
     chirps = radar.chirps_per_beam
     off = np.arange(chirps * radar.samples_per_chirp) % chirps
     off = np.minimum(off, chirps - off)
@@ -156,12 +156,13 @@ def _between_echoes(radar: RadarParams) -> np.ndarray:
 
 
 def _median_mean(power: np.ndarray, averages: int = 1) -> float:
-    """Mean power of noise from the median of `averages`-fold periodograms: tones do not set it."""
+    """Return the mean power of noise from the median of `averages`-fold periodograms: tones do not set it."""
     return float(np.median(power)) * averages / float(gammaincinv(averages, 0.5))
 
 
 def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs; [bands].
+    """Return the Frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs;
+    [bands].
 
     Raises ValueError where the beams are too short to fill a band.
     """
@@ -185,7 +186,7 @@ def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages:
 
 
 def _fit(radar: RadarParams, frequency_hz: np.ndarray, power_mw: np.ndarray) -> tuple[float, float]:
-    """White power over the sampled band and corner frequency that fit the bands best in dB, robustly."""
+    """Return the white power over the sampled band and corner frequency that fit the bands best in dB, robustly."""
     low_hz = 1.0 / radar.beam_duration_s
     start = math.log(float(np.median(power_mw))), math.log(low_hz)
 
@@ -200,7 +201,7 @@ def _fit(radar: RadarParams, frequency_hz: np.ndarray, power_mw: np.ndarray) -> 
 
 
 def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign: int) -> tuple[FoundSpur, ...]:
-    """Tones between the echoes that stand out of the floor about them, strongest first."""
+    """Return the tones between the echoes that stand out of the floor about them, strongest first."""
     blocks = power.reshape(-1, 2 * radar.chirps_per_beam)
     floor = np.repeat(np.median(blocks, axis=1), blocks.shape[1])
     loud = between & (power > floor * 10.0 ** (SPUR_DB / 10.0))
@@ -216,7 +217,7 @@ def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign
 
 
 def _spur_at(radar: RadarParams, power: np.ndarray, at: int, beat_sign: int) -> FoundSpur:
-    """Frequency below the bin and power of the tone whose lobe peaks at a bin."""
+    """Return the Frequency below the bin and power of the tone whose lobe peaks at a bin."""
     count = len(power)
     around = np.arange(at - 4, at + 5) % count
     lobe = power[around]

@@ -32,7 +32,8 @@ MOST_TIMES, MOST_CELLS = 1 << 20, 1 << 19
 
 
 def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid) -> np.ndarray:
-    """Counts [azimuth, bins] on the range cells of a grid, float64 [range, azimuth] (section 2.2, RA projection).
+    """Return the counts [azimuth, bins] on the range cells of a grid, float64 [range, azimuth] (section 2.2, RA
+    projection).
 
     Each bin is shared out over the cells that it overlaps at R = c t / 2, cell i reaching half a cell to either side of
     i range_bin_m: what falls into the grid's range is conserved, be cells finer or coarser than bins. Raises
@@ -43,7 +44,8 @@ def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid)
 
 
 def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthMap:
-    """Excess of photons over ambient light in standard deviations: complex64 [range, azimuth], mode "photons".
+    """Return the Excess of photons over ambient light in standard deviations: complex64 [range, azimuth], mode
+    "photons".
 
     Without echoes |values|^2 has mean 1, which `noise_power_mw` says; with one it is the detection SNR. Where less than
     one count is expected, one count is the standard deviation. Cells that no period was left for are 0, and
@@ -99,7 +101,7 @@ class _Pieces:
 
 @lru_cache(maxsize=4)
 def _pieces(spad: SpadParams) -> _Pieces:
-    """Times at which events fall into each bin, gate by gate."""
+    """Return the times at which events fall into each bin, gate by gate."""
     edges_s = _bin_edges_s(spad)
     gates_s = spad.period_s * np.arange(spad.gates + 1) / spad.gates
     cuts_s = np.union1d(edges_s, gates_s)
@@ -118,7 +120,9 @@ def _pieces(spad: SpadParams) -> _Pieces:
 
 
 def _bin_edges_s(spad: SpadParams) -> np.ndarray:
-    """Times since the pulse from which events fall into each bin, ascending, [bins]; of ticks of a run the mean."""
+    """Return the times since the pulse from which events fall into each bin, ascending, [bins]; of ticks of a run
+    the mean.
+    """
     edges_s, later_s = spad.bin_s * np.arange(spad.bins), 0.0
     if spad.tick_s:
         tick, bin_ = Fraction(str(spad.tick_s)), 1 / (Fraction(str(spad.repetition_rate_hz)) * spad.bins)
@@ -133,7 +137,7 @@ def _bin_edges_s(spad: SpadParams) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _overlaps(spad: SpadParams, grid: RangeAzimuthGrid) -> sparse.csr_array:
-    """Share of each bin that lies in each range cell, sparse [range, bins]."""
+    """Return the share of each bin that lies in each range cell, sparse [range, bins]."""
     edges_m = 0.5 * SPEED_OF_LIGHT_MPS * spad.bin_s * np.arange(spad.bins + 1)
     cells_m = grid.range_bin_m * (np.arange(grid.range_bins + 1) - 0.5)
     cuts_m = np.union1d(edges_m, cells_m)
@@ -148,12 +152,12 @@ def _overlaps(spad: SpadParams, grid: RangeAzimuthGrid) -> sparse.csr_array:
 
 @lru_cache(maxsize=4)
 def _cells(spad: SpadParams, grid: RangeAzimuthGrid) -> sparse.csr_array:
-    """Share of each piece's counts that lies in each range cell, sparse [range, pieces]."""
+    """Return the share of each piece's counts that lies in each range cell, sparse [range, pieces]."""
     return _overlaps(spad, grid)[:, _pieces(spad).bin_index]
 
 
 def _waiting(counts: np.ndarray, pieces: _Pieces) -> np.ndarray:
-    """Periods without a photon so far at each piece, float64 [azimuth, pieces]; below one is none.
+    """Return the periods without a photon so far at each piece, float64 [azimuth, pieces]; below one is none.
 
     A bin across the edge of two gates does not say whose its counts are: they are shared as ambient light would, by
     exposure and by how many wait on either side, in two rounds.
@@ -169,7 +173,7 @@ def _waiting(counts: np.ndarray, pieces: _Pieces) -> np.ndarray:
 
 
 def _share(waiting: np.ndarray, pieces: _Pieces) -> np.ndarray:
-    """Share of each piece in the ambient counts of its bin, [azimuth, pieces]."""
+    """Return the share of each piece in the ambient counts of its bin, [azimuth, pieces]."""
     weight = (waiting + 0.5) * pieces.exposure_s
     total = np.stack([np.bincount(pieces.bin_index, one) for one in weight])
     return np.asarray(weight / total[:, pieces.bin_index])
@@ -178,7 +182,7 @@ def _share(waiting: np.ndarray, pieces: _Pieces) -> np.ndarray:
 def _expected(
     spad: SpadParams, pieces: _Pieces, cells: sparse.csr_array, waiting: np.ndarray, rate_hz: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of ambient light at rates [azimuth] and their variance, float64 [range, azimuth].
+    """Return the counts of ambient light at rates [azimuth] and their variance, float64 [range, azimuth].
 
     Where dead time goes on into the next period ("free"), a share 1 / (1 + rate (dead time - t)) of those that wait at
     t is alive: the stationary renewal process, in closed form.
@@ -193,7 +197,7 @@ def _expected(
 def _ambient_rate(
     spad: SpadParams, pieces: _Pieces, cells: sparse.csr_array, waiting: np.ndarray, observed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ambient rate of each azimuth [azimuth], and the cells it is the mean of, bool [range, azimuth].
+    """Return the ambient rate of each azimuth [azimuth], and the cells it is the mean of, bool [range, azimuth].
 
     Measured, since sun and shade differ by more than counts err: the median over range cells, then the mean of the
     cells within `QUIET_SIGMAS` of it, so that no wall counts. The set-up's rate stands where counts are too few.

@@ -123,7 +123,7 @@ class EgoCorrection:
 
 
 def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = "coherent") -> RangeAzimuthMap:
-    """Range-azimuth map of a scan's beam profiles.
+    """Return the range-azimuth map of a scan's beam profiles.
 
     The noise power is that of coherent cells (0.58 of a beam's), of Welch cells, or of a beam where all azimuths come
     from magnitudes; bins that fell back to magnitudes hold 0.9 of a beam's.
@@ -155,7 +155,7 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
 
 
 def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: np.ndarray) -> bool:
-    """Whether the coherent ranges [range] of a whole scan show another array than the set-up's."""
+    """Return whether the coherent ranges [range] of a whole scan show another array than the set-up's."""
     if interpolator.coefficient_matrix is None:
         return False
     coefficients = scan.profiles[:, coherent].T @ interpolator.coefficient_matrix
@@ -163,7 +163,7 @@ def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: n
 
 
 def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np.ndarray:
-    """Acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth].
+    """Return the acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth].
 
     Beams of a radar that turns lie where they looked, taken afar.
     """
@@ -209,7 +209,9 @@ class BeamFolder:
         self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.repetition_interval_s - 0.5 * self.duration_s
 
     def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> tuple[np.ndarray, float, int]:
-        """Range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated samples."""
+        """Return the range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated
+        samples.
+        """
         sums, saturated = fold_chirps(beam.samples[: self.chirps], self.groups)
         series = self._beats(sums, beam.beam_index)
         if ego is not None:
@@ -227,18 +229,20 @@ class BeamFolder:
         return profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated
 
     def _beats(self, sums: np.ndarray, beam_index: int) -> np.ndarray:
-        """Sums as complex64 [groups, samples], without background, positive frequencies for positive range."""
+        """Return the sums as complex64 [groups, samples], without background, positive frequencies for positive
+        range.
+        """
         series: np.ndarray = sums.astype(np.float32).view(np.complex64)[..., 0]
         if self.setup.background is not None and self.params.subtract_background:
             series -= self._group_chirps[:, None] * self.setup.background[beam_index]
         return np.conj(series, out=series) if self.setup.beat_sign < 0 else series
 
     def _amplitude(self, full_scale_dbm: float) -> float:
-        """Square root of milliwatt per code, over all that was summed."""
+        """Return the square root of milliwatt per code, over all that was summed."""
         return amplitude_per_code(full_scale_dbm) / (self.setup.radar.samples_per_chirp * self.chirps)
 
     def _coherent(self, spectra: np.ndarray, group_phase: np.ndarray | None) -> tuple[np.ndarray, float]:
-        """Strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
+        """Return the strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
         mean = spectra.sum(axis=0)
         noise_power_mw = _median_power(np.abs(_windowed(mean, *self._noise_bins, self._taps)) ** 2, 1)
         profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
@@ -246,7 +250,7 @@ class BeamFolder:
         return self._strongest(transform @ profiles, noise_power_mw), noise_power_mw
 
     def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> np.ndarray:
-        """Row 0 of [Doppler, range], or the strongest row where that is clearly another one."""
+        """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one."""
         power = doppler.real**2 + doppler.imag**2
         best = np.argmax(power, axis=0)
         best_power = np.take_along_axis(power, best[None], axis=0)[0]
@@ -256,7 +260,7 @@ class BeamFolder:
         return np.take_along_axis(doppler, best[None], axis=0)[0]
 
     def _welch(self, spectra: np.ndarray) -> tuple[np.ndarray, float]:
-        """Root of the power averaged over single chirps, as complex64 without imaginary part."""
+        """Return the root of the power averaged over single chirps, as complex64 without imaginary part."""
         # one chirp has a share 1 / chirps of the sum's amplitude
         chirps = self.groups
         noise = np.mean(np.abs(_windowed(spectra, *self._noise_bins, self._taps) * chirps) ** 2, axis=0)
@@ -304,7 +308,7 @@ def _check_grid(range_bin_m: float, samples: int, grid: RangeAzimuthGrid) -> Non
 
 
 def _windowed(spectra: np.ndarray, first: int, count: int, taps: tuple[float, ...]) -> np.ndarray:
-    """Bins first .. first + count - 1 of unwindowed spectra [..., bins] as a window's taps make them."""
+    """Return the bins first .. first + count - 1 of unwindowed spectra [..., bins] as a window's taps make them."""
     reach = len(taps) // 2
     bins = np.take(spectra, np.arange(first - reach, first + count + reach), axis=-1, mode="wrap")
     result = np.float32(taps[reach]) * bins[..., reach : reach + count]
@@ -315,12 +319,15 @@ def _windowed(spectra: np.ndarray, first: int, count: int, taps: tuple[float, ..
 
 
 def _median_power(power: np.ndarray, averages: int) -> float:
-    """Mean power of complex white noise from the median of `averages`-fold periodograms (one: median / ln 2)."""
+    """Return the mean power of complex white noise from the median of `averages`-fold periodograms (one: median / ln
+    2).
+    """
     return float(np.median(power) * averages / gammaincinv(averages, 0.5))
 
 
 def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state: VehicleState) -> EgoCorrection:
-    """Correction of a beam whose middle lies `elapsed_s` after the map's pose, under constant speed and yaw rate.
+    """Return the correction of a beam whose middle lies `elapsed_s` after the map's pose, under constant speed and yaw
+    rate.
 
     Lengths are corrected along the beam's axis: exact phase there, a fraction of a cell elsewhere in the beam (the
     coherence test sees to the rest). The shift moves the beat by 2 S shift / c, its phase by 4 pi shift / lambda and,
@@ -347,18 +354,18 @@ def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state:
 
 
 def _start_from_now(state: VehicleState, elapsed_s: float, vehicle_from_radar: Pose2) -> Pose2:
-    """The radar's pose after a while, in its frame at the start."""
+    """Return the radar's pose after a while, in its frame at the start."""
     vehicle = ego_motion(state.speed_mps, state.yaw_rate_rps, elapsed_s)
     return vehicle_from_radar.inverse() @ vehicle @ vehicle_from_radar
 
 
 def _turned(turns: np.ndarray) -> np.ndarray:
-    """exp(2 pi j turns) as complex64, reduced in float64."""
+    """Return exp(2 pi j turns) as complex64, reduced in float64."""
     return np.exp(2j * np.pi * (turns % 1.0)).astype(np.complex64)
 
 
 def _axis_azimuth(pose: Pose2, axis: np.ndarray, along_m: np.ndarray, look_rad: float) -> np.ndarray:
-    """Azimuth at which the start sees the points of a displaced beam's axis; [range]."""
+    """Return the azimuth at which the start sees the points of a displaced beam's axis; [range]."""
     points_m = np.array([pose.x_m, pose.y_m]) + along_m[:, None] * axis
     azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     # inside the distance driven, the axis may point anywhere: keep the beam's own direction there
@@ -458,7 +465,7 @@ class _OpenScan:
         self._used = np.arange(beams) % folder.params.beam_step == 0
 
     def holds(self, beam: RadarBeam) -> bool:
-        """Whether a beam is one of this scan's."""
+        """Return whether a beam is one of this scan's."""
         return beam.scan_id == self.scan_id
 
     @property
@@ -489,7 +496,7 @@ class _OpenScan:
         return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
 
     def profiles(self) -> ScanProfiles:
-        """What has been folded; noise is the median over beams, so that one disturbed beam does not set it.
+        """Return what has been folded; noise is the median over beams, so that one disturbed beam does not set it.
 
         Silent and drowned beams are left out like those that never came: their neighbours say more about their place.
         Not those of a digital array, of which each is made of all columns and sees what no other does.

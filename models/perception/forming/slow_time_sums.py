@@ -20,7 +20,7 @@ _BLOCK = 16384
 
 
 def group_edges(chirps: int, groups: int) -> np.ndarray:
-    """First chirp of each group and, last, the number of chirps; int64 [groups + 1].
+    """Return the First chirp of each group and, last, the number of chirps; int64 [groups + 1].
 
     Raises `ValueError` unless 1 <= groups <= chirps and no group could overflow its 32-bit sums.
     """
@@ -33,7 +33,7 @@ def group_edges(chirps: int, groups: int) -> np.ndarray:
 
 
 def fold_chirps(samples: np.ndarray, groups: int) -> tuple[np.ndarray, int]:
-    """Sum I/Q codes int16 [chirps, samples, 2] over groups of chirps.
+    """Return the sum I/Q codes int16 [chirps, samples, 2] over groups of chirps.
 
     Returns int32 [groups, samples, 2] and the number of samples of which I or Q stands at full scale. Read-only
     arrays are fine; arrays that are not contiguous or not aligned are copied first.
@@ -71,7 +71,9 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
 
 @njit(cache=True, nogil=True)
 def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
-    """total += four rows; whether any code stands at full scale. No branch and no call, so that it becomes SIMD."""
+    """Return total += four rows; whether any code stands at full scale. No branch and no call, so that it becomes
+    SIMD.
+    """
     highest = np.int16(0)
     lowest = np.int16(0)
     for i in range(len(total)):
@@ -84,7 +86,7 @@ def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: 
 
 @njit(cache=True, nogil=True)
 def _count_saturated(rows: np.ndarray) -> int:
-    """Samples of interleaved I/Q codes with either at full scale: run on the rare blocks that have any."""
+    """Return the samples of interleaved I/Q codes with either at full scale: run on the rare blocks that have any."""
     count = 0
     for row in rows:
         for i in range(0, len(row), 2):

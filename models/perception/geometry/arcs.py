@@ -73,7 +73,9 @@ class _Arc:
 
 
 def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: ArcParams) -> list[LineFit]:
-    """Lines of points [N, 2] with covariances [N, 2, 2], those that an arc explains better replaced by it."""
+    """Return the lines of points [N, 2] with covariances [N, 2, 2], those that an arc explains better replaced by
+    it.
+    """
     found: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
     while lines:
@@ -87,7 +89,7 @@ def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFi
 def _best_arc(
     points_m: np.ndarray, covariance_m2: np.ndarray, lines: list[LineFit], free: np.ndarray, params: ArcParams
 ) -> tuple[LineFit | None, list[LineFit]]:
-    """The arc through the first line, alone or with another, that explains most beyond what it replaces."""
+    """Return the arc through the first line, alone or with another, that explains most beyond what it replaces."""
     best: tuple[float, LineFit | None, list[LineFit]] = (-math.inf, None, [])
     for other in lines:
         pair = other is not lines[0]
@@ -118,7 +120,7 @@ def _grown(
     params: ArcParams,
     pair: bool,
 ) -> _Arc | None:
-    """The arc through members and the free returns that continue it; None where it is not clearly bent."""
+    """Return the arc through members and the free returns that continue it; None where it is not clearly bent."""
     fewest = max(int(params.min_points), 4)
     if len(members) < fewest:
         return None
@@ -144,7 +146,7 @@ def _grow(
     fewest: int,
     rounds: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """An arc refit to what lies on it in one run until that stays the same: the last fit and the last run.
+    """Return an arc refit to what lies on it in one run until that stays the same: the last fit and the last run.
 
     Coefficients [3], their covariance [3, 3], what each free point adds to its score, the run's indices; a run of
     less than `fewest` ends the search. `axes` are the frame's tangent and normal.
@@ -163,7 +165,9 @@ def _grow(
 def _fitted(
     s: np.ndarray, d: np.ndarray, covariance_m2: np.ndarray, axes: np.ndarray, members: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weighted least squares of an arc through members; coefficients, covariance, what each free point adds to it."""
+    """Return the weighted least squares of an arc through members; coefficients, covariance, what each free point
+    adds to it.
+    """
     coefficients = np.zeros(3)
     inverse: np.ndarray = np.zeros((3, 3))
     for _ in range(2):
@@ -194,7 +198,7 @@ def _fitted(
 def _across(
     s: float, d: float, covariance_m2: np.ndarray, axes: np.ndarray, coefficients: np.ndarray
 ) -> tuple[float, float]:
-    """Distance of a point from the arc along its local normal and the variance of its error along it."""
+    """Return the distance of a point from the arc along its local normal and the variance of its error along it."""
     slope = coefficients[1] + coefficients[2] * s
     scale = 1.0 / math.sqrt(1.0 + slope * slope)
     nx, ny = scale * (axes[1, 0] - slope * axes[0, 0]), scale * (axes[1, 1] - slope * axes[0, 1])
@@ -204,7 +208,7 @@ def _across(
 
 @njit(cache=True, nogil=True)
 def _unbroken(s: np.ndarray, members: np.ndarray, max_gap_m: float) -> np.ndarray:
-    """The run of members about the middle of the line, s = 0, that no gap breaks; sorted indices."""
+    """Return the run of members about the middle of the line, s = 0, that no gap breaks; sorted indices."""
     order = members[np.argsort(s[members], kind="mergesort")]
     start, first, last, nearest = 0, 0, 0, math.inf
     for stop in range(1, len(order) + 1):
@@ -218,7 +222,7 @@ def _unbroken(s: np.ndarray, members: np.ndarray, max_gap_m: float) -> np.ndarra
 
 
 def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray, params: ArcParams) -> bool:
-    """Whether an arc's curvature stands out of its error and is one that walls have."""
+    """Return whether an arc's curvature stands out of its error and is one that walls have."""
     curvature = abs(float(arc.coefficients[2]))
     return (
         curvature >= params.min_sigmas * math.sqrt(float(arc.covariance[2, 2]))
@@ -229,7 +233,7 @@ def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray, params: ArcParams) -
 
 
 def _as_fit(points_m: np.ndarray, frame: _Frame, arc: _Arc) -> LineFit:
-    """The arc as a wall: its chord, its curvature, and how well its direction and place are known."""
+    """Return the arc as a wall: its chord, its curvature, and how well its direction and place are known."""
     reach = (points_m[arc.members] - frame.origin) @ frame.tangent
     low, high = float(reach.min()), float(reach.max())
     c0, c1, c2 = arc.coefficients

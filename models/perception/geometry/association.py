@@ -67,7 +67,8 @@ class DirectReturns:
 
 
 def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
-    """Which walls have `seen_through_points` returns of another one, longer than a vehicle, behind them; bool [W].
+    """Return which walls have `seen_through_points` returns of another one, longer than a vehicle, behind them; bool
+    [W].
 
     What is seen behind a line proves that the line is no wall: a row of vehicles, or a wall drawn too long.
     """
@@ -91,7 +92,7 @@ def associate_crossing(
     params: RecoveryParams,
     opaque: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First and second mirror of each image, each [N]; `NO_WALL` for none.
+    """Return the First and second mirror of each image, each [N]; `NO_WALL` for none.
 
     The image must stand behind the wall, and no other wall may cut the way from the radar to the wall or from there
     to the true place. Rays that pass just off a wall's end count by a margin that grows with the angular error;
@@ -123,7 +124,7 @@ def associate_crossing(
 
 
 def _cheapest(cost: np.ndarray) -> np.ndarray:
-    """Index of the least finite cost in each row [N], `NO_WALL` where there is none."""
+    """Return the index of the least finite cost in each row [N], `NO_WALL` where there is none."""
     return np.where(np.isfinite(cost.min(axis=1)), cost.argmin(axis=1), NO_WALL)
 
 
@@ -143,7 +144,7 @@ class Passing:
 
     @classmethod
     def of(cls, images_m: np.ndarray, azimuth_std_rad: np.ndarray, walls: WallArrays) -> Passing:
-        """Images [N, 2] in metres with their angular errors [N], and walls."""
+        """Return the images [N, 2] in metres with their angular errors [N], and walls."""
         met = hits(RADAR, images_m, walls)
         range_m, _ = polar_from_xy(images_m)
         incidence = np.abs(np.einsum("ni,nwi->nw", images_m, met.normal)) / np.maximum(range_m, 1e-9)[:, None]
@@ -157,7 +158,9 @@ class Passing:
         )
 
     def behind(self, depth_m: float) -> np.ndarray:
-        """Where the image stands more than `depth_m` behind a wall that its ray meets on the way; bool [N, W]."""
+        """Return where the image stands more than `depth_m` behind a wall that its ray meets on the way; bool [N,
+        W].
+        """
         return (self.depth_m > depth_m) & (self.met.along_ray > 0.0) & (self.met.along_ray < 1.0)
 
 
@@ -180,13 +183,13 @@ class _Ways:
         return cls(mirror_m, np.nan_to_num(place_m), walls, opaque, params)
 
     def cut(self, origin_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
-        """Which legs [N, W, 2] a wall other than their own cuts; bool [N, W]."""
+        """Return which legs [N, W, 2] a wall other than their own cuts; bool [N, W]."""
         own = np.broadcast_to(np.arange(len(self.walls)), origin_m.shape[:2]).ravel()
         cuts = self._cuts(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own)
         return np.asarray(cuts.any(axis=1)).reshape(origin_m.shape[:2])
 
     def _cuts(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Which walls cut which legs [M, 2] that touch the wall `own` [M]; bool [M, W].
+        """Return which walls cut which legs [M, 2] that touch the wall `own` [M]; bool [M, W].
 
         A vehicle's side is too short to be sure that a path does not pass beside it.
         """
@@ -196,7 +199,9 @@ class _Ways:
         return crosses(origin_m, end_m, a, b) & deep & sure & (np.arange(len(self.walls)) != own[:, None])
 
     def second(self, image: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Second mirror of images [M] whose first is `first` [M]: the next wall on their way, if the rest is free."""
+        """Return the second mirror of images [M] whose first is `first` [M]: the next wall on their way, if the rest
+        is free.
+        """
         start, end = self.mirror_m[image, first], self.place_m[image, first]
         met = hits(start, end, self.walls)
         on = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
@@ -212,7 +217,8 @@ class _Ways:
 
 
 def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectReturns) -> tuple[WallArrays, np.ndarray]:
-    """The published way: the wall of the direct return nearest in angle; walls and the index of each image's [N].
+    """Return the published way: the wall of the direct return nearest in angle; walls and the index of each image's
+    [N].
 
     A return on no wall stands for one of its own through it, normal along its ray; such walls are appended.
     """
@@ -238,14 +244,16 @@ def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectRetu
 
 
 def facing_radar(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals [N, 2] and offsets [N] of walls through points [N, 2], facing the radar; one at the radar faces back."""
+    """Return the normals [N, 2] and offsets [N] of walls through points [N, 2], facing the radar; one at the radar
+    faces back.
+    """
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])
     away = np.where(range_m[:, None] > 0.0, points_m, [1.0, 0.0])
     return -away / np.hypot(away[:, 0], away[:, 1])[:, None], range_m
 
 
 def nearest_in_angle(images_m: np.ndarray, points_m: np.ndarray) -> np.ndarray:
-    """Index of the point [M, 2] whose polar angle is nearest to each image's [N]; ties: the first."""
+    """Return the index of the point [M, 2] whose polar angle is nearest to each image's [N]; ties: the first."""
     image_rad = np.arctan2(images_m[:, 1], images_m[:, 0])
     point_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     apart_rad = np.abs(image_rad[:, None] - point_rad)

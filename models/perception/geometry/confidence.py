@@ -71,7 +71,7 @@ class _Seen:
 
 
 def _echo(seen: _Seen) -> dict[str, np.ndarray]:
-    """The echo itself: how strong, where it appeared."""
+    """Return the echo itself: how strong, where it appeared."""
     recovered = seen.recovered
     score = np.clip(recovered.score, 0.01, 0.99)
     range_m, azimuth_rad = polar_from_xy(recovered.images_m)
@@ -86,7 +86,7 @@ def _echo(seen: _Seen) -> dict[str, np.ndarray]:
 
 
 def _fold(seen: _Seen) -> dict[str, np.ndarray]:
-    """How its ray meets the wall, and how near to one of the wall's returns."""
+    """Return how its ray meets the wall, and how near to one of the wall's returns."""
     recovered, wall = seen.recovered, seen.recovered.wall
     range_m = np.maximum(np.hypot(recovered.images_m[:, 0], recovered.images_m[:, 1]), NEAREST_M)
     passing = Passing.of(recovered.images_m, seen.image_sigma_m / range_m, seen.walls)
@@ -106,7 +106,7 @@ def _fold(seen: _Seen) -> dict[str, np.ndarray]:
 
 
 def _mirror(seen: _Seen) -> dict[str, np.ndarray]:
-    """The wall."""
+    """Return the wall."""
     wall, walls = seen.recovered.wall, seen.walls
     returns = np.bincount(seen.returns.wall[seen.returns.wall >= 0], minlength=len(walls))
     return {
@@ -118,7 +118,7 @@ def _mirror(seen: _Seen) -> dict[str, np.ndarray]:
 
 
 def _surroundings(seen: _Seen) -> dict[str, np.ndarray]:
-    """Where it lands: among direct returns, walls, in the shadow of walls."""
+    """Return where it lands: among direct returns, walls, in the shadow of walls."""
     points_m, returns, walls = seen.recovered.points_m, seen.returns, seen.long_walls
     range_m, azimuth_rad = polar_from_xy(points_m)
     distance_m = np.linalg.norm(points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
@@ -136,7 +136,7 @@ def _surroundings(seen: _Seen) -> dict[str, np.ndarray]:
 
 
 def _company(seen: _Seen) -> dict[str, np.ndarray]:
-    """Other places: of other walls at the same spot, of the same around it, and how many there are."""
+    """Return the other places: of other walls at the same spot, of the same around it, and how many there are."""
     one = seen.recovered
     distance_m = np.linalg.norm(one.points_m[:, None] - one.points_m, axis=-1)
     same = (one.wall[:, None] == one.wall) & (one.second[:, None] == one.second)
@@ -155,12 +155,14 @@ _PARTS: tuple[Callable[[_Seen], dict[str, np.ndarray]], ...] = (_echo, _fold, _m
 
 
 def _log(metres: np.ndarray) -> np.ndarray:
-    """Logarithm of distances, within bounds."""
+    """Return the logarithm of distances, within bounds."""
     return np.asarray(np.log(np.clip(metres, NEAREST_M, FARTHEST_M)))
 
 
 def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
-    """Values [W], or [N, W], at each place's wall [N]; zero for places without one and where they are NaN."""
+    """Return the values [W], or [N, W], at each place's wall [N]; zero for places without one and where they are
+    NaN.
+    """
     padded = np.concatenate([values, np.zeros((*values.shape[:-1], 1))], axis=-1)
     return np.nan_to_num(padded[wall] if values.ndim == 1 else padded[np.arange(len(wall)), wall])
 
@@ -168,7 +170,9 @@ def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
 def place_features(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
-    """What the model sees of each place, float64 [N, features] in the order of `FEATURES`; distances as logarithms."""
+    """Return what the model sees of each place, float64 [N, features] in the order of `FEATURES`; distances as
+    logarithms.
+    """
     seen = _Seen(recovered, wall_arrays(walls), returns, params)
     columns = {name: column for part in _PARTS for name, column in part(seen).items()}
     return np.stack([columns[name].astype(np.float64) for name in FEATURES], axis=1)
@@ -211,7 +215,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             raise ValueError(f"confidence.scales must be positive, got {min(self.scales)}")
 
     def fits(self, detector: str) -> bool:
-        """Whether the model was fitted on peaks of this detector (`Peaks.detector`), or says of none."""
+        """Return whether the model was fitted on peaks of this detector (`Peaks.detector`), or says of none."""
         return self.detector in ("", detector)
 
     def of(self, detector: str) -> PlaceConfidence | None:
@@ -221,12 +225,12 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     def probable(
         self, recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
     ) -> Recovered:
-        """The places of a scan that reach the threshold, each with its probability for a score."""
+        """Return the places of a scan that reach the threshold, each with its probability for a score."""
         probability = self.probability(place_features(recovered, walls, returns, params))
         return replace(recovered, score=probability).select(probability >= self.threshold)
 
     def probability(self, features: np.ndarray) -> np.ndarray:
-        """Probability [N] that each place lies within 1 m of a true one, of features [N, features].
+        """Return the probability [N] that each place lies within 1 m of a true one, of features [N, features].
 
         Raises `ValueError` where a feature is not finite or too large.
         """
@@ -241,7 +245,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 def standardised(features: np.ndarray, means: ArrayLike, scales: ArrayLike) -> np.ndarray:
-    """Features [N, F] in units of their spread, clipped."""
+    """Return the Features [N, F] in units of their spread, clipped."""
     return np.clip((features - np.asarray(means)) / np.asarray(scales), -CLIP, CLIP)
 
 

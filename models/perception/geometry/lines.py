@@ -45,7 +45,7 @@ class LineFit:
         return np.array([-self.normal[1], self.normal[0]])
 
     def as_wall(self) -> Wall:
-        """The value that travels."""
+        """Return the value that travels."""
         (ax, ay), (bx, by) = self.ends_m.tolist()
         return Wall(
             normal=(float(self.normal[0]), float(self.normal[1])),
@@ -59,7 +59,7 @@ class LineFit:
 
 
 def claimed(count: int, fits: Iterable[LineFit]) -> np.ndarray:
-    """Which points, of so many, are on any of the walls; bool [count]."""
+    """Return which points, of so many, are on any of the walls; bool [count]."""
     taken = np.zeros(count, bool)
     for fit in fits:
         taken[fit.members] = True
@@ -78,7 +78,7 @@ class Line(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def residual_gain(residual_m: float, variance_m2: float) -> float:
-    """What a point adds to the score of a wall it lies off by a residual of this variance, zero for outliers.
+    """Return what a point adds to the score of a wall it lies off by a residual of this variance, zero for outliers.
 
     log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) with sigma^2 the variance across the wall.
     """
@@ -91,13 +91,13 @@ def residual_gain(residual_m: float, variance_m2: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def variance_across(covariance_m2: np.ndarray, nx: float, ny: float) -> float:
-    """n' C n of one covariance [2, 2]."""
+    """Return n' C n of one covariance [2, 2]."""
     return float(nx * nx * covariance_m2[0, 0] + 2.0 * nx * ny * covariance_m2[0, 1] + ny * ny * covariance_m2[1, 1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def gains(points_m: np.ndarray, covariance_m2: np.ndarray, nx: float, ny: float, offset_m: float) -> np.ndarray:
-    """What each point [N, 2] with covariance [N, 2, 2] adds to one line's score; float64 [N]."""
+    """Return what each point [N, 2] with covariance [N, 2, 2] adds to one line's score; float64 [N]."""
     out = np.empty(len(points_m))
     for i in range(len(points_m)):
         residual_m = nx * points_m[i, 0] + ny * points_m[i, 1] + offset_m
@@ -107,7 +107,7 @@ def gains(points_m: np.ndarray, covariance_m2: np.ndarray, nx: float, ny: float,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fitted(points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int) -> Line:
-    """`fit_line` for callers that are compiled themselves."""
+    """Return `fit_line` for callers that are compiled themselves."""
     count = len(points_m)
     weights = np.empty(count)
     for i in range(count):
@@ -137,7 +137,7 @@ def fitted(points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int) -> Line
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
-    """Centre of weighted points [N, 2] and the direction of their largest scatter [rad], in closed form."""
+    """Return the centre of weighted points [N, 2] and the direction of their largest scatter [rad], in closed form."""
     total, cx, cy = 0.0, 0.0, 0.0
     for i in range(len(points_m)):
         total += weights[i]
@@ -155,7 +155,7 @@ def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, f
 def line_gain(
     points_m: np.ndarray, covariance_m2: np.ndarray, normals: np.ndarray, offsets_m: np.ndarray
 ) -> np.ndarray:
-    """What each point [N] adds to each line's [H] score (`residual_gain`), zero for outliers; float64 [H, N]."""
+    """Return what each point [N] adds to each line's [H] score (`residual_gain`), zero for outliers; float64 [H, N]."""
     points_m, covariance_m2 = np.array(points_m, np.float64), np.array(covariance_m2, np.float64)
     rows = [gains(points_m, covariance_m2, nx, ny, d) for (nx, ny), d in zip(normals, offsets_m, strict=True)]
     return np.array(rows).reshape(len(offsets_m), len(points_m))
@@ -164,7 +164,8 @@ def line_gain(
 def fit_line(
     points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int = 3
 ) -> tuple[np.ndarray, float, float, float]:
-    """Weighted total least squares: normal [2], offset [m], angle and offset standard deviation at the middle.
+    """Return the weighted total least squares: normal [2], offset [m], angle and offset standard deviation at the
+    middle.
 
     Weights are the inverse variances across the line, so they follow the line: iterated. The uncertainty is that of
     the weights, inflated where the residuals are larger than they promise. Needs two distinct points.

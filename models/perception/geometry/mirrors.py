@@ -43,15 +43,17 @@ class WallArrays:
         return np.linalg.norm(self.b - self.a, axis=1)
 
     def select(self, keep: np.ndarray) -> WallArrays:
-        """The walls of a mask or an index."""
+        """Return the walls of a mask or an index."""
         return WallArrays(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def distance_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Signed distance of points [N, 2] from each wall's chord line, positive on the radar's side; [N, W]."""
+        """Return the signed distance of points [N, 2] from each wall's chord line, positive on the radar's side; [N,
+        W].
+        """
         return points_m @ self.normal.T + self.offset_m
 
     def trimmed(self, trim_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Ends drawn in by `trim_m`, by a quarter of the wall at most: what surely is wall."""
+        """Return the Ends drawn in by `trim_m`, by a quarter of the wall at most: what surely is wall."""
         length_m = np.maximum(self.length_m, 1e-9)[:, None]
         inward = np.minimum(trim_m / length_m, 0.25) * (self.b - self.a)
         return self.a + inward, self.b - inward
@@ -68,13 +70,15 @@ class Hits:
     offset_m: np.ndarray
 
     def missed_m(self, length_m: np.ndarray) -> np.ndarray:
-        """How far beyond a wall's ends its line is met [N, W], for chords of `length_m` [W]; infinite for never."""
+        """Return how far beyond a wall's ends its line is met [N, W], for chords of `length_m` [W]; infinite for
+        never.
+        """
         share = np.maximum(np.maximum(-self.along_wall, self.along_wall - 1.0), 0.0)
         return np.where(np.isnan(share), np.inf, share * length_m)
 
 
 def wall_arrays(walls: list[Wall]) -> WallArrays:
-    """Walls side by side as arrays."""
+    """Return the walls side by side as arrays."""
     return WallArrays(
         normal=np.array([wall.normal for wall in walls], np.float64).reshape(-1, 2),
         offset_m=np.array([wall.offset_m for wall in walls], np.float64),
@@ -87,7 +91,9 @@ def wall_arrays(walls: list[Wall]) -> WallArrays:
 
 
 def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
-    """Where rays from `origin` ([2] or [N, 2]) towards `targets` [N, 2] meet each wall or its line beyond the ends."""
+    """Return where rays from `origin` ([2] or [N, 2]) towards `targets` [N, 2] meet each wall or its line beyond the
+    ends.
+    """
     along_ray, along_wall = crossing_parameters(origin, targets, walls.a, walls.b)
     shape = along_ray.shape
     normal = np.broadcast_to(walls.normal, (*shape, 2)).copy()
@@ -104,8 +110,8 @@ def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
 def _on_arc(
     origin: np.ndarray, targets: np.ndarray, near: np.ndarray, one: WallArrays
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Share of the rays and point where they meet the circle, nearest to the share `near` on the chord, and its unit
-    normal there; NaN: never.
+    """Return the share of the rays and point where they meet the circle, nearest to the share `near` on the chord, and
+    its unit normal there; NaN: never.
 
     From the chord's middle, s along it and d towards the radar, the circle of curvature k over a chord 2 h long is
     k (s^2 + d^2 - h^2) = 2 d sqrt(1 - k^2 h^2): no centre, which runs off to infinity as the wall becomes flat.
@@ -129,18 +135,20 @@ def _on_arc(
 
 
 def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Quotients [N], NaN where they would be larger than any way along a ray."""
+    """Return the quotients [N], NaN where they would be larger than any way along a ray."""
     fits = np.abs(below) > 1e-12 * np.abs(above)
     return np.where(fits, above / np.where(fits, below, 1.0), np.nan)
 
 
 def behind(points_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np.ndarray:
-    """Depth of points [..., 2] behind mirrors, positive there."""
+    """Return the depth of points [..., 2] behind mirrors, positive there."""
     return -(np.sum(points_m * normal, axis=-1) + offset_m)
 
 
 def behind_walls(points_m: np.ndarray, walls: WallArrays, depth_m: float) -> np.ndarray:
-    """Points [N, 2] the radar does not see because a wall, passed by more than `depth_m`, stands between; bool [N]."""
+    """Return the points [N, 2] the radar does not see because a wall, passed by more than `depth_m`, stands between;
+    bool [N].
+    """
     if len(walls) == 0:
         return np.zeros(len(points_m), bool)
     cut = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)

@@ -72,7 +72,7 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) -> tuple[HiddenObject, ...]:
-    """Objects of hidden points, best score first (then x, then y), ids in that order."""
+    """Return the objects of hidden points, best score first (then x, then y), ids in that order."""
     labels = merge_fragments(recovered, dbscan(recovered.points_m, params.eps_m, 1), params)
     clusters = [recovered.select(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
     clusters = [cluster for cluster in clusters if _is_object(cluster, walls, params)]
@@ -107,7 +107,7 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
 
 
 def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
-    """Enough evidence for where it stands, no longer than a vehicle, not the next face of a building."""
+    """Return enough evidence for where it stands, no longer than a vehicle, not the next face of a building."""
     extent_m = _extent_m(cluster)
     if extent_m > params.max_length_m or not _has_evidence(cluster, walls, params):
         return False
@@ -115,7 +115,7 @@ def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> b
 
 
 def _has_evidence(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
-    """Enough points or one strong one, and more of them where nothing seems to hide the place."""
+    """Return enough points or one strong one, and more of them where nothing seems to hide the place."""
     score = joint_score(cluster.score)
     strong = (cluster.score >= params.single_min_score) & (cluster.snr_db >= params.single_min_snr_db)
     enough = score >= params.min_score if len(cluster) >= params.min_points else bool(strong.any())
@@ -126,17 +126,17 @@ def _has_evidence(cluster: Recovered, walls: list[Wall], params: ObjectParams) -
 
 
 def joint_score(scores: np.ndarray) -> float:
-    """Probability that at least one of the points is real, 1 - prod(1 - s)."""
+    """Return the probability that at least one of the points is real, 1 - prod(1 - s)."""
     return float(1.0 - np.prod(1.0 - np.clip(scores, 0.0, 1.0)))
 
 
 def _extent_m(cluster: Recovered) -> float:
-    """Largest distance between two of its points."""
+    """Return the largest distance between two of its points."""
     return float(np.linalg.norm(cluster.points_m[:, None] - cluster.points_m, axis=-1).max())
 
 
 def _starts_at_wall_end(cluster: Recovered, walls: list[Wall]) -> bool:
-    """A narrow line of points whose end touches the end of a wall: the face round the corner."""
+    """Return a narrow line of points whose end touches the end of a wall: the face round the corner."""
     centre = cluster.points_m.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov(cluster.points_m.T))
     reach = (cluster.points_m - centre) @ axes[:, 1]
@@ -148,7 +148,7 @@ def _starts_at_wall_end(cluster: Recovered, walls: list[Wall]) -> bool:
 
 
 def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]:
-    """Clusters that are not the azimuth side lobe of a far stronger one at the same image range."""
+    """Return the clusters that are not the azimuth side lobe of a far stronger one at the same image range."""
     ranges = [float(np.average(polar_from_xy(cluster.images_m)[0], weights=cluster.score)) for cluster in clusters]
     powers = [float(cluster.snr_db.max()) for cluster in clusters]
     return [
@@ -162,7 +162,8 @@ def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]
 
 
 def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list[Recovered]:
-    """Clusters that are no stray piece of one twice as large: few points, in its beam at its range or along its side.
+    """Return the clusters that are no stray piece of one twice as large: few points, in its beam at its range or along
+    its side.
 
     Two returns that one beam holds at one range are hardly told apart in azimuth, and the side of a long vehicle
     answers at few spots: neither may become a second vehicle.
@@ -180,7 +181,9 @@ def _belongs_to(cluster: Recovered, other: Recovered, params: ObjectParams) -> b
 
 
 def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
-    """Whether a cluster goes on in line with a long one, over a gap, no further than the longest vehicle reaches."""
+    """Return whether a cluster goes on in line with a long one, over a gap, no further than the longest vehicle
+    reaches.
+    """
     if len(other) < params.side_points:
         return False
     centre = other.points_m.mean(axis=0)
@@ -193,7 +196,9 @@ def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> b
 
 
 def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
-    """Whether each point of a cluster has one of the other, no weaker, at its image range and within a beam of it."""
+    """Return whether each point of a cluster has one of the other, no weaker, at its image range and within a beam
+    of it.
+    """
     range_m, azimuth_rad = polar_from_xy(cluster.images_m)
     other_range_m, other_azimuth_rad = polar_from_xy(other.images_m)
     near = np.abs(range_m[:, None] - other_range_m) <= params.satellite_range_m
@@ -203,7 +208,7 @@ def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> 
 
 
 def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
-    """Oriented box of the seen points and the covariance of its centre.
+    """Return the oriented box of the seen points and the covariance of its centre.
 
     The spread of the points less their own mean error is that of the face. Where nothing is left of it the face's
     direction is unknown, and it is taken across the ray that saw it.
@@ -236,7 +241,7 @@ def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
 
 
 def _across_ray(cluster: Recovered, weights: np.ndarray) -> float:
-    """Direction across the last leg, wall to object: that of a face that looks at the mirror."""
+    """Return the direction across the last leg, wall to object: that of a face that looks at the mirror."""
     range_m, azimuth_rad = polar_from_xy(cluster.images_m)
     # turning the image's cross-range direction through the same mirror: the map image -> place keeps lengths
     step = 1e-3 * range_m[:, None] * np.stack([-np.sin(azimuth_rad), np.cos(azimuth_rad)], axis=1)
@@ -247,12 +252,14 @@ def _across_ray(cluster: Recovered, weights: np.ndarray) -> float:
 
 
 def _half_turn(yaw_rad: float) -> float:
-    """The same axis in (-pi/2, pi/2]: a box has no front."""
+    """Return the same axis in (-pi/2, pi/2]: a box has no front."""
     return math.pi / 2.0 - (math.pi / 2.0 - yaw_rad) % math.pi
 
 
 def bev_to_json(frame: BevFrame) -> dict[str, object]:
-    """One line of `objects.jsonl` (DESIGN section 4): plain numbers, exact, so that equal frames give equal bytes."""
+    """Return one line of `objects.jsonl` (DESIGN section 4): plain numbers, exact, so that equal frames give equal
+    bytes.
+    """
     return {
         "scan_id": frame.scan_id,
         "stamp_ns": frame.stamp_ns,

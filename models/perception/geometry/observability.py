@@ -45,7 +45,7 @@ class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 def sensitivity_db(setup: RadarSetup) -> float:
-    """Power over noise, in one cell of a beam that looks at it, of an isotropic 0 dBsm target at 1 m, in dB.
+    """Return the power over noise, in one cell of a beam that looks at it, of an isotropic 0 dBsm target at 1 m, in dB.
 
     Coherent over the beam's chirps, with the noise gain of the Hann window.
     """
@@ -57,7 +57,7 @@ UNKNOWN_SENSITIVITY_DB = -1e3
 
 
 def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: VisibilityParams) -> np.ndarray:
-    """`Visibility` of each cell of the grid, uint8 [rows, columns], through `walls` at a sensitivity in dB."""
+    """Return `Visibility` of each cell of the grid, uint8 [rows, columns], through `walls` at a sensitivity in dB."""
     cells_m, lost_db = _field(grid, params)
     level_db = sensitivity + params.rcs_dbsm
     mask = np.where(level_db - lost_db >= params.threshold_db, Visibility.DIRECT, Visibility.UNKNOWN).astype(np.uint8)
@@ -70,7 +70,9 @@ def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: 
 
 @lru_cache(maxsize=2)
 def _field(grid: BevGrid, params: VisibilityParams) -> tuple[np.ndarray, np.ndarray]:
-    """Centres of a grid's cells [N, 2] and what is lost on the direct way to each [N] in dB, the same for all scans."""
+    """Return the centres of a grid's cells [N, 2] and what is lost on the direct way to each [N] in dB, the same for
+    all scans.
+    """
     cells_m = grid.cell_centres_m().reshape(-1, 2)
     return cells_m, _all_lost_db(cells_m, _receiver(0.0, params))
 
@@ -86,14 +88,16 @@ class _Receiver(NamedTuple):
 
 
 def _receiver(level_db: float, params: VisibilityParams) -> _Receiver:
-    """All of one type, for which the kernels are compiled."""
+    """Return all of one type, for which the kernels are compiled."""
     limits = (params.threshold_db, params.max_range_m, params.azimuth_limit_deg, params.element_hpbw_deg)
     return _Receiver(float(level_db), *map(float, limits))
 
 
 @njit(cache=True, nogil=True)
 def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
-    """Power lost on the way to an apparent place and back against 1 m on boresight; infinite outside the field."""
+    """Return the power lost on the way to an apparent place and back against 1 m on boresight; infinite outside the
+    field.
+    """
     range_m = math.hypot(x, y)
     if range_m > receiver.max_range_m:
         return math.inf

@@ -45,7 +45,7 @@ class PublishedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual | None = None) -> Recovered:
-    """Every mirrored peak folded back in the wall of the direct return nearest in angle, Eqs. (18) and (19).
+    """Return every mirrored peak folded back in the wall of the direct return nearest in angle, Eqs. (18) and (19).
 
     Without direct returns nothing is recovered.
     """
@@ -61,14 +61,14 @@ def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual 
 
 
 def _not_too_near(points_m: np.ndarray, path_class: np.ndarray, share: float) -> np.ndarray:
-    """Indices of the direct returns at least `share` as far ahead as the nearest image."""
+    """Return the indices of the direct returns at least `share` as far ahead as the nearest image."""
     nearest_m = points_m[path_class == PathClass.MIRRORED, 0].min(initial=np.inf)
     ahead = points_m[:, 0] >= share * nearest_m if np.isfinite(nearest_m) else np.ones(len(points_m), bool)
     return np.flatnonzero((path_class == PathClass.LOS) & ahead)
 
 
 def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedParams) -> tuple[list[Wall], np.ndarray]:
-    """Lines of each cluster of points [N, 2], and the line of each point (`NO_WALL`: none), int64 [N].
+    """Return the lines of each cluster of points [N, 2], and the line of each point (`NO_WALL`: none), int64 [N].
 
     RANSAC by number of inliers, refit by least squares, on what the lines before have left, until too few are left.
     """
@@ -85,7 +85,7 @@ def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedP
 
 
 def _most_inliers(points_m: np.ndarray, params: PublishedParams, rng: np.random.Generator) -> np.ndarray:
-    """Which points [N] lie on the line through two of them that has the most; none where no two differ."""
+    """Return which points [N] lie on the line through two of them that has the most; none where no two differ."""
     first, second = np.triu_indices(len(points_m), k=1)
     if len(first) > params.rounds:
         chosen = np.sort(rng.choice(len(first), params.rounds, replace=False))
@@ -103,7 +103,7 @@ def _most_inliers(points_m: np.ndarray, params: PublishedParams, rng: np.random.
 
 
 def _fitted(points_m: np.ndarray) -> Wall:
-    """The least-squares line through points as a wall from the first to the last of them."""
+    """Return the least-squares line through points as a wall from the first to the last of them."""
     normal, offset_m, _, _ = fit_line(points_m, np.broadcast_to(np.eye(2), (len(points_m), 2, 2)))
     tangent = np.array([-normal[1], normal[0]])
     reach = points_m @ tangent

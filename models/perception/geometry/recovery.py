@@ -56,11 +56,11 @@ class Recovered:
         return self.image_covariance_m2 + self.wall_covariance_m2
 
     def select(self, keep: np.ndarray) -> Recovered:
-        """The points of a mask or an index."""
+        """Return the points of a mask or an index."""
         return Recovered(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def as_hidden_points(self) -> tuple[HiddenPoint, ...]:
-        """The values that travel."""
+        """Return the values that travel."""
         rows = zip(self.points_m.tolist(), self.images_m.tolist(), self.score.tolist(), self.wall.tolist(), strict=True)
         return tuple(
             HiddenPoint(x_m=x, y_m=y, score=score, image_x_m=image_x, image_y_m=image_y, wall=wall)
@@ -85,7 +85,7 @@ Residual = Callable[[ReflectionState], np.ndarray]
 
 
 def cartesian_covariance(range_m: np.ndarray, azimuth_rad: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Covariances [N, 2, 2] in metres of polar ones (range [m], azimuth [rad]): J C J'."""
+    """Return the covariances [N, 2, 2] in metres of polar ones (range [m], azimuth [rad]): J C J'."""
     cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
     jacobian = np.stack([np.stack([cos, -range_m * sin], -1), np.stack([sin, range_m * cos], -1)], -2)
     return jacobian @ covariance @ jacobian.transpose(0, 2, 1)
@@ -133,7 +133,9 @@ class Folded:
 def folded(
     points_m: np.ndarray, covariance_m2: np.ndarray, arrays: WallArrays, first: np.ndarray, second: np.ndarray
 ) -> Folded:
-    """Images [N, 2] folded about their first wall and, where there is one, about their second; Eq. (19) for each."""
+    """Return the images [N, 2] folded about their first wall and, where there is one, about their second; Eq. (19)
+    for each.
+    """
     if len(points_m) == 0:
         return Folded(points_m, covariance_m2, covariance_m2)
     start = np.zeros_like(points_m)
@@ -147,7 +149,8 @@ def folded(
 
 
 def _fold(origin_m: np.ndarray, seen: Folded, arrays: WallArrays, wall: np.ndarray) -> tuple[Folded, np.ndarray]:
-    """One fold of what is seen from `origin_m` [N, 2] about the mirror its ray meets; also where it meets it [N, 2].
+    """Return one fold of what is seen from `origin_m` [N, 2] about the mirror its ray meets; also where it meets it
+    [N, 2].
 
     o = p - 2 d n with d = n.(p - m) - e for a wall through m. The image's own part is A C A' with A = I - 2 n n' for
     straight walls. A turn of the wall about its middle by delta moves o by -2 [(t.(p - m)) n + d t] delta, a shift e
@@ -184,7 +187,9 @@ def _turned(from_pivot_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wall: np.ndarray) -> np.ndarray:
-    """Covariance [N, 2, 2] of folded places from the error of their walls, common to all images of a wall."""
+    """Return the covariance [N, 2, 2] of folded places from the error of their walls, common to all images of a
+    wall.
+    """
     turn = _turned(points_m - 0.5 * (arrays.a + arrays.b)[wall], normal) * arrays.angle_std_rad[wall][:, None]
     shift = 2.0 * normal * arrays.offset_std_m[wall][:, None]
     return np.asarray(turn[:, :, None] * turn[:, None, :] + shift[:, :, None] * shift[:, None, :])
@@ -193,7 +198,8 @@ def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wal
 def reflection_state(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, neighbours: int = 16
 ) -> ReflectionState:
-    """Inputs of ResidualReflectNet: the nearest direct returns in the cluster of each image's buddy, and its state.
+    """Return the inputs of ResidualReflectNet: the nearest direct returns in the cluster of each image's buddy, and
+    its state.
 
     Patches are padded by repeating the buddy; an image of a buddy in no cluster (eta = 1) has the buddy alone.
     """
@@ -224,7 +230,7 @@ def reflection_state(
 
 
 def corrected(recovered: Recovered, offsets_m: np.ndarray) -> Recovered:
-    """Folded places plus a learned residual, Eq. (18)."""
+    """Return the Folded places plus a learned residual, Eq. (18)."""
     return replace(recovered, points_m=recovered.points_m + offsets_m)
 
 

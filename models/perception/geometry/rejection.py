@@ -19,7 +19,7 @@ from msgs.values.perception import Wall
 
 
 def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
-    """Which folded places nothing in direct sight explains; bool [N].
+    """Return which folded places nothing in direct sight explains; bool [N].
 
     Explained are places on a wall, at a direct return of like strength, and those that fit in one vehicle with a
     group of direct returns of like strength: another side of a visible object, for objects are solid. A place in open
@@ -40,7 +40,7 @@ def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns,
 def _on_visible_vehicle(
     recovered: Recovered, walls: WallArrays, returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
-    """Places that are another side of a visible vehicle; bool [N].
+    """Return the places that are another side of a visible vehicle; bool [N].
 
     A visible vehicle is a group of direct returns off the long walls that fits in its box. A place belongs to it if
     it fits in too, within its own error, and no long wall stands before it.
@@ -68,7 +68,9 @@ def _on_visible_vehicle(
 
 
 def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
-    """The returns of a group and all others on its walls: a missed return does not make two things of one front."""
+    """Return the returns of a group and all others on its walls: a missed return does not make two things of one
+    front.
+    """
     # one more place, at the end, for the returns on no wall (-1)
     touched = np.zeros(returns.wall.max(initial=NO_WALL) + 2, bool)
     touched[returns.wall[group]] = True
@@ -79,7 +81,7 @@ def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
 
 
 def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np.ndarray:
-    """Points [N, 2] that no wall hides, each lengthened by `margin_m` at both ends; bool [N]."""
+    """Return the points [N, 2] that no wall hides, each lengthened by `margin_m` at both ends; bool [N]."""
     arrays = wall_arrays(walls)
     outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
     longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
@@ -87,5 +89,5 @@ def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np
 
 
 def _on_wall(points_m: np.ndarray, walls: WallArrays, reach_m: float) -> np.ndarray:
-    """Places within `reach_m` of a wall; bool [N]."""
+    """Return the places within `reach_m` of a wall; bool [N]."""
     return np.logical_or.reduce(segment_distance_m(points_m, walls.a, walls.b) <= reach_m, axis=1)

@@ -56,21 +56,21 @@ class ImageFrames:
     axes: np.ndarray
 
     def points(self, points_m: np.ndarray) -> np.ndarray:
-        """Points [N, ..., 2] of the radar's frame in each image's own."""
+        """Return the points [N, ..., 2] of the radar's frame in each image's own."""
         origin_m = self.origin_m.reshape(len(self.origin_m), *[1] * (points_m.ndim - 2), 2)
         return np.einsum("nij,n...j->n...i", self.axes, points_m - origin_m)
 
     def from_radar(self, offsets_m: np.ndarray) -> np.ndarray:
-        """Offsets [N, 2] of the radar's frame in each image's own."""
+        """Return the offsets [N, 2] of the radar's frame in each image's own."""
         return np.einsum("nij,nj->ni", self.axes, offsets_m)
 
     def to_radar(self, offsets_m: np.ndarray) -> np.ndarray:
-        """Offsets [N, 2] of each image's own frame in the radar's."""
+        """Return the offsets [N, 2] of each image's own frame in the radar's."""
         return np.einsum("nij,ni->nj", self.axes, offsets_m)
 
 
 def image_frames(reflection: ReflectionState, frame: ResidualFrame) -> ImageFrames:
-    """The coordinates that the network sees each image in."""
+    """Return the coordinates that the network sees each image in."""
     count = len(reflection.images_m)
     if frame == "wall":
         return _wall_frames(reflection)
@@ -79,7 +79,7 @@ def image_frames(reflection: ReflectionState, frame: ResidualFrame) -> ImageFram
 
 
 def _wall_frames(reflection: ReflectionState) -> ImageFrames:
-    """Relay-wall coordinates (section 3.2): origin at the radar's foot on the wall, axes tangent and normal.
+    """Return the relay-wall coordinates (section 3.2): origin at the radar's foot on the wall, axes tangent and normal.
 
     The tangent points to the image's side of the foot: scenes that are turned or seen in a mirror are the same scene.
     """
@@ -91,7 +91,7 @@ def _wall_frames(reflection: ReflectionState) -> ImageFrames:
 
 
 def in_frames(reflection: ReflectionState, frames: ImageFrames) -> ReflectionState:
-    """The same images in their own frames.
+    """Return the same images in their own frames.
 
     The offset stays the radar's distance from the wall: in wall coordinates the wall's own would be zero for all, and
     where the radar stands would be lost.
@@ -103,7 +103,7 @@ def in_frames(reflection: ReflectionState, frames: ImageFrames) -> ReflectionSta
 
 
 def bounded(offsets_m: np.ndarray, max_shift_m: float = MAX_SHIFT_M) -> np.ndarray:
-    """Offsets [N, 2], those longer than `max_shift_m` scaled down to it."""
+    """Return the offsets [N, 2], those longer than `max_shift_m` scaled down to it."""
     length_m = np.linalg.norm(offsets_m, axis=1, keepdims=True)
     return offsets_m * np.minimum(1.0, max_shift_m / np.maximum(length_m, 1e-9))
 

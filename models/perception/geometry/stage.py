@@ -70,7 +70,7 @@ def fold_scan(
     confidence: Confidence | None = None,
     remembered: Remembered | None = None,
 ) -> FoldedScan:
-    """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped.
+    """Return the peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped.
 
     Raises `ValueError` for more than `MOST_PEAKS`.
     """
@@ -93,7 +93,7 @@ def recover_bev(
     confidence: Confidence | None = None,
     remembered: Remembered | None = None,
 ) -> BevFrame:
-    """Peaks -> folded places -> hidden points and objects; tracks are added by `ScanMemory`."""
+    """Return the peaks -> folded places -> hidden points and objects; tracks are added by `ScanMemory`."""
     scan = fold_scan(peaks, params, residual, confidence, remembered)
     hidden = scan.recovered.select(scan.hidden)
     return BevFrame(
@@ -113,7 +113,7 @@ def recover_bev(
 def direct_structure(
     peaks: Peaks, params: GeometryParams, remembered: Remembered | None = None
 ) -> tuple[DirectReturns, list[Wall]]:
-    """Direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
+    """Return the direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
     direct = peaks.path_class == PathClass.LOS
     range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
     points_m = xy_from_polar(range_m, azimuth_rad)
@@ -135,7 +135,9 @@ def warm(params: GeometryParams) -> None:
 
 
 def made_up_peaks() -> Peaks:
-    """A facade with a kink, a vehicle before it, and two images behind it of which one belongs to that vehicle."""
+    """Return a facade with a kink, a vehicle before it, and two images behind it of which one belongs to that
+    vehicle.
+    """
     along = np.linspace(0.0, 10.0, 9)
     facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)
     oblique = np.stack([20.0 - 0.4 * along, along + 1.0], axis=1)
@@ -159,7 +161,7 @@ def made_up_peaks() -> Peaks:
 
 
 def condition_flags(peaks: Peaks) -> tuple[str, ...]:
-    """Conditions of the scan a reader of its view should know."""
+    """Return the conditions of the scan a reader of its view should know."""
     present = {
         "incoherent": peaks.incoherent,
         "missing_beams": bool(peaks.missing_beams),

@@ -52,7 +52,7 @@ _NOTHING = Segment(Line(0.0, 1.0, 0.0, math.inf, math.inf), -math.inf, 0.0, 0.0,
 def best_segment(
     points_m: np.ndarray, covariance_m2: np.ndarray, pairs: np.ndarray, limits: Limits
 ) -> tuple[Segment, np.ndarray]:
-    """The highest-scoring segment among the finalists of one RANSAC and the indices of its points.
+    """Return the highest-scoring segment among the finalists of one RANSAC and the indices of its points.
 
     `pairs` [H] numbers the pairs of points [N, 2] that the hypotheses go through, in the order (0, 1), (0, 2) ...
     (N - 2, N - 1), ascending. Where no segment acts as a mirror the one returned does not either.
@@ -78,7 +78,9 @@ def best_segment(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _lines_through(points_m: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Lines (nx, ny, offset) [H, 3] through the numbered pairs of points, without those of coinciding points."""
+    """Return the lines (nx, ny, offset) [H, 3] through the numbered pairs of points, without those of coinciding
+    points.
+    """
     lines = np.empty((len(pairs), 3))
     count, first, row_start = 0, 0, 0
     for pair in pairs:
@@ -97,7 +99,7 @@ def _lines_through(points_m: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What each point adds to each line's score [H, N] and the scores [H]."""
+    """Return what each point adds to each line's score [H, N] and the scores [H]."""
     gain, total = np.empty((len(lines), len(points_m))), np.empty(len(lines))
     for h in range(len(lines)):
         gain[h] = gains(points_m, covariance_m2, lines[h, 0], lines[h, 1], lines[h, 2])
@@ -107,7 +109,7 @@ def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray)
 
 @njit(cache=True, nogil=True)
 def _holds_alike(gain: np.ndarray, index: int, others: np.ndarray) -> bool:
-    """Whether a row of gains [H, N] has the same inliers as one of the others."""
+    """Return whether a row of gains [H, N] has the same inliers as one of the others."""
     for other in others:
         alike = True
         for i in range(gain.shape[1]):
@@ -123,7 +125,7 @@ def _holds_alike(gain: np.ndarray, index: int, others: np.ndarray) -> bool:
 def _best_on_line(
     points_m: np.ndarray, covariance_m2: np.ndarray, inliers: np.ndarray, limits: Limits
 ) -> tuple[Segment, np.ndarray]:
-    """The best segment on one hypothesis: refit twice (inliers follow the line), then cut at gaps."""
+    """Return the best segment on one hypothesis: refit twice (inliers follow the line), then cut at gaps."""
     best, best_run = _NOTHING, inliers
     line = best.line
     for _ in range(2):
@@ -149,7 +151,7 @@ def _best_on_line(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -> Segment:
-    """The line through points [N, 2], at least two of them, and whether they make it a mirror."""
+    """Return the line through points [N, 2], at least two of them, and whether they make it a mirror."""
     line = fitted(points_m, covariance_m2, FIT_ROUNDS)
     nx, ny, offset_m = line.nx, line.ny, line.offset_m
     reach = points_m[:, 1] * nx - points_m[:, 0] * ny
@@ -170,7 +172,7 @@ def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, run: np.ndarray) -> np.ndarray:
-    """Points a wall leaves: neither its own, nor within its ends and as near as errors allow; bool [N]."""
+    """Return the points a wall leaves: neither its own, nor within its ends and as near as errors allow; bool [N]."""
     line = segment.line
     low, high = segment.ay * line.nx - segment.ax * line.ny, segment.by * line.nx - segment.bx * line.ny
     gain = gains(points_m, covariance_m2, line.nx, line.ny, line.offset_m)
@@ -182,7 +184,8 @@ def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def next_on_line(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, limits: Limits) -> int:
-    """Index of the point [N, 2] nearest to the ends of a segment among those that continue it, -1 where none does.
+    """Return the index of the point [N, 2] nearest to the ends of a segment among those that continue it, -1 where
+    none does.
 
     A point must lie on the line within its own error and that of the line so far out.
     """

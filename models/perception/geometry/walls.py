@@ -72,7 +72,8 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def find_walls(
     points_m: np.ndarray, covariance_m2: np.ndarray, labels: np.ndarray, params: WallParams
 ) -> tuple[list[Wall], np.ndarray]:
-    """Walls of clustered points [N, 2] with covariances [N, 2, 2], and the wall of each point (-1: none), int64 [N].
+    """Return the walls of clustered points [N, 2] with covariances [N, 2, 2], and the wall of each point (-1: none),
+    int64 [N].
 
     Walls come sorted by support (most inliers, then nearest). Deterministic: the generator is seeded by `params.seed`.
     """
@@ -94,7 +95,9 @@ def find_walls(
 def _one_building(
     points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
-    """Walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best first."""
+    """Return the walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best
+    first.
+    """
     if len(fits) > _MOST_CANDIDATES * params.max_walls:
         fits = sorted(fits, key=lambda fit: -fit.score)[: _MOST_CANDIDATES * params.max_walls]
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
@@ -114,7 +117,7 @@ def _one_building(
 
 
 def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
-    """Covariances [N, 2, 2] that decide who is an inlier."""
+    """Return the covariances [N, 2, 2] that decide who is an inlier."""
     eye = np.eye(2)
     if params.error_model == "euclidean":
         return np.tile((params.inlier_m / INLIER_SIGMAS) ** 2 * eye, (len(covariance_m2), 1, 1))
@@ -124,7 +127,7 @@ def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
 def _walls_of_cluster(
     points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
-    """Sequential RANSAC: the best wall, then the best among the points it leaves, until none has support."""
+    """Return the sequential RANSAC: the best wall, then the best among the points it leaves, until none has support."""
     found: list[LineFit] = []
     limits = _limits(params)
     while len(members) >= params.min_inliers:
@@ -138,13 +141,15 @@ def _walls_of_cluster(
 
 
 def _pairs(count: int, rounds: int, rng: np.random.Generator) -> np.ndarray:
-    """Which pairs of so many points the hypotheses go through: all of them where they are no more than `rounds`."""
+    """Return which pairs of so many points the hypotheses go through: all of them where they are no more than
+    `rounds`.
+    """
     pairs = count * (count - 1) // 2
     return np.arange(pairs) if pairs <= rounds else np.sort(rng.choice(pairs, rounds, replace=False))
 
 
 def _limits(params: WallParams) -> Limits:
-    """What the search is told of its parameters; all of one type, for which it is compiled."""
+    """Return what the search is told of its parameters; all of one type, for which it is compiled."""
     return Limits(
         int(params.min_inliers),
         float(params.max_gap_m),
@@ -156,7 +161,7 @@ def _limits(params: WallParams) -> Limits:
 
 
 def _as_fit(segment: Segment, members: np.ndarray) -> LineFit:
-    """A segment with the points it stands on."""
+    """Return a segment with the points it stands on."""
     line = segment.line
     return LineFit(
         normal=np.array([line.nx, line.ny]),
@@ -170,14 +175,14 @@ def _as_fit(segment: Segment, members: np.ndarray) -> LineFit:
 
 
 def _as_segment(fit: LineFit) -> Segment:
-    """The same for the search."""
+    """Return the same for the search."""
     line = Line(float(fit.normal[0]), float(fit.normal[1]), fit.offset_m, fit.angle_std_rad, fit.offset_std_m)
     (ax, ay), (bx, by) = fit.ends_m.tolist()
     return Segment(line, fit.score, ax, ay, bx, by, True)
 
 
 def _supported(points_m: np.ndarray, covariance_m2: np.ndarray, run: np.ndarray, params: WallParams) -> LineFit | None:
-    """The line through one run of points, None unless it can act as a mirror (see `WallParams`)."""
+    """Return the line through one run of points, None unless it can act as a mirror (see `WallParams`)."""
     if len(run) < params.min_inliers:
         return None
     segment = supported(points_m[run], covariance_m2[run], _limits(params))
@@ -208,7 +213,7 @@ def _merge_duplicates(
 def _joined(
     points_m: np.ndarray, covariance_m2: np.ndarray, one: LineFit, other: LineFit, params: WallParams
 ) -> LineFit | None:
-    """One wall in place of two, None where the two are not one: the joint line must keep 90 % of their score."""
+    """Return one wall in place of two, None where the two are not one: the joint line must keep 90 % of their score."""
     if abs(float(one.normal @ other.normal)) < math.cos(math.radians(30.0)):
         return None
     members = np.flatnonzero(claimed(len(points_m), (one, other)))
@@ -222,7 +227,7 @@ def _joined(
 def _extended(
     points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, free: np.ndarray, params: WallParams
 ) -> LineFit:
-    """The wall with the free points that continue it, nearest first, whatever cluster they are in.
+    """Return the wall with the free points that continue it, nearest first, whatever cluster they are in.
 
     A smooth wall answers at few spots (the foot of the perpendicular above all), often further apart than a cluster
     reaches. A point must lie on the line within its own error and that of the line so far out.
@@ -242,7 +247,8 @@ def _extended(
 def _opened(
     points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams
 ) -> list[LineFit]:
-    """The parts of a wall between the gaps through which another wall is seen: what is seen behind proves an opening.
+    """Return the parts of a wall between the gaps through which another wall is seen: what is seen behind proves an
+    opening.
 
     Arcs, which their own returns bend, stay whole; a part that cannot stand on its own is no wall.
     """
@@ -267,7 +273,9 @@ def _opened(
 
 
 def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams) -> LineFit:
-    """The wall drawn on to the corner it makes with another: what stands before a corner hides the walls' returns."""
+    """Return the wall drawn on to the corner it makes with another: what stands before a corner hides the walls'
+    returns.
+    """
     if fit.curvature_per_m != 0.0 or len(fits) < 2:
         return fit
     low, high = np.sort(fit.ends_m @ fit.tangent).tolist()
@@ -289,7 +297,9 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
 
 
 def _passed_at(fit: LineFit, points_m: np.ndarray) -> np.ndarray:
-    """Where along a wall's line the rays pass to those of the points [N, 2] that lie a metre or more behind it; [M]."""
+    """Return where along a wall's line the rays pass to those of the points [N, 2] that lie a metre or more behind
+    it; [M].
+    """
     depth_m = -(points_m @ fit.normal + fit.offset_m)
     points_m, depth_m = points_m[depth_m > 1.0], depth_m[depth_m > 1.0]
     # the height over the line falls from offset_m at the radar to -depth_m
@@ -307,7 +317,9 @@ def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:
 
 
 def _hides(wall: LineFit, points_m: np.ndarray) -> bool:
-    """All rays from the radar to the points [N, 2] pass through the wall on their way, by more than its own error."""
+    """Return all rays from the radar to the points [N, 2] pass through the wall on their way, by more than its own
+    error.
+    """
     depth_m = -(points_m @ wall.normal + wall.offset_m)
     if not (depth_m > 1.0).all():
         return False

@@ -80,7 +80,7 @@ class Odometry:
             self._known.popleft()
 
     def at(self, stamp_ns: int) -> Placed | None:
-        """The vehicle at a time, None where no state near enough is known."""
+        """Return the vehicle at a time, None where no state near enough is known."""
         index = bisect_right(self._known, stamp_ns, key=lambda one: one.stamp_ns) - 1
         if index < 0:
             return None
@@ -95,11 +95,11 @@ class Odometry:
         return Placed(self._frame, _moved(start, speed_mps, yaw_rate_rps, elapsed_s), speed_mps, yaw_rate_rps)
 
     def _is_late(self, stamp_ns: int) -> bool:
-        """Behind the newest, but not so far that the clock must have been set back."""
+        """Return the behind the newest, but not so far that the clock must have been set back."""
         return bool(self._known) and 0 <= self._known[-1].stamp_ns - stamp_ns <= ns_from_s(self._params.max_gap_s)
 
     def _next_pose(self, state: VehicleState) -> Pose2:
-        """Pose at a new state: the trapezoid of both motions, or the origin of a new frame."""
+        """Return the pose at a new state: the trapezoid of both motions, or the origin of a new frame."""
         if self._known:
             last = self._known[-1]
             elapsed_s = s_from_ns(state.stamp_ns - last.stamp_ns)
@@ -137,7 +137,9 @@ class ScanOdometry:
             self._take(1)
 
     def at(self, stamp_ns: int) -> Placed | None:
-        """The vehicle at a scan's stamp; `standing` as long as no state has come, None where none is near enough."""
+        """Return the vehicle at a scan's stamp; `standing` as long as no state has come, None where none is near
+        enough.
+        """
         asked_ns, self._asked_ns = self._asked_ns, stamp_ns
         if asked_ns is not None and asked_ns - stamp_ns > ns_from_s(self._params.max_gap_s):
             # the clock was set back: what waits from before would come up once more when it gets there
@@ -158,16 +160,16 @@ class ScanOdometry:
 
 
 def _order(state: VehicleState) -> tuple[int, float, float, bool]:
-    """By stamp; among equal ones by what they say, so that their arrival does not decide."""
+    """Return the by stamp; among equal ones by what they say, so that their arrival does not decide."""
     return state.stamp_ns, state.speed_mps, state.yaw_rate_rps, state.valid
 
 
 def standing() -> Placed:
-    """The place of a radar that never moves, in a frame of its own."""
+    """Return the place of a radar that never moves, in a frame of its own."""
     return Placed(-1, Pose2(), 0.0, 0.0)
 
 
 def _moved(start: _Known, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
-    """Pose after a time over which the motion changes evenly to the given one."""
+    """Return the pose after a time over which the motion changes evenly to the given one."""
     mean = 0.5 * (start.speed_mps + speed_mps), 0.5 * (start.yaw_rate_rps + yaw_rate_rps)
     return start.pose @ ego_motion(*mean, elapsed_s)

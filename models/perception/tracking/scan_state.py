@@ -45,7 +45,9 @@ class ScanMemory:
         return self._odometry.yaw_rate_bias
 
     def walls_at(self, peaks: Peaks) -> Remembered | None:
-        """What `recover_bev` is to ask for walls of earlier scans; None where none are kept or no state has come."""
+        """Return what `recover_bev` is to ask for walls of earlier scans; None where none are kept or no state has
+        come.
+        """
         place = self._odometry.at(peaks.stamp_ns)
         # a radar that only seems to stand would see every wall in several places
         if self._walls is None or place is None or place == standing():
@@ -53,7 +55,9 @@ class ScanMemory:
         return partial(self._walls.step, peaks.stamp_ns, place, peaks.vehicle_from_radar)
 
     def tracked(self, view: BevFrame, vehicle_from_radar: Pose2) -> BevFrame:
-        """The view with its tracks; where no vehicle state has ever come (`view.ego` is None) the radar stands."""
+        """Return the view with its tracks; where no vehicle state has ever come (`view.ego` is None) the radar
+        stands.
+        """
         if self._tracker is None:
             return view
         tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar)

@@ -81,7 +81,7 @@ class Estimate:
     covariance: np.ndarray
 
     def at(self, stamp_ns: int, density_m2ps3: float) -> Estimate:
-        """The state at another time, before or after; uncertainty grows either way."""
+        """Return the state at another time, before or after; uncertainty grows either way."""
         if stamp_ns == self.stamp_ns:
             return self
         elapsed_s = s_from_ns(stamp_ns - self.stamp_ns)
@@ -90,7 +90,7 @@ class Estimate:
         return Estimate(stamp_ns, step @ self.mean, _symmetric(covariance))
 
     def updated(self, place_m: np.ndarray, place_covariance_m2: np.ndarray) -> Estimate:
-        """After a place was measured; Joseph's form, a sum of squares whatever the gain's rounding."""
+        """Return the after a place was measured; Joseph's form, a sum of squares whatever the gain's rounding."""
         gain = _gain(self.covariance, place_covariance_m2)
         rest = np.eye(4) - gain @ MEASURED
         covariance = rest @ self.covariance @ rest.T + gain @ place_covariance_m2 @ gain.T
@@ -98,7 +98,7 @@ class Estimate:
 
 
 def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
-    """Covariance [4, 4] that white acceleration adds over a time, which may be negative."""
+    """Return the covariance [4, 4] that white acceleration adds over a time, which may be negative."""
     # back in time only place and velocity change the sign they vary together with
     length_s, cross = abs(elapsed_s), 0.5 * elapsed_s * abs(elapsed_s)
     block = np.array([[length_s**3 / 3.0, cross], [cross, length_s]])
@@ -106,7 +106,7 @@ def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
 
 
 def _gain(covariance: np.ndarray, place_covariance_m2: np.ndarray) -> np.ndarray:
-    """Kalman gain [4, 2] of a measured place."""
+    """Return the Kalman gain [4, 2] of a measured place."""
     return np.linalg.solve(covariance[:2, :2] + place_covariance_m2, covariance[:2]).T
 
 
@@ -160,7 +160,7 @@ class Tracker:
     _said: tuple[Track, ...] = field(default=(), init=False)
 
     def step(self, frame: BevFrame, place: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
-        """Confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
+        """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
         `place`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it nothing can be followed and all tracks
         end, as they do when its frame changes. `standing` is the place of a radar that never moves. A scan that
@@ -222,7 +222,7 @@ class Tracker:
         return one.seen.count(False) <= self.params.confirm_scans - self.params.confirm_hits
 
     def _begun(self, there: Sighting) -> _Followed:
-        """A track of an object seen for the first time."""
+        """Return a track of an object seen for the first time."""
         covariance = np.zeros((4, 4))
         covariance[:2, :2] = there.covariance_m2
         covariance[2:, 2:] = self.params.first_speed_std_mps**2 * np.eye(2)
@@ -233,7 +233,7 @@ class Tracker:
         return one
 
     def _standing_walls(self, frame: BevFrame, odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-        """Ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
+        """Return the Ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
         oldest_ns = frame.stamp_ns - ns_from_s(self.params.wall_memory_s)
         self._walls = [one for one in self._walls if one.stamp_ns >= oldest_ns]
         self._walls.append(_WallsSeen(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
@@ -242,7 +242,7 @@ class Tracker:
     def _told(
         self, one: _Followed, stamp_ns: int, odom_from_radar: Pose2, ahead_m: np.ndarray, a: np.ndarray, b: np.ndarray
     ) -> Track:
-        """A track as others are told of it."""
+        """Return a track as others are told of it."""
         now = one.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
         hidden = hidden_ahead(now.mean, ahead_m, a, b, self.params)
         one.was_blocked |= bool(hidden[0])
@@ -262,18 +262,18 @@ class Tracker:
         )
 
     def _time_to_appear_s(self, hidden: np.ndarray) -> float | None:
-        """Time of the first step in sight, None where there is none within the horizon."""
+        """Return the time of the first step in sight, None where there is none within the horizon."""
         return None if hidden.all() else float(hidden.argmin()) * self.params.step_s
 
 
 def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
-    """The hidden objects of a scan in the odometry frame, without those whose numbers make no sense."""
+    """Return the hidden objects of a scan in the odometry frame, without those whose numbers make no sense."""
     good = (one for one in frame.objects if _makes_sense(one, frame.stamp_ns))
     return [_sighting(one, frame, odom_from_radar, place_std_m) for one in good]
 
 
 def _makes_sense(one: HiddenObject, stamp_ns: int) -> bool:
-    """A finite place, a covariance that is one, a time near its scan's."""
+    """Return a finite place, a covariance that is one, a time near its scan's."""
     covariance = np.array(one.cov_m2)
     if not np.isfinite([one.x_m, one.y_m, *covariance.ravel()]).all():
         return False
@@ -289,7 +289,7 @@ def _sighting(one: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_
 
 
 def assign(tracks: Sequence[Estimate], seen: Sequence[Sighting], params: TrackerParams) -> dict[int, int]:
-    """Which track has which sighting: as many pairs within the gate as possible, then the likeliest."""
+    """Return which track has which sighting: as many pairs within the gate as possible, then the likeliest."""
     cost = np.full((len(tracks), len(seen)), FORBIDDEN)
     for i, track in enumerate(tracks):
         for j, there in enumerate(seen):
@@ -300,7 +300,7 @@ def assign(tracks: Sequence[Estimate], seen: Sequence[Sighting], params: Tracker
 
 
 def _pair_cost(track: Estimate, there: Sighting, gate: float) -> float:
-    """Twice the negative logarithm of the likelihood, but for a constant; `FORBIDDEN` outside the gate."""
+    """Return twice the negative logarithm of the likelihood, but for a constant; `FORBIDDEN` outside the gate."""
     spread = track.covariance[:2, :2] + there.covariance_m2
     offset = there.place_m - track.mean[:2]
     distance = float(offset @ np.linalg.solve(spread, offset))
@@ -311,7 +311,8 @@ def _pair_cost(track: Estimate, there: Sighting, gate: float) -> float:
 def hidden_ahead(
     state: np.ndarray, radar_m: np.ndarray, a: np.ndarray, b: np.ndarray, params: TrackerParams
 ) -> np.ndarray:
-    """Whether walls a -> b [W, 2] hide an object from the radar [steps, 2] now and in each step ahead; bool [steps].
+    """Return whether walls a -> b [W, 2] hide an object from the radar [steps, 2] now and in each step ahead; bool
+    [steps].
 
     The object (x, y, vx, vy) goes on as it does and is in sight when its nose is. Odometry frame.
     """
@@ -324,12 +325,12 @@ def hidden_ahead(
 
 
 def _steps_s(params: TrackerParams) -> np.ndarray:
-    """Times from now to the horizon [steps]."""
+    """Return the times from now to the horizon [steps]."""
     return params.step_s * np.arange(round(params.horizon_s / params.step_s) + 1)
 
 
 def radar_ahead(place: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
-    """Places of the radar [steps, 2] in the odometry frame from now on if the vehicle goes on as it does."""
+    """Return the places of the radar [steps, 2] in the odometry frame from now on if the vehicle goes on as it does."""
     times_s = _steps_s(params)
     motions = (ego_motion(place.speed_mps, place.yaw_rate_rps, float(time_s)) for time_s in times_s)
     poses = [place.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
@@ -337,13 +338,13 @@ def radar_ahead(place: Placed, vehicle_from_radar: Pose2, params: TrackerParams)
 
 
 def _wall_ends(walls: Sequence[Wall], odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of walls in the odometry frame, each [W, 2]."""
+    """Return the Ends of walls in the odometry frame, each [W, 2]."""
     ends = np.array([wall.ends_m for wall in walls], np.float64).reshape(-1, 2, 2)
     return odom_from_radar.apply(ends[:, 0]), odom_from_radar.apply(ends[:, 1])
 
 
 def track_to_json(track: Track) -> dict[str, object]:
-    """One track of a line of `tracks.jsonl`: plain numbers, exact, so that equal tracks give equal bytes."""
+    """Return one track of a line of `tracks.jsonl`: plain numbers, exact, so that equal tracks give equal bytes."""
     return {name: getattr(track, name) for name in track.__struct_fields__}
 
 
@@ -353,7 +354,7 @@ def _rotation(pose: Pose2) -> np.ndarray:
 
 
 def _rotated(covariance: np.ndarray, pose: Pose2) -> Covariance:
-    """A covariance in the axes that a pose leads to."""
+    """Return a covariance in the axes that a pose leads to."""
     turn = _rotation(pose)
     (xx, xy), (_, yy) = (turn @ covariance @ turn.T).tolist()
     return (xx, xy), (xy, yy)

@@ -139,19 +139,19 @@ class _Local:
         return np.array([-self.normal[1], self.normal[0]])
 
     def along_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Places of points [N, 2] along the line, from its middle [N]."""
+        """Return the places of points [N, 2] along the line, from its middle [N]."""
         return np.asarray((points_m - self.middle_m) @ self.tangent)
 
     def off_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Heights of points [N, 2] over the line [N]."""
+        """Return the heights of points [N, 2] over the line [N]."""
         return np.asarray((points_m - self.middle_m) @ self.normal)
 
     def ends_m(self, reach_m: tuple[float, float]) -> np.ndarray:
-        """The ends [2, 2] of a stretch of it."""
+        """Return the ends [2, 2] of a stretch of it."""
         return self.middle_m + np.array(reach_m)[:, None] * self.tangent
 
     def as_wall(self, reach_m: tuple[float, float]) -> Wall:
-        """The value that travels, over a stretch of the line."""
+        """Return the value that travels, over a stretch of the line."""
         ends_m = self.ends_m(reach_m)
         at = np.array([1.0, 0.5 * (reach_m[0] + reach_m[1])])
         (ax, ay), (bx, by) = ends_m.tolist()
@@ -183,7 +183,7 @@ class WallMap:
         walls: list[Wall],
         wall_of_point: np.ndarray,
     ) -> tuple[list[Wall], np.ndarray]:
-        """The walls of a scan, sharpened by earlier ones, and those that only several scans show; radar frame.
+        """Return the walls of a scan, sharpened by earlier ones, and those that only several scans show; radar frame.
 
         Returns [N, 2] with covariances [N, 2, 2], walls and the wall of each return [N] are those of `find_walls`; the
         last two come back with the remembered walls behind the scan's own. A scan that comes twice or late changes
@@ -234,7 +234,9 @@ class WallMap:
             one.covariance = one.covariance + np.diag([offset, angle])
 
     def _merge(self, walls: list[Wall], radar_from_odom: Pose2) -> tuple[list[Wall], set[int]]:
-        """Each straight wall of a scan with the kept line it is one with, or a new one; and `id` of those lines."""
+        """Return each straight wall of a scan with the kept line it is one with, or a new one; and `id` of those
+        lines.
+        """
         merged: list[Wall] = []
         met: set[int] = set()
         for wall in walls:
@@ -250,7 +252,7 @@ class WallMap:
         return merged, met
 
     def _same(self, wall: Wall, met: set[int], radar_from_odom: Pose2) -> _Local | None:
-        """The kept line that a wall is one with: the nearest of those within the errors of both."""
+        """Return the kept line that a wall is one with: the nearest of those within the errors of both."""
         best: tuple[float, _Local] | None = None
         for kept in self._kept:
             local = _Local.of(kept, radar_from_odom)
@@ -273,7 +275,9 @@ class WallMap:
         local.kept.inliers = max(local.kept.inliers, wall.inliers)
 
     def _on(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
-        """Which returns [N] lie on a kept line, within the errors of both and near what was seen of it; bool [N]."""
+        """Return which returns [N] lie on a kept line, within the errors of both and near what was seen of it; bool
+        [N].
+        """
         along_m = local.along_m(points_m)
         near = (along_m > local.kept.seen_m[0] - self._params.max_gap_m) & (
             along_m < local.kept.seen_m[1] + self._params.max_gap_m
@@ -281,7 +285,7 @@ class WallMap:
         return near & (self._gains(local, points_m, covariance_m2) > 1.0)
 
     def _gains(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
-        """What each return adds to the evidence of a kept line [N]."""
+        """Return what each return adds to the evidence of a kept line [N]."""
         factors = np.stack([np.ones(len(points_m)), local.along_m(points_m)], axis=1)
         own = np.einsum("ni,ij,nj->n", factors, local.kept.covariance, factors) + self._params.flatness_m**2
         widened = covariance_m2 + own[:, None, None] * np.eye(2)
@@ -299,7 +303,7 @@ class WallMap:
         kept.inliers = max(kept.inliers, len(points_m))
 
     def _in_view(self, local: _Local, walls: list[Wall]) -> bool:
-        """Whether the radar ought to see a kept line: its middle ahead, and no wall of the scan before it."""
+        """Return whether the radar ought to see a kept line: its middle ahead, and no wall of the scan before it."""
         middle_m = local.ends_m(local.kept.seen_m).mean(axis=0)
         if abs(math.atan2(middle_m[1], middle_m[0])) > self._params.view_rad:
             return False
@@ -307,7 +311,7 @@ class WallMap:
         return not crosses(RADAR, 0.98 * middle_m[None], arrays.a, arrays.b).any()
 
     def _seen_through(self, local: _Local, points_m: np.ndarray) -> bool:
-        """Whether returns of a scan lie behind what is sure of a kept line, past more than its own error."""
+        """Return whether returns of a scan lie behind what is sure of a kept line, past more than its own error."""
         if local.kept.sure_m is None:
             return False
         low_m, high_m = local.kept.sure_m
@@ -318,7 +322,7 @@ class WallMap:
         return bool(cut.sum() >= self._params.seen_through_points)
 
     def _acts(self, local: _Local) -> bool:
-        """Whether a kept line is a mirror."""
+        """Return whether a kept line is a mirror."""
         kept, params = local.kept, self._params
         sure = kept.scans >= params.min_scans and kept.score >= params.min_score and kept.sure_m is not None
         long = kept.span_m >= params.min_span_m
@@ -327,7 +331,7 @@ class WallMap:
         return sure and long and straight and shows
 
     def _is_ahead(self, local: _Local) -> bool:
-        """Whether any of a kept line lies in the field of view: only there does it mirror anything."""
+        """Return whether any of a kept line lies in the field of view: only there does it mirror anything."""
         x_m, y_m = local.ends_m(local.kept.sure_m or local.kept.seen_m).T
         share = np.linspace(0.0, 1.0, 9)
         azimuth_rad = np.arctan2(y_m[0] + share * (y_m[1] - y_m[0]), x_m[0] + share * (x_m[1] - x_m[0]))
@@ -341,7 +345,7 @@ class WallMap:
 
 
 def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _Kept:
-    """A line kept from its first scan on."""
+    """Return a line kept from its first scan on."""
     ends_m = np.array(wall.ends_m)
     half_m = 0.5 * float(np.hypot(*(ends_m[1] - ends_m[0])))
     return _Kept(
@@ -357,14 +361,14 @@ def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _Kept:
 
 
 def _turn_rad(local: _Local, wall: Wall) -> float:
-    """Angle from a kept line's normal to a wall's, as lines: within a quarter turn."""
+    """Return the angle from a kept line's normal to a wall's, as lines: within a quarter turn."""
     normal = local.sign * local.normal
     cross = normal[0] * wall.normal[1] - normal[1] * wall.normal[0]
     return math.atan2(cross, float(normal @ np.array(wall.normal)))
 
 
 def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
-    """How far a wall lies from a kept line in units of what is allowed, infinite where more."""
+    """Return how far a wall lies from a kept line in units of what is allowed, infinite where more."""
     ends_m = np.array(wall.ends_m)
     low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
     gap_m = max(low_m - local.kept.seen_m[1], local.kept.seen_m[0] - high_m)
@@ -379,7 +383,7 @@ def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
 
 
 def _sharpened(wall: Wall, kept: _Kept, radar_from_odom: Pose2) -> Wall:
-    """A wall of a scan, with its own ends put on the line that all scans gave."""
+    """Return a wall of a scan, with its own ends put on the line that all scans gave."""
     local = _Local.of(kept, radar_from_odom)
     low_m, high_m = np.sort(local.along_m(np.array(wall.ends_m))).tolist()
     return msgspec.structs.replace(local.as_wall((low_m, high_m)), inliers=wall.inliers)

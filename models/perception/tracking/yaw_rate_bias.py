@@ -184,7 +184,7 @@ class _Errors(NamedTuple):
     of_speed: float
 
     def variance(self, block: _Block) -> float:
-        """Variance of the error of a block."""
+        """Return the variance of the error of a block."""
         turning_rps = math.hypot(self.of_rate * block.yaw_rate_rps, self.of_change * block.yaw_change_rps)
         return self.floor_rps**2 + turning_rps**2 + (self.of_speed * block.speed_mps) ** 2
 
@@ -209,7 +209,7 @@ class _Source:
         self._excess = 1.0
 
     def variance(self, block: _Block) -> float:
-        """Variance of an error, the many blocks that it lasts for taken into account."""
+        """Return the variance of an error, the many blocks that it lasts for taken into account."""
         return _BLOCKS_PER_ERROR * max(self._excess, 1.0) * self._errors.variance(block)
 
     def note(self, error_rps: float, block: _Block) -> None:
@@ -289,7 +289,9 @@ class DrivingBias:
             self._update(*self._by_wheels(block, block.wheels_mps), self._wheels, block)
 
     def _by_steering(self, block: _Block) -> tuple[float, np.ndarray]:
-        """Yaw rate that the steering gives, with its derivatives; understeer takes from it as the speed grows."""
+        """Return the yaw rate that the steering gives, with its derivatives; understeer takes from it as the speed
+        grows.
+        """
         bias_rps, centre, ratio, understeer, _, _ = self._mean
         speed_mps, steered = block.speed_mps, block.steered
         grip = 1.0 + understeer * speed_mps**2
@@ -298,7 +300,7 @@ class DrivingBias:
         return bias_rps + turn_rps, slope
 
     def _by_wheels(self, block: _Block, wheels_mps: float) -> tuple[float, np.ndarray]:
-        """Yaw rate that the wheels give, with its derivatives."""
+        """Return the yaw rate that the wheels give, with its derivatives."""
         slope = np.array([1.0, 0.0, 0.0, 0.0, block.speed_mps, wheels_mps])
         return float(slope @ self._mean), slope
 
@@ -346,7 +348,7 @@ def _is_covered(state: VehicleState) -> bool:
 
 
 def _is_usable(block: _Block, elapsed_s: float) -> bool:
-    """Whether the vehicle neither slides nor brakes hard."""
+    """Return whether the vehicle neither slides nor brakes hard."""
     return (
         abs(block.speed_mps * block.yaw_rate_rps) <= _MAX_LATERAL_MPS2
         and abs(block.speed_change_mps) <= _MAX_ALONG_MPS2 * elapsed_s
