@@ -76,14 +76,14 @@ def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFi
     """Return the lines of points [N, 2] with covariances [N, 2, 2], those that an arc explains better replaced by
     it.
     """
-    found: list[LineFit] = []
+    result: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
     while lines:
-        free = np.flatnonzero(~claimed(len(points_m), found))
-        arc, eaten = _best_arc(points_m, covariance_m2, lines, free, params)
-        found.append(lines[0] if arc is None else arc)
-        lines = [fit for fit in lines[1:] if not any(fit is one for one in eaten)]
-    return found
+        free = np.flatnonzero(~claimed(len(points_m), result))
+        arc, replaced = _best_arc(points_m, covariance_m2, lines, free, params)
+        result.append(lines[0] if arc is None else arc)
+        lines = [fit for fit in lines[1:] if not any(fit is line for line in replaced)]
+    return result
 
 
 def _best_arc(
@@ -102,12 +102,12 @@ def _best_arc(
             continue
         on_arc = np.zeros(len(points_m), bool)
         on_arc[arc.members] = True
-        eaten = [fit for fit in lines if 2 * np.count_nonzero(on_arc[fit.members]) > len(fit.members)]
-        rival = sum(fit.score for fit in eaten)
-        spared = params.parameter_gain * (2 * len(eaten) - 3) if len(eaten) > 1 else -params.min_gain
-        gain = float(arc.gain.sum()) - rival + spared
-        if len(eaten) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in eaten):
-            best = gain, _as_fit(points_m, frame, arc), eaten
+        replaced = [fit for fit in lines if 2 * np.count_nonzero(on_arc[fit.members]) > len(fit.members)]
+        rival = sum(fit.score for fit in replaced)
+        saving = params.parameter_gain * (2 * len(replaced) - 3) if len(replaced) > 1 else -params.min_gain
+        gain = float(arc.gain.sum()) - rival + saving
+        if len(replaced) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in replaced):
+            best = gain, _as_fit(points_m, frame, arc), replaced
     return best[1], best[2]
 
 

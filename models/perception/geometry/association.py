@@ -104,21 +104,21 @@ def associate_crossing(
     if len(walls) == 0 or len(images_m) == 0:
         return nothing, nothing
     opaque = np.ones(len(walls), bool) if opaque is None else opaque
-    passing = Passing.of(images_m, azimuth_std_rad, walls)
-    missed_m, to_wall_m = passing.missed_m, passing.to_wall_m
-    margin_m = np.minimum(params.end_margin_m + 2.0 * passing.sideways_m, params.max_margin_m)
-    possible = opaque & passing.behind(params.min_depth_m) & (missed_m <= margin_m)
-    ways = _Ways.of(images_m, passing.met, walls, opaque, params)
-    possible &= ~ways.cut(np.broadcast_to(RADAR, ways.mirror_m.shape), ways.mirror_m)
-    whole = possible & ~ways.cut(ways.mirror_m, ways.place_m)
+    crossings = RayWallCrossings.of(images_m, azimuth_std_rad, walls)
+    missed_m, to_wall_m = crossings.missed_m, crossings.to_wall_m
+    margin_m = np.minimum(params.end_margin_m + 2.0 * crossings.sideways_m, params.max_margin_m)
+    possible = opaque & crossings.behind(params.min_depth_m) & (missed_m <= margin_m)
+    paths = _MirrorPaths.of(images_m, crossings.met, walls, opaque, params)
+    possible &= ~paths.is_blocked(np.broadcast_to(RADAR, paths.mirror_m.shape), paths.mirror_m)
+    whole = possible & ~paths.is_blocked(paths.mirror_m, paths.position_m)
     # the sides of vehicles are poor mirrors: only where nothing longer offers itself
-    later = 1e3 * (missed_m > 0.0) + 2e3 * (walls.length_m <= params.vehicle_length_m) + missed_m - to_wall_m
+    preference = 1e3 * (missed_m > 0.0) + 2e3 * (walls.length_m <= params.vehicle_length_m) + missed_m - to_wall_m
     second = np.full(whole.shape, NO_WALL)
     if params.second_order:
         sure = (missed_m == 0.0) & (walls.length_m > params.vehicle_length_m)
         rows, columns = np.nonzero(possible & ~whole & sure)
-        second[rows, columns] = ways.second(rows, columns)
-    cost = np.where(whole, later, np.where(second != NO_WALL, later, np.inf))
+        second[rows, columns] = paths.second(rows, columns)
+    cost = np.where(whole, preference, np.where(second != NO_WALL, preference, np.inf))
     first = _cheapest(cost)
     return first, np.where(first == NO_WALL, NO_WALL, second[np.arange(len(first)), first])
 
@@ -129,7 +129,7 @@ def _cheapest(cost: np.ndarray) -> np.ndarray:
 
 
 @dataclass(frozen=True)
-class Passing:
+class RayWallCrossings:
     """How the ray of each image passes each wall or its line beyond the ends, arrays [N, W]."""
 
     met: Hits
@@ -143,7 +143,7 @@ class Passing:
     depth_m: np.ndarray
 
     @classmethod
-    def of(cls, images_m: np.ndarray, azimuth_std_rad: np.ndarray, walls: WallArrays) -> Passing:
+    def of(cls, images_m: np.ndarray, azimuth_std_rad: np.ndarray, walls: WallArrays) -> RayWallCrossings:
         """Return the images [N, 2] in metres with their angular errors [N], and walls."""
         met = hits(RADAR, images_m, walls)
         range_m, _ = polar_from_xy(images_m)
@@ -165,11 +165,11 @@ class Passing:
 
 
 @dataclass(frozen=True)
-class _Ways:
+class _MirrorPaths:
     """Ways radar -> wall -> folded place of each image by each wall, [N, W, 2], and the walls that may cut them."""
 
     mirror_m: np.ndarray
-    place_m: np.ndarray
+    position_m: np.ndarray
     walls: WallArrays
     opaque: np.ndarray
     params: RecoveryParams
@@ -177,18 +177,18 @@ class _Ways:
     @classmethod
     def of(
         cls, images_m: np.ndarray, met: Hits, walls: WallArrays, opaque: np.ndarray, params: RecoveryParams
-    ) -> _Ways:
+    ) -> _MirrorPaths:
         mirror_m = np.nan_to_num(met.along_ray)[..., None] * images_m[:, None]
-        place_m = reflect(np.broadcast_to(images_m[:, None], mirror_m.shape), met.normal, met.offset_m)
-        return cls(mirror_m, np.nan_to_num(place_m), walls, opaque, params)
+        position_m = reflect(np.broadcast_to(images_m[:, None], mirror_m.shape), met.normal, met.offset_m)
+        return cls(mirror_m, np.nan_to_num(position_m), walls, opaque, params)
 
-    def cut(self, origin_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
+    def is_blocked(self, origin_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
         """Return which legs [N, W, 2] a wall other than their own cuts; bool [N, W]."""
         own = np.broadcast_to(np.arange(len(self.walls)), origin_m.shape[:2]).ravel()
-        cuts = self._cuts(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own)
+        cuts = self._blocked_by(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own)
         return np.asarray(cuts.any(axis=1)).reshape(origin_m.shape[:2])
 
-    def _cuts(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
+    def _blocked_by(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
         """Return which walls cut which legs [M, 2] that touch the wall `own` [M]; bool [M, W].
 
         A vehicle's side is too short to be sure that a path does not pass beside it.
@@ -202,17 +202,17 @@ class _Ways:
         """Return the second mirror of images [M] whose first is `first` [M]: the next wall on their way, if the rest
         is free.
         """
-        start, end = self.mirror_m[image, first], self.place_m[image, first]
+        start, end = self.mirror_m[image, first], self.position_m[image, first]
         met = hits(start, end, self.walls)
-        on = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
-        on &= self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
-        on &= behind(end[:, None], met.normal, met.offset_m) > self.params.min_depth_m
-        on &= np.arange(len(self.walls)) != first[:, None]
-        nearest = _cheapest(np.where(on, met.along_ray, np.inf))
+        crossed = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
+        crossed &= self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
+        crossed &= behind(end[:, None], met.normal, met.offset_m) > self.params.min_depth_m
+        crossed &= np.arange(len(self.walls)) != first[:, None]
+        nearest = _cheapest(np.where(crossed, met.along_ray, np.inf))
         row = np.arange(len(image))
         turn = start + np.nan_to_num(met.along_ray[row, nearest])[:, None] * (end - start)
-        place = reflect(end, met.normal[row, nearest], met.offset_m[row, nearest])
-        free = ~self._cuts(turn, np.nan_to_num(place), nearest).any(axis=1)
+        position = reflect(end, met.normal[row, nearest], met.offset_m[row, nearest])
+        free = ~self._blocked_by(turn, np.nan_to_num(position), nearest).any(axis=1)
         return np.where(free, nearest, NO_WALL)
 
 
@@ -226,20 +226,20 @@ def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectRetu
         return walls, np.full(len(images_m), NO_WALL)
     buddy = nearest_in_angle(images_m, returns.points_m)
     wall = returns.wall[buddy]
-    lonely = np.flatnonzero(wall == NO_WALL)
-    points_m = returns.points_m[buddy[lonely]]
+    unassigned = np.flatnonzero(wall == NO_WALL)
+    points_m = returns.points_m[buddy[unassigned]]
     normal, offset_m = facing_radar(points_m)
     extended = WallArrays(
         normal=np.concatenate([walls.normal, normal]),
         offset_m=np.concatenate([walls.offset_m, offset_m]),
         a=np.concatenate([walls.a, points_m]),
         b=np.concatenate([walls.b, points_m]),
-        angle_std_rad=np.concatenate([walls.angle_std_rad, np.full(len(lonely), math.radians(10.0))]),
-        offset_std_m=np.concatenate([walls.offset_std_m, np.full(len(lonely), 0.1)]),
-        curvature_per_m=np.concatenate([walls.curvature_per_m, np.zeros(len(lonely))]),
+        angle_std_rad=np.concatenate([walls.angle_std_rad, np.full(len(unassigned), math.radians(10.0))]),
+        offset_std_m=np.concatenate([walls.offset_std_m, np.full(len(unassigned), 0.1)]),
+        curvature_per_m=np.concatenate([walls.curvature_per_m, np.zeros(len(unassigned))]),
     )
     wall = wall.copy()
-    wall[lonely] = len(walls) + np.arange(len(lonely))
+    wall[unassigned] = len(walls) + np.arange(len(unassigned))
     return extended, wall
 
 

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from models.perception.cards import learned_path, read_card
-from models.perception.geometry.association import DirectReturns, Passing, RecoveryParams
+from models.perception.geometry.association import DirectReturns, RayWallCrossings, RecoveryParams
 from models.perception.geometry.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.geometry.recovery import Recovered
 from models.physics.plane import segment_distance_m
@@ -33,7 +33,7 @@ NEAREST_M, FARTHEST_M = 0.2, 120.0
 #: Places this near each other are of one thing: of other walls, of the same.
 SUPPORT_M, COMPANY_M = 1.0, 2.0
 #: A direct return this near is what the place may be.
-SAME_THING_M = 1.5
+SAME_OBJECT_M = 1.5
 #: No feature and no weight is larger.
 LARGEST = 1e3
 #: Standardised features count for no more: nothing is extrapolated far beyond what was fitted.
@@ -51,7 +51,7 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _FoldContext:
     """A scan's places with what they are judged by."""
 
     recovered: Recovered
@@ -70,9 +70,9 @@ class _Seen:
         return self.walls.select(self.walls.length_m > self.params.vehicle_length_m)
 
 
-def _echo(seen: _Seen) -> dict[str, np.ndarray]:
+def _echo(context: _FoldContext) -> dict[str, np.ndarray]:
     """Return the echo itself: how strong, where it appeared."""
-    recovered = seen.recovered
+    recovered = context.recovered
     score = np.clip(recovered.score, 0.01, 0.99)
     range_m, azimuth_rad = polar_from_xy(recovered.images_m)
     return {
@@ -80,35 +80,35 @@ def _echo(seen: _Seen) -> dict[str, np.ndarray]:
         "snr_db": np.clip(recovered.snr_db, -10.0, 70.0),
         "image_range": _log(range_m),
         "image_azimuth_rad": np.abs(azimuth_rad),
-        "image_sigma": _log(seen.image_sigma_m),
+        "image_sigma": _log(context.image_sigma_m),
         "sigma": _log(np.sqrt(np.trace(recovered.covariance_m2, axis1=1, axis2=2))),
     }
 
 
-def _fold(seen: _Seen) -> dict[str, np.ndarray]:
+def _fold(context: _FoldContext) -> dict[str, np.ndarray]:
     """Return how its ray meets the wall, and how near to one of the wall's returns."""
-    recovered, wall = seen.recovered, seen.recovered.wall
+    recovered, wall = context.recovered, context.recovered.wall
     range_m = np.maximum(np.hypot(recovered.images_m[:, 0], recovered.images_m[:, 1]), NEAREST_M)
-    passing = Passing.of(recovered.images_m, seen.image_sigma_m / range_m, seen.walls)
-    to_wall_m = np.clip(_at(passing.to_wall_m, wall), 0.0, range_m)
+    crossings = RayWallCrossings.of(recovered.images_m, context.image_sigma_m / range_m, context.walls)
+    to_wall_m = np.clip(_at(crossings.to_wall_m, wall), 0.0, range_m)
     mirror_m = recovered.images_m * (to_wall_m / range_m)[:, None]
-    gap_m = np.linalg.norm(mirror_m[:, None] - seen.returns.points_m, axis=-1)
-    gap_m = np.where(wall[:, None] == seen.returns.wall, gap_m, FARTHEST_M).min(axis=1, initial=FARTHEST_M)
-    sideways_m = np.maximum(_at(passing.sideways_m, wall), NEAREST_M)
+    gap_m = np.linalg.norm(mirror_m[:, None] - context.returns.points_m, axis=-1)
+    gap_m = np.where(wall[:, None] == context.returns.wall, gap_m, FARTHEST_M).min(axis=1, initial=FARTHEST_M)
+    sideways_m = np.maximum(_at(crossings.sideways_m, wall), NEAREST_M)
     return {
-        "missed_m": np.clip(_at(passing.missed_m, wall), 0.0, 4.0),
-        "depth": _log(_at(passing.depth_m, wall)),
+        "missed_m": np.clip(_at(crossings.missed_m, wall), 0.0, 4.0),
+        "depth": _log(_at(crossings.depth_m, wall)),
         "to_wall": _log(to_wall_m),
-        "incidence": np.clip(to_wall_m * seen.image_sigma_m / range_m / sideways_m, 0.0, 1.0),
+        "incidence": np.clip(to_wall_m * context.image_sigma_m / range_m / sideways_m, 0.0, 1.0),
         "mirror_gap": _log(gap_m),
         "twice": recovered.second >= 0,
     }
 
 
-def _mirror(seen: _Seen) -> dict[str, np.ndarray]:
+def _mirror(context: _FoldContext) -> dict[str, np.ndarray]:
     """Return the wall."""
-    wall, walls = seen.recovered.wall, seen.walls
-    returns = np.bincount(seen.returns.wall[seen.returns.wall >= 0], minlength=len(walls))
+    wall, walls = context.recovered.wall, context.walls
+    returns = np.bincount(context.returns.wall[context.returns.wall >= 0], minlength=len(walls))
     return {
         "wall_length": _log(_at(walls.length_m, wall)),
         "wall_angle_std_rad": np.clip(_at(walls.angle_std_rad, wall), 0.0, 0.2),
@@ -117,13 +117,13 @@ def _mirror(seen: _Seen) -> dict[str, np.ndarray]:
     }
 
 
-def _surroundings(seen: _Seen) -> dict[str, np.ndarray]:
+def _surroundings(context: _FoldContext) -> dict[str, np.ndarray]:
     """Return where it lands: among direct returns, walls, in the shadow of walls."""
-    points_m, returns, walls = seen.recovered.points_m, seen.returns, seen.long_walls
+    points_m, returns, walls = context.recovered.points_m, context.returns, context.long_walls
     range_m, azimuth_rad = polar_from_xy(points_m)
     distance_m = np.linalg.norm(points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
-    loose = ~np.append(seen.walls.length_m > seen.params.vehicle_length_m, False)[returns.wall]
-    louder = np.where(distance_m < SAME_THING_M, returns.snr_db - seen.recovered.snr_db[:, None], -40.0)
+    loose = ~np.append(context.walls.length_m > context.params.vehicle_length_m, False)[returns.wall]
+    louder = np.where(distance_m < SAME_OBJECT_M, returns.snr_db - context.recovered.snr_db[:, None], -40.0)
     return {
         "range": _log(range_m),
         "azimuth_rad": np.abs(azimuth_rad),
@@ -131,27 +131,27 @@ def _surroundings(seen: _Seen) -> dict[str, np.ndarray]:
         "nearest_loose_return": _log(np.where(loose, distance_m, FARTHEST_M).min(axis=1, initial=FARTHEST_M)),
         "return_louder_db": np.clip(louder.max(axis=1, initial=-40.0), -40.0, 40.0),
         "nearest_wall": _log(segment_distance_m(points_m, walls.a, walls.b).min(axis=1, initial=FARTHEST_M)),
-        "behind_wall": behind_walls(points_m, walls, seen.params.cut_depth_m),
+        "behind_wall": behind_walls(points_m, walls, context.params.cut_depth_m),
     }
 
 
-def _company(seen: _Seen) -> dict[str, np.ndarray]:
+def _company(context: _FoldContext) -> dict[str, np.ndarray]:
     """Return the other places: of other walls at the same spot, of the same around it, and how many there are."""
-    one = seen.recovered
-    distance_m = np.linalg.norm(one.points_m[:, None] - one.points_m, axis=-1)
-    same = (one.wall[:, None] == one.wall) & (one.second[:, None] == one.second)
-    support = np.where(same, 0.0, one.score * np.exp(-((distance_m / SUPPORT_M) ** 2)))
-    mates = same & (distance_m < COMPANY_M) & ~np.eye(len(one), dtype=bool)
+    recovered = context.recovered
+    distance_m = np.linalg.norm(recovered.points_m[:, None] - recovered.points_m, axis=-1)
+    same = (recovered.wall[:, None] == recovered.wall) & (recovered.second[:, None] == recovered.second)
+    support = np.where(same, 0.0, recovered.score * np.exp(-((distance_m / SUPPORT_M) ** 2)))
+    mates = same & (distance_m < COMPANY_M) & ~np.eye(len(recovered), dtype=bool)
     return {
         "support": np.clip(support.max(axis=1, initial=0.0), 0.0, 1.0),
         "company": np.log1p(mates.sum(axis=1)),
-        "company_score": np.clip(np.where(mates, one.score, 0.0).max(axis=1, initial=0.0), 0.0, 1.0),
-        "places": np.full(len(one), math.log1p(len(one))),
-        "walls": np.full(len(one), math.log1p(len(seen.walls))),
+        "company_score": np.clip(np.where(mates, recovered.score, 0.0).max(axis=1, initial=0.0), 0.0, 1.0),
+        "places": np.full(len(recovered), math.log1p(len(recovered))),
+        "walls": np.full(len(recovered), math.log1p(len(context.walls))),
     }
 
 
-_PARTS: tuple[Callable[[_Seen], dict[str, np.ndarray]], ...] = (_echo, _fold, _mirror, _surroundings, _company)
+_PARTS: tuple[Callable[[_FoldContext], dict[str, np.ndarray]], ...] = (_echo, _fold, _mirror, _surroundings, _company)
 
 
 def _log(metres: np.ndarray) -> np.ndarray:
@@ -173,8 +173,8 @@ def place_features(
     """Return what the model sees of each place, float64 [N, features] in the order of `FEATURES`; distances as
     logarithms.
     """
-    seen = _Seen(recovered, wall_arrays(walls), returns, params)
-    columns = {name: column for part in _PARTS for name, column in part(seen).items()}
+    context = _FoldContext(recovered, wall_arrays(walls), returns, params)
+    columns = {name: column for part in _PARTS for name, column in part(context).items()}
     return np.stack([columns[name].astype(np.float64) for name in FEATURES], axis=1)
 
 
@@ -239,8 +239,8 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         if not (np.abs(features) <= LARGEST).all():
             row, column = np.argwhere(~(np.abs(features) <= LARGEST))[0]
             raise ValueError(f"features must be within {LARGEST:g}, {FEATURES[column]} is {features[row, column]}")
-        seen = standardised(features, self.means, self.scales)
-        hidden = np.tanh(seen @ np.array(self.hidden_weights).T + self.hidden_biases)
+        scaled = standardised(features, self.means, self.scales)
+        hidden = np.tanh(scaled @ np.array(self.hidden_weights).T + self.hidden_biases)
         return np.asarray(expit(hidden @ np.array(self.weights) + self.bias))
 
 

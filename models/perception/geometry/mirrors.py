@@ -99,16 +99,16 @@ def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
     normal = np.broadcast_to(walls.normal, (*shape, 2)).copy()
     offset_m = np.broadcast_to(walls.offset_m, shape).copy()
     for index in np.flatnonzero(walls.curvature_per_m):
-        one = walls.select(np.array([index]))
-        way, at, normal[:, index] = _on_arc(origin, targets, along_ray[:, index], one)
-        chord = one.b[0] - one.a[0]
-        along_ray[:, index], along_wall[:, index] = way, (at - one.a[0]) @ chord / (chord @ chord)
-        offset_m[:, index] = -np.sum(normal[:, index] * at, axis=1)
+        wall = walls.select(np.array([index]))
+        ray_share, hit_m, normal[:, index] = _on_arc(origin, targets, along_ray[:, index], wall)
+        chord = wall.b[0] - wall.a[0]
+        along_ray[:, index], along_wall[:, index] = ray_share, (hit_m - wall.a[0]) @ chord / (chord @ chord)
+        offset_m[:, index] = -np.sum(normal[:, index] * hit_m, axis=1)
     return Hits(along_ray, along_wall, normal, offset_m)
 
 
 def _on_arc(
-    origin: np.ndarray, targets: np.ndarray, near: np.ndarray, one: WallArrays
+    origin: np.ndarray, targets: np.ndarray, near: np.ndarray, wall: WallArrays
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the share of the rays and point where they meet the circle, nearest to the share `near` on the chord, and
     its unit normal there; NaN: never.
@@ -116,9 +116,9 @@ def _on_arc(
     From the chord's middle, s along it and d towards the radar, the circle of curvature k over a chord 2 h long is
     k (s^2 + d^2 - h^2) = 2 d sqrt(1 - k^2 h^2): no centre, which runs off to infinity as the wall becomes flat.
     """
-    curvature, half_m = one.curvature_per_m[0], 0.5 * one.length_m[0]
+    curvature, half_m = wall.curvature_per_m[0], 0.5 * wall.length_m[0]
     rise = np.sqrt(max(1.0 - (curvature * half_m) ** 2, 0.0))
-    middle, normal = 0.5 * (one.a[0] + one.b[0]), one.normal[0]
+    middle, normal = 0.5 * (wall.a[0] + wall.b[0]), wall.normal[0]
     start = np.broadcast_to(origin, targets.shape) - middle
     ray = targets - middle - start
     second = curvature * np.sum(ray**2, axis=1)
@@ -127,11 +127,11 @@ def _on_arc(
     root = first**2 - second * constant
     # of the same sign as what it is added to: neither root is a difference of like numbers
     away = -first - np.copysign(np.sqrt(np.where(root >= 0.0, root, np.nan)), first)
-    ways = np.stack([_quotient(constant, away), _quotient(away, second)])
-    nearest = np.nan_to_num(np.abs(ways - near), nan=np.inf).argmin(axis=0)
-    way = ways[nearest, np.arange(len(targets))]
-    at = start + way[:, None] * ray
-    return way, middle + at, rise * normal - curvature * at
+    shares = np.stack([_quotient(constant, away), _quotient(away, second)])
+    nearest = np.nan_to_num(np.abs(shares - near), nan=np.inf).argmin(axis=0)
+    share = shares[nearest, np.arange(len(targets))]
+    at = start + share[:, None] * ray
+    return share, middle + at, rise * normal - curvature * at
 
 
 def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
@@ -151,5 +151,5 @@ def behind_walls(points_m: np.ndarray, walls: WallArrays, depth_m: float) -> np.
     """
     if len(walls) == 0:
         return np.zeros(len(points_m), bool)
-    cut = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)
-    return np.logical_or.reduce(cut, axis=1)
+    blocked = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)
+    return np.logical_or.reduce(blocked, axis=1)

@@ -276,15 +276,15 @@ def bev_to_json(frame: BevFrame) -> dict[str, object]:
         "points": [{"x_m": point.x_m, "y_m": point.y_m, "score": point.score} for point in frame.points],
         "objects": [
             {
-                "id": one.id,
-                "x_m": one.x_m,
-                "y_m": one.y_m,
-                "length_m": one.length_m,
-                "width_m": one.width_m,
-                "yaw_rad": one.yaw_rad,
-                "score": one.score,
-                "cov_m2": [list(row) for row in one.cov_m2],
+                "id": item.id,
+                "x_m": item.x_m,
+                "y_m": item.y_m,
+                "length_m": item.length_m,
+                "width_m": item.width_m,
+                "yaw_rad": item.yaw_rad,
+                "score": item.score,
+                "cov_m2": [list(row) for row in item.cov_m2],
             }
-            for one in frame.objects
+            for item in frame.objects
         ],
     }

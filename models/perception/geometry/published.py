@@ -77,19 +77,19 @@ def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedP
     wall_of_point = np.full(len(points_m), NO_WALL, np.int64)
     for label in range(int(labels.max(initial=NOISE)) + 1):
         left = np.flatnonzero(labels == label)
-        while len(inliers := left[_most_inliers(points_m[left], params, rng)]) >= params.min_inliers:
+        while len(inliers := left[_largest_inlier_set(points_m[left], params, rng)]) >= params.min_inliers:
             wall_of_point[inliers] = len(walls)
             walls.append(_fitted(points_m[inliers]))
             left = np.setdiff1d(left, inliers)
     return walls, wall_of_point
 
 
-def _most_inliers(points_m: np.ndarray, params: PublishedParams, rng: np.random.Generator) -> np.ndarray:
+def _largest_inlier_set(points_m: np.ndarray, params: PublishedParams, rng: np.random.Generator) -> np.ndarray:
     """Return which points [N] lie on the line through two of them that has the most; none where no two differ."""
     first, second = np.triu_indices(len(points_m), k=1)
     if len(first) > params.rounds:
-        chosen = np.sort(rng.choice(len(first), params.rounds, replace=False))
-        first, second = first[chosen], second[chosen]
+        sampled = np.sort(rng.choice(len(first), params.rounds, replace=False))
+        first, second = first[sampled], second[sampled]
     along = points_m[second] - points_m[first]
     length_m = np.linalg.norm(along, axis=1)
     apart = length_m > 1e-6

@@ -106,13 +106,13 @@ def recover(images: Peaks, walls: list[Wall], returns: DirectReturns, params: Re
         second = np.full(len(first), NO_WALL)
     used = np.flatnonzero(first != NO_WALL)
     covariance = cartesian_covariance(range_m, azimuth_rad, polar)
-    places = folded(points_m[used], covariance[used], arrays, first[used], second[used])
+    positions = folded(points_m[used], covariance[used], arrays, first[used], second[used])
     index = mirrored[used]
     return Recovered(
-        points_m=places.points_m,
+        points_m=positions.points_m,
         images_m=points_m[used],
-        image_covariance_m2=places.own_m2,
-        wall_covariance_m2=places.common_m2,
+        image_covariance_m2=positions.own_m2,
+        wall_covariance_m2=positions.common_m2,
         wall=np.where(first[used] < len(walls), first[used], NO_WALL),
         second=second[used],
         score=images.score[index],
@@ -148,7 +148,7 @@ def folded(
     return once
 
 
-def _fold(origin_m: np.ndarray, seen: Folded, arrays: WallArrays, wall: np.ndarray) -> tuple[Folded, np.ndarray]:
+def _fold(origin_m: np.ndarray, apparent: Folded, arrays: WallArrays, wall: np.ndarray) -> tuple[Folded, np.ndarray]:
     """Return one fold of what is seen from `origin_m` [N, 2] about the mirror its ray meets; also where it meets it
     [N, 2].
 
@@ -157,25 +157,25 @@ def _fold(origin_m: np.ndarray, seen: Folded, arrays: WallArrays, wall: np.ndarr
     along n by 2 n e. On an arc of curvature k the ray's own turn by dtheta meets a normal turned by
     -k rho dtheta / (u.n), rho the distance to the wall along the ray's direction u.
     """
-    met = hits(origin_m, seen.points_m, arrays)
+    met = hits(origin_m, apparent.points_m, arrays)
     row = np.arange(len(wall))
-    way = np.nan_to_num(met.along_ray[row, wall])
+    ray_share = np.nan_to_num(met.along_ray[row, wall])
     # an arc's circle that the ray passes by acts as its chord
     meets = ~np.isnan(met.along_ray[row, wall])
     normal = np.where(meets[:, None], met.normal[row, wall], arrays.normal[wall])
     offset_m = np.where(meets, met.offset_m[row, wall], arrays.offset_m[wall])
-    ray = seen.points_m - origin_m
-    turn_m = origin_m + way[:, None] * ray
+    ray = apparent.points_m - origin_m
+    turn_m = origin_m + ray_share[:, None] * ray
     mirror = np.eye(2) - 2.0 * normal[:, :, None] * normal[:, None, :]
     # the normal turns with the ray's direction: across = change of that direction with the image's place
     length_m = np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-9)
     across = np.stack([-ray[:, 1], ray[:, 0]], axis=1) / length_m[:, None] ** 2
     slant = np.minimum(np.sum(ray * normal, axis=1) / length_m, -0.05)
-    bend = -arrays.curvature_per_m[wall] * way * length_m / slant
-    moved = mirror + (bend[:, None] * _turned(seen.points_m - turn_m, normal))[:, :, None] * across[:, None, :]
-    own = moved @ seen.own_m2 @ moved.transpose(0, 2, 1)
-    common = mirror @ seen.common_m2 @ mirror + _wall_part(seen.points_m, normal, arrays, wall)
-    return Folded(reflect(seen.points_m, normal, offset_m), own, common), turn_m
+    bend = -arrays.curvature_per_m[wall] * ray_share * length_m / slant
+    moved = mirror + (bend[:, None] * _turned(apparent.points_m - turn_m, normal))[:, :, None] * across[:, None, :]
+    own = moved @ apparent.own_m2 @ moved.transpose(0, 2, 1)
+    common = mirror @ apparent.common_m2 @ mirror + _wall_part(apparent.points_m, normal, arrays, wall)
+    return Folded(reflect(apparent.points_m, normal, offset_m), own, common), turn_m
 
 
 def _turned(from_pivot_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
@@ -216,16 +216,16 @@ def reflection_state(
             points_m = returns.points_m[returns.cluster == cluster]
             order = np.argsort(np.sum((points_m - image_m) ** 2, axis=1), kind="stable")[:neighbours]
             patch_m[i, : len(order)] = points_m[order]
-    lonely = recovered.wall == NO_WALL
+    without_wall = recovered.wall == NO_WALL
     arrays = wall_arrays(walls)
     own = returns.points_m[buddy]
     normal, offset_m = facing_radar(own)
-    on_wall = ~lonely
+    on_wall = ~without_wall
     normal[on_wall], offset_m[on_wall] = (
         arrays.normal[recovered.wall[on_wall]],
         arrays.offset_m[recovered.wall[on_wall]],
     )
-    state[:] = np.column_stack([recovered.images_m, normal, offset_m, lonely])
+    state[:] = np.column_stack([recovered.images_m, normal, offset_m, without_wall])
     return ReflectionState(recovered.images_m, patch_m, state)
 
 

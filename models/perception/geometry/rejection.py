@@ -55,12 +55,12 @@ def _on_visible_vehicle(
         points_m = returns.points_m[group]
         near = np.abs(recovered.points_m - points_m.mean(axis=0)).max(axis=1) <= 2.0 * params.vehicle_length_m
         near &= recovered.snr_db <= returns.snr_db[group].max() + params.comparable_db
-        open_ones = np.flatnonzero(near & ~explained)
+        candidates = np.flatnonzero(near & ~explained)
         # most groups do not fit by themselves: nothing more fits in with them
-        slack_m = sigma_m[open_ones].max(initial=0.0)
+        slack_m = sigma_m[candidates].max(initial=0.0)
         if not fits_box(points_m, params.vehicle_length_m + slack_m, params.vehicle_width_m + slack_m):
             continue
-        for i in open_ones:
+        for i in candidates:
             together = np.vstack([points_m, recovered.points_m[i]])
             length_m, width_m = params.vehicle_length_m + sigma_m[i], params.vehicle_width_m + sigma_m[i]
             explained[i] = fits_box(together, length_m, width_m)

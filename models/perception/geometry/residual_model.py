@@ -167,9 +167,12 @@ class LearnedResidual:
 
     def _check_shapes(self) -> None:
         """Raise `ValueError` unless file and card agree on every name and shape; the batch is free."""
-        wanted = {**self._shapes(), "residual": (2,)}
-        found = {put.name: tuple(put.shape[1:]) for put in (*self._session.get_inputs(), *self._session.get_outputs())}
-        if found != wanted:
-            raise ValueError(f"{self._path}: inputs and output of the network must be {wanted}, got {found}")
-        if any(isinstance(put.shape[0], int) for put in self._session.get_inputs()):
+        expected = {**self._shapes(), "residual": (2,)}
+        actual = {
+            tensor.name: tuple(tensor.shape[1:])
+            for tensor in (*self._session.get_inputs(), *self._session.get_outputs())
+        }
+        if actual != expected:
+            raise ValueError(f"{self._path}: inputs and output of the network must be {expected}, got {actual}")
+        if any(isinstance(tensor.shape[0], int) for tensor in self._session.get_inputs()):
             raise ValueError(f"{self._path}: the network must take any number of images, takes a fixed one")

@@ -42,7 +42,7 @@ class Segment(NamedTuple):
     ay: float
     bx: float
     by: float
-    acts: bool
+    is_mirror: bool
 
 
 _NOTHING = Segment(Line(0.0, 1.0, 0.0, math.inf, math.inf), -math.inf, 0.0, 0.0, 0.0, 0.0, False)
@@ -64,12 +64,12 @@ def best_segment(
     count = 0
     for index in np.argsort(-total, kind="mergesort"):
         # hypotheses with the same inliers become the same line
-        if _holds_alike(gain, index, finalists[:count]):
+        if _has_same_inliers(gain, index, finalists[:count]):
             continue
         finalists[count] = index
         count += 1
         segment, run = _best_on_line(points_m, covariance_m2, np.flatnonzero(gain[index] > 0.0), limits)
-        if segment.acts and segment.score > best.score:
+        if segment.is_mirror and segment.score > best.score:
             best, best_run = segment, run
         if count == FINALISTS:
             break
@@ -108,12 +108,12 @@ def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray)
 
 
 @njit(cache=True, nogil=True)
-def _holds_alike(gain: np.ndarray, index: int, others: np.ndarray) -> bool:
+def _has_same_inliers(gain: np.ndarray, index: int, rows: np.ndarray) -> bool:
     """Return whether a row of gains [H, N] has the same inliers as one of the others."""
-    for other in others:
+    for row in rows:
         alike = True
         for i in range(gain.shape[1]):
-            if (gain[index, i] > 0.0) != (gain[other, i] > 0.0):
+            if (gain[index, i] > 0.0) != (gain[row, i] > 0.0):
                 alike = False
                 break
         if alike:
@@ -144,7 +144,7 @@ def _best_on_line(
         if len(run) < limits.min_inliers:
             continue
         segment = supported(points_m[run], covariance_m2[run], limits)
-        if segment.acts and segment.score > best.score:
+        if segment.is_mirror and segment.score > best.score:
             best, best_run = segment, run
     return best, best_run
 
@@ -160,14 +160,14 @@ def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -
     bx, by = -high * ny - offset_m * nx, high * nx - offset_m * ny
     gain = gains(points_m, covariance_m2, nx, ny, offset_m)
     score = gain.sum()
-    acts = bool(
+    is_mirror = bool(
         np.count_nonzero(gain) >= limits.min_inliers
         and math.hypot(bx - ax, by - ay) >= limits.min_length_m
         and line.angle_std_rad <= limits.max_angle_std_rad
         and offset_m >= limits.min_offset_m
         and score >= limits.min_score
     )
-    return Segment(line, score, ax, ay, bx, by, acts)
+    return Segment(line, score, ax, ay, bx, by, is_mirror)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -177,9 +177,9 @@ def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment,
     low, high = segment.ay * line.nx - segment.ax * line.ny, segment.by * line.nx - segment.bx * line.ny
     gain = gains(points_m, covariance_m2, line.nx, line.ny, line.offset_m)
     reach = points_m[:, 1] * line.nx - points_m[:, 0] * line.ny
-    left = (gain <= 0.0) | (reach < low) | (reach > high)
-    left[run] = False
-    return left
+    is_left = (gain <= 0.0) | (reach < low) | (reach > high)
+    is_left[run] = False
+    return is_left
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -26,7 +26,7 @@ from msgs.values.arrays import require_positive
 from msgs.values.perception import Wall
 
 #: Pieces of walls that are looked at for each wall that may be kept, the best first: each is held against each.
-_MOST_CANDIDATES = 4
+_MAX_CANDIDATES = 4
 
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -84,7 +84,7 @@ def find_walls(
     for label in range(int(labels.max(initial=NOISE)) + 1):
         fits += _walls_of_cluster(points_m, covariance_m2, np.flatnonzero(labels == label), params, rng)
     if params.joined:
-        fits = _one_building(points_m, covariance_m2, fits, params, rng)
+        fits = _join_clusters(points_m, covariance_m2, fits, params, rng)
     fits = fits[: params.max_walls]
     wall_of_point = np.full(len(points_m), -1, np.int64)
     for index, fit in reversed(list(enumerate(fits))):
@@ -92,14 +92,14 @@ def find_walls(
     return [fit.as_wall() for fit in fits], wall_of_point
 
 
-def _one_building(
+def _join_clusters(
     points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
     """Return the walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best
     first.
     """
-    if len(fits) > _MOST_CANDIDATES * params.max_walls:
-        fits = sorted(fits, key=lambda fit: -fit.score)[: _MOST_CANDIDATES * params.max_walls]
+    if len(fits) > _MAX_CANDIDATES * params.max_walls:
+        fits = sorted(fits, key=lambda fit: -fit.score)[: _MAX_CANDIDATES * params.max_walls]
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
     sparse = msgspec.structs.replace(params, max_gap_m=params.sparse_gap_m, min_score=params.sparse_min_score)
     free = np.flatnonzero(~claimed(len(points_m), fits))
@@ -128,16 +128,16 @@ def _walls_of_cluster(
     points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
     """Return the sequential RANSAC: the best wall, then the best among the points it leaves, until none has support."""
-    found: list[LineFit] = []
+    fits: list[LineFit] = []
     limits = _limits(params)
     while len(members) >= params.min_inliers:
         points, covariance = points_m[members], covariance_m2[members]
         segment, run = best_segment(points, covariance, _pairs(len(members), params.rounds, rng), limits)
-        if not segment.acts:
+        if not segment.is_mirror:
             break
-        found.append(_as_fit(segment, members[run]))
+        fits.append(_as_fit(segment, members[run]))
         members = members[left_over(points, covariance, segment, run)]
-    return found
+    return fits
 
 
 def _pairs(count: int, rounds: int, rng: np.random.Generator) -> np.ndarray:
@@ -186,7 +186,7 @@ def _supported(points_m: np.ndarray, covariance_m2: np.ndarray, run: np.ndarray,
     if len(run) < params.min_inliers:
         return None
     segment = supported(points_m[run], covariance_m2[run], _limits(params))
-    return _as_fit(segment, run) if segment.acts else None
+    return _as_fit(segment, run) if segment.is_mirror else None
 
 
 def _merge_duplicates(
@@ -211,14 +211,14 @@ def _merge_duplicates(
 
 
 def _joined(
-    points_m: np.ndarray, covariance_m2: np.ndarray, one: LineFit, other: LineFit, params: WallParams
+    points_m: np.ndarray, covariance_m2: np.ndarray, first: LineFit, second: LineFit, params: WallParams
 ) -> LineFit | None:
     """Return one wall in place of two, None where the two are not one: the joint line must keep 90 % of their score."""
-    if abs(float(one.normal @ other.normal)) < math.cos(math.radians(30.0)):
+    if abs(float(first.normal @ second.normal)) < math.cos(math.radians(30.0)):
         return None
-    members = np.flatnonzero(claimed(len(points_m), (one, other)))
+    members = np.flatnonzero(claimed(len(points_m), (first, second)))
     joint = _supported(points_m, covariance_m2, members, params)
-    if joint is None or joint.score < 0.9 * (one.score + other.score):
+    if joint is None or joint.score < 0.9 * (first.score + second.score):
         return None
     reach = np.sort(points_m[joint.members] @ np.array([-joint.normal[1], joint.normal[0]]))
     return joint if np.diff(reach).max(initial=0.0) <= params.max_gap_m else None
@@ -234,13 +234,13 @@ def _extended(
     """
     limits = _limits(params)
     while len(free):
-        taken = next_on_line(points_m[free], covariance_m2[free], _as_segment(fit), limits)
-        if taken < 0:
+        nearest = next_on_line(points_m[free], covariance_m2[free], _as_segment(fit), limits)
+        if nearest < 0:
             break
-        longer = _supported(points_m, covariance_m2, np.append(fit.members, free[taken]), params)
+        longer = _supported(points_m, covariance_m2, np.append(fit.members, free[nearest]), params)
         if longer is not None and longer.score >= fit.score:
             fit = longer
-        free = np.delete(free, taken)
+        free = np.delete(free, nearest)
     return fit
 
 
@@ -279,7 +279,7 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
     if fit.curvature_per_m != 0.0 or len(fits) < 2:
         return fit
     low, high = np.sort(fit.ends_m @ fit.tangent).tolist()
-    seen: np.ndarray | None = None
+    passed: np.ndarray | None = None
     for other in fits:
         # walls along one another make no corner
         if other is fit or abs(float(fit.normal @ other.normal)) > 0.5:
@@ -288,8 +288,8 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
         for at in (other.ends_m[on_line] @ fit.tangent).tolist():
             if not 0.0 < max(low - at, at - high) <= params.corner_reach_m:
                 continue
-            seen = _passed_at(fit, points_m) if seen is None else seen
-            between = (seen > min(at, high)) & (seen < max(at, low)) & ((seen < low) | (seen > high))
+            passed = _passed_at(fit, points_m) if passed is None else passed
+            between = (passed > min(at, high)) & (passed < max(at, low)) & ((passed < low) | (passed > high))
             if between.sum() < params.seen_through_points:
                 low, high = min(low, at), max(high, at)
     ends_m = np.array([low, high])[:, None] * fit.tangent - fit.offset_m * fit.normal

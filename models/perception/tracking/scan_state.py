@@ -48,11 +48,11 @@ class ScanMemory:
         """Return what `recover_bev` is to ask for walls of earlier scans; None where none are kept or no state has
         come.
         """
-        place = self._odometry.at(peaks.stamp_ns)
+        pose = self._odometry.at(peaks.stamp_ns)
         # a radar that only seems to stand would see every wall in several places
-        if self._walls is None or place is None or place == standing():
+        if self._walls is None or pose is None or pose == standing():
             return None
-        return partial(self._walls.step, peaks.stamp_ns, place, peaks.vehicle_from_radar)
+        return partial(self._walls.step, peaks.stamp_ns, pose, peaks.vehicle_from_radar)
 
     def tracked(self, view: BevFrame, vehicle_from_radar: Pose2) -> BevFrame:
         """Return the view with its tracks; where no vehicle state has ever come (`view.ego` is None) the radar

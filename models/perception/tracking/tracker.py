@@ -89,12 +89,12 @@ class Estimate:
         covariance = step @ self.covariance @ step.T + motion_noise(elapsed_s, density_m2ps3)
         return Estimate(stamp_ns, step @ self.mean, _symmetric(covariance))
 
-    def updated(self, place_m: np.ndarray, place_covariance_m2: np.ndarray) -> Estimate:
+    def updated(self, position_m: np.ndarray, measurement_covariance_m2: np.ndarray) -> Estimate:
         """Return the after a place was measured; Joseph's form, a sum of squares whatever the gain's rounding."""
-        gain = _gain(self.covariance, place_covariance_m2)
+        gain = _gain(self.covariance, measurement_covariance_m2)
         rest = np.eye(4) - gain @ MEASURED
-        covariance = rest @ self.covariance @ rest.T + gain @ place_covariance_m2 @ gain.T
-        return Estimate(self.stamp_ns, self.mean + gain @ (place_m - self.mean[:2]), _symmetric(covariance))
+        covariance = rest @ self.covariance @ rest.T + gain @ measurement_covariance_m2 @ gain.T
+        return Estimate(self.stamp_ns, self.mean + gain @ (position_m - self.mean[:2]), _symmetric(covariance))
 
 
 def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
@@ -105,9 +105,9 @@ def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
     return density_m2ps3 * np.kron(block, np.eye(2))
 
 
-def _gain(covariance: np.ndarray, place_covariance_m2: np.ndarray) -> np.ndarray:
+def _gain(covariance: np.ndarray, measurement_covariance_m2: np.ndarray) -> np.ndarray:
     """Return the Kalman gain [4, 2] of a measured place."""
-    return np.linalg.solve(covariance[:2, :2] + place_covariance_m2, covariance[:2]).T
+    return np.linalg.solve(covariance[:2, :2] + measurement_covariance_m2, covariance[:2]).T
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
@@ -119,19 +119,19 @@ class Sighting:
     """A hidden object in the odometry frame: place [2], covariance [2, 2], time of measurement."""
 
     stamp_ns: int
-    place_m: np.ndarray
+    position_m: np.ndarray
     covariance_m2: np.ndarray
 
 
 @dataclass
-class _Followed:
+class _TrackState:
     """A track at work."""
 
     id: int
     first_ns: int
     estimate: Estimate
     #: Hit or miss in the last scans, newest last.
-    seen: deque[bool]
+    hits: deque[bool]
     confirmed: bool = False
     misses: int = 0
     #: A wall stood before it at some time: only then can it come into sight.
@@ -139,7 +139,7 @@ class _Followed:
 
 
 @dataclass(frozen=True)
-class _WallsSeen:
+class _ScanWalls:
     """Walls of one scan, ends a and b [W, 2] in the odometry frame."""
 
     stamp_ns: int
@@ -152,35 +152,37 @@ class Tracker:
     """Follows the hidden objects of one radar; one call a scan, in the order of their stamps."""
 
     params: TrackerParams = field(default_factory=TrackerParams)
-    _tracks: list[_Followed] = field(default_factory=list, init=False)
-    _walls: list[_WallsSeen] = field(default_factory=list, init=False)
+    _tracks: list[_TrackState] = field(default_factory=list, init=False)
+    _walls: list[_ScanWalls] = field(default_factory=list, init=False)
     _next_id: int = field(default=1, init=False)
     _last_ns: int | None = field(default=None, init=False)
     _frame: int | None = field(default=None, init=False)
-    _said: tuple[Track, ...] = field(default=(), init=False)
+    _messages: tuple[Track, ...] = field(default=(), init=False)
 
-    def step(self, frame: BevFrame, place: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
+    def step(self, frame: BevFrame, pose: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
         """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
-        `place`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it nothing can be followed and all tracks
+        `pose`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it nothing can be followed and all tracks
         end, as they do when its frame changes. `standing` is the place of a radar that never moves. A scan that
         comes twice or late changes nothing and brings the tracks of the one before it once more.
         """
-        if place is None:
+        if pose is None:
             self._forget(None)
             return ()
         if self._is_late(frame.stamp_ns):
-            return self._said
-        if place.frame != self._frame or self._is_gap(frame.stamp_ns):
-            self._forget(place.frame)
+            return self._messages
+        if pose.frame != self._frame or self._is_gap(frame.stamp_ns):
+            self._forget(pose.frame)
         self._last_ns = frame.stamp_ns
-        odom_from_radar = place.odom_from_vehicle @ vehicle_from_radar
+        odom_from_radar = pose.odom_from_vehicle @ vehicle_from_radar
         self._follow(sightings(frame, odom_from_radar, self.params.place_std_m), frame.stamp_ns)
-        a, b = self._standing_walls(frame, odom_from_radar)
-        confirmed = [one for one in self._tracks if one.confirmed]
-        ahead_m = radar_ahead(place, vehicle_from_radar, self.params)
-        self._said = tuple(self._told(one, frame.stamp_ns, odom_from_radar, ahead_m, a, b) for one in confirmed)
-        return self._said
+        a, b = self._recent_walls(frame, odom_from_radar)
+        confirmed = [track for track in self._tracks if track.confirmed]
+        ahead_m = radar_ahead(pose, vehicle_from_radar, self.params)
+        self._messages = tuple(
+            self._to_message(track, frame.stamp_ns, odom_from_radar, ahead_m, a, b) for track in confirmed
+        )
+        return self._messages
 
     def _is_late(self, stamp_ns: int) -> bool:
         if self._last_ns is None:
@@ -192,73 +194,81 @@ class Tracker:
 
     def _forget(self, frame: int | None) -> None:
         """End all tracks; the next id stays."""
-        self._tracks, self._walls, self._last_ns, self._frame, self._said = [], [], None, frame, ()
+        self._tracks, self._walls, self._last_ns, self._frame, self._messages = [], [], None, frame, ()
 
-    def _follow(self, seen: Sequence[Sighting], stamp_ns: int) -> None:
+    def _follow(self, measurements: Sequence[Sighting], stamp_ns: int) -> None:
         """Assign, update, begin and end tracks."""
         density = self.params.acceleration_density_m2ps3
-        pairs = assign([one.estimate for one in self._tracks], seen, self.params)
-        for index, one in enumerate(self._tracks):
+        pairs = assign([track.estimate for track in self._tracks], measurements, self.params)
+        for index, track in enumerate(self._tracks):
             hit = pairs.get(index)
             if hit is not None:
-                there = seen[hit]
-                one.estimate = one.estimate.at(there.stamp_ns, density).updated(there.place_m, there.covariance_m2)
+                sighting = measurements[hit]
+                track.estimate = track.estimate.at(sighting.stamp_ns, density).updated(
+                    sighting.position_m, sighting.covariance_m2
+                )
             else:
-                one.estimate = one.estimate.at(max(stamp_ns, one.estimate.stamp_ns), density)
-            self._count(one, hit is not None)
-        self._tracks = [one for one in self._tracks if self._is_kept(one)]
-        taken = set(pairs.values())
-        self._tracks += [self._begun(there) for index, there in enumerate(seen) if index not in taken]
+                track.estimate = track.estimate.at(max(stamp_ns, track.estimate.stamp_ns), density)
+            self._count(track, hit is not None)
+        self._tracks = [track for track in self._tracks if self._is_kept(track)]
+        assigned = set(pairs.values())
+        self._tracks += [self._begun(sighting) for index, sighting in enumerate(measurements) if index not in assigned]
 
-    def _count(self, one: _Followed, hit: bool) -> None:
-        one.seen.append(hit)
-        one.misses = 0 if hit else one.misses + 1
-        one.confirmed |= sum(one.seen) >= self.params.confirm_hits
+    def _count(self, track: _TrackState, hit: bool) -> None:
+        track.hits.append(hit)
+        track.misses = 0 if hit else track.misses + 1
+        track.confirmed |= sum(track.hits) >= self.params.confirm_hits
 
-    def _is_kept(self, one: _Followed) -> bool:
-        if one.confirmed:
-            return one.misses <= self.params.max_misses
+    def _is_kept(self, track: _TrackState) -> bool:
+        if track.confirmed:
+            return track.misses <= self.params.max_misses
         # with more misses than this the hits cannot be had within the window
-        return one.seen.count(False) <= self.params.confirm_scans - self.params.confirm_hits
+        return track.hits.count(False) <= self.params.confirm_scans - self.params.confirm_hits
 
-    def _begun(self, there: Sighting) -> _Followed:
+    def _begun(self, sighting: Sighting) -> _TrackState:
         """Return a track of an object seen for the first time."""
         covariance = np.zeros((4, 4))
-        covariance[:2, :2] = there.covariance_m2
+        covariance[:2, :2] = sighting.covariance_m2
         covariance[2:, 2:] = self.params.first_speed_std_mps**2 * np.eye(2)
-        estimate = Estimate(there.stamp_ns, np.append(there.place_m, np.zeros(2)), covariance)
-        one = _Followed(self._next_id, there.stamp_ns, estimate, deque([True], self.params.confirm_scans))
-        one.confirmed = self.params.confirm_hits == 1
+        estimate = Estimate(sighting.stamp_ns, np.append(sighting.position_m, np.zeros(2)), covariance)
+        track = _TrackState(self._next_id, sighting.stamp_ns, estimate, deque([True], self.params.confirm_scans))
+        track.confirmed = self.params.confirm_hits == 1
         self._next_id += 1
-        return one
+        return track
 
-    def _standing_walls(self, frame: BevFrame, odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
+    def _recent_walls(self, frame: BevFrame, odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
         """Return the Ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
         oldest_ns = frame.stamp_ns - ns_from_s(self.params.wall_memory_s)
-        self._walls = [one for one in self._walls if one.stamp_ns >= oldest_ns]
-        self._walls.append(_WallsSeen(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
-        return np.concatenate([one.a for one in self._walls]), np.concatenate([one.b for one in self._walls])
+        self._walls = [walls for walls in self._walls if walls.stamp_ns >= oldest_ns]
+        self._walls.append(_ScanWalls(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
+        return np.concatenate([walls.a for walls in self._walls]), np.concatenate([walls.b for walls in self._walls])
 
-    def _told(
-        self, one: _Followed, stamp_ns: int, odom_from_radar: Pose2, ahead_m: np.ndarray, a: np.ndarray, b: np.ndarray
+    def _to_message(
+        self,
+        track: _TrackState,
+        stamp_ns: int,
+        odom_from_radar: Pose2,
+        ahead_m: np.ndarray,
+        a: np.ndarray,
+        b: np.ndarray,
     ) -> Track:
         """Return a track as others are told of it."""
-        now = one.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
+        now = track.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
         hidden = hidden_ahead(now.mean, ahead_m, a, b, self.params)
-        one.was_blocked |= bool(hidden[0])
+        track.was_blocked |= bool(hidden[0])
         radar_from_odom = odom_from_radar.inverse()
         at_m, velocity = radar_from_odom.apply(now.mean[:2]), radar_from_odom.rotate(now.mean[2:])
         return Track(
-            id=one.id,
+            id=track.id,
             x_m=float(at_m[0]),
             y_m=float(at_m[1]),
             velocity_x_mps=float(velocity[0]),
             velocity_y_mps=float(velocity[1]),
-            age_s=max(s_from_ns(stamp_ns - one.first_ns), 0.0),
+            age_s=max(s_from_ns(stamp_ns - track.first_ns), 0.0),
             cov_m2=_rotated(now.covariance[:2, :2], radar_from_odom),
             velocity_cov_m2ps2=_rotated(now.covariance[2:, 2:], radar_from_odom),
-            misses=one.misses,
-            time_to_appear_s=self._time_to_appear_s(hidden) if one.was_blocked else None,
+            misses=track.misses,
+            time_to_appear_s=self._time_to_appear_s(hidden) if track.was_blocked else None,
         )
 
     def _time_to_appear_s(self, hidden: np.ndarray) -> float | None:
@@ -268,41 +278,43 @@ class Tracker:
 
 def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
     """Return the hidden objects of a scan in the odometry frame, without those whose numbers make no sense."""
-    good = (one for one in frame.objects if _makes_sense(one, frame.stamp_ns))
-    return [_sighting(one, frame, odom_from_radar, place_std_m) for one in good]
+    valid = (item for item in frame.objects if _is_valid(item, frame.stamp_ns))
+    return [_sighting(item, frame, odom_from_radar, place_std_m) for item in valid]
 
 
-def _makes_sense(one: HiddenObject, stamp_ns: int) -> bool:
+def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
     """Return a finite place, a covariance that is one, a time near its scan's."""
-    covariance = np.array(one.cov_m2)
-    if not np.isfinite([one.x_m, one.y_m, *covariance.ravel()]).all():
+    covariance = np.array(item.cov_m2)
+    if not np.isfinite([item.x_m, item.y_m, *covariance.ravel()]).all():
         return False
-    timely = one.stamp_ns == 0 or abs(one.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
+    timely = item.stamp_ns == 0 or abs(item.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
     return timely and bool(np.linalg.eigvalsh(_symmetric(covariance))[0] >= 0.0)
 
 
-def _sighting(one: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> Sighting:
+def _sighting(item: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> Sighting:
     turn = _rotation(odom_from_radar)
-    covariance = _symmetric(turn @ np.array(one.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2)
+    covariance = _symmetric(turn @ np.array(item.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2)
     # an object without a stamp of its own was measured at the frame's
-    return Sighting(one.stamp_ns or frame.stamp_ns, odom_from_radar.apply(np.array([one.x_m, one.y_m])), covariance)
+    return Sighting(item.stamp_ns or frame.stamp_ns, odom_from_radar.apply(np.array([item.x_m, item.y_m])), covariance)
 
 
-def assign(tracks: Sequence[Estimate], seen: Sequence[Sighting], params: TrackerParams) -> dict[int, int]:
+def assign(tracks: Sequence[Estimate], measurements: Sequence[Sighting], params: TrackerParams) -> dict[int, int]:
     """Return which track has which sighting: as many pairs within the gate as possible, then the likeliest."""
-    cost = np.full((len(tracks), len(seen)), FORBIDDEN)
+    cost = np.full((len(tracks), len(measurements)), FORBIDDEN)
     for i, track in enumerate(tracks):
-        for j, there in enumerate(seen):
-            cost[i, j] = _pair_cost(track.at(there.stamp_ns, params.acceleration_density_m2ps3), there, params.gate)
+        for j, sighting in enumerate(measurements):
+            cost[i, j] = _pair_cost(
+                track.at(sighting.stamp_ns, params.acceleration_density_m2ps3), sighting, params.gate
+            )
     rows, columns = linear_sum_assignment(cost)
     pairs = zip(rows.tolist(), columns.tolist(), strict=True)
     return {i: j for i, j in pairs if cost[i, j] < FORBIDDEN}
 
 
-def _pair_cost(track: Estimate, there: Sighting, gate: float) -> float:
+def _pair_cost(track: Estimate, sighting: Sighting, gate: float) -> float:
     """Return twice the negative logarithm of the likelihood, but for a constant; `FORBIDDEN` outside the gate."""
-    spread = track.covariance[:2, :2] + there.covariance_m2
-    offset = there.place_m - track.mean[:2]
+    spread = track.covariance[:2, :2] + sighting.covariance_m2
+    offset = sighting.position_m - track.mean[:2]
     distance = float(offset @ np.linalg.solve(spread, offset))
     # the wider track must not win by being vague
     return distance + float(np.linalg.slogdet(spread)[1]) if distance <= gate else FORBIDDEN

@@ -77,7 +77,7 @@ class WallMapParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 @dataclass
-class _Kept:
+class _KeptLine:
     """A line in the odometry frame, through `middle_m` [2] with a normal at `normal_rad`.
 
     `covariance` [2, 2] is that of (offset [m] at the middle, direction [rad]); low and high are ends along the normal
@@ -119,7 +119,7 @@ class _Kept:
 class _Local:
     """A kept line in the radar frame of a scan: normal towards the radar [2], tangent [2], middle [2], offset."""
 
-    kept: _Kept
+    kept: _KeptLine
     normal: np.ndarray
     middle_m: np.ndarray
     offset_m: float
@@ -127,7 +127,7 @@ class _Local:
     sign: float
 
     @classmethod
-    def of(cls, kept: _Kept, radar_from_odom: Pose2) -> _Local:
+    def of(cls, kept: _KeptLine, radar_from_odom: Pose2) -> _Local:
         angle_rad = kept.normal_rad + radar_from_odom.yaw_rad
         normal = np.array([math.cos(angle_rad), math.sin(angle_rad)])
         middle_m = radar_from_odom.apply(kept.middle_m)
@@ -170,13 +170,13 @@ class WallMap:
 
     def __init__(self, params: WallMapParams | None = None) -> None:
         self._params = params or WallMapParams()
-        self._kept: list[_Kept] = []
+        self._kept: list[_KeptLine] = []
         self._last: tuple[int, Placed] | None = None
 
     def step(
         self,
         stamp_ns: int,
-        place: Placed,
+        pose: Placed,
         vehicle_from_radar: Pose2,
         points_m: np.ndarray,
         covariance_m2: np.ndarray,
@@ -189,49 +189,49 @@ class WallMap:
         last two come back with the remembered walls behind the scan's own. A scan that comes twice or late changes
         nothing.
         """
-        if self._last is not None and self._last[1].frame == place.frame and stamp_ns <= self._last[0]:
+        if self._last is not None and self._last[1].frame == pose.frame and stamp_ns <= self._last[0]:
             return walls, wall_of_point
-        self._age(stamp_ns, place)
-        odom_from_radar = place.odom_from_vehicle @ vehicle_from_radar
+        self._age(stamp_ns, pose)
+        odom_from_radar = pose.odom_from_vehicle @ vehicle_from_radar
         radar_from_odom = odom_from_radar.inverse()
         walls, met = self._merge(walls, radar_from_odom)
         free = np.flatnonzero(wall_of_point == -1)
         wall_of_point = wall_of_point.copy()
-        for kept in [one for one in self._kept if id(one) not in met]:
+        for kept in [line for line in self._kept if id(line) not in met]:
             local = _Local.of(kept, radar_from_odom)
-            on = free[self._on(local, points_m[free], covariance_m2[free])]
-            if len(on):
-                self._support(local, points_m[on], covariance_m2[on])
-                free = np.setdiff1d(free, on)
+            on_line = free[self._on(local, points_m[free], covariance_m2[free])]
+            if len(on_line):
+                self._support(local, points_m[on_line], covariance_m2[on_line])
+                free = np.setdiff1d(free, on_line)
             elif self._in_view(local, walls):
                 kept.score -= self._params.miss_score
             local = _Local.of(kept, radar_from_odom)
             if self._seen_through(local, points_m):
                 kept.score = 0.0
-            elif self._acts(local):
-                wall_of_point[on] = len(walls)
+            elif self._is_mirror(local):
+                wall_of_point[on_line] = len(walls)
                 walls = [*walls, local.as_wall(kept.sure_m or kept.seen_m)]
         self._begin(points_m[free], covariance_m2[free], odom_from_radar)
-        self._kept = sorted((one for one in self._kept if one.score > 0.0), key=lambda one: -one.score)
+        self._kept = sorted((line for line in self._kept if line.score > 0.0), key=lambda line: -line.score)
         self._kept = self._kept[: self._params.max_walls]
         return walls, wall_of_point
 
-    def _age(self, stamp_ns: int, place: Placed) -> None:
+    def _age(self, stamp_ns: int, pose: Placed) -> None:
         """Let evidence fade and uncertainty grow since the last scan; another odometry frame is another world."""
-        last, self._last = self._last, (stamp_ns, place)
-        if last is None or last[1].frame != place.frame:
+        last, self._last = self._last, (stamp_ns, pose)
+        if last is None or last[1].frame != pose.frame:
             self._kept = []
             return
-        moved = last[1].odom_from_vehicle.inverse() @ place.odom_from_vehicle
-        way_m = math.hypot(moved.x_m, moved.y_m)
+        moved = last[1].odom_from_vehicle.inverse() @ pose.odom_from_vehicle
+        driven_m = math.hypot(moved.x_m, moved.y_m)
         params = self._params
-        fade = math.exp(-s_from_ns(stamp_ns - last[0]) / params.fade_s - way_m / params.fade_m)
+        fade = math.exp(-s_from_ns(stamp_ns - last[0]) / params.fade_s - driven_m / params.fade_m)
         angle = params.scan_angle_std_rad**2 + (params.heading_std_rad_per_rad * moved.yaw_rad) ** 2
-        angle += way_m * params.heading_std_rad_per_m**2
-        offset = params.scan_offset_std_m**2 + (params.place_std_m_per_m * way_m) ** 2
-        for one in self._kept:
-            one.score *= fade
-            one.covariance = one.covariance + np.diag([offset, angle])
+        angle += driven_m * params.heading_std_rad_per_m**2
+        offset = params.scan_offset_std_m**2 + (params.place_std_m_per_m * driven_m) ** 2
+        for line in self._kept:
+            line.score *= fade
+            line.covariance = line.covariance + np.diag([offset, angle])
 
     def _merge(self, walls: list[Wall], radar_from_odom: Pose2) -> tuple[list[Wall], set[int]]:
         """Return each straight wall of a scan with the kept line it is one with, or a new one; and `id` of those
@@ -318,10 +318,10 @@ class WallMap:
         trim_m = min(1.0, 0.25 * (high_m - low_m))
         ends_m = local.ends_m((low_m + trim_m, high_m - trim_m))
         behind = local.sign * local.off_m(points_m) < -1.0
-        cut = crosses(RADAR, points_m[behind], ends_m[:1], ends_m[1:])
-        return bool(cut.sum() >= self._params.seen_through_points)
+        crossed = crosses(RADAR, points_m[behind], ends_m[:1], ends_m[1:])
+        return bool(crossed.sum() >= self._params.seen_through_points)
 
-    def _acts(self, local: _Local) -> bool:
+    def _is_mirror(self, local: _Local) -> bool:
         """Return whether a kept line is a mirror."""
         kept, params = local.kept, self._params
         sure = kept.scans >= params.min_scans and kept.score >= params.min_score and kept.sure_m is not None
@@ -340,15 +340,15 @@ class WallMap:
     def _begin(self, points_m: np.ndarray, covariance_m2: np.ndarray, odom_from_radar: Pose2) -> None:
         """New lines among returns on none."""
         labels = np.zeros(len(points_m), np.int64)
-        found, _ = find_walls(points_m, covariance_m2, labels, self._params.candidate)
-        self._kept += [_begun(wall, self._params.candidate.min_score, odom_from_radar) for wall in found]
+        walls, _ = find_walls(points_m, covariance_m2, labels, self._params.candidate)
+        self._kept += [_begun(wall, self._params.candidate.min_score, odom_from_radar) for wall in walls]
 
 
-def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _Kept:
+def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _KeptLine:
     """Return a line kept from its first scan on."""
     ends_m = np.array(wall.ends_m)
     half_m = 0.5 * float(np.hypot(*(ends_m[1] - ends_m[0])))
-    return _Kept(
+    return _KeptLine(
         middle_m=odom_from_radar.apply(ends_m.mean(axis=0)),
         normal_rad=wrap_angle(math.atan2(wall.normal[1], wall.normal[0]) + odom_from_radar.yaw_rad),
         covariance=np.diag([max(wall.offset_std_m, 1e-3) ** 2, max(wall.angle_std_rad, 1e-4) ** 2]),
@@ -376,21 +376,19 @@ def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
     angle_std_rad = math.sqrt(local.kept.covariance[1, 1] + wall.angle_std_rad**2)
     offset_std_m = math.sqrt(at @ local.kept.covariance @ at + wall.offset_std_m**2)
     turned = abs(_turn_rad(local, wall)) / (params.same_sigmas * angle_std_rad + params.same_angle_rad)
-    shifted = abs(local.off_m(ends_m.mean(axis=0)[None])[0]) / (
-        params.same_sigmas * offset_std_m + params.same_offset_m
-    )
-    return max(turned, shifted) if gap_m <= params.max_gap_m and max(turned, shifted) <= 1.0 else math.inf
+    offset = abs(local.off_m(ends_m.mean(axis=0)[None])[0]) / (params.same_sigmas * offset_std_m + params.same_offset_m)
+    return max(turned, offset) if gap_m <= params.max_gap_m and max(turned, offset) <= 1.0 else math.inf
 
 
-def _sharpened(wall: Wall, kept: _Kept, radar_from_odom: Pose2) -> Wall:
+def _sharpened(wall: Wall, kept: _KeptLine, radar_from_odom: Pose2) -> Wall:
     """Return a wall of a scan, with its own ends put on the line that all scans gave."""
     local = _Local.of(kept, radar_from_odom)
     low_m, high_m = np.sort(local.along_m(np.array(wall.ends_m))).tolist()
     return msgspec.structs.replace(local.as_wall((low_m, high_m)), inliers=wall.inliers)
 
 
-def _union(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
-    return min(one[0], other[0]), max(one[1], other[1])
+def _union(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
+    return min(first[0], second[0]), max(first[1], second[1])
 
 
 __all__ = ["WallMap", "WallMapParams"]

@@ -163,8 +163,8 @@ class YawRateBias:
         if not (driving.has_steering or driving.has_wheels):
             return "the vehicle never stood, and neither steering nor wheel speeds are known"
         if driving.std_rps <= self._params.max_driving_std_rps:
-            most = math.degrees(self._params.max_bias_rps)
-            return f"driving gives {math.degrees(driving.bias_rps):.2f} deg/s, which is beyond {most:.2f}"
+            max_bias_deg_s = math.degrees(self._params.max_bias_rps)
+            return f"driving gives {math.degrees(driving.bias_rps):.2f} deg/s, which is beyond {max_bias_deg_s:.2f}"
         return (
             f"the vehicle never stood, and {driving.used_s:.0f} s of driving{self._speeds()} leave a standard "
             f"deviation of {math.degrees(driving.std_rps):.2f} deg/s, more than {limit:.2f}"
@@ -323,12 +323,12 @@ class DrivingBias:
 
 def _block_of(states: list[VehicleState]) -> _Block:
     wheels = [state.wheel_speed_difference_mps for state in states]
-    known = [value for value in wheels if value is not None]
+    measured = [value for value in wheels if value is not None]
     return _Block(
         yaw_rate_rps=_mean([state.yaw_rate_rps for state in states]),
         speed_mps=_mean([state.speed_mps for state in states]),
         steered=_mean([state.speed_mps * state.steering_rad for state in states]),
-        wheels_mps=_mean(known) if len(known) == len(states) else None,
+        wheels_mps=_mean(measured) if len(measured) == len(states) else None,
         yaw_change_rps=states[-1].yaw_rate_rps - states[0].yaw_rate_rps,
         speed_change_mps=states[-1].speed_mps - states[0].speed_mps,
     )
