@@ -65,5 +65,5 @@ def read_learned(path: Path, limit_bytes: int) -> bytes:
             return path.read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror or error}") from None
-    found = f"{size} bytes" if is_file else "none"
-    raise ValueError(f"{path} must be a file of at most {limit_bytes} bytes, got {found}")
+    actual = f"{size} bytes" if is_file else "none"
+    raise ValueError(f"{path} must be a file of at most {limit_bytes} bytes, got {actual}")

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from models.perception.detection.peaks import PeakParams, echo_power, peaks_at
-from models.perception.detection.ridges import MOST_CELLS, RidgeParams, find_ridges, ridge_cells
+from models.perception.detection.ridges import MAX_CELLS, RidgeParams, find_ridges, ridge_cells
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.recovery import WallArrays, behind_walls, cartesian_covariance, wall_arrays
 from models.perception.geometry.walls import WallParams, find_walls
@@ -43,10 +43,10 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def __post_init__(self) -> None:
         for name in ("window", "stride"):
-            require_within(f"cfar.{name}", 1, MOST_CELLS, getattr(self, name))
+            require_within(f"cfar.{name}", 1, MAX_CELLS, getattr(self, name))
         require_within("cfar.quantile", 0.0, 1.0, self.quantile)
-        require_within("cfar.guard", 0, MOST_CELLS, *self.guard)
-        require_within("cfar.training", 0, MOST_CELLS, *self.training)
+        require_within("cfar.guard", 0, MAX_CELLS, *self.guard)
+        require_within("cfar.training", 0, MAX_CELLS, *self.training)
         if any(train <= guard for train, guard in zip(self.training, self.guard, strict=True)):
             raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
         if not 0.0 < self.false_alarm_rate < 1.0:
@@ -186,8 +186,8 @@ def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
     for _ in range(params.walls.max_walls):
         direct = np.flatnonzero(~mirrored)
         labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
-        found, _ = find_walls(points_m[direct], covariance_m2[direct], labels, params.walls)
-        hidden = _behind_nearest(points_m[direct], found, params.min_depth_m)
+        walls, _ = find_walls(points_m[direct], covariance_m2[direct], labels, params.walls)
+        hidden = _behind_nearest(points_m[direct], walls, params.min_depth_m)
         if not hidden.any():
             break
         mirrored[direct[hidden]] = True

@@ -51,22 +51,22 @@ class NetworkDetector:
         model: Path = DEFAULT_MODEL,
         threads: int = 1,
         params: PeakParams | None = None,
-        named: NamedParams | None = None,
+        ridge_matching: NamedParams | None = None,
         refine: bool | Refine = True,
         refinement: RefinementParams | None = None,
         calibrate: bool = False,
         flip_test: bool = False,
     ) -> None:
-        way = refine_way(refine)
+        placement = refine_way(refine)
         self._predictor = DensePredictor(model, threads, flip_test)
         self._predictor.card.encoding.check_array(setup, self._predictor.card.grid)
-        self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(way))
-        if way == "pursuit":
+        self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
+        if placement == "pursuit":
             # the first map should not pay for compiling
             pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
-        self._named, self._refine = named or NamedParams(), way
-        self._name = detector_name(self._predictor.card.sha256, way, flip_test)
-        self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
+        self._ridge_matching, self._refine = ridge_matching or NamedParams(), placement
+        self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
+        self._refiner = EchoRefiner(setup, refinement) if placement.endswith("likelihood") else None
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
 
@@ -81,7 +81,7 @@ class NetworkDetector:
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Return the peaks before any refinement on the complex map."""
         if self._refine in ("ridge", "likelihood"):
-            return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._named)
+            return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._ridge_matching)
         if self._refine == "pursuit":
             return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         if self._predictor.card.head == "heatmap":
@@ -91,9 +91,9 @@ class NetworkDetector:
         return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
 
 
-def detector_name(sha256: str, way: Refine, flip_test: bool) -> str:
+def detector_name(sha256: str, placement: Refine, flip_test: bool) -> str:
     """Return what `Peaks.detector` says of a network's peaks: which file, placed how."""
-    return f"{sha256}/{way}{'/flip_test' if flip_test else ''}"
+    return f"{sha256}/{placement}{'/flip_test' if flip_test else ''}"
 
 
 def refine_way(refine: bool | Refine) -> Refine:

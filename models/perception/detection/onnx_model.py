@@ -103,9 +103,9 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
         self.encoding.check_grid(self.grid)
         check_table("card.calibration", self.calibration)
 
-    def threshold_for(self, way: str) -> float:
+    def threshold_for(self, placement: str) -> float:
         """Return the threshold of a way to place peaks (`models.perception.detection.detectors.Refine`)."""
-        return self.pursuit_threshold or self.threshold if way == "pursuit" else self.threshold
+        return self.pursuit_threshold or self.threshold if placement == "pursuit" else self.threshold
 
     @property
     def answer_shape(self) -> tuple[int, int, int, int]:
@@ -149,12 +149,12 @@ class DensePredictor:
         """
         if self.card.head != "heatmap":
             raise ValueError(f"{self.card.name}: card.head must be heatmap for a heatmap, got {self.card.head}")
-        seen = self.answer(ra_map)
+        visible = self.answer(ra_map)
         if self._flip_test:
             flipped = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
-            seen = 0.5 * (seen + self.answer(flipped)[..., ::-1])
-        confidence = np.zeros((len(seen), *ra_map.grid.shape), np.float32)
-        confidence[:, : seen.shape[1]] = seen
+            visible = 0.5 * (visible + self.answer(flipped)[..., ::-1])
+        confidence = np.zeros((len(visible), *ra_map.grid.shape), np.float32)
+        confidence[:, : visible.shape[1]] = visible
         return confidence
 
     def points(self, ra_map: RangeAzimuthMap, threshold: float, min_distance: int) -> Points:
@@ -215,8 +215,8 @@ def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.Inf
 
 
 def _wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
-    found = hashlib.sha256(model).hexdigest()
-    return [] if found == sha256 else [f"{model_path}: sha256 must be {sha256} as its card says, got {found}"]
+    actual = hashlib.sha256(model).hexdigest()
+    return [] if actual == sha256 else [f"{model_path}: sha256 must be {sha256} as its card says, got {actual}"]
 
 
 def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
@@ -233,11 +233,11 @@ def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infere
 
 def _wrong_card(model_path: Path, card: ModelCard) -> list[str]:
     """Return the shapes of a card that its own encoding and grid do not give."""
-    wanted = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
+    expected = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
     shapes = {"input": card.input_shape, "output": card.output_shape}
     return [
         f"{card_path(model_path)}: card.{end}_shape must be {shape}, got {shapes[end]}"
-        for end, shape in wanted.items()
+        for end, shape in expected.items()
         if shapes[end] != shape
     ]
 
@@ -246,14 +246,14 @@ def _wrong_session(model_path: Path, card: ModelCard | None, session: onnxruntim
     """Return the types of a network that are not ours, and shapes that are not its card's."""
     wrong = []
     entries = {"input": session.get_inputs(), "output": session.get_outputs()}
-    for end, found in entries.items():
-        if len(found) != 1 or found[0].type != "tensor(float)":
-            wrong.append(f"{model_path}: {end} must be one float32 array, got {[one.type for one in found]}")
+    for end, arrays in entries.items():
+        if len(arrays) != 1 or arrays[0].type != "tensor(float)":
+            wrong.append(f"{model_path}: {end} must be one float32 array, got {[array.type for array in arrays]}")
             continue
-        shape = tuple(found[0].shape)
-        said = None if card is None else (card.input_shape if end == "input" else card.output_shape)
-        if said is not None and shape != said:
-            wrong.append(f"{model_path}: {end} must be {said} as its card says, got {shape}")
+        shape = tuple(arrays[0].shape)
+        expected = None if card is None else (card.input_shape if end == "input" else card.output_shape)
+        if expected is not None and shape != expected:
+            wrong.append(f"{model_path}: {end} must be {expected} as its card says, got {shape}")
         elif card is None:
             wrong.append(f"{model_path}: its {end} is {shape}")
     return wrong

@@ -56,8 +56,8 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
     points = heatmap_points(probabilities, params.threshold, params.min_distance)
     cells = points.cells.astype(np.int64)
     fractional = points.cells.copy()
-    for channel, mine in zip(probabilities, (points.path_class == k for k in PathClass), strict=True):
-        fractional[mine] = _centroid(channel, cells[mine])
+    for channel, of_class in zip(probabilities, (points.path_class == k for k in PathClass), strict=True):
+        fractional[of_class] = _centroid(channel, cells[of_class])
     return peaks_at(ra_map, cells, fractional, points.score, points.path_class, params)
 
 
@@ -85,12 +85,12 @@ def heatmap_points(heatmap: np.ndarray, threshold: float, min_distance: int) -> 
     return _of_classes([(at, channel[at[:, 0], at[:, 1]]) for at, channel in zip(maxima, heatmap, strict=True)])
 
 
-def _of_classes(found: list[tuple[np.ndarray, np.ndarray]]) -> Points:
+def _of_classes(by_class: list[tuple[np.ndarray, np.ndarray]]) -> Points:
     """Return the cells [N, 2] and scores [N] of each class in one row."""
     return Points(
-        cells=np.concatenate([cells for cells, _ in found]).astype(np.float64),
-        score=np.concatenate([score for _, score in found]).astype(np.float64),
-        path_class=np.repeat(np.arange(len(found), dtype=np.uint8), [len(cells) for cells, _ in found]),
+        cells=np.concatenate([cells for cells, _ in by_class]).astype(np.float64),
+        score=np.concatenate([score for _, score in by_class]).astype(np.float64),
+        path_class=np.repeat(np.arange(len(by_class), dtype=np.uint8), [len(cells) for cells, _ in by_class]),
     )
 
 
@@ -118,7 +118,7 @@ def peaks_at(
     """
     if len(cells) > MOST_PEAKS:
         best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MOST_PEAKS])
-        cells, fractional, score, path_class = (one[best] for one in (cells, fractional, score, path_class))
+        cells, fractional, score, path_class = (values[best] for values in (cells, fractional, score, path_class))
     grid = ra_map.grid
     power = echo_power(ra_map)
     range_index = _refined_range(power, cells, fractional[:, 0])

@@ -91,16 +91,16 @@ def _kept(explained: tuple[float, float]) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, max_peaks: int) -> tuple[np.ndarray, np.ndarray]:
     """Take cells of `left` [rows, columns] while the highest reaches the threshold; changes `left`."""
     rows, columns = left.shape
     reach_row, reach_column = kept.shape[0] // 2, kept.shape[1] // 2
     highest = np.empty(rows)
     for i in range(rows):
         highest[i] = left[i].max()
-    cells, scores = np.empty((most, 2), np.int64), np.empty(most)
+    cells, scores = np.empty((max_peaks, 2), np.int64), np.empty(max_peaks)
     count = 0
-    while count < most:
+    while count < max_peaks:
         i = int(highest.argmax())
         if highest[i] < threshold:
             break

@@ -30,7 +30,7 @@ _LEAST_NOISE = 1e-10
 #: Complex tangents of an echo: amplitude (real and imaginary part share one), range, azimuth; and their factors.
 _BASIS = np.array([0, 0, 1, 2])
 _FACTOR = np.array([1.0, 1.0j, 1.0, 1.0])
-_PLACE = slice(2, 4)
+_POSITION = slice(2, 4)
 #: Resolution cell (range bins, azimuth cells) that neighbours are counted in.
 _LOBE = np.array([2.0, 12.0])
 #: Information about the logarithm of an amplitude before anything was measured.
@@ -210,7 +210,7 @@ class _Fit:
     ) -> None:
         self._refiner, self._basis, self.params = refiner, basis, refiner.params
         self._grid, self._first, self._data, self._start = ra_map.grid, first, data, start
-        self.place = start.copy()
+        self.position = start.copy()
         largest = np.max(np.abs(data) ** 2, initial=0.0)
         self._noise_mw = max(ra_map.noise_power_mw / basis.noise_gain, _LEAST_NOISE * largest, 1e-300)
         self.prior = np.array([self.params.prior_bins, self.params.prior_cells])
@@ -229,15 +229,15 @@ class _Fit:
         limit = np.array(self._grid.shape) - 1.0
         for _ in range(self.params.iterations):
             information, gradient = self._linearise()
-            step = np.linalg.solve(information, gradient[..., None])[:, _PLACE, 0]
-            self.place = np.clip(self.place + np.clip(step, -self.prior, self.prior), 0.0, limit)
+            step = np.linalg.solve(information, gradient[..., None])[:, _POSITION, 0]
+            self.position = np.clip(self.position + np.clip(step, -self.prior, self.prior), 0.0, limit)
         information, _ = self._linearise()
         return np.linalg.inv(information)[:, 2:4, 2:4]
 
     def _linearise(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the information [N, 4K, 4K] and gradient [N, 4K] of every group in its first echo's patch."""
         tone, change = self._range_responses()
-        azimuth, turning = self._basis.response(self._grid.azimuth_at(self.place[:, 1]))
+        azimuth, turning = self._basis.response(self._grid.azimuth_at(self.position[:, 1]))
         self._solve_amplitudes(tone, azimuth)
         left = self._data - np.moveaxis(tone, 1, 2) @ (self.amplitude[:, None] * azimuth)
         self._rate(left)
@@ -264,24 +264,24 @@ class _Fit:
         prior = np.tile(np.concatenate([[_FREE, _FREE], self.prior**-2.0]), echoes)
         information[:, np.arange(len(prior)), np.arange(len(prior))] += prior
         pull = np.zeros((count, echoes, 4))
-        pull[..., 2:] = ((self.place - self._start) / self.prior**2)[self._group]
+        pull[..., 2:] = ((self.position - self._start) / self.prior**2)[self._group]
         return information, gradient - pull.reshape(count, -1)
 
     def _range_responses(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the tone and slope of echo j in the patch of echo i, [i, j, patch]; zero where they are far apart."""
         i, j = np.nonzero(self._near)
         responses = np.zeros((2, *self._near.shape, self.params.patch_bins), np.complex128)
-        responses[:, i, j] = self._refiner.range_response(self.place[j, 0] - self._first[i])
+        responses[:, i, j] = self._refiner.range_response(self.position[j, 0] - self._first[i])
         return responses[0], responses[1]
 
     def _solve_amplitudes(self, tone: np.ndarray, azimuth: np.ndarray) -> None:
         """Least squares of all amplitudes together, each judged in its own patch."""
         own = np.arange(len(tone))
-        seen = tone[own, own].conj()
-        matrix = np.einsum("im,ijm->ij", seen, tone) * (azimuth.conj() @ azimuth.T)
+        own_tone = tone[own, own].conj()
+        matrix = np.einsum("im,ijm->ij", own_tone, tone) * (azimuth.conj() @ azimuth.T)
         # two echoes in one place share what is there, one that no beam sees has none
         matrix[own, own] += 1e-6 * np.abs(matrix[own, own]).max()
-        matched = np.einsum("im,imc->ic", seen, self._data)
+        matched = np.einsum("im,imc->ic", own_tone, self._data)
         self.amplitude = np.linalg.solve(matrix, np.sum(matched * azimuth.conj(), axis=1))
 
     def _rate(self, left: np.ndarray) -> None:
@@ -330,12 +330,12 @@ def _unrefined(start: np.ndarray) -> RefinedEchoes:
 def _put(result: RefinedEchoes, usable: np.ndarray, fit: _Fit, covariance: np.ndarray, grid: RangeAzimuthGrid) -> None:
     """Write the echoes that stayed near their start into the result."""
     params = fit.params
-    stayed = (np.abs(fit.place - result.fractional[usable]) <= params.most_priors * fit.prior).all(axis=1)
-    kept = usable[stayed]
+    is_near = (np.abs(fit.position - result.fractional[usable]) <= params.most_priors * fit.prior).all(axis=1)
+    kept = usable[is_near]
     unit = np.array([grid.range_bin_m, grid.azimuth_step_rad])
     floor = np.array([params.range_std_floor_m, np.radians(params.azimuth_std_floor_deg)])
-    result.fractional[kept] = fit.place[stayed]
-    result.amplitude[kept] = fit.amplitude[stayed]
-    result.misfit[kept] = fit.misfit[stayed]
-    result.covariance[kept] = covariance[stayed] * np.multiply.outer(unit, unit) + np.diag(floor**2)
+    result.fractional[kept] = fit.position[is_near]
+    result.amplitude[kept] = fit.amplitude[is_near]
+    result.misfit[kept] = fit.misfit[is_near]
+    result.covariance[kept] = covariance[is_near] * np.multiply.outer(unit, unit) + np.diag(floor**2)
     result.refined[kept] = True

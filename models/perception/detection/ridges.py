@@ -13,7 +13,7 @@ from models.perception.detection.peaks import keep_apart
 from msgs.values.arrays import require_positive, require_within
 
 #: Cells that a map has along either side at most.
-MOST_CELLS = 8192
+MAX_CELLS = 8192
 
 
 class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -34,7 +34,7 @@ class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         require_positive("ridges.max_range_m", self.max_range_m)
-        require_within("ridges.spacing", 0, MOST_CELLS, *self.spacing)
+        require_within("ridges.spacing", 0, MAX_CELLS, *self.spacing)
 
 
 def find_ridges(
@@ -47,9 +47,9 @@ def find_ridges(
     """
     # in float64: noise may be more than float32 holds
     floor = np.float64(noise_power_mw * 10.0 ** (params.min_snr_db / 10.0))
-    found = allowed & (power > floor) & (range_m <= params.max_range_m)[:, None]
+    candidates = allowed & (power > floor) & (range_m <= params.max_range_m)[:, None]
     level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float32).tiny))
-    cells = ridge_cells(np.where(found, level_db, -np.inf), params.spacing)
+    cells = ridge_cells(np.where(candidates, level_db, -np.inf), params.spacing)
     cells = cells[~side_lobes(cells, level_db[cells[:, 0], cells[:, 1]], params)]
     fractional = cells.astype(np.float64)
     fractional[:, 1] = lobe_azimuth(level_db, cells)

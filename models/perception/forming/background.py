@@ -93,7 +93,7 @@ def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: flo
     """
     scans, beams, samples = chirps.shape
     half, other = _power_scale(setup, chirps[0::2]), _power_scale(setup, chirps[1::2])
-    first, second = (_robust_halves(one) for one in (half, other))
+    first, second = (_robust_halves(spectra) for spectra in (half, other))
     # the product of both halves has no noise of its own: its mean is the static power
     static = np.real(first * np.conj(second))
     beam, bin_ = np.unravel_index(int(np.argmax(static[:, : samples // 2])), (beams, samples // 2))
@@ -136,15 +136,15 @@ def _robust_halves(spectra: np.ndarray) -> np.ndarray:
 def noise_by_scans(spectra: np.ndarray) -> list[tuple[int, float]]:
     """Return the noise power per bin of the mean over 1, 2, 4, ... scans of spectra [scans, beams, bins], from
     differences of neighbouring means: what is static falls out. Median over bins, so that a mover does not set it."""
-    found, count = [], 1
+    powers, count = [], 1
     while 2 * count <= len(spectra):
         pairs = len(spectra) // (2 * count)
         means = spectra[: pairs * 2 * count].reshape(pairs, 2, count, *spectra.shape[1:]).mean(axis=2)
         power = np.abs(means[:, 0] - means[:, 1]) ** 2
         # |difference|^2 has twice the noise power; the median of an exponential is ln 2 of its mean
-        found.append((count, float(np.median(power) / (2.0 * math.log(2.0)))))
+        powers.append((count, float(np.median(power) / (2.0 * math.log(2.0)))))
         count *= 2
-    return found
+    return powers
 
 
 def load_background(path: Path) -> np.ndarray:

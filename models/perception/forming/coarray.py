@@ -38,10 +38,10 @@ _NOISE_GAIN_LIMIT = 2.5
 #: Ridge where every range bin has its own beam azimuths and none can be tuned for itself.
 _MOVING_RIDGE = 1e-3
 #: Sets of missing beams whose matrices are kept: there are as many as subsets.
-_MOST_INVERSES = 64
+_MAX_INVERSES = 64
 #: Beams times coefficients of magnitudes, which each range bin has anew on the move. The 77 GHz radar has 6,441; with
 #: so many a scan takes a second.
-MOST_TERMS = 1 << 14
+MAX_TERMS = 1 << 14
 #: Beams that looked no further from their steering angle than this looked there: an eighth of a cell.
 _STILL_RAD = 1e-3
 
@@ -93,9 +93,9 @@ class _Inverse:
 def require_bearable(setup: RadarSetup) -> None:
     """Raise `ValueError` for a set-up whose scans would take too long to form."""
     beams, coefficients = len(setup.beams), 2 * setup.array.columns - 1
-    if beams * coefficients > MOST_TERMS:
+    if beams * coefficients > MAX_TERMS:
         raise ValueError(
-            f"setup must have at most {MOST_TERMS} beams times (2 columns - 1), "
+            f"setup must have at most {MAX_TERMS} beams times (2 columns - 1), "
             f"got {beams} beams and {setup.array.columns} columns"
         )
 
@@ -232,15 +232,15 @@ class AzimuthInterpolator:
             return (self._inverse(()).share >= SEEN_SHARE) & (self._inverse(missing).share < SEEN_SHARE)
         reach_rad = SEEN_SPACINGS * np.median(np.diff(np.sort(self.setup.beams.azimuth_rad), prepend=-np.pi))
         distance_rad = np.abs(self.grid.azimuth_rad[:, None] - self.setup.beams.azimuth_rad)
-        seen, meant = (distance_rad[:, beams] <= reach_rad for beams in (self._present(missing), slice(None)))
-        return meant.any(axis=1) & ~seen.any(axis=1)
+        covered, nominal = (distance_rad[:, beams] <= reach_rad for beams in (self._present(missing), slice(None)))
+        return nominal.any(axis=1) & ~covered.any(axis=1)
 
     def _present(self, missing: tuple[int, ...]) -> list[int]:
         return [beam for beam in range(len(self.setup.beams)) if beam not in missing]
 
     def _inverse(self, missing: tuple[int, ...]) -> _Inverse:
         if missing not in self._inverses:
-            if len(self._inverses) >= _MOST_INVERSES:
+            if len(self._inverses) >= _MAX_INVERSES:
                 del self._inverses[next(iter(self._inverses))]
             present = self._present(missing)
             self._inverses[missing] = _invert(
@@ -270,7 +270,7 @@ class AzimuthInterpolator:
         if np.abs(off_rad).max(initial=0.0) <= _STILL_RAD:
             return None
         order = np.argsort(beam_rad, kind="stable")
-        between = np.stack([np.interp(grid_rad, beam_rad[order], one) for one in np.eye(len(order))])
+        between = np.stack([np.interp(grid_rad, beam_rad[order], unit) for unit in np.eye(len(order))])
         off_rad = off_rad[:, order] @ between
         # one Newton step of steered + off(steered) = azimuth: exact while off is linear, as under a steady turn
         slope = np.gradient(off_rad, grid_rad, axis=1)
@@ -319,9 +319,9 @@ def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray,
     )
 
 
-def _share(seen: np.ndarray, steering: np.ndarray) -> np.ndarray:
+def _share(achieved: np.ndarray, steering: np.ndarray) -> np.ndarray:
     """Return how much of the wanted steering [azimuth, coefficients] the one arrived at holds, [azimuth]."""
-    return np.abs(np.sum(seen * steering.conj(), axis=1)) / np.sum(np.abs(steering) ** 2, axis=1)
+    return np.abs(np.sum(achieved * steering.conj(), axis=1)) / np.sum(np.abs(steering) ** 2, axis=1)
 
 
 def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

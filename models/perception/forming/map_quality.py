@@ -18,7 +18,7 @@ _NEAR_BINS = 4
 #: so many directions: a lone one has nulls.
 _SILENT_DB, _LOUD_DB, _LOUD_BINS, _LOUD_DIRECTIONS = 5.0, 40.0, 8, 4
 #: A beam's noise over that of the others from which it is better left out.
-_DROWNED_DB = 6.0
+_INTERFERED_DB = 6.0
 #: A spur stands this far over the noise in every beam, within this spread; echoes differ by 26 dB and more.
 _SPUR_DB, _SPUR_SPREAD_DB = 15.0, 8.0
 #: Ranges whose echoes count for the array check, and how many it needs.
@@ -46,12 +46,12 @@ def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
     return np.asarray(power[:, loud].mean(axis=1) < ratio_from_db(_SILENT_DB) * noise_power_mw)
 
 
-def drowned_beams(noise_power_mw: np.ndarray) -> np.ndarray:
+def interfered_beams(noise_power_mw: np.ndarray) -> np.ndarray:
     """Return the beams far noisier than most, bool [beams] of the noise of each, nan for those that never came.
 
     Only those between two others that are neither: the neighbours must see in their place.
     """
-    loud = noise_power_mw > ratio_from_db(_DROWNED_DB) * np.nanmedian(noise_power_mw)
+    loud = noise_power_mw > ratio_from_db(_INTERFERED_DB) * np.nanmedian(noise_power_mw)
     useless = np.pad(loud | np.isnan(noise_power_mw), 1)
     return np.asarray(loud & ~useless[:-2] & ~useless[2:])
 
@@ -63,9 +63,9 @@ def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
     power = _power(profiles[:, _NEAR_BINS:])
     if len(power) < 3 or not noise_power_mw > 0.0:
         return False
-    least, most = power.min(axis=0), power.max(axis=0)
+    least, largest = power.min(axis=0), power.max(axis=0)
     full = least > ratio_from_db(_SPUR_DB) * noise_power_mw
-    return bool((full & (most < ratio_from_db(_SPUR_SPREAD_DB) * least)).any())
+    return bool((full & (largest < ratio_from_db(_SPUR_SPREAD_DB) * least)).any())
 
 
 def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:

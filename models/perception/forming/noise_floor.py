@@ -115,7 +115,7 @@ class NoiseMeter:
         radar, beams = self._setup.radar, int(number.sum())
         frequency_hz, power_mw = _bands(radar, self._power / beams, self._between, beams)
         white_mw, corner_hz = _fit(radar, frequency_hz, power_mw)
-        beam_dbm = tuple(db_from_ratio(float(one)) for one in beam_mw)
+        beam_dbm = tuple(db_from_ratio(float(power)) for power in beam_mw)
         modelled = white_mw * (1.0 + corner_hz / np.maximum(frequency_hz, 1.0 / radar.beam_duration_s))
         off_db = 10.0 * np.log10(power_mw / modelled)
         per_bin = 1.5 / self._count
@@ -170,18 +170,18 @@ def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages:
     lowest = 3.0 / radar.beam_duration_s
     edges = np.geomspace(lowest, 0.5 * radar.sample_rate_hz, _BANDS + 1)
     order = np.digitize(frequency_hz, edges) - 1
-    found = []
+    bands = []
     for band in range(_BANDS):
-        mine = between & (order == band)
-        if mine.sum() >= 8:
+        in_band = between & (order == band)
+        if in_band.sum() >= 8:
             # tones and movers are few: the median does not see them
-            found.append((float(np.exp(np.log(frequency_hz[mine]).mean())), _median_mean(power[mine], averages)))
-    if not found:
+            bands.append((float(np.exp(np.log(frequency_hz[in_band]).mean())), _median_mean(power[in_band], averages)))
+    if not bands:
         raise ValueError(
             f"noise is read in bands of at least 8 bins: beams of {radar.chirps_per_beam} chirps of "
             f"{radar.samples_per_chirp} samples are too short"
         )
-    band_hz, power_mw = np.array(found).T
+    band_hz, power_mw = np.array(bands).T
     return band_hz, power_mw
 
 
@@ -194,10 +194,10 @@ def _fit(radar: RadarParams, frequency_hz: np.ndarray, power_mw: np.ndarray) -> 
         modelled = values[0] + np.log1p(np.exp(values[1]) / np.maximum(frequency_hz, low_hz))
         return np.asarray((np.log(power_mw) - modelled) * 10.0 / math.log(10.0))
 
-    found = least_squares(off_db, start, loss="soft_l1", f_scale=0.3).x
-    corner_hz = float(np.exp(found[1]))
+    solution = least_squares(off_db, start, loss="soft_l1", f_scale=0.3).x
+    corner_hz = float(np.exp(solution[1]))
     # the lowest bands hold few bins: a corner that lifts them by less than 1.5 dB may be their scatter
-    return float(np.exp(found[0])), corner_hz if corner_hz > 0.4 * frequency_hz[0] else 0.0
+    return float(np.exp(solution[0])), corner_hz if corner_hz > 0.4 * frequency_hz[0] else 0.0
 
 
 def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign: int) -> tuple[FoundSpur, ...]:
@@ -209,11 +209,11 @@ def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign
     bins = np.flatnonzero(loud)
     bins = bins[np.argsort(-power[bins], kind="stable")]
     kept: list[int] = []
-    for one in bins.tolist():
+    for bin_ in bins.tolist():
         # a Hann window's lobe, and the skirt of a strong tone
-        if all(abs(one - other) > 16 for other in kept) and len(kept) < MAX_SPURS:
-            kept.append(one)
-    return tuple(_spur_at(radar, power, one, beat_sign) for one in kept)
+        if all(abs(bin_ - earlier) > 16 for earlier in kept) and len(kept) < MAX_SPURS:
+            kept.append(bin_)
+    return tuple(_spur_at(radar, power, bin_, beat_sign) for bin_ in kept)
 
 
 def _spur_at(radar: RadarParams, power: np.ndarray, at: int, beat_sign: int) -> FoundSpur:

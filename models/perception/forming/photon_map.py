@@ -28,7 +28,7 @@ LEAST_WAITING = 0.05
 #: What is further off than this many standard deviations is no ambient light.
 QUIET_SIGMAS = 3.0
 #: Times and cells of a scan, over all azimuths: eight times those of the default, and about a second.
-MOST_TIMES, MOST_CELLS = 1 << 20, 1 << 19
+MAX_TIMES, MAX_CELLS = 1 << 20, 1 << 19
 
 
 def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid) -> np.ndarray:
@@ -57,11 +57,11 @@ def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthM
     set-up, and for a set-up that would take too long.
     """
     spad, grid = lidar.spad, lidar.grid
-    _require_bearable(spad, grid)
+    _require_tractable(spad, grid)
     counts = histograms.counts.astype(np.int64)
     _require_shape(counts.shape, spad, grid)
-    if counts.size and (most := int(counts.sum(axis=1).max())) > spad.pulses:
-        raise ValueError(f"histograms.counts must sum to at most {spad.pulses} pulses an azimuth, got {most}")
+    if counts.size and (largest := int(counts.sum(axis=1).max())) > spad.pulses:
+        raise ValueError(f"histograms.counts must sum to at most {spad.pulses} pulses an azimuth, got {largest}")
     pieces, cells = _pieces(spad), _cells(spad, grid)
     observed = project_counts(counts, spad, grid)
     waiting = _waiting(counts, pieces)
@@ -69,8 +69,8 @@ def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthM
     expected, variance = _expected(spad, pieces, cells, waiting, rate_hz)
     # a cell that the rate was fitted to pulls it along, and deviates the less
     variance = variance * (1.0 - np.where(fitted, expected, 0.0) / np.maximum((expected * fitted).sum(axis=0), 1.0))
-    seen = np.asarray(cells @ (waiting * pieces.exposure_s).T) > 0.0
-    values = np.where(seen, (observed - expected) / np.sqrt(np.maximum(variance, 1.0)), 0.0)
+    exposed = np.asarray(cells @ (waiting * pieces.exposure_s).T) > 0.0
+    values = np.where(exposed, (observed - expected) / np.sqrt(np.maximum(variance, 1.0)), 0.0)
     reached = np.asarray(cells.sum(axis=1)).ravel() > 0.0
     return RangeAzimuthMap(
         stamp_ns=histograms.stamp_ns,
@@ -80,7 +80,7 @@ def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthM
         azimuth_stamp_ns=histograms.azimuth_stamp_ns,
         noise_power_mw=1.0,
         incoherent=np.zeros(grid.range_bins, bool),
-        saturated_share=float(np.mean(~seen[reached])) if reached.any() else 0.0,
+        saturated_share=float(np.mean(~exposed[reached])) if reached.any() else 0.0,
         vehicle_from_radar=lidar.vehicle_from_lidar,
         mode="photons",
     )
@@ -175,7 +175,7 @@ def _waiting(counts: np.ndarray, pieces: _Pieces) -> np.ndarray:
 def _share(waiting: np.ndarray, pieces: _Pieces) -> np.ndarray:
     """Return the share of each piece in the ambient counts of its bin, [azimuth, pieces]."""
     weight = (waiting + 0.5) * pieces.exposure_s
-    total = np.stack([np.bincount(pieces.bin_index, one) for one in weight])
+    total = np.stack([np.bincount(pieces.bin_index, row) for row in weight])
     return np.asarray(weight / total[:, pieces.bin_index])
 
 
@@ -206,16 +206,18 @@ def _ambient_rate(
     long_seen = exposure_s > LEAST_WAITING * exposure_s.max(axis=0, initial=0.0)
     each_hz = np.where(long_seen, observed / np.where(long_seen, exposure_s, 1.0), 0.0)
     rate_hz = np.array(
-        [np.median(one[use]) if use.any() else 0.0 for one, use in zip(each_hz.T, long_seen.T, strict=True)]
+        [np.median(rates[use]) if use.any() else 0.0 for rates, use in zip(each_hz.T, long_seen.T, strict=True)]
     )
     usable = long_seen & (np.maximum(rate_hz, spad.ambient_rate_hz) * exposure_s >= LEAST_COUNTS)
-    is_told = usable.sum(axis=0) >= LEAST_CELLS
+    is_measured = usable.sum(axis=0) >= LEAST_CELLS
     # above zero, so that it can rise from there
-    rate_hz = np.where(is_told, np.maximum(rate_hz, LEAST_RATE_HZ), spad.ambient_rate_hz)
-    quiet = usable & is_told
+    rate_hz = np.where(is_measured, np.maximum(rate_hz, LEAST_RATE_HZ), spad.ambient_rate_hz)
+    quiet = usable & is_measured
     for _ in range(2):
         expected, variance = _expected(spad, pieces, cells, waiting, rate_hz)
-        quiet = usable & is_told & (np.abs(observed - expected) <= QUIET_SIGMAS * np.sqrt(np.maximum(variance, 1.0)))
+        quiet = (
+            usable & is_measured & (np.abs(observed - expected) <= QUIET_SIGMAS * np.sqrt(np.maximum(variance, 1.0)))
+        )
         total = (expected * quiet).sum(axis=0)
         rate_hz = rate_hz * np.where(
             total > 0.0, (observed * quiet).sum(axis=0) / np.where(total > 0.0, total, 1.0), 1.0
@@ -223,16 +225,16 @@ def _ambient_rate(
     return rate_hz, quiet
 
 
-def _require_bearable(spad: SpadParams, grid: RangeAzimuthGrid) -> None:
+def _require_tractable(spad: SpadParams, grid: RangeAzimuthGrid) -> None:
     times, cells = grid.azimuth_bins * (spad.bins + spad.gates), grid.azimuth_bins * grid.range_bins
-    if times > MOST_TIMES or cells > MOST_CELLS:
+    if times > MAX_TIMES or cells > MAX_CELLS:
         raise ValueError(
-            f"lidar.grid must have at most {MOST_TIMES} azimuths times bins and gates, and {MOST_CELLS} cells, "
+            f"lidar.grid must have at most {MAX_TIMES} azimuths times bins and gates, and {MAX_CELLS} cells, "
             f"got {times} and {cells}"
         )
 
 
 def _require_shape(shape: tuple[int, ...], spad: SpadParams, grid: RangeAzimuthGrid) -> None:
-    wanted = grid.azimuth_bins, spad.bins
-    if shape != wanted:
-        raise ValueError(f"histograms.counts must have shape {wanted} as lidar/setup says, got {tuple(shape)}")
+    expected = grid.azimuth_bins, spad.bins
+    if shape != expected:
+        raise ValueError(f"histograms.counts must have shape {expected} as lidar/setup says, got {tuple(shape)}")

@@ -19,8 +19,8 @@ from models.perception.forming.coarray import AzimuthInterpolator, CoherenceTest
 from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
     array_deviation,
-    drowned_beams,
     has_spurs,
+    interfered_beams,
     lost_chirps,
     silent_beams,
 )
@@ -501,29 +501,29 @@ class _OpenScan:
         Silent and drowned beams are left out like those that never came: their neighbours say more about their place.
         Not those of a digital array, of which each is made of all columns and sees what no other does.
         """
-        came = ~np.isnan(self._noise_power_mw)
-        noise_power_mw = float(np.median(self._noise_power_mw[came]))
+        received = ~np.isnan(self._noise_power_mw)
+        noise_power_mw = float(np.median(self._noise_power_mw[received]))
         steered = not self._folder.setup.array.digital
-        silent = came & steered & silent_beams(self._profiles, noise_power_mw)
-        drowned = steered & drowned_beams(self._noise_power_mw)
-        heard = came & ~silent & ~drowned
-        shown = {
+        silent = received & steered & silent_beams(self._profiles, noise_power_mw)
+        interfered = steered & interfered_beams(self._noise_power_mw)
+        usable = received & ~silent & ~interfered
+        faults = {
             "lost_chirps": self._lost_chirps > 0,
             "silent_beams": silent.any(),
-            "drowned_beams": drowned.any(),
-            "spurs": has_spurs(self._profiles[heard], noise_power_mw),
+            "drowned_beams": interfered.any(),
+            "spurs": has_spurs(self._profiles[usable], noise_power_mw),
         }
         radar = self._folder.setup.radar
-        samples = int(came.sum()) * self._folder.chirps * radar.samples_per_chirp
+        samples = int(received.sum()) * self._folder.chirps * radar.samples_per_chirp
         return ScanProfiles(
             stamp_ns=self.stamp_ns,
             scan_id=self.scan_id,
-            profiles=np.where(heard[:, None], self._profiles, np.complex64(0.0)),
+            profiles=np.where(usable[:, None], self._profiles, np.complex64(0.0)),
             noise_power_mw=noise_power_mw,
             beam_stamp_ns=self._beam_stamp_ns,
-            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~heard)),
+            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~usable)),
             unused_beams=tuple(int(index) for index in np.flatnonzero(~self._used)),
             saturated_share=self._saturated / samples,
-            faults=tuple(name for name, holds in shown.items() if holds),
+            faults=tuple(name for name, holds in faults.items() if holds),
             look_azimuth_rad=None if self._state is None else self._looks,
         )

@@ -57,15 +57,17 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
         first, last = edges[group], edges[group + 1]
         fours = last - (last - first) % 4
         for start in range(0, codes.shape[1], _BLOCK):
-            cut = slice(start, min(start + _BLOCK, codes.shape[1]))
+            block = slice(start, min(start + _BLOCK, codes.shape[1]))
             # rows are cut out one by one: a row of a two-dimensional cut would be a strided array, and slow
-            total = sums[group, cut]
+            total = sums[group, block]
             for row in range(first, fours, 4):
-                if _add_four(codes[row, cut], codes[row + 1, cut], codes[row + 2, cut], codes[row + 3, cut], total):
-                    saturated += _count_saturated(codes[row : row + 4, cut])
+                if _add_four(
+                    codes[row, block], codes[row + 1, block], codes[row + 2, block], codes[row + 3, block], total
+                ):
+                    saturated += _count_saturated(codes[row : row + 4, block])
             for row in range(fours, last):
-                total += codes[row, cut]
-                saturated += _count_saturated(codes[row : row + 1, cut])
+                total += codes[row, block]
+                saturated += _count_saturated(codes[row : row + 1, block])
     return saturated
 
 
