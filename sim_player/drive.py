@@ -44,8 +44,8 @@ class Drive:
         step_s = time_s / steps
         turned_rad = self.yaw_rate_at(at_s) * step_s
         heading_rad = np.cumsum(turned_rad) - 0.5 * turned_rad
-        way_m = self.speed_at(at_s) * step_s
-        x_m, y_m = float(way_m @ np.cos(heading_rad)), float(way_m @ np.sin(heading_rad))
+        step_m = self.speed_at(at_s) * step_s
+        x_m, y_m = float(step_m @ np.cos(heading_rad)), float(step_m @ np.sin(heading_rad))
         return Pose2(x_m, y_m, wrap_angle(float(turned_rad.sum())))
 
     def speed_at(self, time_s: np.ndarray) -> np.ndarray:

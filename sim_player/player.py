@@ -123,7 +123,7 @@ class ScenePlayer:
         return PLAIN if plan is None else plan.signal
 
     def _all_beats(self) -> np.ndarray:
-        """Return the Echoes of every beam of a scene at rest, complex128 [beams, samples]."""
+        """Return the echoes of every beam of a scene at rest, complex128 [beams, samples]."""
         plan, front_end = self.plan(0), self.scene.radar.front_end
         if plan is None:
             paths = self.paths(0.0)
@@ -134,8 +134,8 @@ class ScenePlayer:
         """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
         radar = self.setup.radar
         if self._still_beats is not None:
-            ones = np.ones(radar.chirps_per_beam)
-            return self._still_beats[index : index + 1], ones, ones[None]
+            unit = np.ones(radar.chirps_per_beam)
+            return self._still_beats[index : index + 1], unit, unit[None]
         # slow time counts from the middle of the beam, so the scene is frozen there
         middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
         paths = self.paths(self._elapsed_s(self.stamp_ns(scan, index)) + middle_s, scan)

@@ -97,17 +97,17 @@ def _ray(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -
         import ray
     except ImportError:
         raise ImportError('ray, which --executor ray needs: pip install "mirrorwave[cluster]"') from None
-    ours = not ray.is_initialized()
-    if ours:
+    is_started_here = not ray.is_initialized()
+    if is_started_here:
         _start_ray(ray, workers)
     try:
         remote = ray.remote(num_cpus=1, max_retries=3)(function)
-        left = [remote.remote(job) for job in jobs]
-        while left:
-            ready, left = ray.wait(left)
+        pending = [remote.remote(job) for job in jobs]
+        while pending:
+            ready, pending = ray.wait(pending)
             yield _ray_result(ray, ready[0])
     finally:
-        if ours:
+        if is_started_here:
             ray.shutdown()
 
 

@@ -45,7 +45,7 @@ class LabelledPlace:
     @cached_property
     def labels(self) -> Labels:
         """Its truth points."""
-        classes = tuple(thing.object_class for thing in self.player.scene.objects)
+        classes = tuple(scene_object.object_class for scene_object in self.player.scene.objects)
         return label_points(self.player.setup, self.player.paths(0.0), 1.0, classes)
 
     @cached_property

@@ -136,22 +136,22 @@ def labelled_scan(
 
 def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tuple[str, ...] | None = None) -> Labels:
     """Return the truth points of traced paths as training labels; `classes` are those of the objects, in order."""
-    seen = paths.take(visible_paths(setup, paths))
+    visible = paths.take(visible_paths(setup, paths))
     grid = RangeAzimuthGrid()
-    names = np.array([*(classes or ["object"] * (int(seen.thing.max(initial=-1)) + 1)), WALL])
+    names = np.array([*(classes or ["object"] * (int(visible.thing.max(initial=-1)) + 1)), WALL])
     return Labels(
-        range_m=(0.5 * seen.length_m).astype(np.float32),
-        azimuth_rad=seen.azimuth_rad.astype(np.float32),
-        path_class=seen.kind,
-        hidden_xy_m=seen.point_m[:, :2].astype(np.float32),
-        power_mw=(gain * best_power_mw(setup, seen)).astype(np.float32),
-        order=seen.order.astype(np.uint8),
-        range_bin=np.rint(grid.range_index(0.5 * seen.length_m)).astype(np.int32),
-        azimuth_bin=np.rint(grid.azimuth_index(seen.azimuth_rad)).astype(np.int32),
-        point_m=seen.point_m.astype(np.float32),
-        image_m=seen.virtual_m.astype(np.float32),
-        object_index=seen.thing.astype(np.int32),
-        object_class=names[seen.thing],
+        range_m=(0.5 * visible.length_m).astype(np.float32),
+        azimuth_rad=visible.azimuth_rad.astype(np.float32),
+        path_class=visible.kind,
+        hidden_xy_m=visible.point_m[:, :2].astype(np.float32),
+        power_mw=(gain * best_power_mw(setup, visible)).astype(np.float32),
+        order=visible.order.astype(np.uint8),
+        range_bin=np.rint(grid.range_index(0.5 * visible.length_m)).astype(np.int32),
+        azimuth_bin=np.rint(grid.azimuth_index(visible.azimuth_rad)).astype(np.int32),
+        point_m=visible.point_m.astype(np.float32),
+        image_m=visible.virtual_m.astype(np.float32),
+        object_index=visible.thing.astype(np.int32),
+        object_class=names[visible.thing],
     )
 
 
@@ -171,7 +171,7 @@ class _Scan:
     def labelled(self) -> LabelledScan:
         """Return the profiles and labels."""
         profiles = self._basic_profiles() if self.plan is None else self._planned_profiles(self.plan)
-        classes = tuple(thing.object_class for thing in self.scene.objects)
+        classes = tuple(scene_object.object_class for scene_object in self.scene.objects)
         return LabelledScan(
             profiles=profiles.astype(np.complex64),
             labels=label_points(self.setup, self.paths, self.gain if self.plan is None else 1.0, classes),
@@ -187,7 +187,7 @@ class _Scan:
         return np.asarray(echoes + profile_noise(self.setup, self.seed))
 
     def _planned_profiles(self, plan: Plan) -> np.ndarray:
-        """Return the Echoes and noise under a plan, the converter only where this level can hold it."""
+        """Return the echoes and noise under a plan, the converter only where this level can hold it."""
         objections = kernel_objections(self.setup, self.paths, plan.signal, self.scene.radar.front_end)
         if objections:
             self.plan = plan = without_converter(plan, "; ".join(objections))

@@ -120,7 +120,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return dict(sorted(plain.items()))
 
     def shard_name(self, first: int) -> str:
-        """Return the File of the scenes from `first` on."""
+        """Return the file of the scenes from `first` on."""
         return f"shard-{first // self.scenes_per_shard:05d}.npz"
 
 
@@ -264,7 +264,7 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
     """Return what statistics need of a scene, so that nobody has to read its YAML."""
     names = ("role", "material", "roughness_mm", "curvature_per_m")
     return {
-        "objects": [thing.object_class for thing in scene.objects],
+        "objects": [scene_object.object_class for scene_object in scene.objects],
         "surfaces": [{name: getattr(surface, name) for name in names} for surface in scene.surfaces],
     }
 

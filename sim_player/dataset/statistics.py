@@ -88,10 +88,10 @@ def series_of(folder: Path) -> dict[str, Any]:
     """Return what `series.json` says; ValueError where the folder holds no data set."""
     path = folder / "series.json"
     try:
-        found: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
+        series: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
     except (OSError, msgspec.DecodeError) as error:
         raise ValueError(f"{path}: must say which data set the folder holds: {error}") from None
-    return found
+    return series
 
 
 def read_records(folder: Path) -> Iterator[SceneRecord]:
@@ -177,17 +177,17 @@ class _Tally:
         self.orders.update(np.where(mirrored, points["order"], 0).tolist())
         snr_db = 10.0 * np.log10(points["power_mw"] / record.noise_power_mw)
         for kind, name in CLASS_NAMES.items():
-            mine = points["path_class"] == kind
-            self.range_m[name].append(points["range_m"][mine])
-            self.snr_db[name].append(snr_db[mine])
+            of_class = points["path_class"] == kind
+            self.range_m[name].append(points["range_m"][of_class])
+            self.snr_db[name].append(snr_db[of_class])
 
     def _add_objects(self, record: SceneRecord) -> None:
         points, classes = record.points, record.facts["objects"]
         direct = set(points["object_index"][points["path_class"] == PathClass.LOS].tolist())
         mirrored = set(points["object_index"][points["path_class"] == PathClass.MIRRORED].tolist()) - direct - {-1}
         for index, name in enumerate(classes):
-            seen = "direct" if index in direct else "hidden" if index in mirrored else "unseen"
-            self.objects.setdefault(name, Counter())[seen] += 1
+            visibility = "direct" if index in direct else "hidden" if index in mirrored else "unseen"
+            self.objects.setdefault(name, Counter())[visibility] += 1
         self.objects_per_scene[len(classes)] += 1
         self.hidden_per_scene[len(mirrored)] += 1
         self.hidden_in_noise += len(set(record.facts["hidden"]) - mirrored - direct)
@@ -222,9 +222,9 @@ class _Tally:
 
 def histogram(edges: tuple[float, ...], values: dict[str, np.ndarray]) -> Histogram:
     """Return the counts of values between edges; what lies outside goes to the first or the last bin."""
-    inside = {name: np.clip(one, edges[0], np.nextafter(edges[-1], edges[0])) for name, one in values.items()}
+    inside = {name: np.clip(array, edges[0], np.nextafter(edges[-1], edges[0])) for name, array in values.items()}
     return Histogram(
-        edges=edges, counts={name: np.histogram(one, np.array(edges))[0].tolist() for name, one in inside.items()}
+        edges=edges, counts={name: np.histogram(array, np.array(edges))[0].tolist() for name, array in inside.items()}
     )
 
 

@@ -120,7 +120,7 @@ class _Manifest:
     """Lines of the manifest by shard, those of an earlier run until they are replaced."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.lines = path, _known(path)
+        self.path, self.lines = path, _read_manifest(path)
 
     def sha256(self, job: ShardJob) -> str | None:
         """Return the checksum of a shard as long as it should be, if it is known."""
@@ -139,7 +139,7 @@ class _Manifest:
         write_whole(self.path, b"".join(msgspec.json.encode(line) + b"\n" for line in ordered))
 
 
-def _known(manifest: Path) -> dict[str, dict[str, Any]]:
+def _read_manifest(manifest: Path) -> dict[str, dict[str, Any]]:
     """Return the lines of a manifest by shard; none where it cannot be read."""
     names = ("shard", "first_scene", "scenes", "sha256")
     try:
@@ -168,19 +168,19 @@ def _refuse_to_shrink(out_dir: Path, jobs: list[ShardJob], manifest: _Manifest) 
         raise ValueError(f"count must not be below what {out_dir} holds ({max(beyond)}), got {asked}")
 
 
-def _claim(out_dir: Path, wanted: dict[str, Any]) -> None:
+def _claim(out_dir: Path, series: dict[str, Any]) -> None:
     """Write down whose folder this is; ValueError where it is another series'."""
     path = out_dir / "series.json"
     if not path.exists():
         if any(out_dir.glob("shard-*.npz")):
             raise ValueError(f"{out_dir} holds shards but no series.json that says of which data set")
-        write_whole(path, msgspec.json.encode(wanted))
+        write_whole(path, msgspec.json.encode(series))
         return
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=dict)
+        existing = msgspec.json.decode(path.read_bytes(), type=dict)
     except msgspec.DecodeError:
         raise ValueError(f"{path} must say which data set the folder holds, cannot be read") from None
-    names = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
+    names = sorted(name for name in existing.keys() | series.keys() if existing.get(name) != series.get(name))
     if names:
-        differs = "; ".join(f"{name} {found.get(name)!r}, wanted {wanted.get(name)!r}" for name in names)
+        differs = "; ".join(f"{name} {existing.get(name)!r}, wanted {series.get(name)!r}" for name in names)
         raise ValueError(f"{out_dir} holds another data set: {differs}")

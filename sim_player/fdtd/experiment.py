@@ -15,7 +15,7 @@ from sim_player.fdtd.media import Layers, checked_layers
 from sim_player.fdtd.rough import cell_size
 
 #: Relative standard deviation of the pulse; a run ends at this share of the peak, or after so many batches.
-PULSE_SHARE, DECAY, BATCH_STEPS, MOST_BATCHES = 0.1, 1e-7, 256, 400
+PULSE_SHARE, DECAY, BATCH_STEPS, MAX_BATCHES = 0.1, 1e-7, 256, 400
 #: Pictures add the field once in so many steps: at least this often a period.
 PICTURES_A_PERIOD = 5.0
 
@@ -135,7 +135,7 @@ class _Bench:
         every = max(1, int(2.0 * math.pi / (PICTURES_A_PERIOD * self.params.phase_per_step)))
         spectra = np.zeros((3, self.params.cells_x), np.complex128)
         picture = np.zeros((self.params.cells_x, self.params.cells_z), np.complex128)
-        for _ in range(MOST_BATCHES):
+        for _ in range(MAX_BATCHES):
             grid.run(drive, self.rows, BATCH_STEPS, spectra, picture if wall else None, every)
             if on_step is not None:
                 on_step(grid.steps, grid.residue)

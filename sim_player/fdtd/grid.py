@@ -82,7 +82,7 @@ class GridParams:
         return 2.0 / (self.courant * self.cell_m) * math.sin(0.5 * self.phase_per_step)
 
     def wave_number(self, symbol: float) -> float:
-        """Return the Wave number whose central difference (2/h) sin(k h / 2) is `symbol` [rad/m]."""
+        """Return the wave number whose central difference (2/h) sin(k h / 2) is `symbol` [rad/m]."""
         return 2.0 / self.cell_m * math.asin(0.5 * self.cell_m * symbol)
 
 
@@ -185,7 +185,7 @@ class YeeGrid:
         return self.level / self.peak if self.peak > 0.0 else 1.0
 
     def energy(self) -> float:
-        """Return the Electric plus magnetic energy at the present half-staggered instant, arbitrary unit (float64)."""
+        """Return the electric plus magnetic energy at the present half-staggered instant, arbitrary unit (float64)."""
         total = 0.0
         for field, (_, drive) in ((self.u, self.at_u), (self.vx, self.at_vx), (self.vz, self.at_vz)):
             weight = self.params.courant / np.asarray(drive, np.float64)
@@ -211,14 +211,14 @@ class YeeGrid:
         """Return the decay, drive, 1/kappa at nodes, then at half places; index None: no absorber."""
         params = self.params
         arrays: list[np.ndarray] = []
-        for place in (position, position + 0.5):
+        for positions in (position, position + 0.5):
             if index is None:
-                arrays += [np.zeros_like(place), np.zeros_like(place), np.ones_like(place)]
+                arrays += [np.zeros_like(positions), np.zeros_like(positions), np.ones_like(positions)]
                 continue
             cells = params.absorber.cells
             ends = [
                 layer(params.absorber, depth, params.cell_m, share, params.step_s, params.frequency_hz)
-                for depth, share in zip((cells - place, place - (length - cells)), index, strict=True)
+                for depth, share in zip((cells - positions, positions - (length - cells)), index, strict=True)
             ]
             arrays += [
                 ends[0].decay + ends[1].decay,

@@ -73,7 +73,7 @@ SETTINGS = (SMOOTH_CELLS, ROUGH_CELLS, METAL_CELLS, CORRELATION_WAVELENGTHS)
 #: A layer with more loss there and back is cut to a half-space.
 OPAQUE_DB = 80.0
 #: A rough cell is left out where its standard error is above this, or its field is still above this share of its peak.
-MOST_ERROR_DB, MOST_RESIDUE = 1.5, 1e-3
+MAX_ERROR_DB, MAX_RESIDUE = 1.5, 1e-3
 #: Agreement with the closed form that `compare` counts.
 AGREEMENT_DB = 0.5
 #: Why a rough cell is there or not, by the code in the table.
@@ -82,8 +82,8 @@ STATUS = (
     "measured",
     "not run: left out for its cost",
     "refused by the engine: stairs of cells on a rough good conductor guide waves in tm",
-    f"specular lobe too weak: its standard error over the seeds is above {MOST_ERROR_DB} dB",
-    f"the field had not left by the end of the run: above {MOST_RESIDUE:g} of its peak",
+    f"specular lobe too weak: its standard error over the seeds is above {MAX_ERROR_DB} dB",
+    f"the field had not left by the end of the run: above {MAX_RESIDUE:g} of its peak",
 )
 
 
@@ -227,12 +227,12 @@ class ReflectanceTable:
 
     def absent(self) -> list[tuple[str, float, Polarisation, float, float, str]]:
         """Return the rough cells without a value: wall, band [Hz], polarisation, roughness [m], angle [deg], reason."""
-        found = []
+        absent = []
         for w, f, p, level, b in np.argwhere(self.status != MEASURED):
-            place = float(self.roughness_m[f, level]), float(self.rough_angle_deg[b])
+            setting = float(self.roughness_m[f, level]), float(self.rough_angle_deg[b])
             reason = STATUS[self.status[w, f, p, level, b]]
-            found.append((self.walls[w], self.bands_hz[f], POLARISATIONS[p], *place, reason))
-        return found
+            absent.append((self.walls[w], self.bands_hz[f], POLARISATIONS[p], *setting, reason))
+        return absent
 
     def to_bytes(self) -> bytes:
         """Return the arrays as npz; equal tables give equal bytes."""
@@ -251,12 +251,14 @@ class ReflectanceTable:
         for w, f, p in np.ndindex(*self.smooth_r.shape[:3]):
             wall, band_hz, polarisation = self.walls[w], self.bands_hz[f], POLARISATIONS[p]
             smooth_db = _power_db(self.smooth_r[w, f, p])
-            known = np.isfinite(smooth_db)
-            if known.any():
+            is_measured = np.isfinite(smooth_db)
+            if is_measured.any():
                 exact_db = _exact_db(wall, band_hz, polarisation, 0.0, self.smooth_angle_deg)
-                angles_deg, difference_db = self.smooth_angle_deg[known], (smooth_db - exact_db)[known]
+                angles_deg, difference_db = self.smooth_angle_deg[is_measured], (smooth_db - exact_db)[is_measured]
                 zero = np.zeros_like(difference_db)
-                yield Comparison(wall, band_hz, polarisation, 0.0, angles_deg, difference_db, zero, int((~known).sum()))
+                yield Comparison(
+                    wall, band_hz, polarisation, 0.0, angles_deg, difference_db, zero, int((~is_measured).sum())
+                )
             for level, roughness_m in enumerate(self.roughness_m[f]):
                 status = self.status[w, f, p, level]
                 if np.isin(status, (NOT_RUN, REFUSED)).all():
@@ -278,12 +280,12 @@ class ReflectanceTable:
     @cached_property
     def _splines(self) -> dict[tuple[int, int, int], CubicSpline]:
         """Real and imaginary part of r over angle, of every smooth wall that was run."""
-        found = {}
+        splines = {}
         for at in np.ndindex(*self.smooth_r.shape[:3]):
             r = self.smooth_r[at].astype(np.complex128)
             if np.isfinite(r).all():
-                found[at] = CubicSpline(self.smooth_angle_deg, np.stack([r.real, r.imag], axis=-1))
-        return found
+                splines[at] = CubicSpline(self.smooth_angle_deg, np.stack([r.real, r.imag], axis=-1))
+        return splines
 
     def _roughness_db(self, at: tuple[int, int, int], angle_deg: np.ndarray, roughness_m: float) -> np.ndarray:
         """Return what roughness takes [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent
@@ -341,13 +343,13 @@ class ReflectanceTable:
 def table_entries() -> list[Entry]:
     """Return what the shipped table is made of, short runs first; a rough entry is one angle."""
     smooth = tuple(float(angle) for angle in SMOOTH_ANGLES_DEG)
-    found = [Entry(wall, band, pol, 0.0, smooth) for wall in WALLS for band in BANDS_HZ for pol in POLARISATIONS]
+    entries = [Entry(wall, band, pol, 0.0, smooth) for wall in WALLS for band in BANDS_HZ for pol in POLARISATIONS]
     for angle in ROUGH_ANGLES_DEG:
         for run in ROUGH_RUNS:
             if angle == ROUGH_ANGLES_DEG[-1] and run in SPARED_RUNS:
                 continue
-            found += [Entry(*run, roughness_m, (float(angle),)) for roughness_m in ROUGHNESS_M[run[1]]]
-    return found
+            entries += [Entry(*run, roughness_m, (float(angle),)) for roughness_m in ROUGHNESS_M[run[1]]]
+    return entries
 
 
 def build_tables(
@@ -366,11 +368,11 @@ def build_tables(
     todo = [entry for entry in entries if entry not in done]
     if on_progress is not None:
         on_progress(len(done), len(entries))
-    for one in map_jobs(simulate, todo, workers=workers):
-        done[one.entry] = one.cells
+    for result in map_jobs(simulate, todo, workers=workers):
+        done[result.entry] = result.cells
         if partial is not None:
             with partial.open("ab") as file:
-                file.write(msgspec.json.encode(one) + b"\n")
+                file.write(msgspec.json.encode(result) + b"\n")
         if on_progress is not None:
             on_progress(len(done), len(entries))
     return _as_table(entries, done)
@@ -509,18 +511,18 @@ def _reference(
 
 
 def _read_partial(path: Path) -> dict[Entry, tuple[Cell, ...]]:
-    """Return the Entries done by an earlier build under the same settings; a line cut off by its end is passed over."""
+    """Return the entries done by an earlier build under the same settings; a line cut off by its end is passed over."""
     if not path.exists():
         return {}
-    found = {}
+    cells = {}
     for line in path.read_bytes().splitlines():
         try:
-            one = msgspec.json.decode(line, type=Done)
+            result = msgspec.json.decode(line, type=Done)
         except msgspec.MsgspecError:
             continue
-        if one.settings == SETTINGS:
-            found[one.entry] = one.cells
-    return found
+        if result.settings == SETTINGS:
+            cells[result.entry] = result.cells
+    return cells
 
 
 def _as_table(entries: Sequence[Entry], done: dict[Entry, tuple[Cell, ...]]) -> ReflectanceTable:
@@ -553,8 +555,8 @@ def _as_table(entries: Sequence[Entry], done: dict[Entry, tuple[Cell, ...]]) -> 
 
 def _place(cell: Cell, at: tuple[int, ...], status: np.ndarray, values: dict[str, np.ndarray]) -> None:
     """Put a rough cell into the table; one not to be trusted keeps its lobe alone, its mean field is left out."""
-    unsure = not cell.error_db <= MOST_ERROR_DB
-    status[at] = RINGING if cell.residue > MOST_RESIDUE else UNSURE if unsure else MEASURED
+    unsure = not cell.error_db <= MAX_ERROR_DB
+    status[at] = RINGING if cell.residue > MAX_RESIDUE else UNSURE if unsure else MEASURED
     if status[at] == RINGING:
         return
     values["lobe_share"][at], values["lobe_spread"][at] = cell.lobe, cell.lobe_spread
@@ -609,8 +611,8 @@ def _media_of(wall: str, bands_hz: tuple[float, ...]) -> list[dict[str, Any]]:
     for band in bands_hz:
         layers = layers_of(wall, band)
         eps = complex(layers[0][0])
-        cut = "opaque: simulated as a half-space" if cut_opaque(layers, band) != layers else ""
-        note = ", ".join(part for part in (extrapolation_note(WALLS[wall][0], band), cut) if part)
+        opacity_note = "opaque: simulated as a half-space" if cut_opaque(layers, band) != layers else ""
+        note = ", ".join(part for part in (extrapolation_note(WALLS[wall][0], band), opacity_note) if part)
         rows.append({"ghz": band / 1e9, "permittivity": [eps.real, eps.imag], "note": note})
     return rows
 

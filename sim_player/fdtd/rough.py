@@ -23,7 +23,7 @@ GAP_CELLS = 3
 #: Sub-columns of a cell over which the surface's height is averaged.
 SUB_COLUMNS = 4
 #: A run ends when the field has fallen to this share of its peak, or after so many pulse lengths.
-DECAY, MOST_PULSES = 1e-5, 10
+DECAY, MAX_PULSES = 1e-5, 10
 #: Pulse: widest relative standard deviation, and distance to the cut-off (c k_par) in deviations.
 WIDEST_SHARE, CUT_OFF_DEVIATIONS = 0.1, 5.0
 #: Spectrum of heights is cut where k correlation = this: exp(-16) of its power is left out.
@@ -165,7 +165,7 @@ class _Strip:
         profile = np.exp(-1j * self.along_per_m * self.cell_m * np.arange(params.cells_x))
         drive = Drive(self.source, profile, 1.0 / (share * params.phase_per_step))
         spectra = np.zeros((2, params.cells_x), np.complex128)
-        while grid.steps < drive.steps or (grid.residue > DECAY and grid.steps < MOST_PULSES * drive.steps):
+        while grid.steps < drive.steps or (grid.residue > DECAY and grid.steps < MAX_PULSES * drive.steps):
             grid.run(drive, (self.probe, self.back), 256, spectra)
             if on_step is not None:
                 on_step(grid.steps, grid.residue)
@@ -250,5 +250,5 @@ def quiet_width(least_m: float, sine: float, wavelength_m: float) -> float:
 
 
 def is_conductor(permittivity: complex) -> bool:
-    """Return True where the skin is too thin for square cells: loss above ten times the permittivity."""
+    """Return whether the skin is too thin for square cells: loss above ten times the permittivity."""
     return -permittivity.imag > 10.0 * permittivity.real

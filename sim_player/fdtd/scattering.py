@@ -15,7 +15,7 @@ from sim_player.fdtd.rough import FloquetOrders, RoughParams, scatter
 from sim_player.fdtd.strip import StripParams, build_strips, run_strip
 
 #: Steepest planar incidence: nearer to grazing the pulse that keeps clear of the cut-off grows without bound.
-MOST_ANGLE_RAD = math.radians(89.0)
+MAX_ANGLE_RAD = math.radians(89.0)
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,11 @@ def reflect_angles(
     workers.
     """
 
-    def one(angle_rad: float) -> Scattered:
+    def reflect_at(angle_rad: float) -> Scattered:
         return reflect(layers, float(angle_rad), frequency_hz, polarisation, cells_per_wavelength, dtype=dtype)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        return list(pool.map(one, angles_rad))
+        return list(pool.map(reflect_at, angles_rad))
 
 
 def _reflect_smooth(
@@ -101,7 +101,7 @@ def _reflect_smooth(
     """Return two runs of a column, with and without the wall: their difference at the front face is the reflected
     wave.
     """
-    if not 0.0 <= angle_rad <= MOST_ANGLE_RAD:
+    if not 0.0 <= angle_rad <= MAX_ANGLE_RAD:
         raise ValueError(f"angle_rad must lie in [0, 89 deg], got {angle_rad!r}")
     wall, air = build_strips(layers, angle_rad, frequency_hz, params)
     incident = run_strip(air, frequency_hz, polarisation, params)
@@ -117,16 +117,16 @@ def _reflect_smooth(
     return Scattered(r, t, power, power, abs(t) ** 2, orders, total.cells, total.steps, total.residue)
 
 
-def _from_orders(found: FloquetOrders) -> Scattered:
+def _from_orders(orders: FloquetOrders) -> Scattered:
     """Return the public form of a wide strip's answer."""
     return Scattered(
-        found.r,
-        found.t,
-        abs(found.r) ** 2,
-        float(found.reflected.sum()),
-        float(found.transmitted.sum()),
-        (found.reflected_angle_rad, found.reflected),
-        found.cells,
-        found.steps,
-        found.residue,
+        orders.r,
+        orders.t,
+        abs(orders.r) ** 2,
+        float(orders.reflected.sum()),
+        float(orders.transmitted.sum()),
+        (orders.reflected_angle_rad, orders.reflected),
+        orders.cells,
+        orders.steps,
+        orders.residue,
     )

@@ -35,7 +35,7 @@ class SmoothWall:
         return complex(permittivity(self.material, self.frequency_hz, extrapolate=True))
 
     def exact(self, angles_rad: np.ndarray) -> np.ndarray:
-        """Return the Field reflection at angles from the normal, complex128 [angles]."""
+        """Return the field reflection at angles from the normal, complex128 [angles]."""
         wavelength_m = SPEED_OF_LIGHT_MPS / self.frequency_hz
         eps, thickness_m = np.asarray(self.permittivity), np.asarray(self.thickness_m)
         return slab_reflection(eps, np.cos(angles_rad), thickness_m, wavelength_m, self.polarisation)

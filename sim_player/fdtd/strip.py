@@ -28,7 +28,7 @@ COURANT = 0.99
 #: Pulse: widest relative standard deviation, distance to the cut-off (c k_par) and half length in deviations.
 WIDEST_SHARE, CUT_OFF_DEVIATIONS, HALF_LENGTH_DEVIATIONS = 0.08, 6.0, 6.0
 #: A run ends when the field has fallen to this share of its peak, or after so many pulse lengths.
-DECAY, MOST_PULSES = 1e-6, 40
+DECAY, MAX_PULSES = 1e-6, 40
 
 
 @dataclass(frozen=True)
@@ -199,9 +199,9 @@ def _advance_te(coefficients, transverse, nodes, phase_per_step, deviation_steps
     e, h, normal = np.zeros_like(a), np.zeros_like(per_cell), np.zeros_like(a)
     psi_e, psi_h = np.zeros_like(a), np.zeros_like(per_cell)
     front, back, peak, residue = 0j, 0j, 0.0, 1.0
-    least, most = _run_length(deviation_steps)
+    least, max_steps = _run_length(deviation_steps)
     step = 0
-    while step < most:
+    while step < max_steps:
         for k in range(cells):
             slope = (e[k + 1] - e[k]) * per_cell[k]
             psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
@@ -234,9 +234,9 @@ def _advance_tm(coefficients, transverse, nodes, phase_per_step, deviation_steps
     e, h, normal = np.zeros_like(a), np.zeros_like(per_cell), np.zeros_like(per_cell)
     psi_e, psi_h = np.zeros_like(a), np.zeros_like(per_cell)
     front, back, peak, residue = 0j, 0j, 0.0, 1.0
-    least, most = _run_length(deviation_steps)
+    least, max_steps = _run_length(deviation_steps)
     step = 0
-    while step < most:
+    while step < max_steps:
         for k in range(cells):
             slope = (e[k + 1] - e[k]) * per_cell[k]
             psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
@@ -264,7 +264,7 @@ def _advance_tm(coefficients, transverse, nodes, phase_per_step, deviation_steps
 def _run_length(deviation_steps):  # type: ignore[no-untyped-def]
     """Steps of the pulse, and the most a run may take."""
     length = int(2.0 * HALF_LENGTH_DEVIATIONS * deviation_steps)
-    return length, MOST_PULSES * length
+    return length, MAX_PULSES * length
 
 
 @numba.njit(cache=True, inline="always")

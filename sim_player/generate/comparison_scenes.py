@@ -54,7 +54,7 @@ AZIMUTH_DEG, YAW_DEG, SHIFT_M = 12.0, 10.0, 0.3
 #: The relay wall reaches this far beyond the outermost specular point, and by this share of the image's range.
 REACH_M, REACH_SHARE = 3.0, 0.03
 #: Room between the object and both walls, and between the hiding wall and each of the two ways it stands between.
-CLEARANCE_M, WAY_CLEARANCE_M = 0.3, 0.03
+CLEARANCE_M, PATH_CLEARANCE_M = 0.3, 0.03
 #: The hiding wall reaches so far beyond the outermost direct line.
 HIDING_REACH_M = 2.0
 ATTEMPTS = 200
@@ -120,9 +120,9 @@ def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
     theta, near_m = math.radians(corner.incidence_deg), corner.wall_share * corner.range_m
     away = np.array([math.sin(theta), math.cos(theta)])
     radar = near_m * away * [-1.0, 1.0]
-    thing = SceneObject(class_=corner.object_class, x_m=0.0, y_m=0.0, yaw_deg=math.degrees(yaw_rad))
+    at_origin = SceneObject(class_=corner.object_class, x_m=0.0, y_m=0.0, yaw_deg=math.degrees(yaw_rad))
     centre = (corner.range_m - near_m) * away + shift_m
-    box = thing.corners_m() + centre
+    box = at_origin.corners_m() + centre
     span = _hiding_span(radar, box)
     if span is None:
         return None
@@ -136,8 +136,10 @@ def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
     hiding = _wall("concrete", frame.points([[0.0, span[0]], [0.0, span[1]]]), corner.height_m)
     hiding = msgspec.structs.replace(hiding, role="occluder")
     x_m, y_m = frame.points([centre])[0]
-    placed = msgspec.structs.replace(thing, x_m=x_m, y_m=y_m, yaw_deg=math.degrees(frame.heading_rad(yaw_rad)))
-    return Scene(name=name, surfaces=(relay, hiding), objects=(placed,))
+    hidden_object = msgspec.structs.replace(
+        at_origin, x_m=x_m, y_m=y_m, yaw_deg=math.degrees(frame.heading_rad(yaw_rad))
+    )
+    return Scene(name=name, surfaces=(relay, hiding), objects=(hidden_object,))
 
 
 def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
@@ -154,7 +156,7 @@ def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
 
 
 def _hiding_span(radar: np.ndarray, box: np.ndarray) -> tuple[float, float] | None:
-    """Return the From where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it
+    """Return from where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it
     all.
     """
     if box.min() < CLEARANCE_M:
@@ -162,7 +164,7 @@ def _hiding_span(radar: np.ndarray, box: np.ndarray) -> tuple[float, float] | No
     share = -radar[0] / (box[:, 0] - radar[0])
     direct = radar[1] + share * (box[:, 1] - radar[1])
     by_mirror = np.abs(radar[1] - share * (box[:, 1] + radar[1]))
-    low, high = by_mirror.max() + WAY_CLEARANCE_M, direct.min() - WAY_CLEARANCE_M
+    low, high = by_mirror.max() + PATH_CLEARANCE_M, direct.min() - PATH_CLEARANCE_M
     return (0.5 * (low + high), float(direct.max()) + HIDING_REACH_M) if low < high else None
 
 
@@ -189,8 +191,8 @@ class _Frame:
         u = np.array([math.cos(self.along_rad), math.sin(self.along_rad)])
         n = self.flip * np.array([-u[1], u[0]])
         origin = self.near_m * np.array([math.cos(self.azimuth_rad), math.sin(self.azimuth_rad)])
-        placed = origin + np.asarray(points, np.float64) @ np.stack([u, n])
-        return tuple((x, y) for x, y in placed.tolist())
+        in_radar_frame = origin + np.asarray(points, np.float64) @ np.stack([u, n])
+        return tuple((x, y) for x, y in in_radar_frame.tolist())
 
 
 def comparison_place(seed: int, index: int, kind: PlaceKind) -> Scene:
@@ -228,14 +230,14 @@ class MirrorWay:
         return self.to_wall_m + self.beyond_m
 
 
-def mirror_way(scene: Scene, surface: int = 0, thing: int = 0) -> MirrorWay:
+def mirror_way(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorWay:
     """Return the way from the sensor to an object by the line of a straight wall of two points."""
     a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
     normal, offset_m = wall_from_ends(a, b, np.zeros(2))
-    place = np.array([scene.objects[thing].x_m, scene.objects[thing].y_m])
-    image = reflect(place, normal, offset_m)
+    position = np.array([scene.objects[object_index].x_m, scene.objects[object_index].y_m])
+    image = reflect(position, normal, offset_m)
     range_m = math.hypot(*image)
-    share = offset_m / (offset_m + float(normal @ place + offset_m))
+    share = offset_m / (offset_m + float(normal @ position + offset_m))
     return MirrorWay(
         to_wall_m=share * range_m,
         beyond_m=(1.0 - share) * range_m,
@@ -288,11 +290,11 @@ def incidences(scene: Scene, shown: ShownPoints, surface: int = 0) -> tuple[floa
     return float(cosine.min()), float(cosine.max())
 
 
-def _apart(points_m: np.ndarray, thing: np.ndarray) -> np.ndarray:
+def _apart(points_m: np.ndarray, object_index: np.ndarray) -> np.ndarray:
     """Return the greedy choice: indices of points at least `TRUTH_SPACING_M` from all kept ones of their object."""
     kept: list[int] = []
     for index, point_m in enumerate(points_m):
-        own = [one for one in kept if thing[one] == thing[index]]
+        own = [earlier for earlier in kept if object_index[earlier] == object_index[index]]
         if not own or np.linalg.norm(points_m[own] - point_m, axis=1).min() >= TRUTH_SPACING_M:
             kept.append(index)
     return np.array(kept, np.int64)

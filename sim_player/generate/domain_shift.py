@@ -86,7 +86,9 @@ class BoardFaults:
 def shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = HARD) -> Scene:
     """Return the same place with rougher surfaces and clutter; passes `check_scene`."""
     factor = float(rng.uniform(*params.roughness_factor))
-    surfaces = tuple(msgspec.structs.replace(one, roughness_mm=factor * one.roughness_mm) for one in scene.surfaces)
+    surfaces = tuple(
+        msgspec.structs.replace(piece, roughness_mm=factor * piece.roughness_mm) for piece in scene.surfaces
+    )
     scene = msgspec.structs.replace(scene, surfaces=surfaces)
     for kind, band in ((POST, params.posts), (SIGN, params.signs), (BUSH, params.bushes)):
         for _ in range(_count(rng, band)):
@@ -96,7 +98,7 @@ def shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = 
 
 
 def draw_faults(rng: np.random.Generator, beams: int, params: ShiftParams = HARD) -> BoardFaults:
-    """Return the Faults of one scan; a board with fewer beams than are to die keeps one."""
+    """Return the faults of one scan; a board with fewer beams than are to die keeps one."""
     gain = rng.uniform(*params.beam_gain, beams)
     phase_rad = math.radians(params.beam_phase_deg) * rng.standard_normal(beams)
     dead = np.zeros(beams, bool)
@@ -154,6 +156,6 @@ def _has_room(scene: Scene, outline_m: np.ndarray) -> bool:
 
 
 def _walls(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Ends [W, 2] of all upright pieces; none where there is only ground."""
-    upright = tuple(one for one in surfaces if one.role != "ground")
+    """Return the ends [W, 2] of all upright pieces; none where there is only ground."""
+    upright = tuple(piece for piece in surfaces if piece.role != "ground")
     return Walls.of(upright).footing if upright else (np.zeros((0, 2)), np.zeros((0, 2)))

@@ -62,9 +62,9 @@ class Boxes:
     corners: np.ndarray
 
     @classmethod
-    def of(cls, things: tuple[SceneObject, ...]) -> Boxes:
+    def of(cls, objects: tuple[SceneObject, ...]) -> Boxes:
         """Return the boxes of objects."""
-        return cls(np.array([thing.corners_m() for thing in things]).reshape(-1, 4, 2))
+        return cls(np.array([scene_object.corners_m() for scene_object in objects]).reshape(-1, 4, 2))
 
     @classmethod
     def at(cls, spot: np.ndarray, yaw_deg: np.ndarray, length_m: float, width_m: float) -> Boxes:
@@ -150,11 +150,11 @@ def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, rang
     height = spot @ normal.T + offset  # [N, W]
     foot, radar_foot = spot @ along.T - (along * a).sum(axis=1), -(along * a).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        place = (radar_foot * height + foot * offset) / (height + offset)
-        shown = (height > 1e-3) & (offset > 1e-3) & (place >= 0.0) & (place <= np.hypot(*(b - a).T))
+        along_wall = (radar_foot * height + foot * offset) / (height + offset)
+        shown = (height > 1e-3) & (offset > 1e-3) & (along_wall >= 0.0) & (along_wall <= np.hypot(*(b - a).T))
     index, wall = np.nonzero(shown)
     image = spot[index] - 2.0 * height[index, wall, None] * normal[wall]
-    specular = a[wall] + place[index, wall, None] * along[wall]
+    specular = a[wall] + along_wall[index, wall, None] * along[wall]
     distance = np.hypot(*image.T)
     good = (np.abs(np.arctan2(image[:, 1], image[:, 0])) < widest_rad) & (image[:, 0] > 0.0)
     good &= (distance > range_m[0]) & (distance < range_m[1])

@@ -58,7 +58,7 @@ GROUNDS: dict[str, tuple[float, tuple[float, float]]] = {
     "medium_dry_ground": (0.1, (1.0, 3.0)),
 }
 #: Most speed by class, m/s.
-MOST_SPEED_MPS = {"car": 15.0, "van": 15.0, "truck": 15.0, "bus": 15.0, "bicycle": 7.0, "pedestrian": 2.0}
+MAX_SPEED_MPS = {"car": 15.0, "van": 15.0, "truck": 15.0, "bus": 15.0, "bicycle": 7.0, "pedestrian": 2.0}
 
 
 #: A wall's kind (None: a building's plain sides) and its surfaces.
@@ -106,12 +106,12 @@ def draw_place(
     rng = np.random.default_rng([seed, index])
     drawn: PlaceKind = PLACE_KINDS[rng.integers(len(PLACE_KINDS))]
     kind = drawn if kind is None else kind
-    wanted = 0 if rng.random() < EMPTY_SHARE else int(rng.integers(1, 4))
-    overlap = wanted > 1 and bool(rng.random() < OVERLAP_SHARE)
+    hidden_count = 0 if rng.random() < EMPTY_SHARE else int(rng.integers(1, 4))
+    overlap = hidden_count > 1 and bool(rng.random() < OVERLAP_SHARE)
     for _ in range(ATTEMPTS):
         crowd = _walls_and_parked(rng, kind, preset)
-        _hide(rng, crowd, wanted, overlap)
-        if crowd.hidden or not wanted:
+        _hide(rng, crowd, hidden_count, overlap)
+        if crowd.hidden or not hidden_count:
             break
     for _ in range(int(rng.integers(0, 4))):
         crowd.add(rng, hide=False)
@@ -119,7 +119,7 @@ def draw_place(
         name=f"{kind}_{seed}_{index}",
         radar=draw_radar(rng, preset),
         surfaces=(*crowd.surfaces, *draw_ground(rng, preset)),
-        objects=_moving(rng, crowd) if motion else tuple(crowd.things),
+        objects=_moving(rng, crowd) if motion else tuple(crowd.objects),
         ego=_ego(rng) if motion else Ego(),
         weather=draw_weather(rng),
     )
@@ -175,36 +175,36 @@ class _Crowd:
     walls: Walls
     #: Outlines of buildings and containers.
     rings: tuple[np.ndarray, ...]
-    things: list[SceneObject] = field(default_factory=list)
+    objects: list[SceneObject] = field(default_factory=list)
     hidden: list[int] = field(default_factory=list)
     parked: int = 0
     overlapping: bool = False
     #: Ranges of the images of hidden objects, and the legs [L, 2] of the paths that show them.
     image_m: list[float] = field(default_factory=list)
-    leg_a: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    leg_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    segment_a: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    segment_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def add(self, rng: np.random.Generator, hide: bool, beside_m: float | None = None) -> bool:
         """Return a road user out of sight (with an image at about a range) or in the open; False where none fits."""
         spot, heading = _candidates(rng, self.layout, self.turn, CANDIDATES)
-        boxes = Boxes.of(tuple(self.things))
+        boxes = Boxes.of(tuple(self.objects))
         keep = ~indoors(spot, self.rings) & (np.hypot(*spot.T) > IMAGE_RANGE_M[0])
         keep[keep] = hidden(spot[keep], self.walls, boxes) == hide
         spot, heading = spot[keep], heading[keep]
         if hide:
-            seen = images(spot, self.walls, boxes, IMAGE_AZIMUTH_RAD, IMAGE_RANGE_M)
-            near = np.full(len(seen.spot), beside_m is None) | (np.abs(seen.range_m - (beside_m or 0.0)) < OVERLAP_M)
-            fits = np.unique(seen.spot[near])
+            shown = images(spot, self.walls, boxes, IMAGE_AZIMUTH_RAD, IMAGE_RANGE_M)
+            near = np.full(len(shown.spot), beside_m is None) | (np.abs(shown.range_m - (beside_m or 0.0)) < OVERLAP_M)
+            fits = np.unique(shown.spot[near])
         else:
             fits = np.flatnonzero(np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD)
         share = HIDING_SHARE if hide else CLASS_SHARE
         for name in rng.choice(list(share), len(share), replace=False, p=list(share.values())):
             yaw_deg = _yaw_deg(rng, str(name), heading)
-            for chosen in fits[self._stand(str(name), spot[fits], yaw_deg[fits], boxes, hide)][:1]:
+            for index in fits[self._stand(str(name), spot[fits], yaw_deg[fits], boxes, hide)][:1]:
                 if hide:
-                    which = (seen.spot == chosen) & near
-                    self._remember(seen.specular[which], spot[chosen], float(seen.range_m[which].min()))
-                self.things.append(_thing(str(name), spot[chosen], yaw_deg[chosen]))
+                    is_shown = (shown.spot == index) & near
+                    self._add_hidden(shown.specular[is_shown], spot[index], float(shown.range_m[is_shown].min()))
+                self.objects.append(_road_user(str(name), spot[index], yaw_deg[index]))
                 return True
         return False
 
@@ -212,18 +212,18 @@ class _Crowd:
         """Vehicles in some of the bays."""
         low, high = self.layout.parked
         count = int(rng.integers(low, high + 1))
-        for bay in rng.permutation(len(self.layout.bays)):
-            if len(self.things) == count:
+        for index in rng.permutation(len(self.layout.bays)):
+            if len(self.objects) == count:
                 break
-            place = self.layout.bays[bay]
-            name = str(rng.choice(["car", "van", "truck"] if place.large else ["car", "car", "van"]))
-            spot = self.turn.points(np.array([[place.x_m, place.y_m]]) + rng.normal(0.0, 0.1, (1, 2)))
+            bay = self.layout.bays[index]
+            name = str(rng.choice(["car", "van", "truck"] if bay.large else ["car", "car", "van"]))
+            spot = self.turn.points(np.array([[bay.x_m, bay.y_m]]) + rng.normal(0.0, 0.1, (1, 2)))
             yaw_deg = self.turn.heading_deg(
-                np.array([place.heading_deg + rng.choice([0.0, 180.0]) + rng.normal(0.0, 2.0)])
+                np.array([bay.heading_deg + rng.choice([0.0, 180.0]) + rng.normal(0.0, 2.0)])
             )
-            if not indoors(spot, self.rings)[0] and self._stand(name, spot, yaw_deg, Boxes.of(tuple(self.things)))[0]:
-                self.things.append(_thing(name, spot[0], yaw_deg[0]))
-        self.parked = len(self.things)
+            if not indoors(spot, self.rings)[0] and self._stand(name, spot, yaw_deg, Boxes.of(tuple(self.objects)))[0]:
+                self.objects.append(_road_user(name, spot[0], yaw_deg[0]))
+        self.parked = len(self.objects)
 
     def _stand(self, name: str, spot: np.ndarray, yaw_deg: np.ndarray, boxes: Boxes, hide: bool = False) -> np.ndarray:
         """Return which spots [N] leave room to walls, others, the radar, and to the paths that show hidden ones."""
@@ -238,19 +238,19 @@ class _Crowd:
         own = grown(0.0)
         good = ~grown(WALL_CLEARANCE_M).cut(*self.walls.footing)
         good &= ~grown(CLEARANCE_M).cut(*boxes.faces) & ~boxes.contain(spot).any(axis=0)
-        good &= ~own.cut(self.leg_a, self.leg_b)
+        good &= ~own.cut(self.segment_a, self.segment_b)
         if hide:
             outline = _outline(own)
             good[good] = hidden(outline[good].reshape(-1, 2), self.walls, boxes).reshape(-1, outline.shape[1]).all(1)
         fits[fits] = good
         return fits
 
-    def _remember(self, specular: np.ndarray, spot: np.ndarray, range_m: float) -> None:
+    def _add_hidden(self, specular: np.ndarray, spot: np.ndarray, range_m: float) -> None:
         """A hidden object and the paths that show it."""
-        self.hidden.append(len(self.things))
+        self.hidden.append(len(self.objects))
         self.image_m.append(range_m)
-        self.leg_a = np.concatenate([self.leg_a, np.zeros_like(specular), specular])
-        self.leg_b = np.concatenate([self.leg_b, specular, np.broadcast_to(spot, specular.shape)])
+        self.segment_a = np.concatenate([self.segment_a, np.zeros_like(specular), specular])
+        self.segment_b = np.concatenate([self.segment_b, specular, np.broadcast_to(spot, specular.shape)])
 
 
 def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset) -> _Crowd:
@@ -292,9 +292,9 @@ def _footprint(block: Block) -> np.ndarray:
     return np.array([side.start for side in block.sides().values()])
 
 
-def _hide(rng: np.random.Generator, crowd: _Crowd, wanted: int, overlap: bool) -> None:
+def _hide(rng: np.random.Generator, crowd: _Crowd, count: int, overlap: bool) -> None:
     """Road users out of sight, the second beside the first one's image if overlap is asked for."""
-    for _ in range(wanted):
+    for _ in range(count):
         beside = crowd.image_m[0] if overlap and len(crowd.image_m) == 1 else None
         if crowd.add(rng, True, beside):
             crowd.overlapping |= beside is not None
@@ -323,7 +323,7 @@ def _yaw_deg(rng: np.random.Generator, name: str, heading_deg: np.ndarray) -> np
     return np.where(free, rng.uniform(0.0, 360.0, len(heading_deg)), along)
 
 
-def _thing(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
+def _road_user(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
     """Return an object at rest."""
     return SceneObject(
         class_=name,  # type: ignore[arg-type]
@@ -396,10 +396,10 @@ def draw_weather(rng: np.random.Generator) -> Weather:
 def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
     """Return all but the parked set in motion."""
     return tuple(
-        thing
+        road_user
         if index < crowd.parked
-        else replace(thing, speed_mps=float(rng.uniform(0.0, MOST_SPEED_MPS[str(thing.class_)])))
-        for index, thing in enumerate(crowd.things)
+        else replace(road_user, speed_mps=float(rng.uniform(0.0, MAX_SPEED_MPS[str(road_user.class_)])))
+        for index, road_user in enumerate(crowd.objects)
     )
 
 

@@ -177,8 +177,8 @@ def _built(rng: np.random.Generator, start: tuple, end: tuple, kinds: tuple) -> 
 def _clutter(rng: np.random.Generator, plan: _Plan) -> tuple[Surface, ...]:
     """Return the posts, signs and bushes at the kerbs."""
     pieces = []
-    for kind, most in ((POST, 4), (SIGN, 2), (BUSH, 1)):
-        for _ in range(int(rng.integers(0, most + 1))):
+    for kind, max_count in ((POST, 4), (SIGN, 2), (BUSH, 1)):
+        for _ in range(int(rng.integers(0, max_count + 1))):
             pieces.append(_piece(rng, plan, kind))
     return tuple(pieces)
 
@@ -276,11 +276,11 @@ def _has_room(street: SideStreet, until_s: float) -> bool:
     scene, times_s = street.scene, np.arange(0.0, until_s + STEP_S, STEP_S)
     walls = Walls.of(_upright(scene))
     poses = [street.drive.pose(float(time_s)) for time_s in times_s]
-    way_m = np.array([[pose.x_m, pose.y_m] for pose in poses])
-    if segment_distance_m(way_m, *walls.footing).min() < WALL_ROOM_M:
+    path_m = np.array([[pose.x_m, pose.y_m] for pose in poses])
+    if segment_distance_m(path_m, *walls.footing).min() < WALL_ROOM_M:
         return False
     boxes = [_boxes_at(scene.objects, float(time_s)) for time_s in times_s]
-    near = (segment_distance_m(at[None], *box.faces).min() for at, box in zip(way_m, boxes, strict=True))
+    near = (segment_distance_m(at[None], *box.faces).min() for at, box in zip(path_m, boxes, strict=True))
     return min(near) >= USER_ROOM_M and not any(_collides(box, walls) for box in boxes)
 
 

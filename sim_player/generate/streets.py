@@ -48,11 +48,11 @@ def random_street(seed: int, index: int = 0) -> Scene:
     layout = (_across, _oblique, _parallel, _bend)[rng.integers(4)]
     surfaces = _flipped(layout(rng), flip=bool(rng.random() < 0.5))
     hidden_count = 0 if rng.random() < EMPTY_SHARE else int(rng.integers(1, 4))
-    things: tuple[SceneObject, ...] = ()
+    objects: tuple[SceneObject, ...] = ()
     for hidden in [True] * hidden_count + [False] * int(rng.integers(0, 4)):
-        placed = _place(rng, surfaces, things, hidden)
-        things += () if placed is None else (placed,)
-    scene = Scene(name=f"street_{seed}_{index}", surfaces=surfaces, objects=things)
+        road_user = _place(rng, surfaces, objects, hidden)
+        objects += () if road_user is None else (road_user,)
+    scene = Scene(name=f"street_{seed}_{index}", surfaces=surfaces, objects=objects)
     check_scene(scene)
     return scene
 
@@ -132,7 +132,7 @@ def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
 
 
 def _place(
-    rng: np.random.Generator, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
+    rng: np.random.Generator, surfaces: tuple[Surface, ...], objects: tuple[SceneObject, ...], hidden: bool
 ) -> SceneObject | None:
     """Return a random road user at the first candidate place that fits; None where none does."""
     name = str(rng.choice(list(CLASS_SHARE), p=list(CLASS_SHARE.values())))
@@ -140,31 +140,31 @@ def _place(
     yaw_deg = rng.choice([0.0, 90.0, 180.0, 270.0], CANDIDATES) + rng.normal(0.0, 12.0, CANDIDATES)
     fits = _in_mirror(spot, surfaces) if hidden else _in_open(spot, surfaces)
     for index in np.flatnonzero(fits):
-        thing = SceneObject(
+        road_user = SceneObject(
             class_=name,  # type: ignore[arg-type]
             x_m=float(spot[index, 0]),
             y_m=float(spot[index, 1]),
             yaw_deg=float(yaw_deg[index]),
         )
-        if _stands_well(thing, surfaces, things, hidden):
-            return thing
+        if _stands_well(road_user, surfaces, objects, hidden):
+            return road_user
     return None
 
 
 def _stands_well(
-    thing: SceneObject, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
+    road_user: SceneObject, surfaces: tuple[Surface, ...], objects: tuple[SceneObject, ...], hidden: bool
 ) -> bool:
     """Return the clear of radar, walls and others; if hidden, out of sight as a whole and not only its centre."""
     return (
-        math.hypot(thing.x_m, thing.y_m) > thing.kind.length_m
-        and all(_apart(thing, other) for other in things)
-        and wall_inside(thing, surfaces) is None
-        and (not hidden or bool(blocked(ORIGIN, thing.corners_m(), *_pieces(surfaces)).all()))
+        math.hypot(road_user.x_m, road_user.y_m) > road_user.kind.length_m
+        and all(_apart(road_user, other) for other in objects)
+        and wall_inside(road_user, surfaces) is None
+        and (not hidden or bool(blocked(ORIGIN, road_user.corners_m(), *_pieces(surfaces)).all()))
     )
 
 
 def _pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Ends of all straight pieces of wall, [W, 2] each."""
+    """Return the ends of all straight pieces of wall, [W, 2] each."""
     return (
         np.array([point for surface in surfaces for point in surface.polyline_m[:-1]]),
         np.array([point for surface in surfaces for point in surface.polyline_m[1:]]),
@@ -193,7 +193,7 @@ def _in_mirror(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
     return shown & blocked(ORIGIN, spot, a, b)
 
 
-def _apart(one: SceneObject, other: SceneObject) -> bool:
+def _apart(first: SceneObject, second: SceneObject) -> bool:
     """Return whether the circles around two objects stay apart."""
-    reach = 0.5 * sum(math.hypot(thing.kind.length_m, thing.kind.width_m) for thing in (one, other))
-    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) > reach
+    reach = 0.5 * sum(math.hypot(road_user.kind.length_m, road_user.kind.width_m) for road_user in (first, second))
+    return math.hypot(first.x_m - second.x_m, first.y_m - second.y_m) > reach

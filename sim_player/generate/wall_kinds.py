@@ -47,7 +47,7 @@ CORRELATION_MM = (5.0, 100.0)
 CONTAINER_M, CONTAINER_WIDTH_M, CONTAINER_HEIGHT_M = (6.06, 12.19), 2.44, 2.59
 CURVATURE_PER_M = (0.005, 0.06)
 #: An arc turns by no more than this, |curvature| x chord.
-MOST_TURN = 1.4
+MAX_TURN = 1.4
 #: Sound barriers follow roads, whose bends are wide.
 BARRIER_CURVATURE_PER_M = 0.008
 
@@ -198,10 +198,10 @@ def _trees(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surfac
 
 def _curved_wall(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
     """Return one arc, hollow or bulging towards its front; shortened where its bulge would not find room."""
-    least, most = CURVATURE_PER_M
+    least, widest = CURVATURE_PER_M
     chord = min(line.length_m, math.sqrt(8.0 * line.room_m / least))
-    most = max(min(most, MOST_TURN / chord, 8.0 * line.room_m / chord**2), least)
-    curvature = _log_uniform(rng, least, most) * (1.0 if rng.random() < 0.5 else -1.0)
+    widest = max(min(widest, MAX_TURN / chord, 8.0 * line.room_m / chord**2), least)
+    curvature = _log_uniform(rng, least, widest) * (1.0 if rng.random() < 0.5 else -1.0)
     height_m = float(rng.uniform(*line.height_m))
     return (surface(rng, finish, (line.start, line.at(chord)), height_m, curvature),)
 

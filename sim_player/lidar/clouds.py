@@ -76,13 +76,13 @@ class LidarCloud:
     radar_from_lidar: np.ndarray
 
 
-def rigid(place_m: tuple[float, float, float], roll_rad: float, pitch_rad: float, yaw_rad: float) -> np.ndarray:
+def rigid(position_m: tuple[float, float, float], roll_rad: float, pitch_rad: float, yaw_rad: float) -> np.ndarray:
     """Transform [4, 4] that rolls, then pitches, then yaws (about x, y, z) and then moves."""
     from scipy.spatial.transform import Rotation
 
     transform = np.eye(4)
     transform[:3, :3] = Rotation.from_euler("xyz", [roll_rad, pitch_rad, yaw_rad]).as_matrix()
-    transform[:3, 3] = place_m
+    transform[:3, 3] = position_m
     return transform
 
 
@@ -103,10 +103,10 @@ def scene_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         if surface.role != "ground":
             faces.append(_upright(chords(surface), surface.height_m))
             owner.append(WALL)
-    for index, thing in enumerate(scene.objects):
-        faces.append(_placed(thing))
+    for index, scene_object in enumerate(scene.objects):
+        faces.append(_object_triangles(scene_object))
         owner.append(index)
-    return np.concatenate(faces), np.repeat(owner, [len(one) for one in faces])
+    return np.concatenate(faces), np.repeat(owner, [len(corners) for corners in faces])
 
 
 def _upright(line_m: np.ndarray, height_m: float) -> np.ndarray:
@@ -119,12 +119,12 @@ def _upright(line_m: np.ndarray, height_m: float) -> np.ndarray:
     return np.array(pieces)
 
 
-def _placed(thing: SceneObject) -> np.ndarray:
+def _object_triangles(scene_object: SceneObject) -> np.ndarray:
     """Return the triangles of an object where it stands; a class is the box of its kind."""
-    kind = thing.kind
-    mesh: Mesh = thing.shape or box(kind.length_m, kind.width_m, kind.height_m)
+    kind = scene_object.kind
+    mesh: Mesh = scene_object.shape or box(kind.length_m, kind.width_m, kind.height_m)
     corners = mesh.corners_m
-    return np.concatenate([thing.place(corners[..., :2]), corners[..., 2:]], axis=-1)
+    return np.concatenate([scene_object.place(corners[..., :2]), corners[..., 2:]], axis=-1)
 
 
 def nearest_hits(
@@ -163,11 +163,11 @@ def radar_from_scene(scene: Scene) -> np.ndarray:
     return rigid((0.0, 0.0, -scene.radar.height_m), 0.0, 0.0, 0.0)
 
 
-def choose_viewpoints(scene: Scene, most: int = 3, spacing_m: float = 1.0) -> tuple[Viewpoint, ...]:
-    """Return the radar's own place and up to `most` - 1 others that together see as much as they can of all objects'
-    sides.
+def choose_viewpoints(scene: Scene, max_viewpoints: int = 3, spacing_m: float = 1.0) -> tuple[Viewpoint, ...]:
+    """Choose up to `max_viewpoints` viewpoints that together see as much as they can of the sides of all objects.
 
-    Each next place is in sight of the last chosen ones and near one of them, so that clouds overlap; greedy, on a grid.
+    The first is the radar's own position. Each next one is near an earlier one and in its sight, so that clouds overlap.
+    The choice is greedy, on a grid.
     """
     lines = [chords(surface) for surface in scene.surfaces if surface.role != "ground"]
     a = np.concatenate([np.zeros((0, 2)), *(line[:-1] for line in lines)])
@@ -176,27 +176,27 @@ def choose_viewpoints(scene: Scene, most: int = 3, spacing_m: float = 1.0) -> tu
     face_a, face_b = boxes.faces
     a, b = np.concatenate([a, face_a]), np.concatenate([b, face_b])
     samples, outward = _side_samples(face_a, face_b)
-    places = _free_places(a, b, boxes, samples, spacing_m)
+    candidates = _free_positions(a, b, boxes, samples, spacing_m)
 
-    def seen_from(place: np.ndarray) -> np.ndarray:
+    def seen_from(position: np.ndarray) -> np.ndarray:
         """Return the samples in sight, not so edge-on that rays would miss them."""
-        way = place - samples
-        faced = np.sum(way * outward, axis=1) > LEAST_COSINE * np.hypot(way[:, 0], way[:, 1])
-        return np.asarray(faced & ~blocked(place, samples, a, b))
+        to_viewpoint = position - samples
+        faced = np.sum(to_viewpoint * outward, axis=1) > LEAST_COSINE * np.hypot(to_viewpoint[:, 0], to_viewpoint[:, 1])
+        return np.asarray(faced & ~blocked(position, samples, a, b))
 
-    sees = np.array([seen_from(place) for place in places]).reshape(len(places), len(samples))
-    chosen, seen = [np.zeros(2)], seen_from(np.zeros(2))
-    while len(chosen) < most and len(places):
-        near = np.zeros(len(places), bool)
-        for one in chosen:
-            near |= (np.hypot(*(places - one).T) <= FARTHEST_STEP_M) & ~blocked(one, places, a, b)
-        gain = np.where(near, (sees & ~seen).sum(axis=1), 0)
+    sees = np.array([seen_from(position) for position in candidates]).reshape(len(candidates), len(samples))
+    selected, covered = [np.zeros(2)], seen_from(np.zeros(2))
+    while len(selected) < max_viewpoints and len(candidates):
+        near = np.zeros(len(candidates), bool)
+        for earlier in selected:
+            near |= (np.hypot(*(candidates - earlier).T) <= FARTHEST_STEP_M) & ~blocked(earlier, candidates, a, b)
+        gain = np.where(near, (sees & ~covered).sum(axis=1), 0)
         if gain.max(initial=0) == 0:
             break
         best = int(np.argmax(gain))
-        chosen.append(places[best])
-        seen |= sees[best]
-    return tuple(Viewpoint(x_m=float(x), y_m=float(y), yaw_deg=30.0 * index) for index, (x, y) in enumerate(chosen))
+        selected.append(candidates[best])
+        covered |= sees[best]
+    return tuple(Viewpoint(x_m=float(x), y_m=float(y), yaw_deg=30.0 * index) for index, (x, y) in enumerate(selected))
 
 
 def _side_samples(face_a: np.ndarray, face_b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -210,11 +210,11 @@ def _side_samples(face_a: np.ndarray, face_b: np.ndarray) -> tuple[np.ndarray, n
     return samples.reshape(-1, 2), np.repeat(outward, len(share), axis=0)
 
 
-def _free_places(a: np.ndarray, b: np.ndarray, boxes: Boxes, samples: np.ndarray, spacing_m: float) -> np.ndarray:
+def _free_positions(a: np.ndarray, b: np.ndarray, boxes: Boxes, samples: np.ndarray, spacing_m: float) -> np.ndarray:
     """Return the grid places [N, 2] around the radar and the objects that keep clear of everything."""
     every = np.concatenate([np.zeros((1, 2)), samples])
     low, high = every.min(axis=0) - 4.0, every.max(axis=0) + 4.0
     x, y = (np.arange(math.ceil(lo), hi, spacing_m) for lo, hi in zip(low, high, strict=True))
-    places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    free = ~boxes.contain(places).any(axis=0) & (segment_distance_m(places, a, b) > CLEARANCE_M).all(axis=1)
-    return np.asarray(places[free])
+    positions = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    free = ~boxes.contain(positions).any(axis=0) & (segment_distance_m(positions, a, b) > CLEARANCE_M).all(axis=1)
+    return np.asarray(positions[free])

@@ -39,7 +39,7 @@ from models.physics.photons.optics import (
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import PathClass
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.lidar.optical_surfaces import PATCH_M, Patches, Surfaces, all_surfaces, patches_of, thing_albedo
+from sim_player.lidar.optical_surfaces import PATCH_M, Patches, Surfaces, all_surfaces, object_albedo, patches_of
 from sim_player.scene.world import Snapshot, World, radar_pose, snapshot, wall_lines
 from sim_player.trace.paths import Paths
 from sim_player.trace.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_passage
@@ -119,9 +119,9 @@ class OpticalPaths:
     def __len__(self) -> int:
         return len(self.range_m)
 
-    def take(self, which: np.ndarray) -> OpticalPaths:
+    def take(self, selection: np.ndarray) -> OpticalPaths:
         """Return the paths of an index or mask."""
-        return OpticalPaths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return OpticalPaths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 class OpticPlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -175,23 +175,27 @@ def label_paths(
     their first wall, once for each of their mirrors; an arc counts as its chord. Labels know no normals of objects:
     these are lit head-on. A label stands at the azimuth nearest to it.
     """
-    chosen = paths.take(visible_paths(world.setup, paths, lidar.grid))
-    of_wall, at_wall = chosen.thing < 0, chosen.surface >= 0
-    albedo, factor, cosine = np.zeros(len(chosen)), np.ones(len(chosen)), np.ones(len(chosen))
-    walls = Surfaces.of_walls(world).take(chosen.surface[at_wall])
-    incidence = _label_cosines(world, chosen.take(at_wall), time_s)
+    visible = paths.take(visible_paths(world.setup, paths, lidar.grid))
+    of_wall, at_wall = visible.thing < 0, visible.surface >= 0
+    albedo, factor, cosine = np.zeros(len(visible)), np.ones(len(visible)), np.ones(len(visible))
+    walls = Surfaces.of_walls(world).take(visible.surface[at_wall])
+    incidence = _label_cosines(world, visible.take(at_wall), time_s)
     albedo[at_wall] = walls.diffuse(incidence, lidar.spad.wavelength_m, options.fresnel)
-    factor[at_wall] = walls.mirror(incidence, lidar.spad.wavelength_m, options.fresnel) ** (2.0 * chosen.order[at_wall])
+    factor[at_wall] = walls.mirror(incidence, lidar.spad.wavelength_m, options.fresnel) ** (
+        2.0 * visible.order[at_wall]
+    )
     cosine[at_wall & of_wall] = incidence[of_wall[at_wall]]
-    albedo[~of_wall] = np.array([thing_albedo(thing) for thing in world.scene.objects])[chosen.thing[~of_wall]]
-    range_m = 0.5 * chosen.length_m
+    albedo[~of_wall] = np.array([object_albedo(scene_object) for scene_object in world.scene.objects])[
+        visible.thing[~of_wall]
+    ]
+    range_m = 0.5 * visible.length_m
     made = OpticalPaths(
-        azimuth_index=np.rint(lidar.grid.azimuth_index(chosen.azimuth_rad)).astype(np.int64),
+        azimuth_index=np.rint(lidar.grid.azimuth_index(visible.azimuth_rad)).astype(np.int64),
         range_m=range_m,
         photons=factor * direct_photons(lidar.spad, range_m, albedo, cosine),
-        kind=chosen.kind,
-        way=np.where(chosen.kind == PathClass.LOS, Way.DIRECT, Way.MIRROR).astype(np.uint8),
-        thing=chosen.thing,
+        kind=visible.kind,
+        way=np.where(visible.kind == PathClass.LOS, Way.DIRECT, Way.MIRROR).astype(np.uint8),
+        thing=visible.thing,
     )
     return _within(made, lidar.spad, options)
 
@@ -208,14 +212,14 @@ def spad_histograms(
     draw = draw_histogram if closed else event_histogram
     measured = _measured(lidar, paths, options)
 
-    def one(azimuth: int) -> np.ndarray:
+    def histogram(azimuth: int) -> np.ndarray:
         rng = np.random.default_rng([*seed, azimuth])
         drawn = [draw(spad, _delay_s(group), group.photons, rng) for group in measured[azimuth]]
         return np.sum(drawn, axis=0) if drawn else np.zeros(spad.bins, np.int64)
 
     # counting events lets go of the interpreter; a draw in closed form is too short for that
     with ThreadPoolExecutor(1 if closed else len(os.sched_getaffinity(0))) as pool:
-        return _as_counts(list(pool.map(one, range(len(measured)))))
+        return _as_counts(list(pool.map(histogram, range(len(measured)))))
 
 
 def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
@@ -258,9 +262,9 @@ class _Rays:
     spread_m: np.ndarray
     slope: np.ndarray
 
-    def take(self, which: np.ndarray) -> _Rays:
+    def take(self, selection: np.ndarray) -> _Rays:
         """Return the rays of an index or mask."""
-        return _Rays(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return _Rays(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 @dataclass(frozen=True)
@@ -272,9 +276,9 @@ class _Hits:
     normal: np.ndarray
     cosine: np.ndarray
 
-    def take(self, which: np.ndarray) -> _Hits:
+    def take(self, selection: np.ndarray) -> _Hits:
         """Return the hits of an index or mask."""
-        return _Hits(self.rays.take(which), self.piece[which], self.normal[which], self.cosine[which])
+        return _Hits(self.rays.take(selection), self.piece[selection], self.normal[selection], self.cosine[selection])
 
 
 def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
@@ -284,9 +288,9 @@ def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
     rays, range_m, piece = rays.take(met), range_m[met], piece[met]
     point = rays.origin + range_m[:, None] * rays.direction
     normal = _normals(surfaces, piece, point, rays.direction)
-    there = replace(rays, origin=point, range_m=rays.range_m + range_m, spread_m=rays.spread_m + rays.slope * range_m)
+    moved = replace(rays, origin=point, range_m=rays.range_m + range_m, spread_m=rays.spread_m + rays.slope * range_m)
     cosine = surfaces.level[piece] * np.abs(np.sum(normal * rays.direction, axis=1))
-    return _Hits(there, piece, normal, np.minimum(cosine, 1.0))
+    return _Hits(moved, piece, normal, np.minimum(cosine, 1.0))
 
 
 def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -297,12 +301,12 @@ def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> t
     a, b = surfaces.a[straight], surfaces.b[straight]
     reach = CLEARANCE_M / np.maximum(np.hypot(*(b - a).T), CLEARANCE_M)
     for start in range(0, len(origin) if len(straight) else 0, step):
-        some = slice(start, start + step)
-        along, share = crossing_parameters(origin[some], origin[some] + direction[some], a, b)
+        block = slice(start, start + step)
+        along, share = crossing_parameters(origin[block], origin[block] + direction[block], a, b)
         # comparisons with NaN (parallel) are false: not met
         met = (along > CLEARANCE_M) & (share >= -reach) & (share <= 1.0 + reach)
         along = np.where(met, along, np.inf)
-        range_m[some], piece[some] = along.min(axis=1), straight[along.argmin(axis=1)]
+        range_m[block], piece[block] = along.min(axis=1), straight[along.argmin(axis=1)]
     for index in np.flatnonzero(surfaces.curvature_per_m != 0.0):
         along = _arc_ranges(surfaces.a[index], surfaces.b[index], surfaces.curvature_per_m[index], origin, direction)
         nearer = along < range_m
@@ -315,9 +319,9 @@ def _arc_ranges(
 ) -> np.ndarray:
     """Return the distance [N] to one arc, infinite where a ray misses it."""
     centre, radius_m, _, _ = arc_from_ends(a, b, curvature_per_m)
-    way = origin - centre
-    half = np.sum(way * direction, axis=1)
-    root = np.sqrt(np.maximum(half**2 - np.sum(way**2, axis=1) + radius_m**2, 0.0))
+    from_centre = origin - centre
+    half = np.sum(from_centre * direction, axis=1)
+    root = np.sqrt(np.maximum(half**2 - np.sum(from_centre**2, axis=1) + radius_m**2, 0.0))
     along = -half[:, None] + root[:, None] * np.array([-1.0, 1.0])
     point = origin[:, None] + along[..., None] * direction[:, None]
     # an arc less than a half circle is the part of its circle beyond the chord, seen from the centre
@@ -339,7 +343,7 @@ def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction
 
 
 def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
-    """Return the Rays after a mirror that leaves them a share of their power on each of both ways; the ones left
+    """Return the rays after a mirror that leaves them a share of their power on each of both ways; the ones left
     without drop.
     """
     rays, level = hits.rays, np.sum(hits.normal * hits.rays.direction, axis=1)
@@ -395,13 +399,13 @@ class _Sight:
         part = len(index) / lidar.grid.azimuth_bins
         return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
 
-    def returns(self, hits: _Hits, way: Way) -> OpticalPaths:
+    def returns(self, hits: _Hits, route: Way) -> OpticalPaths:
         """Return what the surfaces that were hit scatter straight back along the rays."""
         rays, met = hits.rays, self.surfaces.take(hits.piece)
         spad = self.lidar.spad
         albedo = met.diffuse(hits.cosine, spad.wavelength_m, self.options.fresnel)
         photons = rays.share * direct_photons(spad, rays.range_m, albedo, hits.cosine, rays.spread_m)
-        return _optical_paths(rays.azimuth_index, rays.range_m, photons, way, met.thing)
+        return _optical_paths(rays.azimuth_index, rays.range_m, photons, route, met.thing)
 
     def direct(self) -> OpticalPaths:
         """Return the first surface of every azimuth."""
@@ -409,14 +413,14 @@ class _Sight:
 
     def mirrored(self) -> list[OpticalPaths]:
         """Return what is seen in one mirror and in two."""
-        found, hits = [], self.first
+        parts, hits = [], self.first
         for _ in range(MIRRORS):
             share = self.surfaces.take(hits.piece).mirror(
                 hits.cosine, self.lidar.spad.wavelength_m, self.options.fresnel
             )
             hits = _first_hits(self.surfaces, _reflected(self.surfaces, hits, share))
-            found.append(self.returns(hits, Way.MIRROR))
-        return found
+            parts.append(self.returns(hits, Way.MIRROR))
+        return parts
 
     @property
     def spots(self) -> _Hits:
@@ -442,10 +446,10 @@ class _Sight:
     def _confocal(self, spots: _Hits, patches: Patches, blockers: Blockers) -> OpticalPaths:
         spad, height_m = self.lidar.spad, self.lidar.lidar_height_m
         spot = np.column_stack([spots.rays.origin, np.full(len(spots.piece), height_m)])
-        way = patches.place_m - spot[:, None]
-        leg_m = np.linalg.norm(way, axis=-1)
-        wall_cosine = np.einsum("nqi,ni->nq", way[..., :2], spots.normal) / leg_m
-        object_cosine = -np.einsum("nqi,qi->nq", way, patches.normal) / leg_m
+        to_patch = patches.place_m - spot[:, None]
+        spot_range_m = np.linalg.norm(to_patch, axis=-1)
+        wall_cosine = np.einsum("nqi,ni->nq", to_patch[..., :2], spots.normal) / spot_range_m
+        object_cosine = -np.einsum("nqi,qi->nq", to_patch, patches.normal) / spot_range_m
         n, q = np.nonzero((wall_cosine > 0.0) & (object_cosine > 0.0))
         free = free_passage((spot[n], patches.place_m[q]), blockers, patches.owner[q]).free
         n, q = n[free], q[free]
@@ -454,29 +458,29 @@ class _Sight:
             spad,
             spots.rays.range_m[n],
             wall_albedo[n],
-            leg_m[n, q],
+            spot_range_m[n, q],
             np.minimum(wall_cosine[n, q], 1.0),
             np.minimum(object_cosine[n, q], 1.0),
             patches.area_m2[q],
             patches.albedo[q],
         )
-        range_m = spots.rays.range_m[n] + leg_m[n, q]
+        range_m = spots.rays.range_m[n] + spot_range_m[n, q]
         return _condensed(spots.rays.azimuth_index[n], range_m, photons, patches.thing[q], spad)
 
 
 def _optical_paths(
-    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, way: Way, thing: np.ndarray
+    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, route: Way, object_index: np.ndarray
 ) -> OpticalPaths:
     """Return the paths that came one way."""
-    kind = PathClass.LOS if way == Way.DIRECT else PathClass.MIRRORED
+    kind = PathClass.LOS if route == Way.DIRECT else PathClass.MIRRORED
     count = len(range_m)
     return OpticalPaths(
-        azimuth_index, range_m, photons, np.full(count, kind, np.uint8), np.full(count, way, np.uint8), thing
+        azimuth_index, range_m, photons, np.full(count, kind, np.uint8), np.full(count, route, np.uint8), object_index
     )
 
 
 def _condensed(
-    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, thing: np.ndarray, spad: SpadParams
+    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, object_index: np.ndarray, spad: SpadParams
 ) -> OpticalPaths:
     """Return the diffuse paths, those of one object and azimuth that the timing cannot tell apart as one at their mean
     range.
@@ -484,7 +488,7 @@ def _condensed(
     Cells are half the timing's standard deviation wide, which widens it by 1 % at most.
     """
     cell_m = 0.25 * SPEED_OF_LIGHT_MPS * spad.timing_rms_s
-    key = np.stack([azimuth_index, thing, np.floor(range_m / cell_m).astype(np.int64)])
+    key = np.stack([azimuth_index, object_index, np.floor(range_m / cell_m).astype(np.int64)])
     cells, owner = np.unique(key, axis=1, return_inverse=True)
     owner, count = owner.ravel(), cells.shape[1]
     weight = np.bincount(owner, photons, count)
@@ -532,14 +536,14 @@ def _diffuse_bound(sight: _Sight) -> float:
     total = 0.0
     for index in np.unique(patches.thing):
         own = patches.thing == index
-        place = patches.place_m[own, :2]
-        middle = place.mean(axis=0)
-        reach_m = PATCH_M + np.hypot(*(place - middle).T).max()
-        way = middle - spots.rays.origin
-        leg_m = np.maximum(np.hypot(*way.T) - reach_m, CLEARANCE_M)
-        before = np.clip((np.sum(way * spots.normal, axis=1) + reach_m) / leg_m, 0.0, 1.0)
+        positions = patches.place_m[own, :2]
+        middle = positions.mean(axis=0)
+        reach_m = PATCH_M + np.hypot(*(positions - middle).T).max()
+        to_middle = middle - spots.rays.origin
+        spot_range_m = np.maximum(np.hypot(*to_middle.T) - reach_m, CLEARANCE_M)
+        before = np.clip((np.sum(to_middle * spots.normal, axis=1) + reach_m) / spot_range_m, 0.0, 1.0)
         area_m2, white = patches.area_m2[own].sum(), patches.albedo[own][0]
-        photons = confocal_photons(spad, spots.rays.range_m, albedo, leg_m, before, 1.0, area_m2, white)
+        photons = confocal_photons(spad, spots.rays.range_m, albedo, spot_range_m, before, 1.0, area_m2, white)
         total += float(photons.sum())
     return spad.pulses * total
 
@@ -574,10 +578,10 @@ def _measured(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions) -> l
         raise ValueError(f"azimuth_index must lie in 0..{count - 1}, got {paths.azimuth_index.tolist()!r}")
     order = np.argsort(paths.azimuth_index, kind="stable")
     borders = np.searchsorted(paths.azimuth_index[order], np.arange(1, count))
-    each = [paths.take(which) for which in np.split(order, borders)]
+    each = [paths.take(selection) for selection in np.split(order, borders)]
     if options.merge:
-        return [[one] for one in each]
-    return [_by_cell(one, lidar.grid.range_bin_m) for one in each]
+        return [[group] for group in each]
+    return [_by_cell(group, lidar.grid.range_bin_m) for group in each]
 
 
 def _by_cell(paths: OpticalPaths, range_bin_m: float) -> list[OpticalPaths]:
@@ -599,9 +603,9 @@ def _delay_s(paths: OpticalPaths) -> np.ndarray:
     return 2.0 * paths.range_m / SPEED_OF_LIGHT_MPS
 
 
-def _label_cosines(world: World, chosen: Paths, time_s: float) -> np.ndarray:
+def _label_cosines(world: World, visible: Paths, time_s: float) -> np.ndarray:
     """Return the cosine of incidence of labelled paths at their walls, from where they seem to come."""
     pose = radar_pose(world.scene, time_s)
     normal, _ = wall_lines(world, np.array([pose.x_m, pose.y_m]))
-    level = pose.rotate(chosen.virtual_m[:, :2]) / np.linalg.norm(chosen.virtual_m, axis=1)[:, None]
-    return np.minimum(np.abs(np.sum(level * normal[chosen.surface], axis=1)), 1.0)
+    level = pose.rotate(visible.virtual_m[:, :2]) / np.linalg.norm(visible.virtual_m, axis=1)[:, None]
+    return np.minimum(np.abs(np.sum(level * normal[visible.surface], axis=1)), 1.0)

@@ -169,21 +169,21 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 @lru_cache(maxsize=16)
-def _shape_of(thing: SceneObject) -> Mesh:
+def _shape_of(scene_object: SceneObject) -> Mesh:
     """Return the mesh of a mesh or primitive object, read once."""
-    if thing.primitive:
-        mesh = primitive_mesh(thing.primitive, thing.size_m, thing.material)
+    if scene_object.primitive:
+        mesh = primitive_mesh(scene_object.primitive, scene_object.size_m, scene_object.material)
     else:
-        mesh = load_mesh(Path(thing.mesh or ""), thing.unit, thing.material, thing.up)
-    return dataclasses.replace(mesh, vertices_m=mesh.vertices_m + np.array([0.0, 0.0, thing.z_m]))
+        mesh = load_mesh(Path(scene_object.mesh or ""), scene_object.unit, scene_object.material, scene_object.up)
+    return dataclasses.replace(mesh, vertices_m=mesh.vertices_m + np.array([0.0, 0.0, scene_object.z_m]))
 
 
 @lru_cache(maxsize=256)
-def _kind_of(thing: SceneObject) -> ObjectKind:
+def _kind_of(scene_object: SceneObject) -> ObjectKind:
     """Return the box and mean RCS of a mesh or primitive object."""
-    length, width, height = np.maximum(_shape_of(thing).extent_m, THINNEST_M).tolist()
+    length, width, height = np.maximum(_shape_of(scene_object).extent_m, THINNEST_M).tolist()
     surface = 2.0 * (length * width + width * height + height * length)
-    return ObjectKind(length, width, thing.z_m + height, db_from_ratio(surface / 4.0))
+    return ObjectKind(length, width, scene_object.z_m + height, db_from_ratio(surface / 4.0))
 
 
 class Ego(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -215,7 +215,9 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     @property
     def moves(self) -> bool:
         """Whether anything changes with time."""
-        return bool(self.ego.speed_mps or self.ego.yaw_rate_dps or any(thing.speed_mps for thing in self.objects))
+        return bool(
+            self.ego.speed_mps or self.ego.yaw_rate_dps or any(scene_object.speed_mps for scene_object in self.objects)
+        )
 
     @property
     def setup(self) -> RadarSetup:
@@ -264,11 +266,13 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:
         raise ValueError(_field_first(with_known_names(error, Scene))) from None
-    things = tuple(
-        msgspec.structs.replace(thing, mesh=str(folder / thing.mesh)) if thing.mesh else thing
-        for thing in scene.objects
+    objects = tuple(
+        msgspec.structs.replace(scene_object, mesh=str(folder / scene_object.mesh))
+        if scene_object.mesh
+        else scene_object
+        for scene_object in scene.objects
     )
-    scene = msgspec.structs.replace(scene, objects=things)
+    scene = msgspec.structs.replace(scene, objects=objects)
     check_scene(scene)
     return scene
 
@@ -295,13 +299,15 @@ def check_scene(scene: Scene) -> None:
         _ = scene.lidar
     except ValueError as error:
         raise ValueError(f"radar.spad_scan_period_s: {error}") from None
-    for field, (least, most) in WEATHER_RANGES.items():
-        if not least <= getattr(scene.weather, field) <= most:
-            raise ValueError(f"weather.{field}: must lie in {least:g}..{most:g}, got {getattr(scene.weather, field)!r}")
+    for field, (least, greatest) in WEATHER_RANGES.items():
+        if not least <= getattr(scene.weather, field) <= greatest:
+            raise ValueError(
+                f"weather.{field}: must lie in {least:g}..{greatest:g}, got {getattr(scene.weather, field)!r}"
+            )
     for index, surface in enumerate(scene.surfaces):
         _check_surface(f"surfaces[{index}]", surface, scene.setup.radar.carrier_hz)
-    for index, thing in enumerate(scene.objects):
-        _check_object(f"objects[{index}]", thing, scene)
+    for index, scene_object in enumerate(scene.objects):
+        _check_object(f"objects[{index}]", scene_object, scene)
 
 
 def _check_radar(radar: SceneRadar) -> None:
@@ -365,59 +371,63 @@ def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Po
             f"half circle, got {curvature_per_m!r} for polyline_m[{index}] to [{index + 1}] of {chord:g} m"
         )
     pieces = _arc_pieces(a, b, curvature_per_m)
-    if min(_distance_to_origin(np.array(one), np.array(other)) for one, other in pieces) < RADAR_CLEARANCE_M:
+    if min(_distance_to_origin(np.array(start), np.array(end)) for start, end in pieces) < RADAR_CLEARANCE_M:
         raise ValueError(
             f"{field}.polyline_m[{index}]: the radar at (0, 0) must stand {RADAR_CLEARANCE_M} m off every wall, "
             f"got {a} to {b}" + (f" with curvature {curvature_per_m!r}" if curvature_per_m else "")
         )
 
 
-def _check_object(field: str, thing: SceneObject, scene: Scene) -> None:
+def _check_object(field: str, scene_object: SceneObject, scene: Scene) -> None:
     """One form, a mesh that can be had, the radar outside the object, the object clear of all walls."""
-    _check_form(field, thing, scene.setup.radar.carrier_hz)
-    if thing.contains(np.zeros((1, 2)))[0]:
-        raise ValueError(f"{field}.x_m: the radar at (0, 0) must stand outside, got a {thing.object_class} around it")
-    index = wall_inside(thing, scene.surfaces)
+    _check_form(field, scene_object, scene.setup.radar.carrier_hz)
+    if scene_object.contains(np.zeros((1, 2)))[0]:
+        raise ValueError(
+            f"{field}.x_m: the radar at (0, 0) must stand outside, got a {scene_object.object_class} around it"
+        )
+    index = wall_inside(scene_object, scene.surfaces)
     if index is not None:
         raise ValueError(
             f"{field}.x_m: must stand clear of surfaces[{index}], "
-            f"got a {thing.object_class} at ({thing.x_m:g}, {thing.y_m:g}) in its wall"
+            f"got a {scene_object.object_class} at ({scene_object.x_m:g}, {scene_object.y_m:g}) in its wall"
         )
 
 
-def _check_form(field: str, thing: SceneObject, carrier_hz: float) -> None:
+def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> None:
     """Class, mesh or primitive, with the fields that belong to it; its material and shape."""
-    given = [name for name in ("class", "mesh", "primitive") if getattr(thing, "class_" if name == "class" else name)]
+    given = [
+        name for name in ("class", "mesh", "primitive") if getattr(scene_object, "class_" if name == "class" else name)
+    ]
     if len(given) != 1:
         raise ValueError(f"{field}: must have one of class, mesh, primitive, got {' and '.join(given) or 'none'}")
     allowed = {"class": (), "mesh": ("unit", "up", "material", "z_m"), "primitive": ("size_m", "material", "z_m")}
     plain = SceneObject(x_m=0.0, y_m=0.0)
     for name in ("unit", "up", "size_m", "material", "z_m"):
-        if name not in allowed[given[0]] and getattr(thing, name) != getattr(plain, name):
-            raise ValueError(f"{field}.{name}: does not belong to a {given[0]}, got {getattr(thing, name)!r}")
-    if thing.z_m < 0.0:
-        raise ValueError(f"{field}.z_m: must not be negative, got {thing.z_m!r}")
-    if thing.class_:
+        if name not in allowed[given[0]] and getattr(scene_object, name) != getattr(plain, name):
+            raise ValueError(f"{field}.{name}: does not belong to a {given[0]}, got {getattr(scene_object, name)!r}")
+    if scene_object.z_m < 0.0:
+        raise ValueError(f"{field}.z_m: must not be negative, got {scene_object.z_m!r}")
+    if scene_object.class_:
         return
     try:
-        permittivity(thing.material, carrier_hz)
+        permittivity(scene_object.material, carrier_hz)
     except ValueError as error:
         raise ValueError(f"{field}.material: {error}") from None
     try:
-        _ = thing.shape
+        _ = scene_object.shape
     except ValueError as error:
-        raise ValueError(f"{field}.mesh: {error}" if thing.mesh else f"{field}.{error}") from None
+        raise ValueError(f"{field}.mesh: {error}" if scene_object.mesh else f"{field}.{error}") from None
 
 
-def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
+def wall_inside(scene_object: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
     """Return the index of the first surface that runs through an object's box, None where it stands clear."""
     pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
     if not pieces:
         return None
     owner, a, b = (np.array(column) for column in zip(*pieces, strict=True))
-    corners = thing.corners_m()
-    cut = crosses(a, b, corners, np.roll(corners, -1, axis=0)).any(axis=1)
-    inside = cut | thing.contains(a) | thing.contains(b)
+    corners = scene_object.corners_m()
+    crossed = crosses(a, b, corners, np.roll(corners, -1, axis=0)).any(axis=1)
+    inside = crossed | scene_object.contains(a) | scene_object.contains(b)
     return int(owner[inside][0]) if inside.any() else None
 
 

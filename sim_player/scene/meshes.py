@@ -118,8 +118,8 @@ def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, n
 
 def grounded(mesh: Mesh) -> Mesh:
     """Return the mesh on the ground (min z = 0), the middle of its box over the origin."""
-    least, most = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-    middle = 0.5 * (least + most)
+    least, greatest = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+    middle = 0.5 * (least + greatest)
     return replace(mesh, vertices_m=mesh.vertices_m - np.array([middle[0], middle[1], least[2]]))
 
 
@@ -304,7 +304,7 @@ def _directed_edges(faces: np.ndarray) -> np.ndarray:
 
 
 def _wind_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the Faces of each connected part wound alike, and outward where the part encloses a volume."""
+    """Return the faces of each connected part wound alike, and outward where the part encloses a volume."""
     part, flipped, closed = _parts(faces)
     faces = np.where(flipped[:, None], faces[:, ::-1], faces)
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
@@ -327,12 +327,14 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     label = label.ravel()
     order = np.argsort(label, kind="stable")
     pairs = order[shared[label[order]] == 2].reshape(-1, 2)
-    one, other = pairs[:, 0] // 3, pairs[:, 1] // 3
+    first_face, second_face = pairs[:, 0] // 3, pairs[:, 1] // 3
     alike = edges[pairs[:, 0], 0] != edges[pairs[:, 1], 0]
-    _, part = _components(count, one, other)
+    _, part = _components(count, first_face, second_face)
     same = np.where(alike, 0, count)
     _, sheet = _components(
-        2 * count, np.concatenate([one, one + count]), np.concatenate([other + same, other + count - same])
+        2 * count,
+        np.concatenate([first_face, first_face + count]),
+        np.concatenate([second_face + same, second_face + count - same]),
     )
     # the sheet of each part's first face stays as it is
     _, first = np.unique(part, return_index=True)
@@ -341,13 +343,13 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return part, flipped, closed
 
 
-def _components(count: int, one: np.ndarray, other: np.ndarray) -> tuple[int, np.ndarray]:
+def _components(count: int, first: np.ndarray, second: np.ndarray) -> tuple[int, np.ndarray]:
     """Return the connected components of an undirected graph: their number and the label of each node."""
     # here: most scenes have no mesh
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(count, count))
+    graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(count, count))
     number, label = connected_components(graph, directed=False)
     return int(number), label
 

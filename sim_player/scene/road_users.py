@@ -109,8 +109,8 @@ def _layout(
         reach = abs(along @ half)
         count = max(round(float(2.0 * reach / CENTRE_SPACING_M)) - 1, 1)
         # jittered: even spacing would make a grating
-        place = np.linspace(-reach, reach, count + 2)[1:-1] + rng.uniform(-0.25, 0.25, count) * CENTRE_SPACING_M
-        position.append(normal * half + np.clip(place, -reach, reach)[:, None] * along)
+        offset = np.linspace(-reach, reach, count + 2)[1:-1] + rng.uniform(-0.25, 0.25, count) * CENTRE_SPACING_M
+        position.append(normal * half + np.clip(offset, -reach, reach)[:, None] * along)
         normals.append(np.tile(normal, (count, 2, 1)))
         gain.append(np.ones(count))
         exponent.append(np.full(count, kind.lobe_exponent))

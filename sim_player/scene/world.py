@@ -116,10 +116,10 @@ class World:
         permittivity, thickness_m, layers = self._faces
         solid = stack >= 0
         front[solid] = half_space_reflection(permittivity[stack[solid]], cosine[solid])
-        one = solid & (layers[stack] == 1)
-        slab = permittivity[stack[one]], cosine[one], thickness_m[stack[one]]
-        whole[one] = slab_reflection(*slab, self.radar.wavelength_m)
-        for build in np.unique(stack[solid & ~one]):
+        is_slab = solid & (layers[stack] == 1)
+        slab = permittivity[stack[is_slab]], cosine[is_slab], thickness_m[stack[is_slab]]
+        whole[is_slab] = slab_reflection(*slab, self.radar.wavelength_m)
+        for build in np.unique(stack[solid & ~is_slab]):
             here = stack == build
             whole[here] = _reflection(self.stacks[build], cosine[here], self.radar.wavelength_m)
         rough = np.sqrt(coherent_power(self.wall_roughness_m[wall], cosine, self.radar.wavelength_m))
@@ -207,8 +207,8 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
     walls, faces = len(world.wall_a), len(world.face_a)
-    meshes = np.array([thing.class_ is None for thing in world.scene.objects], bool)
-    things = np.repeat(np.arange(len(meshes)), 4)
+    meshes = np.array([scene_object.class_ is None for scene_object in world.scene.objects], bool)
+    object_index = np.repeat(np.arange(len(meshes)), 4)
     return Snapshot(
         world=world,
         pose=pose,
@@ -223,7 +223,9 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
             curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(faces)]),
             kind=np.concatenate([np.where(world.is_mirror, WALL, VOLUME), np.full(faces, BODY)]).astype(np.int8),
             # the patches of a mesh lie inside its box
-            owner=np.concatenate([np.full(walls, -1), np.where(meshes[things], things, -1)]).astype(np.int32),
+            owner=np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)]).astype(
+                np.int32
+            ),
             passing=np.concatenate([world.passing, np.zeros((faces, TABLE_STEPS + 1))]),
         ),
         normal=normal,
@@ -243,7 +245,7 @@ def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, ...], np.ndarray]:
     """Return the distinct builds of all walls, and which of them each piece has."""
-    known: dict[Layers, int] = {}
+    stack_index: dict[Layers, int] = {}
     index = []
     for surface in surfaces:
         if is_volume(surface.material):
@@ -251,18 +253,18 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
             continue
         thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
         layers = wall_layers(surface.material, thickness_m, carrier_hz)
-        index.append(known.setdefault(layers, len(known)))
-    return tuple(known), np.array(index, np.int32)
+        index.append(stack_index.setdefault(layers, len(stack_index)))
+    return tuple(stack_index), np.array(index, np.int32)
 
 
 def _reflection(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the Field reflection of a build of wall, vertical polarisation (TE)."""
+    """Return the field reflection of a build of wall, vertical polarisation (TE)."""
     permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
     return np.asarray(stack_reflection(permittivities, thicknesses, cosine, wavelength_m))
 
 
 def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the Field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
+    """Return the field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
     permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
     if np.isinf(thicknesses).any():
         return np.zeros(len(cosine), np.complex128)
@@ -272,56 +274,58 @@ def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np
 
 
 def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndarray:
-    """Return the Field left after one way through a hedge."""
+    """Return the field left after one way through a hedge."""
     depth_m = 1e-3 * (surface.thickness_mm or 1000.0) / np.maximum(cosine, 0.05)
     return np.asarray(10.0 ** (-vegetation_db(carrier_hz, depth_m) / 20.0))
 
 
 def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np.ndarray]:
     """Return the object fields of `World`."""
-    things = list(scene.objects)
-    centres = [_centres(thing, wavelength_m, seed, index) for index, thing in enumerate(things)]
-    corners = [thing.corners_m() for thing in things]
-    yaw = np.radians([thing.yaw_deg for thing in things])
-    speed = np.array([thing.speed_mps for thing in things])
+    objects = list(scene.objects)
+    centres = [_centres(scene_object, wavelength_m, seed, index) for index, scene_object in enumerate(objects)]
+    corners = [scene_object.corners_m() for scene_object in objects]
+    yaw = np.radians([scene_object.yaw_deg for scene_object in objects])
+    speed = np.array([scene_object.speed_mps for scene_object in objects])
 
     def joined(arrays: list[np.ndarray], *shape: int) -> np.ndarray:
         return np.concatenate(arrays) if arrays else np.zeros((0, *shape))
 
-    def on_plan(thing: SceneObject, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    def on_plan(scene_object: SceneObject, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
         """Return the points or vectors of the object's frame, their third coordinate kept."""
-        return np.concatenate([thing.place(points[..., :2]) - origin, points[..., 2:]], axis=-1)
+        return np.concatenate([scene_object.place(points[..., :2]) - origin, points[..., 2:]], axis=-1)
 
-    places = [np.array([thing.x_m, thing.y_m]) for thing in things]
-    own = list(zip(things, centres, places, strict=True))
+    positions = [np.array([scene_object.x_m, scene_object.y_m]) for scene_object in objects]
+    own = list(zip(objects, centres, positions, strict=True))
     return {
-        "centre_m": joined([on_plan(thing, centre.position_m, np.zeros(2)) for thing, centre, _ in own], 3),
-        "centre_normals": joined([on_plan(thing, centre.normals, place) for thing, centre, place in own], 2, 3),
-        "centre_rcs_m2": joined([centre.peak_rcs_m2 for centre in centres]),
-        "centre_phase_rad": joined([centre.phase_rad for centre in centres]),
-        "centre_exponent": joined([centre.lobe_exponent for centre in centres]),
-        "centre_floor": joined([np.full(len(centre.phase_rad), centre.lobe_floor) for centre in centres]),
-        "centre_object": np.repeat(np.arange(len(things)), np.array([len(one.phase_rad) for one in centres], int)),
+        "centre_m": joined([on_plan(scene_object, drawn.position_m, np.zeros(2)) for scene_object, drawn, _ in own], 3),
+        "centre_normals": joined(
+            [on_plan(scene_object, drawn.normals, position) for scene_object, drawn, position in own], 2, 3
+        ),
+        "centre_rcs_m2": joined([drawn.peak_rcs_m2 for drawn in centres]),
+        "centre_phase_rad": joined([drawn.phase_rad for drawn in centres]),
+        "centre_exponent": joined([drawn.lobe_exponent for drawn in centres]),
+        "centre_floor": joined([np.full(len(drawn.phase_rad), drawn.lobe_floor) for drawn in centres]),
+        "centre_object": np.repeat(np.arange(len(objects)), np.array([len(one.phase_rad) for one in centres], int)),
         "face_a": joined(corners, 2),
         "face_b": joined([np.roll(box, -1, axis=0) for box in corners], 2),
-        "face_height_m": np.repeat(np.array([thing.kind.height_m for thing in things], float), 4),
+        "face_height_m": np.repeat(np.array([scene_object.kind.height_m for scene_object in objects], float), 4),
         "velocity_mps": np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw)]),
     }
 
 
-def _centres(thing: SceneObject, wavelength_m: float, seed: int, index: int) -> ScatteringCentres:
+def _centres(scene_object: SceneObject, wavelength_m: float, seed: int, index: int) -> ScatteringCentres:
     """Return the scattering centres of one object: drawn for a class, computed for a mesh."""
-    mesh = thing.shape
+    mesh = scene_object.shape
     if mesh is None:
-        return scattering_centres(thing.object_class, seed, index)
-    found = mesh_centres(mesh, wavelength_m)
+        return scattering_centres(scene_object.object_class, seed, index)
+    centres = mesh_centres(mesh, wavelength_m)
     return ScatteringCentres(
-        position_m=found.position_m,
-        normals=np.stack([found.normal, found.normal], axis=1),
-        peak_rcs_m2=found.peak_rcs_m2,
+        position_m=centres.position_m,
+        normals=np.stack([centres.normal, centres.normal], axis=1),
+        peak_rcs_m2=centres.peak_rcs_m2,
         # what tells the patches of a mesh apart is their place
-        phase_rad=np.zeros(len(found.peak_rcs_m2)),
-        lobe_exponent=found.lobe_exponent,
+        phase_rad=np.zeros(len(centres.peak_rcs_m2)),
+        lobe_exponent=centres.lobe_exponent,
         lobe_floor=0.0,
     )
 
@@ -330,7 +334,7 @@ def _wall_specks(
     wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
     """Return the wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
-    place, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
+    position, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
     normal = [np.zeros((0, 2))]
     rng = np.random.default_rng([seed, 2])
     for index, (a, b) in enumerate(zip(wall_a, wall_b, strict=True)):
@@ -342,7 +346,7 @@ def _wall_specks(
         # the ends a hand's breadth inside, where a real edge has its depth
         joints = np.clip(joints, 0.02 / wall_length, max(1.0 - 0.02 / wall_length, 0.5))
         share = np.concatenate([patch, joints])
-        place.append(arc_points(a, b, curvature_per_m[index], share))
+        position.append(arc_points(a, b, curvature_per_m[index], share))
         normal.append(arc_normals(a, b, curvature_per_m[index], share))
         owner.append(np.full(len(share), index))
         length.append(np.concatenate([np.full(count, wall_length / count), np.zeros(len(joints))]))
@@ -350,7 +354,7 @@ def _wall_specks(
         rcs.append(np.concatenate([np.zeros(count), 10.0 ** (level_db / 10.0)]))
     phase = rng.uniform(0.0, 2.0 * np.pi, sum(map(len, rcs)))
     return {
-        "speck_m": np.concatenate(place),
+        "speck_m": np.concatenate(position),
         "speck_normal": np.concatenate(normal),
         "speck_wall": np.concatenate(owner),
         "speck_length_m": np.concatenate(length),

@@ -82,7 +82,7 @@ def grid_spread(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _kernel_shape() -> float:
-    """Return the Beta of the Kaiser-Bessel kernel at this width and oversampling."""
+    """Return the beta of the Kaiser-Bessel kernel at this width and oversampling."""
     return math.pi * KERNEL_WIDTH * (1.0 - 0.5 / OVERSAMPLING) * 0.98
 
 
@@ -215,7 +215,7 @@ def _fill_codes(
     terms, count = beat_re.shape
     re, im = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     both = np.empty(2 * BLOCK, np.float32)
-    least, most = np.float32(-32768.0), np.float32(32767.0)
+    least, greatest = np.float32(-32768.0), np.float32(32767.0)
     # block by block: the terms of a block stay in the nearest cache for all chirps
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)
@@ -237,8 +237,8 @@ def _fill_codes(
             for n in range(size):
                 i = c * re[n] - s * im[n] + p * noise_re[n] - q * noise_im[n]
                 j = sign * (s * re[n] + c * im[n]) + q * noise_re[n] + p * noise_im[n]
-                both[2 * n] = min(max(np.rint(i), least), most)
-                both[2 * n + 1] = min(max(np.rint(j), least), most)
+                both[2 * n] = min(max(np.rint(i), least), greatest)
+                both[2 * n + 1] = min(max(np.rint(j), least), greatest)
             for n in range(2 * size):
                 out[n] = np.int16(np.int32(both[n]))
 

@@ -96,11 +96,11 @@ def kernel_objections(
 
     The converter's peak is first bounded by the sum of amplitudes; only beams over that are summed up in time.
     """
-    found = [motion_objection(paths, effects)]
+    objections = [motion_objection(paths, effects)]
     if effects.adc:
-        found.append(dither_objection(setup, front_end, effects.thermal_noise))
-        found.append(overload_objection(setup, _peak(setup, paths, effects, front_end)))
-    return [reason for reason in found if reason is not None]
+        objections.append(dither_objection(setup, front_end, effects.thermal_noise))
+        objections.append(overload_objection(setup, _peak(setup, paths, effects, front_end)))
+    return [reason for reason in objections if reason is not None]
 
 
 def motion_objection(paths: Paths, effects: SignalEffects) -> str | None:
@@ -269,7 +269,7 @@ def beam_beats(
     front_end: FrontEnd = NO_FAULTS,
     beams: slice = slice(None),
 ) -> np.ndarray:
-    """Return the Echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
+    """Return the echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
     return echo_beats(swept_echoes(setup, paths, effects, front_end, beams))
 
 

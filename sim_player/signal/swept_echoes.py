@@ -107,7 +107,7 @@ def swept_echoes(
     beams: slice = slice(None),
     precision: str = "float64",
 ) -> SweptEchoes:
-    """Return the Echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown
+    """Return the echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown
     precision.
     """
     if precision not in TOLERANCE:
@@ -123,7 +123,7 @@ def moving_echoes(
     beam: int,
     precision: str = "float64",
 ) -> tuple[SweptEchoes, np.ndarray, np.ndarray]:
-    """Return the Echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows,
+    """Return the echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows,
     chirps].
 
     ValueError for an unknown precision.
@@ -242,19 +242,19 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
     )
 
 
-def _values(factors: _Factors, slow: _SlowTime | None, places: list[tuple[float, bool]], kind: type) -> np.ndarray:
+def _values(factors: _Factors, slow: _SlowTime | None, instants: list[tuple[float, bool]], kind: type) -> np.ndarray:
     """Return the recorded weights at (share of the chirp, previous chirp's?) places, [places, R, P]."""
     recorded = {previous: factors.recorded(previous) for previous in (False, True)}
     if slow is None:
         rows = factors.beams
     else:
-        slow.prepare([factors.since_sent_s(*place) for place in places])
+        slow.prepare([factors.since_sent_s(*instant) for instant in instants])
         rows = len(slow.basis)
-    values: np.ndarray = np.empty((len(places), rows, len(factors.paths)), kind)
-    for index, place in enumerate(places):
-        values[index] = factors.at(*place) * recorded[place[1]]
+    values: np.ndarray = np.empty((len(instants), rows, len(factors.paths)), kind)
+    for index, instant in enumerate(instants):
+        values[index] = factors.at(*instant) * recorded[instant[1]]
         if slow is not None:
-            values[index] *= slow.at(index, place[0], factors.since_sent_s(*place))
+            values[index] *= slow.at(index, instant[0], factors.since_sent_s(*instant))
     return values
 
 

@@ -61,7 +61,7 @@ def exact_phases(setup: RadarSetup) -> RadarSetup:
 
 
 def column_weights(setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd) -> np.ndarray:
-    """Return the Excitation of the columns: steering weights, exact or in steps, coupled or not; complex128 [beams,
+    """Return the excitation of the columns: steering weights, exact or in steps, coupled or not; complex128 [beams,
     columns].
     """
     weights = setup_weights(setup if effects.quantised_phases else exact_phases(setup))

@@ -21,7 +21,7 @@ def weights(echoes: Echoes, world: World, effects: frozenset[str]) -> np.ndarray
 
 
 def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
-    """Return the Echoes as the radar has them: its own frame, directions as angles, weights under the effects."""
+    """Return the echoes as the radar has them: its own frame, directions as angles, weights under the effects."""
     out_m, back_m = echoes.out_m, echoes.back_m
     if "non_cofocal" in effects and view.world.scene.radar.separation_m > 0.0:
         out_m, back_m = _separated(view, echoes)

@@ -45,9 +45,9 @@ class Echoes:
     def __len__(self) -> int:
         return len(self.weight)
 
-    def take(self, which: np.ndarray) -> Echoes:
+    def take(self, selection: np.ndarray) -> Echoes:
         """Return the echoes of an index or mask."""
-        return Echoes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return Echoes(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def join_echoes(parts: list[Echoes]) -> Echoes:
@@ -66,7 +66,7 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
-    """Return the Echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice
+    """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice
     (either first).
     """
     out, back = routes.take(pairs[0]), routes.take(pairs[1])
@@ -115,7 +115,7 @@ def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def surface_echoes(
     view: Snapshot, routes: Routes, weight: np.ndarray, point: np.ndarray, wall: np.ndarray, needs: int
 ) -> Echoes:
-    """Return the Echoes of places on walls, out and back by the same route; `weight` already divided by the lengths."""
+    """Return the echoes of places on walls, out and back by the same route; `weight` already divided by the lengths."""
     count = len(routes)
     return Echoes(
         weight=weight * routes.other**2,
@@ -149,12 +149,12 @@ def _order(routes: Routes) -> np.ndarray:
     return ((routes.wall >= 0).astype(np.uint8) + (routes.wall2 >= 0)).astype(np.uint8)
 
 
-def centre_rcs_m2(world: World, which: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def centre_rcs_m2(world: World, centre: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Return the RCS of some centres of a world towards unit vectors [N, 3]."""
     return seen_rcs_m2(
-        world.centre_rcs_m2[which],
-        world.centre_normals[which],
-        world.centre_exponent[which],
+        world.centre_rcs_m2[centre],
+        world.centre_normals[centre],
+        world.centre_exponent[centre],
         direction,
-        world.centre_floor[which],
+        world.centre_floor[centre],
     )

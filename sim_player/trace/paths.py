@@ -39,9 +39,9 @@ class Paths:
     def __len__(self) -> int:
         return len(self.length_m)
 
-    def take(self, which: np.ndarray) -> Paths:
+    def take(self, selection: np.ndarray) -> Paths:
         """Return the paths of an index or mask."""
-        return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return Paths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def join(parts: list[Paths]) -> Paths:

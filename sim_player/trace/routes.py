@@ -50,9 +50,9 @@ class Routes:
     def __len__(self) -> int:
         return len(self.length_m)
 
-    def take(self, which: np.ndarray) -> Routes:
+    def take(self, selection: np.ndarray) -> Routes:
         """Return the routes of an index or mask."""
-        return Routes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return Routes(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def join_routes(parts: list[Routes]) -> Routes:
@@ -67,7 +67,7 @@ def make_routes(
     length_m: np.ndarray,
     depart: np.ndarray,
     arrive: np.ndarray,
-    legs: Passage,
+    occlusion: Passage,
     needs: int,
     *,
     wall: np.ndarray | int = NONE,
@@ -97,26 +97,26 @@ def make_routes(
         whole=spread(whole, np.complex128),
         front=spread(front, np.complex128),
         rough=spread(rough, np.float64),
-        foliage=legs.foliage,
+        foliage=occlusion.foliage,
         other=spread(other, np.complex128),
         needs=spread(needs, np.uint32),
     )
 
 
 def no_routes() -> Routes:
-    """Return None at all."""
+    """Return no routes."""
     none, vectors = np.zeros(0), np.zeros((0, 3))
     return make_routes(np.zeros(0, int), none, vectors, vectors, Passage(none > 0.0, none + 0j, none), 0)
 
 
 def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Passage]:
     """Return the straight from the antenna to points [N, 3], whatever stands between; and what stands between."""
-    legs = passage(view.antenna, point_m, view.blockers, owner)
+    occlusion = passage(view.antenna, point_m, view.blockers, owner)
     ray = point_m - view.antenna
     length = norm(ray)
     direction = ray / np.maximum(length, 1e-9)[:, None]
-    routes = make_routes(np.arange(len(point_m)), length, direction, direction, legs, 0)
-    return routes, legs
+    routes = make_routes(np.arange(len(point_m)), length, direction, direction, occlusion, 0)
+    return routes, occlusion
 
 
 @dataclass(frozen=True)
@@ -169,35 +169,35 @@ def mirror_routes(
 
     `ignore_wall` names a piece of wall that stands in no leg.
     """
-    found = plane_bounces(view, view.antenna, point_m, mirrors)
-    target_m = point_m[found.target]
+    bounces = plane_bounces(view, view.antenna, point_m, mirrors)
+    target_m = point_m[bounces.target]
     blockers = view.blockers if ignore_wall is None else without(view.blockers, ignore_wall)
-    legs = in_series(
-        passage(view.antenna, found.specular, blockers),
-        passage(found.specular, target_m, blockers, owner[found.target]),
+    occlusion = in_series(
+        passage(view.antenna, bounces.specular, blockers),
+        passage(bounces.specular, target_m, blockers, owner[bounces.target]),
     )
-    ray = found.image - view.antenna
+    ray = bounces.image - view.antenna
     length = norm(ray)
     direction = ray / np.maximum(length, 1e-9)[:, None]
-    arrive = reflect(direction, found.normal, 0.0)
-    whole, front, rough = view.world.reflection(found.wall, np.abs(dot(direction[:, :2], found.normal)))
+    arrive = reflect(direction, bounces.normal, 0.0)
+    whole, front, rough = view.world.reflection(bounces.wall, np.abs(dot(direction[:, :2], bounces.normal)))
     routes = make_routes(
-        found.target,
+        bounces.target,
         length,
         direction,
         arrive,
-        legs,
+        occlusion,
         bit("specular_relay"),
-        wall=found.wall,
+        wall=bounces.wall,
         whole=whole,
         front=front,
         rough=rough,
     )
-    return routes, legs
+    return routes, occlusion
 
 
-def _take(bounces: Bounces, which: np.ndarray) -> Bounces:
-    return Bounces(**{field.name: getattr(bounces, field.name)[which] for field in fields(bounces)})
+def _take(bounces: Bounces, selection: np.ndarray) -> Bounces:
+    return Bounces(**{field.name: getattr(bounces, field.name)[selection] for field in fields(bounces)})
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:

@@ -51,19 +51,19 @@ class Passage:
     #: Field factor of all foliage crossed.
     foliage: np.ndarray
 
-    def take(self, which: np.ndarray) -> Passage:
+    def take(self, selection: np.ndarray) -> Passage:
         """Return the legs of an index or mask."""
-        return Passage(self.free[which], self.through[which], self.foliage[which])
+        return Passage(self.free[selection], self.through[selection], self.foliage[selection])
 
 
-def passing_factor(passing: np.ndarray, which: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Return the Field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all
+def passing_factor(passing: np.ndarray, piece: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Return the field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all
     pieces.
     """
     position = np.clip(cosine, 0.0, 1.0) * TABLE_STEPS
     step = np.minimum(position.astype(np.int64), TABLE_STEPS - 1)
     share = position - step
-    return np.asarray((1.0 - share) * passing[which, step] + share * passing[which, step + 1])
+    return np.asarray((1.0 - share) * passing[piece, step] + share * passing[piece, step + 1])
 
 
 def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
@@ -86,11 +86,11 @@ def free_passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.n
 
 def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int, give_up: bool) -> Passage:
     count = len(points[-1])
-    chain = np.empty((len(points), count, 3))
+    vertices_m = np.empty((len(points), count, 3))
     for index, point in enumerate(points):
-        chain[index] = point
+        vertices_m[index] = point
     free, through, foliage = _follow(
-        chain,
+        vertices_m,
         np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count)),
         blockers.a,
         blockers.b,
@@ -111,17 +111,17 @@ def without(blockers: Blockers, index: int) -> Blockers:
     )
 
 
-def in_series(*legs: Passage) -> Passage:
+def in_series(*segments: Passage) -> Passage:
     """Return the legs travelled one after the other."""
-    free, through, foliage = legs[0].free, legs[0].through, legs[0].foliage
-    for leg in legs[1:]:
-        free, through, foliage = free & leg.free, through * leg.through, foliage * leg.foliage
+    free, through, foliage = segments[0].free, segments[0].through, segments[0].foliage
+    for segment in segments[1:]:
+        free, through, foliage = free & segment.free, through * segment.through, foliage * segment.foliage
     return Passage(free, through, foliage)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_up):  # type: ignore[no-untyped-def]
-    stops, count, pieces = chain.shape[0], chain.shape[1], len(a)
+def _follow(vertices_m, owners, a, b, height, curvature, kind, owner, passing, give_up):  # type: ignore[no-untyped-def]
+    vertices, count, pieces = vertices_m.shape[0], vertices_m.shape[1], len(a)
     free = np.ones(count, np.bool_)
     through = np.ones(count, np.complex128)
     foliage = np.ones(count, np.float64)
@@ -134,13 +134,17 @@ def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_u
         bent[m] = abs(curvature[m]) * wall >= STRAIGHT
         line[m] = a[m, 0], a[m, 1], wx, wy, wall, CLEARANCE_M / max(wall, CLEARANCE_M)
     for n in range(count):
-        for leg in range(stops - 1):
+        for segment in range(vertices - 1):
             # tuples: views of arrays would be counted references in the inner loop
-            sx, sy, sz = chain[leg, n, 0], chain[leg, n, 1], chain[leg, n, 2]
-            rx, ry, rise = chain[leg + 1, n, 0] - sx, chain[leg + 1, n, 1] - sy, chain[leg + 1, n, 2] - sz
+            sx, sy, sz = vertices_m[segment, n, 0], vertices_m[segment, n, 1], vertices_m[segment, n, 2]
+            rx, ry, rise = (
+                vertices_m[segment + 1, n, 0] - sx,
+                vertices_m[segment + 1, n, 1] - sy,
+                vertices_m[segment + 1, n, 2] - sz,
+            )
             ray = (sx, sy, sz, rx, ry, rise, math.hypot(rx, ry))
             lowest = sz + min(rise, 0.0)
-            own = owners[n] if leg == stops - 2 else -1
+            own = owners[n] if segment == vertices - 2 else -1
             for m in range(pieces):
                 if lowest >= height[m] or (owner[m] >= 0 and owner[m] == own):
                     continue
@@ -160,9 +164,9 @@ def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_u
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _straight(leg, piece):  # type: ignore[no-untyped-def]
+def _straight(segment, piece):  # type: ignore[no-untyped-def]
     """Cosine of incidence where a leg meets a straight piece, -1 where it does not."""
-    sx, sy, sz, rx, ry, rise, ray = leg
+    sx, sy, sz, rx, ry, rise, ray = segment
     ax, ay, wx, wy, wall, wider, height = piece
     # shares along leg and piece times `turn`: most pieces are passed by without a division
     turn = rx * wy - ry * wx
@@ -198,8 +202,8 @@ def _meet(n, m, cosine, kind, passing, free, through, foliage):  # type: ignore[
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _arc(n, m, leg, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
-    sx, sy, sz, rx, ry, rise, _ = leg
+def _arc(n, m, segment, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
+    sx, sy, sz, rx, ry, rise, _ = segment
     wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
     chord = math.hypot(wx, wy)
     # an arc less than a half circle keeps within half its chord of it: most legs pass it by
@@ -229,10 +233,10 @@ def _arc(n, m, leg, a, b, height, curvature, kind, passing, free, through, folia
             continue
         px, py = sx + along * rx, sy + along * ry
         # the arc is the part of the circle beside its chord, on the far side from the centre
-        place = (px - a[m, 0]) * wx + (py - a[m, 1]) * wy
+        along_chord = (px - a[m, 0]) * wx + (py - a[m, 1]) * wy
         side = (px - a[m, 0]) * wy - (py - a[m, 1]) * wx
         wider = ARC_CLEARANCE_M * chord
-        if not -wider <= place <= chord * chord + wider or side * radius < -wider * abs(radius):
+        if not -wider <= along_chord <= chord * chord + wider or side * radius < -wider * abs(radius):
             continue
         if sz + rise * along < height[m]:
             cosine = abs((px - cx) * rx + (py - cy) * ry) / (abs(radius) * math.sqrt(square + rise * rise))

@@ -21,8 +21,8 @@ class Tracing:
 
     def clear_routes(self, *names: str) -> Routes:
         """Return the routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
-        found = [self.routes[name] for name in names if name in self.routes]
-        return join_routes(found) if found else no_routes()
+        routes = [self.routes[name] for name in names if name in self.routes]
+        return join_routes(routes) if routes else no_routes()
 
     @cached_property
     def straight(self) -> tuple[Routes, Passage]:

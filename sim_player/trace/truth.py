@@ -95,12 +95,12 @@ def scene_truth(
     """
     pose = radar_pose(world.scene, time_s) if start_from_radar is None else start_from_radar
     radar_from_start = pose.inverse()
-    chosen = paths.take(visible_paths(setup, paths))
-    mirrored = chosen.take(chosen.kind == PathClass.MIRRORED)
+    visible = paths.take(visible_paths(setup, paths))
+    mirrored = visible.take(visible.kind == PathClass.MIRRORED)
     return SceneTruth(
         stamp_ns=stamp_ns,
         scan_id=scan_id,
-        los_points_m=chosen.point_m[chosen.kind == PathClass.LOS].astype(np.float32),
+        los_points_m=visible.point_m[visible.kind == PathClass.LOS].astype(np.float32),
         mirrored_points_m=mirrored.virtual_m.astype(np.float32),
         hidden_points_m=mirrored.point_m.astype(np.float32),
         hidden_object=mirrored.thing.astype(np.int32),
@@ -145,36 +145,36 @@ def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
     )
 
 
-def _strongest(thing: np.ndarray, snr_db: np.ndarray, count: int) -> np.ndarray:
+def _strongest(object_index: np.ndarray, snr_db: np.ndarray, count: int) -> np.ndarray:
     """Return the largest value of each object [count]; -inf where it has none."""
-    found = np.full(count, -np.inf)
-    np.maximum.at(found, thing, snr_db)
-    return found
+    strongest = np.full(count, -np.inf)
+    np.maximum.at(strongest, object_index, snr_db)
+    return strongest
 
 
 def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
     """Return all objects of the scene where the radar has them at a time."""
     hidden = hidden_objects(paths)
-    found = []
-    for index, thing in enumerate(world.scene.objects):
+    objects = []
+    for index, scene_object in enumerate(world.scene.objects):
         velocity = world.velocity_mps[index]
-        x, y = radar_from_start.apply(np.array([thing.x_m, thing.y_m]) + velocity * time_s)
+        x, y = radar_from_start.apply(np.array([scene_object.x_m, scene_object.y_m]) + velocity * time_s)
         vx, vy = radar_from_start.rotate(velocity)
-        found.append(
+        objects.append(
             TruthObject(
                 id=index,
-                object_class=thing.object_class,
+                object_class=scene_object.object_class,
                 x_m=float(x),
                 y_m=float(y),
-                length_m=thing.kind.length_m,
-                width_m=thing.kind.width_m,
-                yaw_rad=math.remainder(math.radians(thing.yaw_deg) + radar_from_start.yaw_rad, 2.0 * math.pi),
+                length_m=scene_object.kind.length_m,
+                width_m=scene_object.kind.width_m,
+                yaw_rad=math.remainder(math.radians(scene_object.yaw_deg) + radar_from_start.yaw_rad, 2.0 * math.pi),
                 velocity_x_mps=float(vx),
                 velocity_y_mps=float(vy),
                 hidden=index in hidden,
             )
         )
-    return tuple(found)
+    return tuple(objects)
 
 
 def _surfaces(world: World, radar_from_start: Pose2) -> tuple[TruthSurface, ...]:

@@ -1,4 +1,4 @@
-"""Detection without a network: CFAR, lobe suppression, and classes from the walls it finds itself."""
+"""Detection without a network: CFAR, lobe suppression, and classes from the walls among the detections."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from msgs.values.radar import RangeAzimuthMap
 
 
 class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that tell images."""
+    """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that separate images."""
 
     kind: Literal["os", "ca"] = "os"
     #: Ordered statistic: window in range bins, which share of it counts as quiet, ranges that share a window.
@@ -33,7 +33,7 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     guard: tuple[int, int] = (4, 14)
     training: tuple[int, int] = (20, 24)
     false_alarm_rate: float = 1e-4
-    #: Walls that tell images from direct returns; an image lies at least this deep behind one.
+    #: Walls that separate images from direct returns; an image lies at least this deep behind one.
     cluster_eps_m: float = 4.0
     cluster_min_points: int = 2
     min_depth_m: float = 1.5
@@ -110,9 +110,8 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def warm(params: CfarParams) -> None:
-    """Compile what maps will need, or load it, with the threshold of those no shorter than the window.
-
-    The first map should not pay for that: it was a second on a busy machine, and the next ones outdated by then.
+    """Compile the kernels that maps need, or load them, with the threshold of maps no shorter than the window. The
+    first map must not wait for that: it took a second on a busy machine, and the next maps were outdated by then.
     """
     from models.perception.geometry.stage import made_up_peaks
 
@@ -129,7 +128,7 @@ def _rank(window: int, params: CfarParams) -> int:
 @lru_cache(maxsize=32)
 def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> float:
     """Return the threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
-    # here: a network needs no threshold, and this is a fifth of what its node takes to start
+    # imported here: a network needs no threshold, and this import is a fifth of the start time of its node
     from scipy.optimize import brentq
 
     left = count - np.arange(rank)
@@ -153,9 +152,7 @@ def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
 
 
 def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
-    """Return the classified peaks of a map without a network: detect, then tell images by the walls in front of
-    them.
-    """
+    """Return the classified peaks of a map without a network: detect, then mark images by the walls in front of them."""
     return classify_behind_walls(detect(ra_map, params), params)
 
 
@@ -174,10 +171,11 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
 
 
 def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
-    """Mark as mirrored what lies behind a wall that the nearer detections make up; no network, no truth.
+    """Mark as mirrored the detections behind a wall that nearer detections form; no network, no truth.
 
     All peaks start as direct. The nearest wall not yet used marks every peak whose ray it crosses and that is deeper
-    than `min_depth_m`; walls are then found anew among the direct ones, so that images never make a wall that counts.
+    than `min_depth_m`; walls are then fitted again among the direct ones, so that images never form a wall that is
+    used.
     Ends when no wall hides a direct peak.
     """
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)

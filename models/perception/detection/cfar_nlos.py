@@ -1,4 +1,4 @@
-"""CFAR-NLOS, the classical baseline of section 4.1: CFAR detections, told apart by privileged truth of direct returns.
+"""CFAR-NLOS, the classical baseline of section 4.1: CFAR detections, classified by privileged truth of direct returns.
 
 It stands for a LiDAR that knows the wall: what lies at a true LOS point is LOS, everything else counts as mirrored.
 """
@@ -20,8 +20,9 @@ from msgs.values.radar import RangeAzimuthMap
 class CfarNlosParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Detector and tolerances; the defaults are the best of a sweep of dense Macro-F1 over 200 training scenes (0.66).
 
-    P_fa from 1e-12 to 1e-2 changes that by 0.003, for what is false stands 20-40 dB over the noise: side lobes and
-    returns that are no truth points. The level does: 0.64 at 13 dB, 0.66 at 26-30. Cell averaging, the published kind,
+    P_fa from 1e-12 to 1e-2 changes that by 0.003, because false detections are 20-40 dB over the noise: side lobes and
+    returns that are no truth points. The level matters: 0.64 at 13 dB, 0.66 at 26-30. Cell averaging, the published
+    kind,
     gives 0.39 at 1e-4 and 0.61 at 0.4, the largest tried and still rising: a wall fills the cells that are averaged.
     """
 

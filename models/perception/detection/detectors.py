@@ -1,4 +1,4 @@
-"""From a range-azimuth map to classified peaks: with a network or without, by the same call."""
+"""Detectors of classified peaks in a range-azimuth map, with a network or without, behind one call."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from models.perception.geometry.observability import UNKNOWN_SENSITIVITY_DB, sen
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 
-#: Where a network's peaks lie: at the heatmap's own maxima; on the ridges of the map; on the ridges, then where the
-#: complex map makes point echoes likeliest; at the maxima, then there too; by pursuit, as many peaks as the heatmap's
-#: mass is worth.
+#: Placement of a network's peaks. "none": at the maxima of the heatmap. "ridge": on the ridges of the map.
+#: "likelihood": on the ridges, then moved to the likeliest positions of point echoes on the complex map.
+#: "maxima_likelihood": at the maxima, then moved likewise. "pursuit": as many peaks as the heatmap's mass is worth.
 Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"]
-#: What `True` means: the best on the validation scenes (docs/learned-reconstruction.md).
+#: Placement that `True` stands for: the best on the validation scenes (docs/learned-reconstruction.md).
 DEFAULT_REFINE: Refine = "pursuit"
 
 
@@ -62,7 +62,7 @@ class NetworkDetector:
         self._predictor.card.encoding.check_array(setup, self._predictor.card.grid)
         self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
         if placement == "pursuit":
-            # the first map should not pay for compiling
+            # compile now: the first map must not wait for it
             pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
         self._ridge_matching, self._refine = ridge_matching or NamedParams(), placement
         self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
@@ -92,12 +92,12 @@ class NetworkDetector:
 
 
 def detector_name(sha256: str, placement: Refine, flip_test: bool) -> str:
-    """Return what `Peaks.detector` says of a network's peaks: which file, placed how."""
+    """Return the value of `Peaks.detector` for a network: its file and the placement of its peaks."""
     return f"{sha256}/{placement}{'/flip_test' if flip_test else ''}"
 
 
 def refine_way(refine: bool | Refine) -> Refine:
-    """Return the way that a switch or a word stands for; raises ValueError for another word."""
+    """Return the placement that a switch or a word stands for; raises ValueError for another word."""
     if isinstance(refine, bool):
         return DEFAULT_REFINE if refine else "none"
     if refine not in get_args(Refine):
@@ -106,7 +106,7 @@ def refine_way(refine: bool | Refine) -> Refine:
 
 
 class CfarDetector:
-    """No network: constant false alarm rate, and what lies behind a wall is mirrored."""
+    """Detector without a network: constant false alarm rate; returns behind a wall are classified as mirrored."""
 
     def __init__(self, setup: RadarSetup, params: CfarParams | None = None) -> None:
         self._params = params or CfarParams()
@@ -120,9 +120,8 @@ class CfarDetector:
 
 
 class PhotonDetector:
-    """The same for maps of a LiDAR: what it would see of an object is not stated, so that nothing counts as observed.
-
-    A radar cross-section says nothing of light.
+    """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed. A radar
+    cross-section says nothing about light.
     """
 
     def __init__(self, params: CfarParams = PHOTON_CFAR) -> None:

@@ -1,4 +1,4 @@
-"""From a complex range-azimuth map to a network's input: one function for training and for the vehicle.
+"""Network input from a complex range-azimuth map: one function for training and for the vehicle.
 
 The azimuth axis of a map carries only the 2N-1 = 15 coefficients of the co-array, so its power is sampled without loss
 by 29 columns; the default network sees 32 of the 256. An array of 57 columns needs more (`Encoding.check_array`).
@@ -28,11 +28,11 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
 
     #: Range bins that the network sees (320 bins of the 10 GHz radar: 68.5 m).
     range_bins: int = 320
-    #: How many of them, from the nearest, are left of the encoded map when the network gets it; None: all.
+    #: Number of them, from the nearest, that the network gets of the encoded map; None: all.
     crop_bins: int | None = None
     #: Columns of the map that the network sees.
     columns: int = 32
-    #: What each channel of the input says, in order: names of `ENCODERS`.
+    #: Content of each input channel, in order: names of `ENCODERS`.
     channels: tuple[str, ...] = CHANNELS
     #: Columns of zeros to either side (section 3.1.1 pads 256 to 512).
     pad_columns: int = 0
@@ -126,7 +126,7 @@ def encode_columns(encoding: Encoding, columns: np.ndarray, noise_power_mw: np.n
     )
     for index, name in enumerate(encoding.channels):
         channels[..., index, :, inside] = ENCODERS[name](sampled)
-    # cut last: what a channel says of a near cell does not depend on the crop
+    # cropped last: the value of a near cell must not depend on the crop
     return np.ascontiguousarray(channels[..., : encoding.seen_bins, :])
 
 
@@ -210,7 +210,7 @@ def _level(encoding: Encoding, power_mw: np.ndarray, noise_power_mw: np.ndarray)
 
 
 def _strongest_nearer(level: np.ndarray) -> np.ndarray:
-    """Return the strongest level nearer in range in the same direction: what an image in a mirror stands behind."""
+    """Return the strongest level nearer in range in the same direction: an image in a mirror lies behind it."""
     shadow = np.zeros_like(level)
     np.maximum.accumulate(level[..., :-1, :], axis=-2, out=shadow[..., 1:, :])
     return shadow

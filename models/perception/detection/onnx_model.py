@@ -1,4 +1,4 @@
-"""A dense network as the vehicle runs it: an ONNX file, and the card that says what it is."""
+"""Inference with a dense network on the vehicle: an ONNX file and the card that describes it."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from models.perception.detection.score_calibration import ScoreTable, check_tabl
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
-#: What a session raises for bytes that are no network.
+#: Errors that a session raises for bytes that are no network.
 _NO_NETWORK = tuple(
     getattr(onnxruntime.capi.onnxruntime_pybind11_state, name)
     for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
 )
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
-#: Where a network comes from that has all it needs.
+#: Hint on how to make a network with its card.
 GUIDE = "`mirrorwave export` writes a network with its card: docs/train-on-my-captures.md"
 #: The network in use unless another is named.
 DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
@@ -50,20 +50,20 @@ class ScoresAt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Fidelity(msgspec.Struct, frozen=True, kw_only=True):
-    """How far a file is from the torch network it was made from."""
+    """Difference between a file and the torch network it was exported from."""
 
     #: Largest difference of a probability on encoded maps of the training split.
     largest_difference: float
     #: Macro-F1 at the card's threshold that the fp32 export has on the same frames.
     macro_f1_fp32: float
-    #: How much of it this file lacks, in points (hundredths).
+    #: Loss of this file against it, in points (hundredths).
     lost_points: float
     #: Encoded maps of the training split that set the ranges of an int8 file.
     calibration_maps: int = 0
 
 
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
-    """What a network file is: how it was made, what it takes, how good it is; a JSON file beside the ONNX file.
+    """Description of a network file: how it was made, its input, its scores; a JSON file beside the ONNX file.
 
     Fields that are not listed here are ignored: an older card loads, with the defaults of what it lacks.
     """
@@ -75,7 +75,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     network: str = "compact_unet"
     #: Of weights and arithmetic; input and output are float32 always.
     precision: Literal["fp32", "fp16", "int8"] = "fp32"
-    #: A heatmap answers probabilities on the map's own cells; anchors answer logits and offsets (see `anchors`).
+    #: A heatmap gives probabilities on the map's own cells; anchors give logits and offsets (see `anchors`).
     head: Literal["heatmap", "anchors"] = "heatmap"
     #: Cells from anchor to anchor.
     anchor_stride: int = 1
@@ -87,10 +87,10 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     threshold: float
     #: That of peaks by pursuit, the best on the validation scenes; None: the same.
     pursuit_threshold: float | None = None
-    #: On test scenes that neither trained nor chose the network.
+    #: On test scenes that were used neither to train nor to select the network.
     scores: tuple[ScoresAt, ...]
     fidelity: Fidelity | None = None
-    #: What share of peaks with a score is true (validation scenes, 2 m gate); empty where it was not fitted.
+    #: Share of true peaks by score (validation scenes, 2 m gate); empty where it was not fitted.
     calibration: ScoreTable = ()
     #: How training and test scenes were made, and how many.
     data: dict[str, str | int]
@@ -104,12 +104,12 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
         check_table("card.calibration", self.calibration)
 
     def threshold_for(self, placement: str) -> float:
-        """Return the threshold of a way to place peaks (`models.perception.detection.detectors.Refine`)."""
+        """Return the threshold for a placement of peaks (`models.perception.detection.detectors.Refine`)."""
         return self.pursuit_threshold or self.threshold if placement == "pursuit" else self.threshold
 
     @property
     def answer_shape(self) -> tuple[int, int, int, int]:
-        """Shape of the network's answer to one map: of all cells it sees, or of its anchors."""
+        """Output shape for one map: all cells that the network sees, or its anchors."""
         cells = self.encoding.seen_bins, self.grid.azimuth_bins
         if self.head == "heatmap":
             return 1, len(PathClass), *cells
@@ -124,10 +124,9 @@ def load_card(model_path: Path) -> ModelCard:
 class DensePredictor:
     """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
 
-    The session is warm when the constructor returns. `flip_test` asks the network of every map and of the map with left
-    and right exchanged, and takes the mean: twice the time, fewer errors. Raises `ValueError` naming file and field
-    when the file, its card and its shapes do not belong together, or the answers of a network at anchors shall be
-    averaged.
+    The session is warm when the constructor returns. `flip_test` averages the output over every map and the same map
+    with left and right exchanged: twice the time, fewer errors. Raises `ValueError` naming file and field when the
+    file, its card and its shapes do not belong together, or when `flip_test` is set for a network with anchors.
     """
 
     def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1, flip_test: bool = False) -> None:
@@ -158,7 +157,7 @@ class DensePredictor:
         return confidence
 
     def points(self, ra_map: RangeAzimuthMap, threshold: float, min_distance: int) -> Points:
-        """Return what the answer itself points at: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
+        """Return the points of the output alone: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
 
         Raises `ValueError` when the map's grid is not the card's.
         """
@@ -223,7 +222,7 @@ def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infere
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    # a spinning worker would take its core from the other nodes between two maps
+    # a spinning worker would keep its core from the other nodes between two maps
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])

@@ -14,7 +14,7 @@ from msgs.values.radar import RangeAzimuthMap
 
 
 class Points(msgspec.Struct, frozen=True, kw_only=True):
-    """What a network points at in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
+    """Points that a network detects in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
 
     LOS before mirrored, strongest first within a class.
     """
@@ -29,7 +29,7 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     threshold: float = 0.3
     min_distance: int = 3
-    #: How peaks are pursued, where they are.
+    #: Settings of the pursuit, for detectors that use it.
     pursuit: PursuitParams = PursuitParams()
     #: Two-way 3 dB width of a beam: a peak's azimuth error is this over sqrt(2 SNR), within the bounds below.
     beam_width_deg: float = 9.0
@@ -114,7 +114,7 @@ def peaks_at(
     """Return the message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it
     peaks.
 
-    Of more than `MOST_PEAKS`, as a network that has learnt nothing brings them, those of the highest scores.
+    At most `MOST_PEAKS`: an untrained network gives more, and the highest scores are kept.
     """
     if len(cells) > MOST_PEAKS:
         best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MOST_PEAKS])
@@ -147,7 +147,7 @@ def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.
 
     A plateau gives one peak, at its middle. Highest first; equal ones in the order of the cells.
     """
-    # here: pursuit needs no maxima, and a node that starts again need not wait for this
+    # imported here: pursuit needs no maxima, and a restarted node must not wait for it
     from scipy import ndimage
 
     highest = ndimage.maximum_filter(values, size=2 * min_distance + 1, mode="constant", cval=-np.inf)
@@ -190,7 +190,7 @@ def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
 
 
 def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return the Fractional cells [N, 2]: centre of mass of the 3 x 3 cells about each, so far as they lie on the
+    """Return the fractional cells [N, 2]: centre of mass of the 3 x 3 cells about each, so far as they lie on the
     map.
     """
     step = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1), indexing="ij"), axis=-1).reshape(9, 2)
@@ -207,7 +207,7 @@ def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def _refined_range(power: np.ndarray, cells: np.ndarray, fallback: np.ndarray) -> np.ndarray:
-    """Return the Fractional range bins [N]: the vertex of a parabola through the log powers about the map's own peak.
+    """Return the fractional range bins [N]: the vertex of a parabola through the log powers about the map's own peak.
 
     The peak may lie one bin off the heat map's; where the map has none there, `fallback` stays.
     """

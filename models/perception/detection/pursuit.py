@@ -1,8 +1,8 @@
-"""Peaks of a confidence map by pursuit: take the highest cell, take off what one point there explains, go on.
+"""Pursuit of peaks in a confidence map: take the highest cell, subtract what one point there explains, repeat.
 
-A trained heatmap holds one Gaussian a point where it is sure, and a broad hill with the mass of several where it knows
-that points stand there but not in which cells. Maxima no nearer than a fixed distance give a hill one peak; pursuit
-gives it as many as its mass is worth.
+A trained heatmap holds one Gaussian per point where it is certain. Where the cells of several points are uncertain, it
+holds one broad hill with the mass of all of them. Maxima with a fixed least distance give a hill one peak; pursuit
+gives it as many peaks as its mass is worth.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ WIDEST, NARROWEST = 100.0, 1e-3
 class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Widths in cells (range, azimuth)."""
 
-    #: Blur before: joins what a point's confidence is scattered over.
+    #: Blur before the pursuit: it joins the cells over which a point's confidence is scattered.
     blur: tuple[float, float] = (0.5, 2.0)
-    #: Standard deviations of what a found point explains of the cells about it.
+    #: Standard deviations of the Gaussian that one point explains.
     explained: tuple[float, float] = (1.5, 2.5)
     #: More peaks than this in one map are noise.
     max_peaks: int = 512
@@ -85,7 +85,9 @@ def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across:
 
 
 def _kept(explained: tuple[float, float]) -> np.ndarray:
-    """Return what a point leaves of the cells about it: 1 less its Gaussian, out to three standard deviations."""
+    """Return the factor that a point leaves of the cells about it: 1 less its Gaussian, out to three standard
+    deviations.
+    """
     row, column = (np.arange(-int(np.ceil(3.0 * std)), int(np.ceil(3.0 * std)) + 1) / std for std in explained)
     return 1.0 - np.exp(-0.5 * np.add.outer(row**2, column**2))
 

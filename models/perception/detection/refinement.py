@@ -1,10 +1,10 @@
-"""Sub-cell refinement: the likeliest places of point echoes on the complex map, all echoes of a map at once.
+"""Sub-cell refinement: maximum-likelihood positions of point echoes on the complex map, all echoes of a map at once.
 
 A coherent map is a linear image of the beams, so its columns hold as many white coefficients as the co-array has
 (15 of 256 with the default array). Each echo is a tone in range times a known vector over these coefficients; each is
-fitted on a patch of a few range bins with the noise as the window has correlated it, while what all other echoes
-leave there is taken off. Gauss-Newton moves an echo together with its next neighbours; errors come from the Fisher
-information (`models.physics.cramer_rao`), widened where the points leave more than noise over.
+fitted on a patch of a few range bins, with the noise correlation of the window, after the contribution of all other
+echoes is subtracted. Gauss-Newton moves an echo together with its next neighbours; errors come from the Fisher
+information (`models.physics.cramer_rao`), widened where the fit of points leaves more than noise.
 
 Bins whose beams did not fit one coherent scene hold magnitudes: echoes there are left as they are.
 """
@@ -46,9 +46,9 @@ class RefinementParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     iterations: int = 6
     #: Echoes that move together with each one.
     neighbours: int = 3
-    #: The strongest echoes that are refined; the time of more would grow with their square and third power.
+    #: Number of strongest echoes that are refined: the time grows with its square and third power.
     most_echoes: int = 256
-    #: Echoes further apart in range do not see each other.
+    #: Echoes further apart in range are not coupled.
     coupling_bins: float = 12.0
     #: Where the truth lies about the start, standard deviation in range bins and azimuth cells.
     prior_bins: float = 0.5
@@ -59,8 +59,9 @@ class RefinementParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     foreign_share: float = 0.01
     #: A patch with this many times the noise left over holds more than points.
     point_misfit: float = 3.0
-    #: Standard deviations added to the bound: how deep an echo lies in its thing, and what errors of the array (0.4 dB
-    #: and 0.05 rad a column) cost in azimuth.
+    #: Standard deviations added to the bound: the depth of an echo within its object, and the cost of errors of the
+    #: array (0.4 dB
+    #: and 0.05 rad a column) in azimuth.
     range_std_floor_m: float = 0.03
     azimuth_std_floor_deg: float = 0.2
 
@@ -86,9 +87,9 @@ class RefinementParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 class RefinedEchoes:
     """Echoes in the order they were given, N of them; those that could not be refined are where they were."""
 
-    #: Fractional places (range bin, azimuth bin), [N, 2].
+    #: Fractional positions (range bin, azimuth bin), [N, 2].
     fractional: np.ndarray
-    #: What an ideal beam steered at the echo would measure, complex128 [N], sqrt(mW).
+    #: Amplitude that an ideal beam steered at the echo would measure, complex128 [N], sqrt(mW).
     amplitude: np.ndarray
     #: Polar covariance (range [m], azimuth [rad]), [N, 2, 2].
     covariance: np.ndarray
@@ -110,7 +111,7 @@ class EchoRefiner:
         self._bases: dict[tuple[RangeAzimuthGrid, tuple[int, ...]], _Basis] = {}
 
     def refine(self, ra_map: RangeAzimuthMap, fractional: np.ndarray) -> RefinedEchoes:
-        """Return the likeliest places of the echoes that start at fractional bins [N, 2] (range, azimuth).
+        """Return the likeliest positions of the echoes that start at fractional bins [N, 2] (range, azimuth).
 
         Echoes on bins of magnitudes alone, and all echoes of a map that this set-up cannot have made (other range
         bins, columns that no beams explain), stay as they are.
@@ -148,7 +149,7 @@ class EchoRefiner:
         return both[0] @ self._whiten.T, both[1] @ self._whiten.T
 
     def _first_bins(self, start: np.ndarray, range_bins: int) -> np.ndarray:
-        """Return the First range bin of each patch, patches kept within the map."""
+        """Return the first range bin of each patch, patches kept within the map."""
         bins = self.params.patch_bins
         return np.clip(np.rint(start[:, 0]).astype(np.int64) - bins // 2, 0, range_bins - bins)
 
@@ -225,7 +226,7 @@ class _Fit:
         self._felt = np.take_along_axis(apart[..., 0], self._group, axis=1) <= self.params.patch_bins
 
     def run(self) -> np.ndarray:
-        """Return all steps; the covariance [N, 2, 2] of (range bin, azimuth bin) at the end."""
+        """Run all steps and return the covariance [N, 2, 2] of (range bin, azimuth bin) at the end."""
         limit = np.array(self._grid.shape) - 1.0
         for _ in range(self.params.iterations):
             information, gradient = self._linearise()
@@ -275,24 +276,24 @@ class _Fit:
         return responses[0], responses[1]
 
     def _solve_amplitudes(self, tone: np.ndarray, azimuth: np.ndarray) -> None:
-        """Least squares of all amplitudes together, each judged in its own patch."""
+        """Solve for all amplitudes together by least squares, each in its own patch."""
         own = np.arange(len(tone))
         own_tone = tone[own, own].conj()
         matrix = np.einsum("im,ijm->ij", own_tone, tone) * (azimuth.conj() @ azimuth.T)
-        # two echoes in one place share what is there, one that no beam sees has none
+        # two echoes at one position share its amplitude; one that no beam sees has none
         matrix[own, own] += 1e-6 * np.abs(matrix[own, own]).max()
         matched = np.einsum("im,imc->ic", own_tone, self._data)
         self.amplitude = np.linalg.solve(matrix, np.sum(matched * azimuth.conj(), axis=1))
 
     def _rate(self, left: np.ndarray) -> None:
-        """Misfit: what is left over in each patch against noise, at least 1."""
+        """Set the misfit: the residual energy of each patch over noise, at least 1."""
         freedom = max(left[0].size - 2, 1)
         energy = np.sum(np.abs(left) ** 2, axis=(1, 2))
         self.misfit = np.maximum(energy / (freedom * self._noise_mw), 1.0)
 
 
 def refined_peaks(peaks: Peaks, ra_map: RangeAzimuthMap, refiner: EchoRefiner) -> Peaks:
-    """Return the peaks at their likeliest places; the rest of the message stays.
+    """Return the peaks at their likeliest positions; the rest of the message stays.
 
     A peak that fits a point brings the covariance of its fit. One that does not stands for many scatterers in a cell,
     whose spread the peak's own error model knows better than a bound on points.

@@ -1,4 +1,6 @@
-"""Peaks that a heatmap names and the map places: class and score from the network, range and azimuth from the ridge."""
+"""Matching of a heatmap to the ridges of the map: class and score from the network, range and azimuth from the
+ridge.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +14,19 @@ from msgs.values.radar import RangeAzimuthMap
 
 
 class NamedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How near a heatmap must rise to name a ridge, and how high."""
+    """Distance and height at which a heatmap's response matches a ridge."""
 
     ridges: RidgeParams = RidgeParams()
-    #: Cells (range, azimuth) from the ridge to the heatmap's rise, at most.
+    #: Largest distance from the ridge to the heatmap's response in cells (range, azimuth).
     reach: tuple[int, int] = (2, 8)
     threshold: float = 0.2
 
 
 def named_peaks(heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams, params: NamedParams) -> Peaks:
-    """Return the ridges that the heatmap [2, range, azimuth] names, then its own maxima where no ridge of their
-    class stands.
+    """Return the ridges that match the heatmap [2, range, azimuth], then its own maxima away from ridges of their
+    class.
     """
-    # here: as in `find_ridges`
+    # imported here: as in `find_ridges`
     from scipy import ndimage
 
     near = np.stack(
@@ -44,6 +46,8 @@ def named_peaks(heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams,
 
 
 def _far_from(cells: np.ndarray, reference: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Return which cells [N, 2] stand further than `spacing` in one axis at least from all others [M, 2]; bool [N]."""
+    """Return which cells [N, 2] lie further than `spacing`, in one axis at least, from all reference cells [M, 2]; bool
+    [N].
+    """
     apart = np.abs(cells[:, None] - reference[None])
     return ~np.logical_and.reduce(apart <= spacing, axis=-1).any(axis=1)

@@ -1,7 +1,7 @@
-"""Ridges of a range-azimuth map: where its level tops the range bin it stands in.
+"""Ridges of a range-azimuth map: cells whose level is a maximum of their range bin.
 
-Not maxima of the plane: a wall seen at an angle is a ridge across many range bins with hardly a summit. On a ridge the
-azimuth is known to a small part of a beam, from the vertex of the lobe.
+They are not maxima of the plane: a wall seen at an angle is a ridge across many range bins with hardly a maximum. On a
+ridge, the vertex of the lobe gives the azimuth to a small part of a beam.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import numpy as np
 from models.perception.detection.peaks import keep_apart
 from msgs.values.arrays import require_positive, require_within
 
-#: Cells that a map has along either side at most.
+#: Largest number of cells along either side of a map.
 MAX_CELLS = 8192
 
 
 class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How far apart ridge cells are kept, how high they stand, and what is the side lobe of a stronger one."""
+    """Spacing and least level of ridge cells, and the limits of the side lobes of stronger ones."""
 
     #: Cells (range, azimuth) that two peaks are apart in one of the two: the resolution of the map.
     spacing: tuple[int, int] = (2, 10)
@@ -60,7 +60,7 @@ def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
     """Return the cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it;
     highest first.
     """
-    # here: pursuit needs no ridges, and a node that starts again need not wait for this
+    # imported here: pursuit needs no ridges, and a restarted node must not wait for it
     from scipy import ndimage
 
     top = ndimage.maximum_filter1d(level_db, 2 * spacing[1] + 1, axis=1, mode="constant", cval=-np.inf)
@@ -70,7 +70,7 @@ def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
 
 
 def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Return the Fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either
+    """Return the fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either
     side.
     """
     reach = 3

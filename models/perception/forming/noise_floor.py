@@ -161,7 +161,7 @@ def _median_mean(power: np.ndarray, averages: int = 1) -> float:
 
 
 def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs;
+    """Return the frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs;
     [bands].
 
     Raises ValueError where the beams are too short to fill a band.
@@ -217,7 +217,7 @@ def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign
 
 
 def _spur_at(radar: RadarParams, power: np.ndarray, at: int, beat_sign: int) -> FoundSpur:
-    """Return the Frequency below the bin and power of the tone whose lobe peaks at a bin."""
+    """Return the frequency below the bin and power of the tone whose lobe peaks at a bin."""
     count = len(power)
     around = np.arange(at - 4, at + 5) % count
     lobe = power[around]

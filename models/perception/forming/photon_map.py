@@ -44,7 +44,7 @@ def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid)
 
 
 def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthMap:
-    """Return the Excess of photons over ambient light in standard deviations: complex64 [range, azimuth], mode
+    """Return the excess of photons over ambient light in standard deviations: complex64 [range, azimuth], mode
     "photons".
 
     Without echoes |values|^2 has mean 1, which `noise_power_mw` says; with one it is the detection SNR. Where less than

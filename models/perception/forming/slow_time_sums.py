@@ -20,7 +20,7 @@ _BLOCK = 16384
 
 
 def group_edges(chirps: int, groups: int) -> np.ndarray:
-    """Return the First chirp of each group and, last, the number of chirps; int64 [groups + 1].
+    """Return the first chirp of each group and, last, the number of chirps; int64 [groups + 1].
 
     Raises `ValueError` unless 1 <= groups <= chirps and no group could overflow its 32-bit sums.
     """

@@ -92,7 +92,7 @@ def associate_crossing(
     params: RecoveryParams,
     opaque: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the First and second mirror of each image, each [N]; `NO_WALL` for none.
+    """Return the first and second mirror of each image, each [N]; `NO_WALL` for none.
 
     The image must stand behind the wall, and no other wall may cut the way from the radar to the wall or from there
     to the true place. Rays that pass just off a wall's end count by a margin that grows with the angular error;

@@ -55,7 +55,7 @@ def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray
 
 @njit(cache=True, nogil=True)
 def _reach(x_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the For each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond; [N]
+    """Return, for each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond; [N]
     each.
     """
     start, stop = np.zeros(len(x_m), np.int64), np.empty(len(x_m), np.int64)

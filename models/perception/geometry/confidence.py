@@ -245,7 +245,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 def standardised(features: np.ndarray, means: ArrayLike, scales: ArrayLike) -> np.ndarray:
-    """Return the Features [N, F] in units of their spread, clipped."""
+    """Return the features [N, F] in units of their spread, clipped."""
     return np.clip((features - np.asarray(means)) / np.asarray(scales), -CLIP, CLIP)
 
 

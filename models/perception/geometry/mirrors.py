@@ -53,7 +53,7 @@ class WallArrays:
         return points_m @ self.normal.T + self.offset_m
 
     def trimmed(self, trim_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Ends drawn in by `trim_m`, by a quarter of the wall at most: what surely is wall."""
+        """Return the ends drawn in by `trim_m`, by a quarter of the wall at most: what surely is wall."""
         length_m = np.maximum(self.length_m, 1e-9)[:, None]
         inward = np.minimum(trim_m / length_m, 0.25) * (self.b - self.a)
         return self.a + inward, self.b - inward

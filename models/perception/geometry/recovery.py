@@ -230,7 +230,7 @@ def reflection_state(
 
 
 def corrected(recovered: Recovered, offsets_m: np.ndarray) -> Recovered:
-    """Return the Folded places plus a learned residual, Eq. (18)."""
+    """Return the folded places plus a learned residual, Eq. (18)."""
     return replace(recovered, points_m=recovered.points_m + offsets_m)
 
 

@@ -237,7 +237,7 @@ class Tracker:
         return track
 
     def _recent_walls(self, frame: BevFrame, odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-        """Return the Ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
+        """Return the ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
         oldest_ns = frame.stamp_ns - ns_from_s(self.params.wall_memory_s)
         self._walls = [walls for walls in self._walls if walls.stamp_ns >= oldest_ns]
         self._walls.append(_ScanWalls(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
@@ -350,7 +350,7 @@ def radar_ahead(place: Placed, vehicle_from_radar: Pose2, params: TrackerParams)
 
 
 def _wall_ends(walls: Sequence[Wall], odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Ends of walls in the odometry frame, each [W, 2]."""
+    """Return the ends of walls in the odometry frame, each [W, 2]."""
     ends = np.array([wall.ends_m for wall in walls], np.float64).reshape(-1, 2, 2)
     return odom_from_radar.apply(ends[:, 0]), odom_from_radar.apply(ends[:, 1])
 
