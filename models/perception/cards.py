@@ -1,4 +1,4 @@
-"""Cards: JSON files that say what a learned file is and how it was made."""
+"""Cards: JSON files that describe a learned file and how it was made."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def read_card(path: Path, kind: type[Card]) -> Card:
 
 
 def _wrong_fields(text: bytes, kind: Any) -> list[str]:
-    """Return what is wrong with a card, field by field: msgspec ends with the first."""
+    """Return all errors of a card, field by field: msgspec stops at the first."""
     values = msgspec.json.decode(text)
     if not isinstance(values, dict):
         return []
@@ -60,7 +60,7 @@ def read_learned(path: Path, limit_bytes: int) -> bytes:
     """
     try:
         size, is_file = path.stat().st_size, path.is_file()
-        # before it is read: it would take the memory of all other nodes
+        # check before reading: a larger file would take the memory of other nodes
         if is_file and size <= limit_bytes:
             return path.read_bytes()
     except OSError as error:

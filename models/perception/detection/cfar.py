@@ -152,7 +152,7 @@ def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
 
 
 def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
-    """Return the classified peaks of a map without a network: detect, then mark images by the walls in front of them."""
+    """Return the classified peaks of a map without a network: detect, then mark images by the walls before them."""
     return classify_behind_walls(detect(ra_map, params), params)
 
 

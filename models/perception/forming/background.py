@@ -1,4 +1,4 @@
-"""Open-field background: what the radar hears of itself, one chirp a beam, averaged over scans.
+"""Open-field background: the radar's own leakage and mounting echoes, one chirp a beam, averaged over scans.
 
 A beam of an open field holds the front end's leakage and the mounting's own echoes, the same in every scan, and noise,
 which is not. Their coherent mean over chirps and scans keeps the first; its noise falls by 10 log N. Something that
@@ -19,24 +19,24 @@ from msgs.files.array_files import load_array
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import db_from_ratio
 
-#: A cell further off its median over scans than so many rms of noise does not count.
+#: A cell further from its median over scans than this many rms of noise is left out.
 OUTLIER_SIGMAS = 4.0
-#: Fewer scans have no median worth the name.
+#: Least number of scans for a usable median.
 MIN_SCANS = 4
 
 
 class BackgroundQuality(msgspec.Struct, frozen=True, kw_only=True):
-    """What a background is worth; powers are per range bin of the plain mean over a beam's chirps, unwindowed."""
+    """Quality of a background; powers are per range bin of the plain mean over a beam's chirps, unwindowed."""
 
     scans: int
     beams: int
-    #: Strongest static bin, where it lies, and what is left of the static power there when the background of one half
-    #: of the scans is taken off the other half; removed is limited by their noise.
+    #: Strongest static bin, its range, and the static power left there when the background of one half of the scans is
+    #: subtracted from the other half; `removed_db` is limited by their noise.
     leakage_dbm: float
     leakage_range_m: float
     left_dbm: float
     removed_db: float
-    #: Noise of one scan, of the background, and what averaging should have made of the first.
+    #: Noise of one scan, of the background, and the noise expected after averaging.
     scan_noise_dbm: float
     noise_dbm: float
     expected_noise_dbm: float
@@ -61,7 +61,7 @@ def background_of(chirps: np.ndarray) -> tuple[np.ndarray, float]:
     if len(chirps) < MIN_SCANS:
         raise ValueError(f"a background needs at least {MIN_SCANS} scans, got {len(chirps)}")
     result, left_out = np.empty(chirps.shape[1:], np.complex64), 0
-    # beam by beam: spectra of all would be as large again as the chirps
+    # beam by beam: the spectra of all beams would take as much memory as the chirps
     for beam in range(chirps.shape[1]):
         spectra = fft.fft(chirps[:, beam], axis=1)
         mean, outliers = _robust_mean(spectra)
@@ -87,9 +87,10 @@ def _robust_mean(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: float) -> BackgroundQuality:
-    """Return what the background of mean chirps [scans, beams, samples] is worth, judged on scans it was not made of.
+    """Return the quality of the background of mean chirps [scans, beams, samples], measured on scans it was not made
+    from.
 
-    Raises ValueError where the scans are all the same: nothing then tells what is static from noise.
+    Raises ValueError where all scans are the same: static power and noise cannot then be separated.
     """
     scans, beams, samples = chirps.shape
     half, other = _power_scale(setup, chirps[0::2]), _power_scale(setup, chirps[1::2])

@@ -1,4 +1,4 @@
-"""From a few steered beams to many azimuths through the co-array.
+"""Interpolation from a few steered beams to many azimuths through the co-array.
 
 An N-column array that steers transmit and receive alike forms two-way beams that live in 2N - 1 co-array coefficients:
 y_k = sum_m conj(W_km) x_m, W the two-way weights, x_m = sum_targets a exp(-j k d (m - N + 1) sin(azimuth)) in the
@@ -14,8 +14,9 @@ else holds with them. Its one-way pattern changes sign, but the square of it is 
 fails, powers are interpolated instead of magnitudes.
 
 A digital array has as many orthogonal beams as columns: the inversion is then a change of basis, exact and with the
-noise of a beam in every cell. Nothing is left over to test coherence with, nor need be, as all beams are of one time.
-No other beam sees where one is missing. Powers have 2N - 1 coefficients, so that an echo between two beams keeps only
+noise of a beam in every cell. No residual is left to test coherence, and none is needed, because all beams are of one
+time. No other beam covers the direction of a missing one. Powers have 2N - 1 coefficients, so that an echo between two
+beams keeps only
 what the better one holds of it (down to -3.9 dB) wherever magnitudes are asked for.
 """
 
@@ -33,24 +34,24 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 
 #: Ridges, relative to the largest singular value squared, from exact to safe; a complete scan takes the first.
 _RIDGES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-#: Largest noise power of an interpolated cell relative to a beam's: gaps left by missing beams must not shout.
+#: Largest noise power of an interpolated cell relative to a beam's: it bounds the noise in gaps left by missing beams.
 _NOISE_GAIN_LIMIT = 2.5
-#: Ridge where every range bin has its own beam azimuths and none can be tuned for itself.
+#: Ridge for range bins with beam azimuths of their own, which cannot be tuned one by one.
 _MOVING_RIDGE = 1e-3
-#: Sets of missing beams whose matrices are kept: there are as many as subsets.
+#: Number of sets of missing beams whose matrices are cached: there are as many sets as subsets of the beams.
 _MAX_INVERSES = 64
-#: Beams times coefficients of magnitudes, which each range bin has anew on the move. The 77 GHz radar has 6,441; with
-#: so many a scan takes a second.
+#: Largest number of beams times coefficients of magnitudes, which each range bin solves separately on a moving vehicle.
+#: The 77 GHz radar has 6,441; at the limit a scan takes a second.
 MAX_TERMS = 1 << 14
-#: Beams that looked no further from their steering angle than this looked there: an eighth of a cell.
+#: Beams that looked no further from their steering angle than this count as looking there: an eighth of a cell.
 _STILL_RAD = 1e-3
 
 
 class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the beams of a range bin do not fit one coherent scene: both limits of the fit residual exceeded.
+    """Test for range bins whose beams do not fit one coherent scene: the fit residual exceeds both limits.
 
     At the defaults, beams 12 ms apart: movers of 0.3 m/s are found in 6 % of cases at 10 dB over a beam's noise, 70 %
-    at 15 dB and all at 20 dB; 0.6 m/s in 77 % and all; 0.1 m/s from 30 dB on, where it begins to do harm. Multiples
+    at 15 dB and all at 20 dB; 0.6 m/s in 77 % and all; 0.1 m/s from 30 dB on, where it begins to matter. Multiples
     of lambda / 2 a beam interval (1.249 m/s) turn whole circles: neither found nor harmful.
     """
 
@@ -65,9 +66,10 @@ class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         require_positive("coherence.model_error", self.model_error)
 
 
-#: A beam sees this many beam spacings to either side: one missing beam leaves no gap, three in a row do.
+#: A beam covers this many beam spacings to either side: one missing beam leaves no gap, three in a row do.
 SEEN_SPACINGS = 1.5
-#: A digital array, whose beams have no such overlap, sees where its beams hold this share of an echo's field.
+#: A digital array, whose beams have no such overlap, covers azimuths where its beams hold this share of an echo's
+#: field.
 SEEN_SHARE = 0.5
 
 
@@ -78,7 +80,7 @@ class _Inverse:
     #: Beams to azimuths, complex64 [beams, azimuth], and to the coefficients between, complex64 [beams, 2N-1].
     coherent: np.ndarray
     coefficients: np.ndarray
-    #: Beams to what the fit leaves over, complex64 [beams, beams].
+    #: Beams to the residual of the fit, complex64 [beams, beams].
     residual: np.ndarray
     #: Complex degrees of freedom of the residual.
     freedom: float
@@ -86,12 +88,12 @@ class _Inverse:
     magnitude: np.ndarray
     #: Mean noise power of a cell relative to a beam's.
     noise_gain: float
-    #: What the coherent fit makes of an echo in its own cell, relative to its field; float64 [azimuth].
+    #: Share of an echo's field that the coherent fit gives in its own cell; float64 [azimuth].
     share: np.ndarray
 
 
 def require_bearable(setup: RadarSetup) -> None:
-    """Raise `ValueError` for a set-up whose scans would take too long to form."""
+    """Raise `ValueError` for a set-up whose maps would take too long to form."""
     beams, coefficients = len(setup.beams), 2 * setup.array.columns - 1
     if beams * coefficients > MAX_TERMS:
         raise ValueError(
@@ -101,7 +103,7 @@ def require_bearable(setup: RadarSetup) -> None:
 
 
 def peak_field(setup: RadarSetup) -> float:
-    """Return what an ideal beam steered at a unit echo holds, power normalised: N, or sqrt(N) one way."""
+    """Return the field of an ideal beam steered at a unit echo, power normalised: N, or sqrt(N) one way."""
     return float(setup.array.columns) ** (0.5 * setup.array.steered_ways)
 
 
@@ -168,7 +170,7 @@ class AzimuthInterpolator:
 
     @property
     def coherent_matrix(self) -> np.ndarray:
-        """What takes the profiles of all beams to the azimuths of a coherent scene, complex [beams, azimuths]."""
+        """Matrix from the profiles of all beams to the azimuths of a coherent scene, complex [beams, azimuths]."""
         return self._inverse(()).coherent
 
     @cached_property
@@ -187,8 +189,8 @@ class AzimuthInterpolator:
         """Return the complex64 [range, azimuth] of beam profiles complex64 [beams, range], and bool [range]:
         magnitudes only.
 
-        `noise_power_mw` is a beam's noise per bin. Rows of `missing` beams are not looked at. `look_azimuth_rad`
-        [beams, range] says where each beam looked as seen from the map's pose, where that is not its steering angle.
+        `noise_power_mw` is a beam's noise per bin. Rows of `missing` beams are not used. `look_azimuth_rad` [beams,
+        range] is the azimuth at which each beam looked, seen from the map's pose, where that is not its steering angle.
         """
         require_array("profiles", profiles, "<c8", (len(self.setup.beams), None))
         inverse = self._inverse(missing)
@@ -225,9 +227,7 @@ class AzimuthInterpolator:
         return self._inverse(missing).noise_gain
 
     def _unseen(self, missing: tuple[int, ...]) -> np.ndarray:
-        """Return the azimuths [azimuth] that beams should have seen but for the missing ones: there the fit would be
-        invention.
-        """
+        """Return the azimuths [azimuth] that only missing beams cover: the fit has no data there; bool."""
         if self.setup.array.digital:
             return (self._inverse(()).share >= SEEN_SHARE) & (self._inverse(missing).share < SEEN_SHARE)
         reach_rad = SEEN_SPACINGS * np.median(np.diff(np.sort(self.setup.beams.azimuth_rad), prepend=-np.pi))
@@ -253,7 +253,7 @@ class AzimuthInterpolator:
         """Return the bins [range] whose residual noise cannot explain, nor errors of the model; none without freedom
         to test.
         """
-        # here: a detector knows arrays, but forms no maps
+        # imported here: a detector uses arrays, but forms no maps
         from scipy.special import gammainccinv
 
         if inverse.freedom < 1.0:

@@ -1,7 +1,7 @@
 """Range-azimuth forming for digital arrays: every virtual channel is sampled, beams are formed afterwards.
 
-Transmitters may take turns (TDM): a mover's phase then runs on from slot to slot and is turned back, Doppler bin by
-Doppler bin, before the channels are added up. A cell of the map shows its strongest Doppler bin, and its speed beside.
+Transmitters may take turns (TDM): a mover's phase then advances from slot to slot. It is turned back, Doppler bin by
+Doppler bin, before the channels are added. A cell of the map shows its strongest Doppler bin, and its speed beside.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DigitalArrayParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     chirp_interval_s: float = 92e-6
     #: TDM slot in which each virtual channel's transmitter sends.
     channel_slot: tuple[int, ...] = (0, 0, 0, 0, 1, 1, 1, 1)
-    #: Place of each virtual channel along +y (left); two-way phases count each metre once.
+    #: Position of each virtual channel along +y (left); two-way phases count each metre once.
     channel_y_m: tuple[float, ...] = tuple(0.5 * SPEED_OF_LIGHT_MPS / 78.956e9 * n for n in range(8))
     #: Beat frequency of zero range (boards that offset their intermediate frequency).
     beat_offset_hz: float = 0.0
@@ -102,7 +102,7 @@ def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray
     require_array("samples", samples, "<c8", (None, len(params.channel_slot), None))
     if 0 in samples.shape:
         raise ValueError(f"samples must hold at least one chirp and one sample, got {samples.shape}")
-    # the transforms would spread a single one over every cell
+    # the transforms would spread a single bad value over every cell
     if not np.isfinite(samples).all():
         raise ValueError(f"samples must be finite, got {np.count_nonzero(~np.isfinite(samples))} that are not")
     series = samples.conj() if params.beat_sign < 0 else samples

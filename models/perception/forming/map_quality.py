@@ -1,6 +1,6 @@
-"""What a scan says of its own hardware: checks that need no truth, each on what folding leaves over anyway.
+"""Hardware checks from a scan itself: none needs truth, each uses results that folding leaves anyway.
 
-Severities at which each speaks, and false alarms over clean scenes: docs/robustness.md.
+Severities at which each check reports, and false alarms over clean scenes: docs/robustness.md.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import numpy as np
 
 from msgs.values.units import ratio_from_db
 
-#: Codes of a chirp that are looked at to tell whether it was lost.
+#: Number of codes of a chirp that are inspected to detect a lost chirp.
 _LOOKED_AT = 128
 #: Range bins this near hold the transmitter's leakage, which fills all beams by nature.
 _NEAR_BINS = 4
@@ -17,7 +17,7 @@ _NEAR_BINS = 4
 #: the side lobes of echoes this loud bring every live beam to 17 dB (docs/robustness.md). Their echoes must come from
 #: so many directions: a lone one has nulls.
 _SILENT_DB, _LOUD_DB, _LOUD_BINS, _LOUD_DIRECTIONS = 5.0, 40.0, 8, 4
-#: A beam's noise over that of the others from which it is better left out.
+#: Noise of a beam over the median of all beams from which the beam is left out.
 _INTERFERED_DB = 6.0
 #: A spur stands this far over the noise in every beam, within this spread; echoes differ by 26 dB and more.
 _SPUR_DB, _SPUR_SPREAD_DB = 15.0, 8.0
@@ -47,9 +47,9 @@ def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
 
 
 def interfered_beams(noise_power_mw: np.ndarray) -> np.ndarray:
-    """Return the beams far noisier than most, bool [beams] of the noise of each, nan for those that never came.
-
-    Only those between two others that are neither: the neighbours must see in their place.
+    """Return the beams with interference, bool [beams] of the noise of each (nan for missing beams). An interfered beam
+    is far noisier than the median and lies between two beams that are neither noisy nor missing: the neighbours must
+    cover its direction.
     """
     loud = noise_power_mw > ratio_from_db(_INTERFERED_DB) * np.nanmedian(noise_power_mw)
     useless = np.pad(loud | np.isnan(noise_power_mw), 1)
@@ -69,7 +69,7 @@ def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
 
 
 def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:
-    """Return how far the array is from what its set-up says; zero without enough ranges to tell.
+    """Return the deviation of the array from its set-up; zero where too few ranges are usable.
 
     `coefficients` complex [range, 2N-1] of the co-array. An echo alone at its range has a[k] exp(j k u): in
     c[k+1] c[k-1] / c[k]^2 neither its strength nor its direction is left, only what gains and phases of the columns

@@ -20,7 +20,7 @@ from scipy.special import gammaincinv
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import BOLTZMANN_J_PER_K, REFERENCE_TEMPERATURE_K, db_from_ratio
 
-#: Fewer chirps leave no bins between the echoes.
+#: Least number of chirps that leaves bins between the echoes.
 MIN_CHIRPS = 8
 #: Share of the bins between two multiples of 1 / T_c left to what moves, to either side of each: 10 bins of 128
 #: chirps, up to 215 m/s at 10 GHz.
@@ -29,7 +29,7 @@ _GUARD_SHARE = 0.08
 SPUR_DB = 15.0
 #: Bands of frequency in which the floor is read, to either sign; a factor each.
 _BANDS = 24
-#: Most tones that are named, strongest first.
+#: Largest number of tones that are reported, strongest first.
 MAX_SPURS = 16
 
 
@@ -50,11 +50,11 @@ class FoundSpur(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NoiseFloor(msgspec.Struct, frozen=True, kw_only=True):
-    """What a receiver hears of itself."""
+    """Noise floor of a receiver."""
 
     scans: int
     beams: int
-    #: White noise: over the sampled band, per Hann-windowed range bin of a beam, and what it is as a noise figure.
+    #: White noise: over the sampled band, per Hann-windowed range bin of a beam, and as a noise figure.
     power_dbm: float
     bin_dbm: float
     noise_figure_db: float

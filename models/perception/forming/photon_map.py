@@ -1,8 +1,8 @@
 """Photon histograms of a single-photon LiDAR on the radar's range-azimuth grid: counts, and excess over ambient light.
 
-What is expected of ambient light alone is reckoned from the periods that still wait at a bin, so that pile-up needs no
-inverse: of W waiting periods a bin takes a binomial share, and what successive bins deviate from theirs is
-uncorrelated. Sums over range cells have the variance of the sum, whatever stands in front.
+The expected counts of ambient light alone follow from the periods that still wait at a bin, so that pile-up needs no
+inverse: of W waiting periods a bin takes a binomial share, and the deviations of successive bins are uncorrelated. Sums
+over range cells have the variance of the sum, whatever lies in front.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 
-#: Cells with fewer counts do not tell the ambient rate: a median of so few is not their mean.
+#: Least counts of a cell that is used to estimate the ambient rate: a median of fewer counts is not their mean.
 LEAST_COUNTS = 25.0
-#: Fewer cells than this do not either.
+#: Least number of such cells.
 LEAST_CELLS = 4
 LEAST_RATE_HZ = 1e-3
-#: Nor do cells at which fewer wait than this share of the most.
+#: Least share of waiting periods in a usable cell, relative to the cell with most.
 LEAST_WAITING = 0.05
-#: What is further off than this many standard deviations is no ambient light.
+#: Counts further than this many standard deviations from the expectation are not ambient light.
 QUIET_SIGMAS = 3.0
 #: Times and cells of a scan, over all azimuths: eight times those of the default, and about a second.
 MAX_TIMES, MAX_CELLS = 1 << 20, 1 << 19
@@ -48,7 +48,7 @@ def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthM
     "photons".
 
     Without echoes |values|^2 has mean 1, which `noise_power_mw` says; with one it is the detection SNR. Where less than
-    one count is expected, one count is the standard deviation. Cells that no period was left for are 0, and
+    one count is expected, one count is the standard deviation. Cells that no waiting period reaches are 0, and
     `saturated_share` is their share among the cells that the period reaches; cells beyond it are 0.
 
     The ambient rate is that of each azimuth's own counts (`_ambient_rate`). Ticks, gates and the dead time after the

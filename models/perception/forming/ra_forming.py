@@ -44,7 +44,7 @@ _AZIMUTH_TOLERANCE_RAD = 1e-3
 
 
 class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How beams become a map."""
+    """Parameters of forming a map from beams."""
 
     #: Groups of chirps kept apart over slow time; None: every chirp. Never more than there are chirps.
     slow_time_sums: int | None = 8
@@ -54,16 +54,16 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     doppler_limit_mps: float = 45.0
     #: A Doppler bin replaces the coherent mean only when it is this much stronger ...
     doppler_excess_db: float = 1.0
-    #: ... and this far above the noise: below, noise would choose and every cell be biased upwards.
+    #: ... and this far above the noise: below, noise would select the bin and bias every cell upwards.
     doppler_snr_db: float = 13.0
     #: A name in `WINDOW_TAPS`.
     range_window: str = "hann"
     #: "coherent"; "magnitude": azimuths from the magnitudes of the beams alone; "welch": mean power of single chirps,
     #: for flickering scenes.
     mode: str = "coherent"
-    #: Only the first so many chirps of a beam are looked at; None: all.
+    #: Only the first so many chirps of a beam are used; None: all.
     chirps: int | None = None
-    #: Only every so many beams are looked at, from the first.
+    #: Only every so many beams are used, from the first.
     beam_step: int = 1
     #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out.
     decimation: int = 1
@@ -90,7 +90,7 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 @dataclass(frozen=True)
 class ScanProfiles:
-    """What the beams of a scan leave behind once they are folded: all that `form_map` needs."""
+    """Folded beams of a scan: all that `form_map` needs."""
 
     stamp_ns: int
     scan_id: int
@@ -101,10 +101,10 @@ class ScanProfiles:
     #: Acquisition of each beam, int64 [beams]; missing beams at their nominal time.
     beam_stamp_ns: np.ndarray
     missing_beams: tuple[int, ...] = ()
-    #: Beams that were not looked at.
+    #: Beams that were not used.
     unused_beams: tuple[int, ...] = ()
     saturated_share: float = 0.0
-    #: What the beams show of broken hardware, names in `MAP_FAULTS`.
+    #: Hardware faults that the beams show, names in `MAP_FAULTS`.
     faults: tuple[str, ...] = ()
     #: Azimuth each beam looked at as seen from the map's pose, [beams, range]; None: ego motion was not taken out.
     look_azimuth_rad: np.ndarray | None = None
@@ -180,7 +180,7 @@ def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np
 
 
 class BeamFolder:
-    """Turns the samples of one beam into a range profile and its noise; holds what all beams of a set-up share."""
+    """Folder of one beam's samples into a range profile and its noise; holds what all beams of a set-up share."""
 
     def __init__(self, setup: RadarSetup, params: FormingParams, grid: RangeAzimuthGrid) -> None:
         radar = setup.radar
@@ -193,7 +193,7 @@ class BeamFolder:
                 "forming.beam_step must be 1 for a digital array: no other beam sees where one is left out, "
                 f"got {params.beam_step!r}"
             )
-        #: What is transformed: so many samples a chirp.
+        #: Number of samples per chirp that are transformed.
         self.samples = radar.samples_per_chirp // params.decimation
         _check_grid(radar.range_bin_m, self.samples, grid)
         self.setup = setup
@@ -204,7 +204,7 @@ class BeamFolder:
         self.groups = self.chirps if every else min(params.slow_time_sums or 1, self.chirps)
         edges = group_edges(self.chirps, self.groups)
         self._group_chirps = np.diff(edges).astype(np.float32)
-        #: How long a beam is looked at, and the middle of each group relative to the middle of that.
+        #: Duration of the used part of a beam, and the middle of each group relative to its middle.
         self.duration_s = self.chirps * radar.repetition_interval_s
         self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.repetition_interval_s - 0.5 * self.duration_s
 
@@ -273,7 +273,7 @@ class BeamFolder:
 
     @cached_property
     def _undrooped(self) -> np.ndarray:
-        """What gives the bins back that sums of neighbouring samples lack in phase and magnitude; complex64 [range]."""
+        """Factor that restores the phase and magnitude that sums of neighbouring samples lose; complex64 [range]."""
         turns = np.arange(self.grid.range_bins) / self.setup.radar.samples_per_chirp
         droop = np.exp(2j * np.pi * np.multiply.outer(turns, np.arange(self.params.decimation))).mean(axis=1)
         return (1.0 / droop).astype(np.complex64)
@@ -378,7 +378,7 @@ class RaFormer:
     The vehicle state given with the first beam of a scan holds for all of it; without a valid one the scan goes
     uncompensated. A beam of another scan, or `flush`, closes a scan that lacks beams. Beams that repeat (the first
     counts) or come up to `LATE_SCANS` scans late are dropped and counted; numbers that fall further, or fall while
-    stamps rise, are a source that started anew.
+    stamps rise, belong to a source that restarted.
     """
 
     #: How many scans behind the newest one a beam may be and still count as late.
@@ -396,7 +396,7 @@ class RaFormer:
         self._scan: _OpenScan | None = None
         #: Number and stamp of the newest scan.
         self._newest: tuple[int, int] | None = None
-        # the first beam should not pay for compiling, nor the first scan for the matrices
+        # compile now: the first beam must not wait for kernels, nor the first scan for matrices
         fold_chirps(np.zeros((1, 1, 2), np.int16), 1)
         self.interpolator.noise_gain()
 
@@ -470,11 +470,11 @@ class _OpenScan:
 
     @property
     def complete(self) -> bool:
-        """Every beam that is looked at has come."""
+        """Whether every used beam has arrived."""
         return not np.isnan(self._noise_power_mw[self._used]).any()
 
     def add(self, beam: RadarBeam) -> bool:
-        """Fold one beam in; False for one that has come before."""
+        """Fold one beam in; return False for a repeated beam."""
         index = beam.beam_index
         if not np.isnan(self._noise_power_mw[index]):
             return False
@@ -490,16 +490,15 @@ class _OpenScan:
     def _ego(self, beam: RadarBeam) -> EgoCorrection | None:
         if self._state is None:
             return None
-        # beams made of one measurement have one pose, that of its middle: a phase for each would tear them apart
+        # beams made of one measurement have one pose, that of its middle: a phase for each would break their coherence
         digital = self._folder.setup.array.digital
         middle_s = 0.0 if digital else s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.duration_s
         return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
 
     def profiles(self) -> ScanProfiles:
-        """Return what has been folded; noise is the median over beams, so that one disturbed beam does not set it.
-
-        Silent and drowned beams are left out like those that never came: their neighbours say more about their place.
-        Not those of a digital array, of which each is made of all columns and sees what no other does.
+        """Return the folded beams; noise is the median over beams, so that one disturbed beam does not set it. Silent
+        and interfered beams are left out like missing ones: their neighbours cover their direction better. Beams of a
+        digital array are kept: each is made of all columns and covers a direction of its own.
         """
         received = ~np.isnan(self._noise_power_mw)
         noise_power_mw = float(np.median(self._noise_power_mw[received]))

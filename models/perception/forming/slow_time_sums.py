@@ -1,4 +1,4 @@
-"""Folding: a beam's chirps summed into a few slow-time groups, in integers, about as fast as memory gives them.
+"""Folding: a beam's chirps summed into a few slow-time groups, in integers, at about the speed of memory.
 
 Group g of G sums the chirps floor(g C / G) .. floor((g+1) C / G) - 1 of C: contiguous, every chirp in exactly one
 group, sizes differing by at most one chirp where C is not a multiple of G.
@@ -33,9 +33,9 @@ def group_edges(chirps: int, groups: int) -> np.ndarray:
 
 
 def fold_chirps(samples: np.ndarray, groups: int) -> tuple[np.ndarray, int]:
-    """Return the sum I/Q codes int16 [chirps, samples, 2] over groups of chirps.
+    """Sum I/Q codes int16 [chirps, samples, 2] over groups of chirps.
 
-    Returns int32 [groups, samples, 2] and the number of samples of which I or Q stands at full scale. Read-only
+    Returns int32 [groups, samples, 2] and the number of samples whose I or Q is at full scale. Read-only
     arrays are fine; arrays that are not contiguous or not aligned are copied first.
     """
     require_array("samples", samples, "<i2", (None, None, 2))
@@ -58,7 +58,7 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
         fours = last - (last - first) % 4
         for start in range(0, codes.shape[1], _BLOCK):
             block = slice(start, min(start + _BLOCK, codes.shape[1]))
-            # rows are cut out one by one: a row of a two-dimensional cut would be a strided array, and slow
+            # rows are sliced one by one: a row of a two-dimensional slice would be a strided array, and slow
             total = sums[group, block]
             for row in range(first, fours, 4):
                 if _add_four(
@@ -73,7 +73,7 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
 
 @njit(cache=True, nogil=True)
 def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
-    """Return total += four rows; whether any code stands at full scale. No branch and no call, so that it becomes
+    """Add four rows to `total`; return whether any code is at full scale. No branch and no call, so that it becomes
     SIMD.
     """
     highest = np.int16(0)

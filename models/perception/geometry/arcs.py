@@ -1,8 +1,8 @@
-"""Curved walls: an arc in place of the lines that it explains better, by the likelihood that lines are held to.
+"""Curved walls: an arc replaces the lines that it explains better, by the same likelihood as for lines.
 
 In the frame of a line (s along it, d across it towards the radar) an arc is d = c0 + c1 s + c2 s^2 / 2 to within a
-centimetre for the bends that walls have (sagitta below 2 m). It starts from the returns of one line and takes in what
-lies on it at either end, whatever lines claimed that.
+centimetre for the bends that walls have (sagitta below 2 m). It starts from the returns of one line and takes in the
+returns that lie on it at either end, whichever line they belonged to.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from msgs.values.arrays import require_positive
 
 
 class ArcParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When a wall counts as curved."""
+    """Conditions under which a wall counts as curved."""
 
     #: Curvature over its own standard deviation, and log likelihood over that of the lines it replaces.
     min_sigmas: float = 3.0
@@ -28,10 +28,10 @@ class ArcParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     #: Log likelihood a parameter is worth: lines have two each, the arc in place of several has three.
     parameter_gain: float = 1.5
     min_points: int = 6
-    #: Most curvature, and the most the wall turns from end to end.
+    #: Largest curvature, and the largest turn of the wall from end to end.
     max_curvature_per_m: float = 0.07
     max_turn_rad: float = 1.4
-    #: Along the arc the next return is at most this far off.
+    #: Largest gap to the next return along the arc.
     max_gap_m: float = 6.5
     pair_gap_m: float = 12.0
     rounds: int = 8

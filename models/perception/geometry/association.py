@@ -1,8 +1,8 @@
-"""Which wall an image belongs to, and which two where a corner mirrored it twice.
+"""Association of images with the wall that mirrored them, or with two walls where a corner mirrored them twice.
 
 An image lies in the direction in which its path left the radar: the first mirror is a wall its ray passes through.
-Folded about it, the rest of the path runs from there to the place; where another wall cuts that way the path turned
-once more, and the rest of it is folded about the second wall too.
+After folding about it, the rest of the path runs from there to the object. Where another wall blocks that segment, the
+path has a second bounce, and its rest is folded about the second wall too.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from msgs.values.frames import polar_from_xy
 
 
 class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How images find their walls and which folded places count as hidden."""
+    """Parameters of the association of images with walls and of the rejection of folded positions."""
 
     #: `crossing`: the wall the image's own ray passes through. `buddy`: that of the direct return nearest in angle.
     association: Literal["crossing", "buddy"] = "crossing"
     #: Images that two walls mirrored are folded twice.
     second_order: bool = True
-    #: Left out of the objects are folded places on a wall, at a direct return, and on a vehicle in sight.
+    #: Folded positions on a wall, at a direct return or on a vehicle in sight form no objects.
     reject_on_wall: bool = True
     reject_at_return: bool = True
     reject_on_vehicle: bool = True
-    #: An image stands at least this far behind its wall.
+    #: Least depth of an image behind its wall.
     min_depth_m: float = 1.0
     #: Walls reach this much further than their outermost return, and by two sigma of where the ray meets them.
     end_margin_m: float = 0.3
     max_margin_m: float = 4.0
-    #: What surely is wall ends this much before the outermost return.
+    #: The certain part of a wall ends this much before the outermost return.
     trim_m: float = 1.0
-    #: A path is cut by a wall it passes by more than this.
+    #: A wall blocks a path that passes it by more than this.
     cut_depth_m: float = 1.0
     #: A wall with this many returns of a long wall behind it hides nothing and mirrors nothing.
     seen_through_points: int = 3
-    #: Places this near a wall or a direct return are that wall or return.
+    #: Positions this near a wall or a direct return are that wall or return.
     same_place_m: float = 1.0
-    #: Direct returns count as the same thing if at most this much weaker than the image.
+    #: Direct returns count as the same object if at most this much weaker than the image.
     comparable_db: float = 6.0
-    #: What is one vehicle: direct returns this near each other, and all that fits in a box of this size with them.
+    #: One vehicle: direct returns this near each other, and all positions that fit in a box of this size with them.
     vehicle_eps_m: float = 2.5
     vehicle_length_m: float = 5.5
     vehicle_width_m: float = 2.6
@@ -70,7 +70,7 @@ def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryPara
     """Return which walls have `seen_through_points` returns of another one, longer than a vehicle, behind them; bool
     [W].
 
-    What is seen behind a line proves that the line is no wall: a row of vehicles, or a wall drawn too long.
+    Returns behind a line prove that the line is no wall: it is a row of vehicles, or a wall drawn too long.
     """
     transparent = np.zeros(len(walls), bool)
     on_long = np.flatnonzero(np.append(walls.length_m > params.vehicle_length_m, False)[returns.wall])
@@ -94,11 +94,11 @@ def associate_crossing(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the first and second mirror of each image, each [N]; `NO_WALL` for none.
 
-    The image must stand behind the wall, and no other wall may cut the way from the radar to the wall or from there
-    to the true place. Rays that pass just off a wall's end count by a margin that grows with the angular error;
-    a wall truly passed comes before one narrowly missed. Of several passed the last is the mirror: that its returns
-    came at all shows that the nearer ones do not reach this far. Walls that are not `opaque` [W] count for nothing.
-    Where another wall cuts the way on, it is the second mirror, if both are longer than a vehicle and the rest is free.
+    The image must lie behind the wall, and no other wall may block the segments from the radar to the wall and from
+    there to the true position. Rays that pass just off a wall's end count within a margin that grows with the angular
+    error; a crossed wall is preferred to one narrowly missed. Of several crossed walls the last is the mirror: its
+    returns show that the nearer walls do not reach this far. Walls that are not `opaque` [W] are ignored. Where another
+    wall blocks the second segment, it is the second mirror, if both are longer than a vehicle and the rest is free.
     """
     nothing = np.full(len(images_m), NO_WALL)
     if len(walls) == 0 or len(images_m) == 0:
@@ -111,7 +111,7 @@ def associate_crossing(
     paths = _MirrorPaths.of(images_m, crossings.met, walls, opaque, params)
     possible &= ~paths.is_blocked(np.broadcast_to(RADAR, paths.mirror_m.shape), paths.mirror_m)
     whole = possible & ~paths.is_blocked(paths.mirror_m, paths.position_m)
-    # the sides of vehicles are poor mirrors: only where nothing longer offers itself
+    # the sides of vehicles are poor mirrors: used only where no longer wall fits
     preference = 1e3 * (missed_m > 0.0) + 2e3 * (walls.length_m <= params.vehicle_length_m) + missed_m - to_wall_m
     second = np.full(whole.shape, NO_WALL)
     if params.second_order:
@@ -130,16 +130,16 @@ def _cheapest(cost: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class RayWallCrossings:
-    """How the ray of each image passes each wall or its line beyond the ends, arrays [N, W]."""
+    """Crossings of the ray of each image with each wall or its line beyond the ends, arrays [N, W]."""
 
     met: Hits
-    #: How far beyond the wall's ends.
+    #: Distance beyond the wall's ends.
     missed_m: np.ndarray
     #: From the radar; NaN where they never meet.
     to_wall_m: np.ndarray
-    #: One sigma of where along the wall they meet.
+    #: One sigma of the crossing's position along the wall.
     sideways_m: np.ndarray
-    #: How deep behind the mirror the image stands.
+    #: Depth of the image behind the mirror.
     depth_m: np.ndarray
 
     @classmethod
@@ -158,15 +158,17 @@ class RayWallCrossings:
         )
 
     def behind(self, depth_m: float) -> np.ndarray:
-        """Return where the image stands more than `depth_m` behind a wall that its ray meets on the way; bool [N,
-        W].
+        """Return whether the image lies more than `depth_m` behind a wall that its ray crosses before the image; bool
+        [N, W].
         """
         return (self.depth_m > depth_m) & (self.met.along_ray > 0.0) & (self.met.along_ray < 1.0)
 
 
 @dataclass(frozen=True)
 class _MirrorPaths:
-    """Ways radar -> wall -> folded place of each image by each wall, [N, W, 2], and the walls that may cut them."""
+    """Paths radar -> wall -> folded position of each image by each wall, [N, W, 2], and the walls that may block
+    them.
+    """
 
     mirror_m: np.ndarray
     position_m: np.ndarray
@@ -183,13 +185,13 @@ class _MirrorPaths:
         return cls(mirror_m, np.nan_to_num(position_m), walls, opaque, params)
 
     def is_blocked(self, origin_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
-        """Return which legs [N, W, 2] a wall other than their own cuts; bool [N, W]."""
+        """Return whether a wall other than their own blocks the segments [N, W, 2]; bool [N, W]."""
         own = np.broadcast_to(np.arange(len(self.walls)), origin_m.shape[:2]).ravel()
         cuts = self._blocked_by(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own)
         return np.asarray(cuts.any(axis=1)).reshape(origin_m.shape[:2])
 
     def _blocked_by(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Return which walls cut which legs [M, 2] that touch the wall `own` [M]; bool [M, W].
+        """Return which walls block which segments [M, 2] that touch the wall `own` [M]; bool [M, W].
 
         A vehicle's side is too short to be sure that a path does not pass beside it.
         """
@@ -199,8 +201,8 @@ class _MirrorPaths:
         return crosses(origin_m, end_m, a, b) & deep & sure & (np.arange(len(self.walls)) != own[:, None])
 
     def second(self, image: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Return the second mirror of images [M] whose first is `first` [M]: the next wall on their way, if the rest
-        is free.
+        """Return the second mirror of images [M] whose first is `first` [M]: the next wall on the path, if the rest is
+        free.
         """
         start, end = self.mirror_m[image, first], self.position_m[image, first]
         met = hits(start, end, self.walls)
@@ -217,10 +219,10 @@ class _MirrorPaths:
 
 
 def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectReturns) -> tuple[WallArrays, np.ndarray]:
-    """Return the published way: the wall of the direct return nearest in angle; walls and the index of each image's
+    """Associate images with the wall of the direct return nearest in angle (published rule); walls and index of each
     [N].
 
-    A return on no wall stands for one of its own through it, normal along its ray; such walls are appended.
+    A return on no wall gets a wall of its own, through it and normal to its ray; such walls are appended.
     """
     if len(returns.points_m) == 0:
         return walls, np.full(len(images_m), NO_WALL)

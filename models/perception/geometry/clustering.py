@@ -22,7 +22,7 @@ def dbscan(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
         raise ValueError(f"points_m must have shape [N, 2], got {points_m.shape}")
     if not eps_m > 0.0 or min_points < 1:
         raise ValueError(f"eps_m must be positive and min_points at least 1, got {eps_m!r} and {min_points!r}")
-    # a copy: of one layout, whatever came, for which the kernel is compiled
+    # copied to the one layout for which the kernel is compiled
     return _clusters(points_m.copy(), float(eps_m), int(min_points))
 
 
@@ -31,8 +31,8 @@ def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray
     """Return the labels of points [N, 2]: core points joined to trees whose root is their first point, then border
     points.
 
-    Near pairs are looked for in a sweep along x and never kept: where all points lie together there are as many as
-    points squared.
+    Near pairs are found in a sweep along x and not stored: where all points lie together, their number is the square of
+    the number of points.
     """
     order = np.argsort(points_m[:, 0], kind="mergesort")
     start, stop = _reach(points_m[order, 0], eps_m)
@@ -93,7 +93,7 @@ def _distance2(points_m: np.ndarray, i: int, j: int) -> float:
 
 @njit(cache=True, nogil=True)
 def _root(parent: np.ndarray, i: int) -> int:
-    """Return the root of a point's tree; ways to it are shortened in place."""
+    """Return the root of a point's tree; paths to it are shortened in place."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]

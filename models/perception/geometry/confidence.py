@@ -1,8 +1,7 @@
-"""How likely a folded place is true: a small network on what is known of its fold, fitted on simulated scenes.
-
-True images are strong, pass well within a wall that is seen where it mirrors them, and land where others of their kind
-do; false ones are reflections of nothing, or real ones folded in the wrong wall. One number says which: the probability
-that the place lies within 1 m of a true one.
+"""Confidence of folded positions: a small network on features of the fold, fitted on simulated scenes. True images are
+strong. Their rays cross a wall well within its ends, near one of its returns, and they fold to positions near others of
+the same object. False ones have no source, or were folded in the wrong wall. The confidence is the probability that the
+position lies within 1 m of a true one.
 """
 
 from __future__ import annotations
@@ -26,21 +25,21 @@ from models.physics.plane import segment_distance_m
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Wall
 
-#: That of the committed network.
+#: Confidence model of the committed network.
 DEFAULT_CONFIDENCE = learned_path("compact_unet.confidence", ".json")
-#: Distances are told by their logarithm between these.
+#: Distances are given as logarithms, clipped to these bounds.
 NEAREST_M, FARTHEST_M = 0.2, 120.0
-#: Places this near each other are of one thing: of other walls, of the same.
+#: Positions this near each other belong to one object: by different walls, by the same wall.
 SUPPORT_M, COMPANY_M = 1.0, 2.0
-#: A direct return this near is what the place may be.
+#: A direct return this near may be the same object.
 SAME_OBJECT_M = 1.5
-#: No feature and no weight is larger.
+#: Upper bound of every feature and weight.
 LARGEST = 1e3
-#: Standardised features count for no more: nothing is extrapolated far beyond what was fitted.
+#: Bound of standardised features: the model does not extrapolate far beyond the fitted range.
 CLIP = 4.0
 
 
-#: What the model sees of a place, in order; distances without a unit are logarithms of metres.
+#: Features of a position, in order; distances without a unit are logarithms of metres.
 FEATURES = (
     "score_logit", "snr_db", "image_range", "image_azimuth_rad", "image_sigma", "sigma",
     "missed_m", "depth", "to_wall", "incidence", "mirror_gap", "twice",
@@ -52,7 +51,7 @@ FEATURES = (
 
 @dataclass(frozen=True)
 class _FoldContext:
-    """A scan's places with what they are judged by."""
+    """Folded positions of a scan with the walls and returns that their features are computed from."""
 
     recovered: Recovered
     walls: WallArrays
@@ -66,12 +65,12 @@ class _FoldContext:
 
     @cached_property
     def long_walls(self) -> WallArrays:
-        """Walls that are no vehicle's side."""
+        """Walls too long for a vehicle's side."""
         return self.walls.select(self.walls.length_m > self.params.vehicle_length_m)
 
 
 def _echo(context: _FoldContext) -> dict[str, np.ndarray]:
-    """Return the echo itself: how strong, where it appeared."""
+    """Return the features of the echo itself: its strength and apparent position."""
     recovered = context.recovered
     score = np.clip(recovered.score, 0.01, 0.99)
     range_m, azimuth_rad = polar_from_xy(recovered.images_m)
@@ -86,7 +85,9 @@ def _echo(context: _FoldContext) -> dict[str, np.ndarray]:
 
 
 def _fold(context: _FoldContext) -> dict[str, np.ndarray]:
-    """Return how its ray meets the wall, and how near to one of the wall's returns."""
+    """Return the features of the crossing of its ray with the wall, and the distance to the nearest return of the
+    wall.
+    """
     recovered, wall = context.recovered, context.recovered.wall
     range_m = np.maximum(np.hypot(recovered.images_m[:, 0], recovered.images_m[:, 1]), NEAREST_M)
     crossings = RayWallCrossings.of(recovered.images_m, context.image_sigma_m / range_m, context.walls)
@@ -106,7 +107,7 @@ def _fold(context: _FoldContext) -> dict[str, np.ndarray]:
 
 
 def _mirror(context: _FoldContext) -> dict[str, np.ndarray]:
-    """Return the wall."""
+    """Return the features of the wall."""
     wall, walls = context.recovered.wall, context.walls
     returns = np.bincount(context.returns.wall[context.returns.wall >= 0], minlength=len(walls))
     return {
@@ -118,7 +119,7 @@ def _mirror(context: _FoldContext) -> dict[str, np.ndarray]:
 
 
 def _surroundings(context: _FoldContext) -> dict[str, np.ndarray]:
-    """Return where it lands: among direct returns, walls, in the shadow of walls."""
+    """Return the features of the surroundings: direct returns, walls, and whether a wall hides the position."""
     points_m, returns, walls = context.recovered.points_m, context.returns, context.long_walls
     range_m, azimuth_rad = polar_from_xy(points_m)
     distance_m = np.linalg.norm(points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
@@ -136,7 +137,9 @@ def _surroundings(context: _FoldContext) -> dict[str, np.ndarray]:
 
 
 def _company(context: _FoldContext) -> dict[str, np.ndarray]:
-    """Return the other places: of other walls at the same spot, of the same around it, and how many there are."""
+    """Return the features of the other positions: by other walls at the same spot, by the same wall near it, their
+    number.
+    """
     recovered = context.recovered
     distance_m = np.linalg.norm(recovered.points_m[:, None] - recovered.points_m, axis=-1)
     same = (recovered.wall[:, None] == recovered.wall) & (recovered.second[:, None] == recovered.second)
@@ -160,9 +163,7 @@ def _log(metres: np.ndarray) -> np.ndarray:
 
 
 def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
-    """Return the values [W], or [N, W], at each place's wall [N]; zero for places without one and where they are
-    NaN.
-    """
+    """Return the values [W], or [N, W], at each position's wall [N]; zero for positions without one and for NaN."""
     padded = np.concatenate([values, np.zeros((*values.shape[:-1], 1))], axis=-1)
     return np.nan_to_num(padded[wall] if values.ndim == 1 else padded[np.arange(len(wall)), wall])
 
@@ -170,9 +171,7 @@ def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
 def place_features(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
-    """Return what the model sees of each place, float64 [N, features] in the order of `FEATURES`; distances as
-    logarithms.
-    """
+    """Return the features of each position, float64 [N, features] in the order of `FEATURES`; distances as logarithms."""
     context = _FoldContext(recovered, wall_arrays(walls), returns, params)
     columns = {name: column for part in _PARTS for name, column in part(context).items()}
     return np.stack([columns[name].astype(np.float64) for name in FEATURES], axis=1)
@@ -191,7 +190,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     hidden_biases: tuple[float, ...]
     weights: tuple[float, ...]
     bias: float
-    #: Places below are dropped: where the recovered F1 of the validation scenes is best.
+    #: Positions below are dropped; chosen for the best recovered F1 of the validation scenes.
     threshold: float
     #: `Peaks.detector` of the peaks it was fitted on; empty: of any.
     detector: str = ""
@@ -199,7 +198,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     command: str = ""
     #: Made from which scenes, with which detector.
     data: dict[str, str | int] = {}
-    #: On validation scenes; `_without` are those of all places.
+    #: On validation scenes; `_without` are those of all positions.
     metrics: dict[str, float] = {}
 
     def __post_init__(self) -> None:
@@ -215,7 +214,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             raise ValueError(f"confidence.scales must be positive, got {min(self.scales)}")
 
     def fits(self, detector: str) -> bool:
-        """Return whether the model was fitted on peaks of this detector (`Peaks.detector`), or says of none."""
+        """Return whether the model was fitted on peaks of this detector (`Peaks.detector`), or of any."""
         return self.detector in ("", detector)
 
     def of(self, detector: str) -> PlaceConfidence | None:
@@ -225,12 +224,12 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     def probable(
         self, recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
     ) -> Recovered:
-        """Return the places of a scan that reach the threshold, each with its probability for a score."""
+        """Return the positions of a scan that reach the threshold, each with its probability as score."""
         probability = self.probability(place_features(recovered, walls, returns, params))
         return replace(recovered, score=probability).select(probability >= self.threshold)
 
     def probability(self, features: np.ndarray) -> np.ndarray:
-        """Return the probability [N] that each place lies within 1 m of a true one, of features [N, features].
+        """Return the probability [N] that each position lies within 1 m of a true one, from features [N, features].
 
         Raises `ValueError` where a feature is not finite or too large.
         """
@@ -263,7 +262,7 @@ def _check_numbers(name: str, values: object, shape: tuple[int, ...]) -> None:
 
 @dataclass(frozen=True)
 class FittedConfidences:
-    """Models of several detectors: peaks of each are judged by its own."""
+    """Models of several detectors; the peaks of each detector use its own model."""
 
     models: tuple[PlaceConfidence, ...]
 
@@ -272,7 +271,7 @@ class FittedConfidences:
         return next((model for model in self.models if model.fits(detector)), None)
 
 
-#: What the geometry stage can be given.
+#: Models that the geometry stage accepts.
 Confidence = PlaceConfidence | FittedConfidences
 
 

@@ -16,13 +16,13 @@ from msgs.values.perception import Wall
 INLIER_SIGMAS = 3.0
 #: Density of scattered points about a line: one in this many metres across it.
 SCATTER_WIDTH_M = 8.0
-#: What a point adds to a line's score at no residual and a standard deviation of 1 m.
+#: Gain of a point in a line's score at zero residual and a standard deviation of 1 m.
 _GAIN_AT_1_M = math.log(SCATTER_WIDTH_M / math.sqrt(2.0 * math.pi))
 
 
 @dataclass(frozen=True)
 class LineFit:
-    """A fitted line n.x + offset = 0 with n towards the radar, the points it stands on and its uncertainty."""
+    """A fitted line n.x + offset = 0 with n towards the radar, its points and its uncertainty."""
 
     normal: np.ndarray
     offset_m: float
@@ -45,7 +45,7 @@ class LineFit:
         return np.array([-self.normal[1], self.normal[0]])
 
     def as_wall(self) -> Wall:
-        """Return the value that travels."""
+        """Return the message value."""
         (ax, ay), (bx, by) = self.ends_m.tolist()
         return Wall(
             normal=(float(self.normal[0]), float(self.normal[1])),
@@ -67,7 +67,7 @@ def claimed(count: int, fits: Iterable[LineFit]) -> np.ndarray:
 
 
 class Line(NamedTuple):
-    """A line n.x + offset = 0 with n towards the radar, and how well its direction and place are known."""
+    """A line n.x + offset = 0 with n towards the radar, with the uncertainty of its direction and position."""
 
     nx: float
     ny: float
@@ -83,7 +83,7 @@ def residual_gain(residual_m: float, variance_m2: float) -> float:
     log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) with sigma^2 the variance across the wall.
     """
     normed = residual_m * residual_m / variance_m2
-    # most points are outliers of most lines: only the others are worth a logarithm
+    # most points are outliers of most lines: the logarithm is taken for the others only
     if not normed <= INLIER_SIGMAS * INLIER_SIGMAS:
         return 0.0
     return float(max(_GAIN_AT_1_M - 0.5 * math.log(variance_m2) - 0.5 * normed, 0.0))
@@ -168,8 +168,8 @@ def fit_line(
     middle.
 
     Weights are the inverse variances across the line, so they follow the line: iterated. The uncertainty is that of
-    the weights, inflated where the residuals are larger than they promise. Needs two distinct points.
+    the weights, inflated where the residuals are larger than the weights imply. Needs two distinct points.
     """
-    # copies: of one layout, whatever came, for which the kernel is compiled
+    # copied to the one layout for which the kernel is compiled
     line = fitted(np.array(points_m, np.float64), np.array(covariance_m2, np.float64), rounds)
     return np.array([line.nx, line.ny]), line.offset_m, line.angle_std_rad, line.offset_std_m

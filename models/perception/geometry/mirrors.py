@@ -1,6 +1,6 @@
-"""Found walls as mirrors: arrays of straight and curved segments, and where rays meet them.
+"""Walls as mirrors: arrays of straight and curved segments, and the intersections of rays with them.
 
-A curved wall is an arc over its chord. Where a ray meets it, it acts as the straight mirror that touches it there: for
+A curved wall is an arc over its chord. At the point where a ray meets it, it acts as the tangent straight mirror: for
 the ray's own image that is exact, whatever the curvature.
 """
 
@@ -53,7 +53,7 @@ class WallArrays:
         return points_m @ self.normal.T + self.offset_m
 
     def trimmed(self, trim_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the ends drawn in by `trim_m`, by a quarter of the wall at most: what surely is wall."""
+        """Return the ends drawn in by `trim_m`, by a quarter of the wall at most: the certain part of the wall."""
         length_m = np.maximum(self.length_m, 1e-9)[:, None]
         inward = np.minimum(trim_m / length_m, 0.25) * (self.b - self.a)
         return self.a + inward, self.b - inward
@@ -61,7 +61,7 @@ class WallArrays:
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays meet walls: shares of ray and chord, NaN for none [N, W]; the mirror that touches the wall there."""
+    """Intersections of rays with walls: shares of ray and chord, NaN for none [N, W]; the tangent mirror there."""
 
     along_ray: np.ndarray
     along_wall: np.ndarray
@@ -70,7 +70,7 @@ class Hits:
     offset_m: np.ndarray
 
     def missed_m(self, length_m: np.ndarray) -> np.ndarray:
-        """Return how far beyond a wall's ends its line is met [N, W], for chords of `length_m` [W]; infinite for
+        """Return the distance beyond a wall's ends at which its line is met [N, W]; chords of `length_m` [W]; infinite:
         never.
         """
         share = np.maximum(np.maximum(-self.along_wall, self.along_wall - 1.0), 0.0)
@@ -125,7 +125,7 @@ def _on_arc(
     first = curvature * np.sum(start * ray, axis=1) - rise * (ray @ normal)
     constant = curvature * (np.sum(start**2, axis=1) - half_m**2) - 2.0 * rise * (start @ normal)
     root = first**2 - second * constant
-    # of the same sign as what it is added to: neither root is a difference of like numbers
+    # of the same sign as the term it is added to: neither root is a difference of like numbers
     away = -first - np.copysign(np.sqrt(np.where(root >= 0.0, root, np.nan)), first)
     shares = np.stack([_quotient(constant, away), _quotient(away, second)])
     nearest = np.nan_to_num(np.abs(shares - near), nan=np.inf).argmin(axis=0)
@@ -135,7 +135,7 @@ def _on_arc(
 
 
 def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return the quotients [N], NaN where they would be larger than any way along a ray."""
+    """Return the quotients [N], NaN where they would be larger than any share along a ray."""
     fits = np.abs(below) > 1e-12 * np.abs(above)
     return np.where(fits, above / np.where(fits, below, 1.0), np.nan)
 
@@ -146,9 +146,7 @@ def behind(points_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np
 
 
 def behind_walls(points_m: np.ndarray, walls: WallArrays, depth_m: float) -> np.ndarray:
-    """Return the points [N, 2] the radar does not see because a wall, passed by more than `depth_m`, stands between;
-    bool [N].
-    """
+    """Return whether a wall hides points [N, 2] that lie more than `depth_m` behind it from the radar; bool [N]."""
     if len(walls) == 0:
         return np.zeros(len(points_m), bool)
     blocked = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)

@@ -1,6 +1,5 @@
-"""The published back end alone: plain clusters and lines, buddy association, every image folded back, none rejected.
-
-It stands beside `models.perception.geometry.stage` so that each method can be fed to both.
+"""The published back end: plain clusters and lines, buddy association, every image folded back, none rejected. It
+exists beside `models.perception.geometry.stage` so that each detector can be evaluated with both.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ class PublishedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     rounds: int = 200
     inlier_m: float = 0.3
     min_inliers: int = 2
-    #: Direct returns nearer ahead than this share of the nearest image count for nothing.
+    #: Direct returns nearer ahead than this share of the nearest image are ignored.
     nearest_share: float = 0.2
     seed: int = 0
 

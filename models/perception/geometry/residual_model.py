@@ -1,4 +1,4 @@
-"""The learned residual as the vehicle runs it: an ONNX file of ResidualReflectNet, its card, and bounded answers."""
+"""Inference with the learned residual on the vehicle: an ONNX file of ResidualReflectNet, its card, bounded outputs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_SHIFT_M = 5.0
 
 
 class ResidualCard(msgspec.Struct, frozen=True, kw_only=True):
-    """What a residual network file is: how it was made, what it takes, how good it is; a JSON file beside the file."""
+    """Description of a residual network file: how it was made, its input, its scores; a JSON file beside it."""
 
     name: str
     sha256: str
@@ -31,14 +31,14 @@ class ResidualCard(msgspec.Struct, frozen=True, kw_only=True):
     frame: ResidualFrame
     #: Direct returns in a patch.
     neighbours: int
-    #: What it learned from: `truth`, `peaks` or `both`; and the walls it was trained behind.
+    #: Source of its training points: `truth`, `peaks` or `both`; and the walls that it was trained with.
     source: str
     geometry: str
     seed: int
     command: str
     #: Made from which scenes, with which detector.
     data: dict[str, str | int]
-    #: On test scenes that neither trained nor chose it; `_without` are those of the mirror law alone.
+    #: On test scenes that were used neither to train nor to select it; `_without` are those of the mirror law alone.
     metrics: dict[str, float]
     #: Chosen epoch and the resolved configuration of the run.
     training: dict[str, Any]
@@ -81,7 +81,7 @@ def image_frames(reflection: ReflectionState, frame: ResidualFrame) -> ImageFram
 def _wall_frames(reflection: ReflectionState) -> ImageFrames:
     """Return the relay-wall coordinates (section 3.2): origin at the radar's foot on the wall, axes tangent and normal.
 
-    The tangent points to the image's side of the foot: scenes that are turned or seen in a mirror are the same scene.
+    The tangent points to the image's side of the foot: turned and mirrored scenes become the same scene.
     """
     normal, offset_m = reflection.state[:, 2:4], reflection.state[:, 4:5]
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
@@ -93,8 +93,8 @@ def _wall_frames(reflection: ReflectionState) -> ImageFrames:
 def in_frames(reflection: ReflectionState, frames: ImageFrames) -> ReflectionState:
     """Return the same images in their own frames.
 
-    The offset stays the radar's distance from the wall: in wall coordinates the wall's own would be zero for all, and
-    where the radar stands would be lost.
+    The offset stays the radar's distance from the wall: in wall coordinates the wall's own offset would be zero for
+    all, and the radar's distance would be lost.
     """
     images_m = frames.points(reflection.images_m)
     state = reflection.state.copy()
@@ -132,7 +132,7 @@ class LearnedResidual:
         self._infer(ReflectionState(*(np.zeros((1, *shape)) for shape in self._shapes().values())))
 
     def __call__(self, reflection: ReflectionState) -> np.ndarray:
-        """Offsets float64 [N, 2] in metres, none longer than the bound; N may be 0.
+        """Return the offsets float64 [N, 2] in metres, none longer than the bound; N may be 0.
 
         Raises `ValueError` where an input has another shape or is not finite.
         """

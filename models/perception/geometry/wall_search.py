@@ -1,7 +1,7 @@
 """Compiled search for wall segments: hypotheses of a RANSAC scored, refit and cut at gaps, the best of them kept.
 
-The rules are those of `models.perception.geometry.walls`, which calls this once for every wall it looks for: a search
-is some thousand sums over a few dozen points, which would be as many small array calls.
+The rules are those of `models.perception.geometry.walls`, which calls this once for every wall. A search is some
+thousand sums over a few dozen points; without compilation it would be as many small array calls.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from models.perception.geometry.lines import Line, fitted, gains, residual_gain,
 
 #: Hypotheses that are refit and compared in each round of the search.
 FINALISTS = 4
-#: Times that a line's weights follow it.
+#: Refits with weights that follow the line.
 FIT_ROUNDS = 3
 #: Log likelihood a point must add to continue a wall.
 MIN_EXTENSION_GAIN = 1.0
 
 
 class Limits(NamedTuple):
-    """What acts as a mirror, as in `WallParams`."""
+    """Conditions for a mirror, as in `WallParams`."""
 
     min_inliers: int
     max_gap_m: float
@@ -109,7 +109,7 @@ def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray)
 
 @njit(cache=True, nogil=True)
 def _has_same_inliers(gain: np.ndarray, index: int, rows: np.ndarray) -> bool:
-    """Return whether a row of gains [H, N] has the same inliers as one of the others."""
+    """Return whether a row of gains [H, N] has the same inliers as one of some other rows."""
     for row in rows:
         alike = True
         for i in range(gain.shape[1]):
@@ -172,7 +172,9 @@ def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, run: np.ndarray) -> np.ndarray:
-    """Return the points a wall leaves: neither its own, nor within its ends and as near as errors allow; bool [N]."""
+    """Return the points that a wall does not explain: not its own, nor between its ends within their errors; bool
+    [N].
+    """
     line = segment.line
     low, high = segment.ay * line.nx - segment.ax * line.ny, segment.by * line.nx - segment.bx * line.ny
     gain = gains(points_m, covariance_m2, line.nx, line.ny, line.offset_m)

@@ -1,12 +1,12 @@
 """Walls from direct returns: line RANSAC in each cluster, refit by weighted total least squares, cut at gaps.
 
 Two error models share one code. `polar`: each point brings its covariance (range is some 20 times sharper than
-cross-range), so a point far along the beam may stand metres off a wall seen edge-on and centimetres off a wall faced.
+cross-range), so a far point may lie metres off a wall seen edge-on, but only centimetres off a wall seen face-on.
 `euclidean`, the published form: every point within `inlier_m` of the line counts alike.
 
 A line's score is its log likelihood over that of scattered points: sum of log(p(residual | wall) / p(scattered)).
-A line that only gathers points because their errors are wide earns little, which is what keeps clutter from becoming
-walls along the line of sight.
+A line that gathers points only because their errors are wide scores little, so clutter along the line of sight does not
+become a wall.
 """
 
 from __future__ import annotations
@@ -25,13 +25,15 @@ from models.perception.geometry.wall_search import Limits, Segment, best_segment
 from msgs.values.arrays import require_positive
 from msgs.values.perception import Wall
 
-#: Pieces of walls that are looked at for each wall that may be kept, the best first: each is held against each.
+#: Candidate pieces for each wall that may be kept, the best first: all pairs of them are compared.
 _MAX_CANDIDATES = 4
 
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How walls are found. What acts as a mirror: at least `min_inliers` points over `min_length_m`, on a line known to
-    `max_angle_std_rad`, that stands `min_offset_m` or more off the radar and outscores scattered points."""
+    """Parameters of the wall fit. A mirror has at least `min_inliers` points over `min_length_m`, an angle known to
+    `max_angle_std_rad`, an offset of `min_offset_m` or more from the radar, and a higher likelihood than scattered
+    points.
+    """
 
     error_model: Literal["polar", "euclidean"] = "polar"
     rounds: int = 200
@@ -41,7 +43,7 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     min_inliers: int = 4
     min_length_m: float = 2.5
     max_gap_m: float = 6.5
-    #: A wall that answers at few spots, too far apart for one cluster, must outscore scattered points by more.
+    #: A wall that reflects at few spots, too far apart for one cluster, needs a higher score over scattered points.
     sparse_gap_m: float = 12.0
     sparse_min_score: float = 15.0
     max_angle_std_rad: float = math.radians(6.0)
@@ -51,11 +53,11 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     max_walls: int = 12
     #: Lines of different clusters join, grow and hide each other; without it they stay as RANSAC leaves them.
     joined: bool = True
-    #: A wall is cut at a gap this wide through which so many returns of another wall are seen; 0: never.
+    #: A wall is split at a gap this wide through which so many returns of another wall are visible; 0: never.
     open_gap_m: float = 2.0
     seen_through_points: int = 2
-    #: A wall reaches on to the end of another that lies on its line, this far off at most, unless something is seen
-    #: through it there; 0: never.
+    #: A wall extends to the end of another that lies on its line, at most this far, unless returns are visible through
+    #: it there; 0: never.
     corner_reach_m: float = 10.0
     #: Walls that an arc explains better than lines are arcs.
     curved: bool = True
@@ -95,9 +97,7 @@ def find_walls(
 def _join_clusters(
     points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
-    """Return the walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best
-    first.
-    """
+    """Join walls over clusters, add sparse ones and arcs, and split them where the radar sees through; best first."""
     if len(fits) > _MAX_CANDIDATES * params.max_walls:
         fits = sorted(fits, key=lambda fit: -fit.score)[: _MAX_CANDIDATES * params.max_walls]
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
@@ -127,7 +127,9 @@ def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
 def _walls_of_cluster(
     points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
-    """Return the sequential RANSAC: the best wall, then the best among the points it leaves, until none has support."""
+    """Fit walls by sequential RANSAC: the best wall, then the best among the remaining points, until none has
+    support.
+    """
     fits: list[LineFit] = []
     limits = _limits(params)
     while len(members) >= params.min_inliers:
@@ -141,15 +143,13 @@ def _walls_of_cluster(
 
 
 def _pairs(count: int, rounds: int, rng: np.random.Generator) -> np.ndarray:
-    """Return which pairs of so many points the hypotheses go through: all of them where they are no more than
-    `rounds`.
-    """
+    """Return the numbers of the point pairs that define the hypotheses: all pairs where there are at most `rounds`."""
     pairs = count * (count - 1) // 2
     return np.arange(pairs) if pairs <= rounds else np.sort(rng.choice(pairs, rounds, replace=False))
 
 
 def _limits(params: WallParams) -> Limits:
-    """Return what the search is told of its parameters; all of one type, for which it is compiled."""
+    """Return the limits of the search, each of the type for which it is compiled."""
     return Limits(
         int(params.min_inliers),
         float(params.max_gap_m),
@@ -161,7 +161,7 @@ def _limits(params: WallParams) -> Limits:
 
 
 def _as_fit(segment: Segment, members: np.ndarray) -> LineFit:
-    """Return a segment with the points it stands on."""
+    """Return a segment with its points."""
     line = segment.line
     return LineFit(
         normal=np.array([line.nx, line.ny]),
@@ -175,7 +175,7 @@ def _as_fit(segment: Segment, members: np.ndarray) -> LineFit:
 
 
 def _as_segment(fit: LineFit) -> Segment:
-    """Return the same for the search."""
+    """Return a fit as a segment for the search."""
     line = Line(float(fit.normal[0]), float(fit.normal[1]), fit.offset_m, fit.angle_std_rad, fit.offset_std_m)
     (ax, ay), (bx, by) = fit.ends_m.tolist()
     return Segment(line, fit.score, ax, ay, bx, by, True)
@@ -213,7 +213,9 @@ def _merge_duplicates(
 def _joined(
     points_m: np.ndarray, covariance_m2: np.ndarray, first: LineFit, second: LineFit, params: WallParams
 ) -> LineFit | None:
-    """Return one wall in place of two, None where the two are not one: the joint line must keep 90 % of their score."""
+    """Return one wall in place of two, None where they are different walls: the joint line must keep 90 % of their
+    score.
+    """
     if abs(float(first.normal @ second.normal)) < math.cos(math.radians(30.0)):
         return None
     members = np.flatnonzero(claimed(len(points_m), (first, second)))
@@ -229,7 +231,7 @@ def _extended(
 ) -> LineFit:
     """Return the wall with the free points that continue it, nearest first, whatever cluster they are in.
 
-    A smooth wall answers at few spots (the foot of the perpendicular above all), often further apart than a cluster
+    A smooth wall reflects at few spots (above all at the foot of the perpendicular), often further apart than a cluster
     reaches. A point must lie on the line within its own error and that of the line so far out.
     """
     limits = _limits(params)
@@ -247,10 +249,9 @@ def _extended(
 def _opened(
     points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams
 ) -> list[LineFit]:
-    """Return the parts of a wall between the gaps through which another wall is seen: what is seen behind proves an
-    opening.
+    """Split a wall at the gaps through which another wall is visible: returns behind it prove an opening.
 
-    Arcs, which their own returns bend, stay whole; a part that cannot stand on its own is no wall.
+    Arcs, which their own returns bend, stay whole; a part without enough support of its own is no wall.
     """
     if fit.curvature_per_m != 0.0:
         return [fit]
@@ -273,9 +274,7 @@ def _opened(
 
 
 def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams) -> LineFit:
-    """Return the wall drawn on to the corner it makes with another: what stands before a corner hides the walls'
-    returns.
-    """
+    """Extend the wall to the corner that it forms with another: objects before a corner hide the walls' returns."""
     if fit.curvature_per_m != 0.0 or len(fits) < 2:
         return fit
     low, high = np.sort(fit.ends_m @ fit.tangent).tolist()
@@ -297,9 +296,7 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
 
 
 def _passed_at(fit: LineFit, points_m: np.ndarray) -> np.ndarray:
-    """Return where along a wall's line the rays pass to those of the points [N, 2] that lie a metre or more behind
-    it; [M].
-    """
+    """Return where rays to the points [N, 2] that lie a metre or more behind a wall cross its line, along it; [M]."""
     depth_m = -(points_m @ fit.normal + fit.offset_m)
     points_m, depth_m = points_m[depth_m > 1.0], depth_m[depth_m > 1.0]
     # the height over the line falls from offset_m at the radar to -depth_m
@@ -307,7 +304,7 @@ def _passed_at(fit: LineFit, points_m: np.ndarray) -> np.ndarray:
 
 
 def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:
-    """Keep walls in order, without those that stand wholly behind a kept one: the radar sees no mirror there."""
+    """Keep walls in order, without those wholly behind a kept one: they are no mirrors for the radar."""
     kept: list[LineFit] = []
     for fit in fits:
         samples = np.stack([fit.ends_m[0], fit.ends_m.mean(axis=0), fit.ends_m[1]])
@@ -317,7 +314,7 @@ def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:
 
 
 def _hides(wall: LineFit, points_m: np.ndarray) -> bool:
-    """Return all rays from the radar to the points [N, 2] pass through the wall on their way, by more than its own
+    """Return whether all rays from the radar to the points [N, 2] cross the wall, which they pass by more than its
     error.
     """
     depth_m = -(points_m @ wall.normal + wall.offset_m)
