@@ -156,9 +156,7 @@ def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
 
 
 def _hiding_span(radar: np.ndarray, box: np.ndarray) -> tuple[float, float] | None:
-    """Return from where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it
-    all.
-    """
+    """Return from where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it all."""
     if box.min() < CLEARANCE_M:
         return None
     share = -radar[0] / (box[:, 0] - radar[0])

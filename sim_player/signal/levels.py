@@ -169,8 +169,9 @@ def _range_kernels(count: int, instants: int, bins: range, blocks: int, precisio
 
 
 def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BINS)) -> np.ndarray:
-    """Return the Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero. Complex [rows,
-    bins].
+    """Return the Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero.
+
+    Complex [rows, bins].
     """
     window = (1.0 - np.cos(2.0 * np.pi * np.arange(samples.shape[1]) / count)).astype(samples.real.dtype) / count
     return fft.fft(samples * window, count, axis=1)[:, np.arange(bins.start, bins.stop) % count]

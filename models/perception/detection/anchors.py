@@ -21,10 +21,11 @@ def anchor_cells(count: int, stride: int) -> np.ndarray:
 
 
 def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distance: int) -> Points:
-    """Return the points in an answer [5, rows, columns], in cells of the map. A point is an anchor plus its offset,
-    kept on the map. The class probability of the anchor is at least `threshold` and no less than that of its
-    neighbours. One within `min_distance` cells (on
-    both axes) of a stronger one of its class is left out. Raises ValueError for another shape or values not finite.
+    """Return the points in an answer [5, rows, columns], in cells of the map.
+
+    A point is an anchor plus its offset, kept on the map. The class probability of the anchor is at least `threshold`
+    and no less than that of its neighbours. One within `min_distance` cells (on both axes) of a stronger one of its
+    class is left out. Raises ValueError for another shape or values not finite.
     """
     # here: a network of heatmaps has no anchors
     from scipy import ndimage

@@ -110,8 +110,9 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def warm(params: CfarParams) -> None:
-    """Compile the kernels that maps need, or load them, with the threshold of maps no shorter than the window. The
-    first map must not wait for that: it took a second on a busy machine, and the next maps were outdated by then.
+    """Compile the kernels that maps need, or load them, with the threshold of maps no shorter than the window.
+
+    The first map must not wait for that: it took a second on a busy machine, and the next maps were outdated by then.
     """
     from models.perception.geometry.stage import made_up_peaks
 

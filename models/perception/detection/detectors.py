@@ -120,8 +120,9 @@ class CfarDetector:
 
 
 class PhotonDetector:
-    """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed. A radar
-    cross-section says nothing about light.
+    """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed.
+
+    A radar cross-section says nothing about light.
     """
 
     def __init__(self, params: CfarParams = PHOTON_CFAR) -> None:

@@ -136,7 +136,10 @@ def _robust_halves(spectra: np.ndarray) -> np.ndarray:
 
 def noise_by_scans(spectra: np.ndarray) -> list[tuple[int, float]]:
     """Return the noise power per bin of the mean over 1, 2, 4, ... scans of spectra [scans, beams, bins], from
-    differences of neighbouring means: what is static falls out. Median over bins, so that a mover does not set it."""
+    differences of neighbouring means: what is static falls out.
+
+    Median over bins, so that a mover does not set it.
+    """
     powers, count = [], 1
     while 2 * count <= len(spectra):
         pairs = len(spectra) // (2 * count)

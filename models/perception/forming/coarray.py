@@ -250,8 +250,8 @@ class AzimuthInterpolator:
         return self._inverses[missing]
 
     def _incoherent(self, beams: np.ndarray, inverse: _Inverse, noise_power_mw: float) -> np.ndarray:
-        """Return the bins [range] whose residual noise cannot explain, nor errors of the model; none without freedom
-        to test.
+        """Return the bins [range] whose residual neither noise nor model errors explain; none without degrees of
+        freedom.
         """
         # imported here: a detector uses arrays, but forms no maps
         from scipy.special import gammainccinv

@@ -47,9 +47,10 @@ def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
 
 
 def interfered_beams(noise_power_mw: np.ndarray) -> np.ndarray:
-    """Return the beams with interference, bool [beams] of the noise of each (nan for missing beams). An interfered beam
-    is far noisier than the median and lies between two beams that are neither noisy nor missing: the neighbours must
-    cover its direction.
+    """Return the beams with interference, bool [beams] of the noise of each (nan for missing beams).
+
+    An interfered beam is far noisier than the median and lies between two beams that are neither noisy nor missing: the
+    neighbours must cover its direction.
     """
     loud = noise_power_mw > ratio_from_db(_INTERFERED_DB) * np.nanmedian(noise_power_mw)
     useless = np.pad(loud | np.isnan(noise_power_mw), 1)

@@ -496,9 +496,10 @@ class _OpenScan:
         return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
 
     def profiles(self) -> ScanProfiles:
-        """Return the folded beams; noise is the median over beams, so that one disturbed beam does not set it. Silent
-        and interfered beams are left out like missing ones: their neighbours cover their direction better. Beams of a
-        digital array are kept: each is made of all columns and covers a direction of its own.
+        """Return the folded beams; noise is the median over beams, so that one disturbed beam does not set it.
+
+        Silent and interfered beams are left out like missing ones: their neighbours cover their direction better. Beams
+        of a digital array are kept: each is made of all columns and covers a direction of its own.
         """
         received = ~np.isnan(self._noise_power_mw)
         noise_power_mw = float(np.median(self._noise_power_mw[received]))

@@ -73,8 +73,9 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
 
 @njit(cache=True, nogil=True)
 def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
-    """Add four rows to `total`; return whether any code is at full scale. No branch and no call, so that it becomes
-    SIMD.
+    """Add four rows to `total`; return whether any code is at full scale.
+
+    No branch and no call, so that it becomes SIMD.
     """
     highest = np.int16(0)
     lowest = np.int16(0)

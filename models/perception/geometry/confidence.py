@@ -1,7 +1,8 @@
-"""Confidence of folded positions: a small network on features of the fold, fitted on simulated scenes. True images are
-strong. Their rays cross a wall well within its ends, near one of its returns, and they fold to positions near others of
-the same object. False ones have no source, or were folded in the wrong wall. The confidence is the probability that the
-position lies within 1 m of a true one.
+"""Confidence of folded positions: a small network on features of the fold, fitted on simulated scenes.
+
+True images are strong. Their rays cross a wall well within its ends, near one of its returns, and they fold to
+positions near others of the same object. False ones have no source, or were folded in the wrong wall. The confidence is
+the probability that the position lies within 1 m of a true one.
 """
 
 from __future__ import annotations
@@ -171,7 +172,7 @@ def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
 def place_features(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
-    """Return the features of each position, float64 [N, features] in the order of `FEATURES`; distances as logarithms."""
+    """Return the features of each position, float64 [N, features], in the order of `FEATURES`."""
     context = _FoldContext(recovered, wall_arrays(walls), returns, params)
     columns = {name: column for part in _PARTS for name, column in part(context).items()}
     return np.stack([columns[name].astype(np.float64) for name in FEATURES], axis=1)

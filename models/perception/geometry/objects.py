@@ -166,8 +166,10 @@ def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]
 
 def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list[Recovered]:
     """Return the clusters that are no satellite of one twice as large: few points, in its beam at its range or along
-    its side. Two returns in one beam at one range are hardly resolved in azimuth, and the side of a long vehicle
-    reflects at few spots: neither may become a second vehicle.
+    its side.
+
+    Two returns in one beam at one range are hardly resolved in azimuth, and the side of a long vehicle reflects at few
+    spots: neither may become a second vehicle.
     """
     return [
         cluster

@@ -95,7 +95,7 @@ def _receiver(level_db: float, params: VisibilityParams) -> _Receiver:
 
 @njit(cache=True, nogil=True)
 def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
-    """Return the two-way loss to an apparent position relative to 1 m on boresight; infinite outside the field of view."""
+    """Return the two-way loss to an apparent position relative to 1 m on boresight; infinite outside the field."""
     range_m = math.hypot(x, y)
     if range_m > receiver.max_range_m:
         return math.inf

@@ -1,5 +1,6 @@
-"""The published back end: plain clusters and lines, buddy association, every image folded back, none rejected. It
-exists beside `models.perception.geometry.stage` so that each detector can be evaluated with both.
+"""The published back end: plain clusters and lines, buddy association, every image folded back, none rejected.
+
+It exists beside `models.perception.geometry.stage` so that each detector can be evaluated with both.
 """
 
 from __future__ import annotations

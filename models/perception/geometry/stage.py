@@ -51,9 +51,10 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 @dataclass(frozen=True)
 class FoldedScan:
-    """Intermediate result of a scan before objects are formed: direct returns, walls, folded positions. A position that
-    is not `hidden` (bool [N]) is explained by a directly visible object: it may be a true image of that object, but
-    adds no information.
+    """Intermediate result of a scan before objects are formed: direct returns, walls, folded positions.
+
+    A position that is not `hidden` (bool [N]) is explained by a directly visible object: it may be a true image of that
+    object, but adds no information.
     """
 
     returns: DirectReturns
@@ -126,6 +127,7 @@ def direct_structure(
 
 def warm(params: GeometryParams) -> None:
     """Compile the stage's kernels, or load them, and lay out its grid, so that the first scan does not wait for it.
+
     Types do not depend on the parameters, so one synthetic street with the default ones needs all kernels.
     """
     recover_bev(made_up_peaks(), GeometryParams())

@@ -30,9 +30,10 @@ _MAX_CANDIDATES = 4
 
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters of the wall fit. A mirror has at least `min_inliers` points over `min_length_m`, an angle known to
-    `max_angle_std_rad`, an offset of `min_offset_m` or more from the radar, and a higher likelihood than scattered
-    points.
+    """Parameters of the wall fit.
+
+    A mirror has at least `min_inliers` points over `min_length_m`, an angle known to `max_angle_std_rad`, an offset of
+    `min_offset_m` or more from the radar, and a higher likelihood than scattered points.
     """
 
     error_model: Literal["polar", "euclidean"] = "polar"

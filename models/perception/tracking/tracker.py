@@ -1,4 +1,4 @@
-"""Hidden objects followed over scans in an odometry frame: nearly-constant-velocity Kalman filters and assignment.
+"""Tracking of hidden objects over scans in an odometry frame: nearly-constant-velocity Kalman filters and assignment.
 
 Each object comes with its own covariance and its own time of measurement, so a track is predicted to that time, gated
 by Mahalanobis distance and assigned to at most one object of a scan (global nearest neighbour). A track is confirmed
@@ -29,38 +29,38 @@ from msgs.values.vehicle import ego_motion
 
 #: Cost of a pair outside the gate: larger than any sum of those inside.
 FORBIDDEN = 1e9
-#: An object measured further from its scan's stamp is none of that scan.
+#: An object measured further from its scan's stamp does not belong to that scan.
 LONGEST_SCAN_NS = 2_000_000_000
-#: A radar that sits where the vehicle's motion is told of.
+#: A radar at the reference point of the vehicle's motion.
 FRONT = Pose2()
-#: What is measured of a state (x, y, vx, vy).
+#: Measurement matrix of a state (x, y, vx, vy).
 MEASURED = np.eye(2, 4)
 
 
 class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How objects may move, when a track is believed, when it is given up, how far its path is looked ahead."""
+    """Motion model, track confirmation and deletion, and the horizon of the prediction."""
 
     #: Spectral density of the white acceleration: after 1 s the velocity has this variance more.
     acceleration_density_m2ps3: float = 2.0
-    #: Of the velocity of an object seen once, along each axis.
+    #: Standard deviation of the velocity of an object detected once, along each axis.
     first_speed_std_mps: float = 8.0
-    #: Added to each object's own: the middle of what is seen of a vehicle wanders over its face.
+    #: Added to each object's own: the centre of the visible part of a vehicle wanders over its face.
     place_std_m: float = 0.4
     #: Square of the Mahalanobis distance: 99.7 % of true pairs in two dimensions.
     gate: float = 11.8
     confirm_hits: int = 3
     confirm_scans: int = 5
-    #: A confirmed track is given up after more misses in a row.
+    #: A confirmed track is deleted after more misses in a row.
     max_misses: int = 5
-    #: And all of them where no scan came for longer, or the clock went back by more.
+    #: All tracks are deleted where no scan arrived for longer, or the clock went back by more.
     max_gap_s: float = 2.0
     horizon_s: float = 6.0
     step_s: float = 0.1
-    #: An object is in sight with its nose, so far ahead of the middle of what was seen.
+    #: An object comes into sight with its nose, so far ahead of the centre of its visible part.
     nose_m: float = 2.0
-    #: Walls seen so lately still stand: a scan does not find every wall.
+    #: Walls of scans this recent still block: a scan does not find every wall.
     wall_memory_s: float = 1.5
-    #: Slower objects go nowhere: the time to appear is then that of the ego's own way.
+    #: Slower objects count as stationary: the time to appear then follows from the ego motion alone.
     slow_mps: float = 0.5
 
     def __post_init__(self) -> None:
@@ -90,7 +90,9 @@ class Estimate:
         return Estimate(stamp_ns, step @ self.mean, _symmetric(covariance))
 
     def updated(self, position_m: np.ndarray, measurement_covariance_m2: np.ndarray) -> Estimate:
-        """Return the after a place was measured; Joseph's form, a sum of squares whatever the gain's rounding."""
+        """Return the state after a position measurement; Joseph's form, a sum of squares whatever the gain's
+        rounding.
+        """
         gain = _gain(self.covariance, measurement_covariance_m2)
         rest = np.eye(4) - gain @ MEASURED
         covariance = rest @ self.covariance @ rest.T + gain @ measurement_covariance_m2 @ gain.T
@@ -99,14 +101,14 @@ class Estimate:
 
 def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
     """Return the covariance [4, 4] that white acceleration adds over a time, which may be negative."""
-    # back in time only place and velocity change the sign they vary together with
+    # back in time only the covariance of position and velocity changes its sign
     length_s, cross = abs(elapsed_s), 0.5 * elapsed_s * abs(elapsed_s)
     block = np.array([[length_s**3 / 3.0, cross], [cross, length_s]])
     return density_m2ps3 * np.kron(block, np.eye(2))
 
 
 def _gain(covariance: np.ndarray, measurement_covariance_m2: np.ndarray) -> np.ndarray:
-    """Return the Kalman gain [4, 2] of a measured place."""
+    """Return the Kalman gain [4, 2] of a measured position."""
     return np.linalg.solve(covariance[:2, :2] + measurement_covariance_m2, covariance[:2]).T
 
 
@@ -116,7 +118,7 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sighting:
-    """A hidden object in the odometry frame: place [2], covariance [2, 2], time of measurement."""
+    """A hidden object in the odometry frame: position [2], covariance [2, 2], time of measurement."""
 
     stamp_ns: int
     position_m: np.ndarray
@@ -125,7 +127,7 @@ class Sighting:
 
 @dataclass
 class _TrackState:
-    """A track at work."""
+    """State of one track."""
 
     id: int
     first_ns: int
@@ -134,7 +136,7 @@ class _TrackState:
     hits: deque[bool]
     confirmed: bool = False
     misses: int = 0
-    #: A wall stood before it at some time: only then can it come into sight.
+    #: A wall hid it at some time: only then can it come into sight.
     was_blocked: bool = False
 
 
@@ -149,7 +151,7 @@ class _ScanWalls:
 
 @dataclass
 class Tracker:
-    """Follows the hidden objects of one radar; one call a scan, in the order of their stamps."""
+    """Tracker of the hidden objects of one radar; one call a scan, in the order of their stamps."""
 
     params: TrackerParams = field(default_factory=TrackerParams)
     _tracks: list[_TrackState] = field(default_factory=list, init=False)
@@ -162,9 +164,9 @@ class Tracker:
     def step(self, frame: BevFrame, pose: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
         """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
-        `pose`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it nothing can be followed and all tracks
-        end, as they do when its frame changes. `standing` is the place of a radar that never moves. A scan that
-        comes twice or late changes nothing and brings the tracks of the one before it once more.
+        `pose`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it no object can be tracked and all tracks
+        end, as they do when its frame changes. `standing` is the pose of a radar that never moves. A repeated or late
+        scan changes nothing and returns the tracks of the scan before it again.
         """
         if pose is None:
             self._forget(None)
@@ -222,11 +224,11 @@ class Tracker:
     def _is_kept(self, track: _TrackState) -> bool:
         if track.confirmed:
             return track.misses <= self.params.max_misses
-        # with more misses than this the hits cannot be had within the window
+        # with more misses than this, too few hits remain possible within the window
         return track.hits.count(False) <= self.params.confirm_scans - self.params.confirm_hits
 
     def _begun(self, sighting: Sighting) -> _TrackState:
-        """Return a track of an object seen for the first time."""
+        """Return a track of an object detected for the first time."""
         covariance = np.zeros((4, 4))
         covariance[:2, :2] = sighting.covariance_m2
         covariance[2:, 2:] = self.params.first_speed_std_mps**2 * np.eye(2)
@@ -252,7 +254,7 @@ class Tracker:
         a: np.ndarray,
         b: np.ndarray,
     ) -> Track:
-        """Return a track as others are told of it."""
+        """Return the message of a track."""
         now = track.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
         hidden = hidden_ahead(now.mean, ahead_m, a, b, self.params)
         track.was_blocked |= bool(hidden[0])
@@ -277,13 +279,13 @@ class Tracker:
 
 
 def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
-    """Return the hidden objects of a scan in the odometry frame, without those whose numbers make no sense."""
+    """Return the valid hidden objects of a scan in the odometry frame."""
     valid = (item for item in frame.objects if _is_valid(item, frame.stamp_ns))
     return [_sighting(item, frame, odom_from_radar, place_std_m) for item in valid]
 
 
 def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
-    """Return a finite place, a covariance that is one, a time near its scan's."""
+    """Return whether an object has a finite position, a valid covariance and a time near its scan's."""
     covariance = np.array(item.cov_m2)
     if not np.isfinite([item.x_m, item.y_m, *covariance.ravel()]).all():
         return False
@@ -299,7 +301,7 @@ def _sighting(item: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place
 
 
 def assign(tracks: Sequence[Estimate], measurements: Sequence[Sighting], params: TrackerParams) -> dict[int, int]:
-    """Return which track has which sighting: as many pairs within the gate as possible, then the likeliest."""
+    """Assign sightings to tracks: as many pairs within the gate as possible, then the likeliest."""
     cost = np.full((len(tracks), len(measurements)), FORBIDDEN)
     for i, track in enumerate(tracks):
         for j, sighting in enumerate(measurements):
@@ -312,11 +314,11 @@ def assign(tracks: Sequence[Estimate], measurements: Sequence[Sighting], params:
 
 
 def _pair_cost(track: Estimate, sighting: Sighting, gate: float) -> float:
-    """Return twice the negative logarithm of the likelihood, but for a constant; `FORBIDDEN` outside the gate."""
+    """Return twice the negative log likelihood, up to a constant; `FORBIDDEN` outside the gate."""
     spread = track.covariance[:2, :2] + sighting.covariance_m2
     offset = sighting.position_m - track.mean[:2]
     distance = float(offset @ np.linalg.solve(spread, offset))
-    # the wider track must not win by being vague
+    # the determinant keeps a track with a wide covariance from winning
     return distance + float(np.linalg.slogdet(spread)[1]) if distance <= gate else FORBIDDEN
 
 
@@ -326,7 +328,7 @@ def hidden_ahead(
     """Return whether walls a -> b [W, 2] hide an object from the radar [steps, 2] now and in each step ahead; bool
     [steps].
 
-    The object (x, y, vx, vy) goes on as it does and is in sight when its nose is. Odometry frame.
+    The object (x, y, vx, vy) keeps its velocity and is in sight when its nose is. Odometry frame.
     """
     times_s = _steps_s(params)
     speed_mps = math.hypot(state[2], state[3])
@@ -342,7 +344,9 @@ def _steps_s(params: TrackerParams) -> np.ndarray:
 
 
 def radar_ahead(place: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
-    """Return the places of the radar [steps, 2] in the odometry frame from now on if the vehicle goes on as it does."""
+    """Return the positions of the radar [steps, 2] in the odometry frame if the vehicle keeps its speed and yaw
+    rate.
+    """
     times_s = _steps_s(params)
     motions = (ego_motion(place.speed_mps, place.yaw_rate_rps, float(time_s)) for time_s in times_s)
     poses = [place.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
@@ -366,7 +370,7 @@ def _rotation(pose: Pose2) -> np.ndarray:
 
 
 def _rotated(covariance: np.ndarray, pose: Pose2) -> Covariance:
-    """Return a covariance in the axes that a pose leads to."""
+    """Return a covariance rotated into the axes of a pose."""
     turn = _rotation(pose)
     (xx, xy), (_, yy) = (turn @ covariance @ turn.T).tolist()
     return (xx, xy), (xy, yy)

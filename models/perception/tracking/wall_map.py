@@ -1,13 +1,13 @@
-"""Walls gathered over scans in the odometry frame: a wall too weak for one scan becomes a mirror by several.
+"""Wall map over scans in the odometry frame: several scans confirm a wall that is too weak for one.
 
 A line is kept with the covariance of its direction and offset and with its evidence, the log likelihood of its returns
 over that of scattered ones, which adds up over scans and fades. Every scan corrects the line (a Kalman filter of two
-states) by the wall found there or, where none was found, by the returns that lie on it. Noise of a scan's own adds to
-the covariance each time, for errors of successive scans are alike, and that of odometry with the way driven.
+states) by the wall found there or, where none was found, by the returns that lie on it. Each scan adds process noise to
+the covariance, because errors of successive scans are alike; odometry adds noise with the distance driven.
 
-Things that move make lines too. A kept line is a mirror only where one scan alone showed it longer than any vehicle's
-side, and only along what at least two scans showed; a wall that does not answer loses evidence, and one through which
-returns are seen is gone at once.
+Moving objects form lines too. A kept line is a mirror only where one scan alone showed it longer than any vehicle's
+side, and only along the part that at least two scans showed. A wall in view without returns loses evidence; one with
+returns behind it is dropped at once.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ RADAR = np.zeros(2)
 
 
 class WallMapParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is kept, how sure it must be, how it is forgotten."""
+    """Conditions for keeping a line, for using it as a mirror, and for dropping it."""
 
-    #: Lines are begun by fewer returns, less sure ones, than make a wall of a single scan.
+    #: A line starts from fewer and less certain returns than a wall of a single scan.
     candidate: WallParams = WallParams(
         min_inliers=3, min_score=4.0, max_angle_std_rad=math.radians(15.0), sparse_min_score=6.0, curved=False
     )
-    #: A kept line is a mirror from so many scans, so much evidence and so sure a direction on.
+    #: A kept line is a mirror from so many scans, so much evidence and so certain a direction on.
     min_scans: int = 3
     min_score: float = 12.0
     max_angle_std_rad: float = math.radians(4.0)
     #: And where one scan alone showed it this long: longer than a vehicle.
     min_span_m: float = 6.0
-    #: Evidence fades to 1/e in this time and over this way; it never exceeds `most_score`.
+    #: Evidence fades to 1/e in this time and over this distance; it never exceeds `most_score`.
     fade_s: float = 5.0
     fade_m: float = 30.0
     most_score: float = 40.0
-    #: A scan in which a wall did not answer, though in view, costs so much evidence.
+    #: Evidence that a scan costs in which a wall in view gave no return.
     miss_score: float = 3.0
-    #: So many returns of a scan behind a line prove that it is none.
+    #: Number of returns of a scan behind a line that prove that it is no wall.
     seen_through_points: int = 2
     #: Unevenness of real walls, added to each return's own error.
     flatness_m: float = 0.08
-    #: Errors that a scan adds to a line: those of its returns that the next scan will have too.
+    #: Errors that a scan adds to a line: those that the returns of the next scan share.
     scan_angle_std_rad: float = math.radians(0.3)
     scan_offset_std_m: float = 0.03
     #: Of odometry, over a metre driven and a radian turned.
     place_std_m_per_m: float = 0.02
     heading_std_rad_per_m: float = math.radians(0.05)
     heading_std_rad_per_rad: float = 0.02
-    #: Two lines are one where they differ by less than so many standard deviations and this much besides.
+    #: Two lines are one where they differ by less than so many standard deviations plus these margins.
     same_sigmas: float = 3.0
     same_angle_rad: float = math.radians(2.0)
     same_offset_m: float = 0.2
@@ -80,8 +80,8 @@ class WallMapParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 class _KeptLine:
     """A line in the odometry frame, through `middle_m` [2] with a normal at `normal_rad`.
 
-    `covariance` [2, 2] is that of (offset [m] at the middle, direction [rad]); low and high are ends along the normal
-    turned to the left, from the middle, of what one scan showed and of what two did.
+    `covariance` [2, 2] is that of (offset [m] at the middle, direction [rad]); `seen_m` and `sure_m` are the ends
+    (along the normal turned to the left, from the middle) of the parts that one scan and that two scans showed.
     """
 
     middle_m: np.ndarray
@@ -106,7 +106,7 @@ class _KeptLine:
         self.middle_m = self.middle_m - shift_m * normal
 
     def reached(self, low_m: float, high_m: float) -> None:
-        """Note what a further scan showed of it: what two showed is sure."""
+        """Extend the line by a further scan; the part that two scans showed is certain."""
         twice = max(self.seen_m[0], low_m), min(self.seen_m[1], high_m)
         if twice[0] < twice[1]:
             self.sure_m = twice if self.sure_m is None else _union(self.sure_m, twice)
@@ -139,7 +139,7 @@ class _Local:
         return np.array([-self.normal[1], self.normal[0]])
 
     def along_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Return the places of points [N, 2] along the line, from its middle [N]."""
+        """Return the coordinates of points [N, 2] along the line, from its middle [N]."""
         return np.asarray((points_m - self.middle_m) @ self.tangent)
 
     def off_m(self, points_m: np.ndarray) -> np.ndarray:
@@ -151,7 +151,7 @@ class _Local:
         return self.middle_m + np.array(reach_m)[:, None] * self.tangent
 
     def as_wall(self, reach_m: tuple[float, float]) -> Wall:
-        """Return the value that travels, over a stretch of the line."""
+        """Return the message value over a stretch of the line."""
         ends_m = self.ends_m(reach_m)
         at = np.array([1.0, 0.5 * (reach_m[0] + reach_m[1])])
         (ax, ay), (bx, by) = ends_m.tolist()
@@ -166,7 +166,7 @@ class _Local:
 
 
 class WallMap:
-    """The walls one radar has seen; one call a scan, in the order of their stamps."""
+    """Map of the walls of one radar; one call a scan, in the order of their stamps."""
 
     def __init__(self, params: WallMapParams | None = None) -> None:
         self._params = params or WallMapParams()
@@ -186,7 +186,7 @@ class WallMap:
         """Return the walls of a scan, sharpened by earlier ones, and those that only several scans show; radar frame.
 
         Returns [N, 2] with covariances [N, 2, 2], walls and the wall of each return [N] are those of `find_walls`; the
-        last two come back with the remembered walls behind the scan's own. A scan that comes twice or late changes
+        last two come back with the walls of earlier scans after the scan's own. A repeated or late scan changes
         nothing.
         """
         if self._last is not None and self._last[1].frame == pose.frame and stamp_ns <= self._last[0]:
@@ -217,7 +217,7 @@ class WallMap:
         return walls, wall_of_point
 
     def _age(self, stamp_ns: int, pose: Placed) -> None:
-        """Let evidence fade and uncertainty grow since the last scan; another odometry frame is another world."""
+        """Let evidence fade and uncertainty grow since the last scan; a new odometry frame clears the map."""
         last, self._last = self._last, (stamp_ns, pose)
         if last is None or last[1].frame != pose.frame:
             self._kept = []
@@ -234,7 +234,7 @@ class WallMap:
             line.covariance = line.covariance + np.diag([offset, angle])
 
     def _merge(self, walls: list[Wall], radar_from_odom: Pose2) -> tuple[list[Wall], set[int]]:
-        """Return each straight wall of a scan with the kept line it is one with, or a new one; and `id` of those
+        """Merge each straight wall of a scan with its kept line, or keep it as a new one; also return the `id` of those
         lines.
         """
         merged: list[Wall] = []
@@ -252,7 +252,7 @@ class WallMap:
         return merged, met
 
     def _same(self, wall: Wall, met: set[int], radar_from_odom: Pose2) -> _Local | None:
-        """Return the kept line that a wall is one with: the nearest of those within the errors of both."""
+        """Return the kept line that matches a wall: the nearest of those within the errors of both; None: none."""
         best: tuple[float, _Local] | None = None
         for kept in self._kept:
             local = _Local.of(kept, radar_from_odom)
@@ -262,7 +262,7 @@ class WallMap:
         return best[1] if best else None
 
     def _correct(self, local: _Local, wall: Wall) -> None:
-        """A kept line corrected by a wall of a scan."""
+        """Correct a kept line by a wall of a scan."""
         ends_m = np.array(wall.ends_m)
         low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
         at_m = ends_m.mean(axis=0)[None]
@@ -275,9 +275,7 @@ class WallMap:
         local.kept.inliers = max(local.kept.inliers, wall.inliers)
 
     def _on(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
-        """Return which returns [N] lie on a kept line, within the errors of both and near what was seen of it; bool
-        [N].
-        """
+        """Return which returns [N] lie on a kept line, within the errors of both and near its known part; bool [N]."""
         along_m = local.along_m(points_m)
         near = (along_m > local.kept.seen_m[0] - self._params.max_gap_m) & (
             along_m < local.kept.seen_m[1] + self._params.max_gap_m
@@ -292,7 +290,7 @@ class WallMap:
         return gains(np.array(points_m), widened, local.normal[0], local.normal[1], local.offset_m)
 
     def _support(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> None:
-        """A kept line corrected by returns that lie on it."""
+        """Correct a kept line by returns that lie on it."""
         along_m, kept = local.along_m(points_m), local.kept
         gained = float(self._gains(local, points_m, covariance_m2).sum())
         noise = np.einsum("i,nij,j->n", local.normal, covariance_m2, local.normal) + self._params.flatness_m**2
@@ -303,7 +301,7 @@ class WallMap:
         kept.inliers = max(kept.inliers, len(points_m))
 
     def _in_view(self, local: _Local, walls: list[Wall]) -> bool:
-        """Return whether the radar ought to see a kept line: its middle ahead, and no wall of the scan before it."""
+        """Return whether a kept line should be visible: its middle ahead, and no wall of the scan in front of it."""
         middle_m = local.ends_m(local.kept.seen_m).mean(axis=0)
         if abs(math.atan2(middle_m[1], middle_m[0])) > self._params.view_rad:
             return False
@@ -311,7 +309,7 @@ class WallMap:
         return not crosses(RADAR, 0.98 * middle_m[None], arrays.a, arrays.b).any()
 
     def _seen_through(self, local: _Local, points_m: np.ndarray) -> bool:
-        """Return whether returns of a scan lie behind what is sure of a kept line, past more than its own error."""
+        """Return whether returns of a scan lie behind the certain part of a kept line, by more than its own error."""
         if local.kept.sure_m is None:
             return False
         low_m, high_m = local.kept.sure_m
@@ -331,21 +329,21 @@ class WallMap:
         return sure and long and straight and shows
 
     def _is_ahead(self, local: _Local) -> bool:
-        """Return whether any of a kept line lies in the field of view: only there does it mirror anything."""
+        """Return whether any part of a kept line lies in the field of view: only there it can be a mirror."""
         x_m, y_m = local.ends_m(local.kept.sure_m or local.kept.seen_m).T
         share = np.linspace(0.0, 1.0, 9)
         azimuth_rad = np.arctan2(y_m[0] + share * (y_m[1] - y_m[0]), x_m[0] + share * (x_m[1] - x_m[0]))
         return bool((np.abs(azimuth_rad) <= self._params.view_rad).any())
 
     def _begin(self, points_m: np.ndarray, covariance_m2: np.ndarray, odom_from_radar: Pose2) -> None:
-        """New lines among returns on none."""
+        """Start new lines from returns on no kept line."""
         labels = np.zeros(len(points_m), np.int64)
         walls, _ = find_walls(points_m, covariance_m2, labels, self._params.candidate)
         self._kept += [_begun(wall, self._params.candidate.min_score, odom_from_radar) for wall in walls]
 
 
 def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _KeptLine:
-    """Return a line kept from its first scan on."""
+    """Return a new kept line from a wall of its first scan."""
     ends_m = np.array(wall.ends_m)
     half_m = 0.5 * float(np.hypot(*(ends_m[1] - ends_m[0])))
     return _KeptLine(
@@ -368,7 +366,7 @@ def _turn_rad(local: _Local, wall: Wall) -> float:
 
 
 def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
-    """Return how far a wall lies from a kept line in units of what is allowed, infinite where more."""
+    """Return the distance of a wall from a kept line in units of the allowed distance, infinite where more."""
     ends_m = np.array(wall.ends_m)
     low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
     gap_m = max(low_m - local.kept.seen_m[1], local.kept.seen_m[0] - high_m)
@@ -381,7 +379,7 @@ def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
 
 
 def _sharpened(wall: Wall, kept: _KeptLine, radar_from_odom: Pose2) -> Wall:
-    """Return a wall of a scan, with its own ends put on the line that all scans gave."""
+    """Return a wall of a scan with its own ends on the line of all scans."""
     local = _Local.of(kept, radar_from_odom)
     low_m, high_m = np.sort(local.along_m(np.array(wall.ends_m))).tolist()
     return msgspec.structs.replace(local.as_wall((low_m, high_m)), inliers=wall.inliers)
