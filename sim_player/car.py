@@ -1,4 +1,4 @@
-"""A simulated car: what its CAN bus says while it moves."""
+"""A simulated car: the frames on its CAN bus while it moves."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class CarShape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What turns a yaw rate into an angle of the steering wheel."""
+    """Geometry that maps a yaw rate to an angle of the steering wheel."""
 
     wheelbase_m: float = 2.7
     #: From the left to the right wheels.
@@ -54,9 +54,9 @@ class CarFrame(NamedTuple):
 
 
 class SimulatedCar:
-    """Sends every message of a mapping at its period, counters and checksums as the mapping has them.
+    """Sender of every message of a mapping at its period, with counters and checksums.
 
-    Raises `ValueError` naming the field where mapping and DBC do not meet.
+    Raises `ValueError` naming the field where mapping and DBC do not agree.
     """
 
     def __init__(self, database: Database, mapping: CanMapping, start_ns: int = 0) -> None:
@@ -86,7 +86,7 @@ class SimulatedCar:
         return [sender.frame(values, state.stamp_ns) for sender in due]
 
     def _values(self, state: VehicleState) -> dict[tuple[str, str], float]:
-        """Return what each signal of the mapping says, by message and signal."""
+        """Return the value of each signal of the mapping, by message and signal."""
         half_mps = 0.5 * (state.wheel_speed_difference_mps or 0.0)
         si = {
             "speed": state.speed_mps, "yaw rate": state.yaw_rate_rps, "steering": state.steering_rad,
@@ -105,7 +105,7 @@ class SimulatedCar:
 
 
 class _Sender:
-    """One message: when it is due, and its counter."""
+    """Sender of one message: its next time and its counter."""
 
     def __init__(self, message: Message, rule: MessageRule, start_ns: int) -> None:
         self._message, self._rule = message, rule
@@ -114,7 +114,7 @@ class _Sender:
         self.due_ns = start_ns
 
     def frame(self, values: dict[tuple[str, str], float], now_ns: int) -> CarFrame:
-        """Return the frame at `now_ns`; what was missed before is not made up for."""
+        """Return the frame at `now_ns`; missed frames are not sent later."""
         on_time_ns = self.due_ns + self._period_ns
         self.due_ns = on_time_ns if on_time_ns > now_ns else now_ns + self._period_ns
         return CarFrame(self._message.frame_id, self._data(values), self._message.is_extended_frame)

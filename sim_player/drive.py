@@ -1,7 +1,7 @@
-"""A radar on a vehicle that drives as told: beams and truth from any path and mounting, and what its bus says.
+"""A radar on a vehicle with a prescribed drive: beams and truth from any path and mounting, and vehicle states.
 
 Unlike `sim_player.player`, whose radar moves at constant speed and yaw rate along its own x axis, the vehicle's speed
-and yaw rate change over time and the radar sits somewhere on it, turned. Each beam is traced from its own place.
+and yaw rate change over time and the radar sits somewhere on it, turned. Each beam is traced from its own position.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class DrivePlayer:
         return self._start_ns + scan * period_ns + beam * self.setup.beam_interval_ns
 
     def beam(self, scan: int, index: int) -> RadarBeam:
-        """Return one steering angle's raw samples from the place and at the speed the radar has there."""
+        """Return one steering angle's raw samples, at the radar's position and speed at that time."""
         setup, front_end = self.setup, self._world.scene.radar.front_end
         seed = [self._seed, 5, scan, index]
         terms = with_electronics(setup, self._echoes(scan, index), self._signal, front_end, seed)
@@ -133,7 +133,7 @@ class DrivePlayer:
         return beats, carrier, basis
 
     def truth(self, scan: int) -> SceneTruth:
-        """Return what is there when a scan starts, in the radar's frame."""
+        """Return the truth at the start of a scan, in the radar's frame."""
         stamp_ns = self.stamp_ns(scan)
         time_s = s_from_ns(stamp_ns - self._start_ns)
         paths, pose = self.paths(time_s), self._pose(time_s)
@@ -142,10 +142,10 @@ class DrivePlayer:
     def states(
         self, duration_s: float, period_s: float = 0.02, noise: tuple[float, float] = (0.0, 0.0), late_s: float = 0.0
     ) -> list[VehicleState]:
-        """Return what the bus says of `duration_s`, stamped `late_s` after it was so; noise of speed [m/s], yaw rate
+        """Return the vehicle states over `duration_s`, stamped `late_s` late; noise of speed [m/s] and yaw rate
         [rad/s].
 
-        It begins and ends two seconds outside, so that shifted stamps still cover the scans.
+        They begin two seconds before and end two seconds after, so that shifted stamps still cover the scans.
         """
         rng = np.random.default_rng([self._seed, 21])
         time_s = np.arange(-2.0, duration_s + 2.0, period_s)
@@ -158,7 +158,9 @@ class DrivePlayer:
         ]
 
     def paths(self, time_s: float) -> Paths:
-        """Return all paths from where the radar is at a time after the start, [s]; those of the last one are kept."""
+        """Return all paths from the radar's position at a time after the start [s]; those of the last time are
+        cached.
+        """
         if self._traced is None or self._traced[0] != time_s:
             self._traced = time_s, self._trace(time_s)
         return self._traced[1]

@@ -1,4 +1,4 @@
-"""A scene played as a radar: beams in order of acquisition, truth, and the vehicle's own motion."""
+"""Player of a scene as a radar: beams in order of acquisition, truth, and the vehicle's own motion."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ class ScenePlayer:
     `start_ns`, beams are spread evenly over the scan period, those of a digital array are of one time. Raises
     ValueError for a scene that cannot be simulated.
 
-    `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where things move), "auto"
-    (what the scene calls for under `budget_db`, asked anew for every scan where things move), "all", or names with
+    `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where objects move), "auto"
+    (the effects that the scene needs under `budget_db`, planned for every scan where objects move), "all", or names
+    with
     commas between them.
     """
 
@@ -68,7 +69,7 @@ class ScenePlayer:
         return self.setup.stamp_ns + scan * period_ns + beam * self.setup.beam_interval_ns
 
     def plan(self, scan: int) -> Plan | None:
-        """Return the effects of a scan as planned at its start; None: the basic ones, unasked."""
+        """Return the effects of a scan as planned at its start; None: the basic ones, without a plan."""
         scan = scan if self.scene.moves else 0
         if scan not in self._plans:
             time_s = self._elapsed_s(self.stamp_ns(scan))
@@ -104,7 +105,7 @@ class ScenePlayer:
         )
 
     def truth(self, scan: int) -> SceneTruth:
-        """Return what is there when a scan starts."""
+        """Return the truth at the start of a scan."""
         stamp_ns = self.stamp_ns(scan)
         time_s = self._elapsed_s(stamp_ns)
         return scene_truth(self._world, self.setup, self.paths(time_s, scan), time_s, stamp_ns, scan)

@@ -1,4 +1,4 @@
-"""One scan of a scene at rest at the kernel level, with its labels: what a data set holds of each scene.
+"""One scan of a scene at rest at the kernel level, with its labels: the record of each scene in a data set.
 
 Basic effects give the signal that `sim_player.signal.fmcw` has after folding, window and FFT, at a thousandth of the
 work: noise is drawn per range bin, with the window's correlation. Any other choice of effects goes through
@@ -32,9 +32,9 @@ from sim_player.trace.truth import best_power_mw, hidden_objects, scene_truth, v
 WINDOW = "hann"
 #: The receiver of the basic signal chain: its converter does not round.
 THERMAL = msgspec.structs.replace(IDEAL, thermal_noise=True)
-#: What the planner decides under a budget, everything, the plain signal chain, or effects by name.
+#: Effects: as planned under a budget, all, the plain signal chain, or by name.
 EffectChoice = Literal["auto", "all", "basic"] | frozenset[str]
-#: What the basic signal chain has: its paths, the array as built, thermal noise.
+#: Effects of the basic signal chain: its paths, the array as built, thermal noise.
 BASIC_USED = BASIC_EFFECTS | {"element_pattern", "quantised_phases", "thermal_noise"}
 #: Class of a labelled point that belongs to no object.
 WALL = "wall"
@@ -42,25 +42,25 @@ WALL = "wall"
 
 @dataclass(frozen=True)
 class Labels:
-    """Truth points of one scene, strongest first, N of them; one for each LOS or mirrored echo that can be told apart.
+    """Truth points of one scene, strongest first, N of them; one for each LOS or mirrored echo that can be resolved.
 
-    Points come from geometric ways alone (`sim_player.trace.truth.labelled`): direct sight, one mirror, two mirrors.
+    Points come from geometric paths alone (`sim_player.trace.truth.labelled`): direct sight, one mirror, two mirrors.
     """
 
     range_m: np.ndarray
     azimuth_rad: np.ndarray
     #: `PathClass` values, uint8.
     path_class: np.ndarray
-    #: True place of each point in the radar's frame, [N, 2]; a direct point's own.
+    #: True position of each point in the radar's frame, [N, 2]; a direct point's own.
     hidden_xy_m: np.ndarray
     #: Power in the beam that sees it best.
     power_mw: np.ndarray
-    #: Mirrors on the way, 0 in direct sight; uint8.
+    #: Number of mirrors on the path, 0 in direct sight; uint8.
     order: np.ndarray
     #: Its cell of the range-azimuth map, int32.
     range_bin: np.ndarray
     azimuth_bin: np.ndarray
-    #: Where the scatterer is and where it seems to be, in the radar's frame (z above the antenna), float32 [N, 3].
+    #: True and apparent position of the scatterer in the radar's frame (z above the antenna), float32 [N, 3].
     point_m: np.ndarray
     image_m: np.ndarray
     #: Index into the scene's objects, -1 for a wall, int32; and its class.
@@ -74,7 +74,7 @@ LABELS = tuple(field.name for field in fields(Labels))
 
 @dataclass(frozen=True)
 class LabelledScan:
-    """Profiles complex64 [beams, 512] with noise, labels, and how they came about."""
+    """Profiles complex64 [beams, 512] with noise, labels, and their effects and plan."""
 
     profiles: np.ndarray
     labels: Labels
@@ -130,7 +130,7 @@ def scene_profiles(
 def labelled_scan(
     scene: Scene, seed: int, choice: EffectChoice = "auto", budget_db: float = -20.0, gain_db: float = 0.0
 ) -> LabelledScan:
-    """Return the same as a data set keeps it; ValueError as above."""
+    """Return one scan as a data set stores it; ValueError as above."""
     return _Scan(scene, seed, choice, budget_db, gain_db).labelled()
 
 
@@ -162,7 +162,7 @@ class _Scan:
         if scene.moves:
             raise ValueError(f"scene {scene.name!r} must be at rest for the kernel level, got one that moves")
         self.scene, self.seed, self.gain = scene, seed, ratio_from_db(gain_db)
-        # the planner must know the level; the basic chain scales its profiles instead, as it always did
+        # the planner needs the level; the basic chain scales its profiles instead
         self.setup = scene.setup if choice == "basic" else _stronger(scene.setup, self.gain)
         self.world = prepare(scene, seed, self.setup)
         self.plan = None if choice == "basic" else _plan(self.world, self.setup, choice, budget_db)
@@ -197,7 +197,7 @@ class _Scan:
 
 
 def _plan(world: World, setup: RadarSetup, choice: EffectChoice, budget_db: float) -> Plan:
-    """Return what is decided about the effects of a scene."""
+    """Return the plan of the effects of a scene."""
     if choice == "auto":
         return plan_world(world, setup, budget_db)
     return chosen(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))

@@ -1,4 +1,6 @@
-"""What a data set holds, counted from its shards: places, walls, objects, ranges, bounces, SNR, roughness, effects."""
+"""Statistics of a data set, counted from its shards: places, walls, objects, ranges, bounces, SNR, roughness,
+effects.
+"""
 
 from __future__ import annotations
 
@@ -85,7 +87,7 @@ _POINTS = ("range_m", "azimuth_rad", "path_class", "power_mw", "order", "object_
 
 
 def series_of(folder: Path) -> dict[str, Any]:
-    """Return what `series.json` says; ValueError where the folder holds no data set."""
+    """Return the content of `series.json`; ValueError where the folder holds no data set."""
     path = folder / "series.json"
     try:
         series: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
@@ -95,7 +97,9 @@ def series_of(folder: Path) -> dict[str, Any]:
 
 
 def read_records(folder: Path) -> Iterator[SceneRecord]:
-    """All scenes of a data set in order; ValueError for a folder without shards, or a shard that cannot be read."""
+    """Yield all scenes of a data set in order; ValueError for a folder without shards, or a shard that cannot be
+    read.
+    """
     paths = sorted(folder.glob("shard-*.npz"))
     if not paths:
         raise ValueError(f"{folder} must hold shards (shard-*.npz), found none")
@@ -138,7 +142,7 @@ def _records(arrays: dict[str, np.ndarray], first: int) -> Iterator[SceneRecord]
 
 
 class _Tally:
-    """Counters that go from scene to scene."""
+    """Counters over scenes."""
 
     def __init__(self) -> None:
         self.places: Counter[str] = Counter()
@@ -157,7 +161,7 @@ class _Tally:
         self.traced: list[int] = []
 
     def add(self, record: SceneRecord) -> None:
-        """One more scene."""
+        """Add one scene."""
         walls = [surface for surface in record.facts["surfaces"] if surface["role"] != "ground"]
         self.places[record.facts["place"]] += 1
         self.relays.update(record.facts["relays"])

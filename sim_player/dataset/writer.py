@@ -2,7 +2,7 @@
 
 A new data set has all four types of place (`sim_player.generate.places.random_place`), and for each scene the effects
 that its map calls for under -20 dB. The first series, random streets with the basic effects, is `places="street_v1"`:
-its profiles and first labels are what this module wrote when it knew no other series. `shift="hard"` is the second test
+its profiles and first labels are those of the first version of this module. `shift="hard"` is the second test
 set: the same places rougher and fuller, seen by a faulty board (`sim_player.generate.domain_shift`).
 
 A folder holds `series.json` (generator, preset, effects, budget, shift: another series is refused), shards, and
@@ -110,7 +110,7 @@ def write_dataset(
     require_room(manifest.path, sum(job.count for job in missing) * recipe.scene_bytes)
     for done in map_jobs(make_shard, missing, executor, workers, out_dir / ".slurm", slurm):
         manifest.add(done, on_shard)
-        # at once: a run that goes on after a kill checks against it
+        # at once: a run resumed after a kill checks against it
         manifest.write()
     manifest.write()
     return manifest.path
@@ -128,7 +128,7 @@ class _Manifest:
         return line["sha256"] if line.get("scenes") == job.count else None
 
     def add(self, done: ShardDone, on_shard: Callable[[ShardDone], None] | None) -> None:
-        """One more shard is there."""
+        """Add one shard."""
         self.lines[done.shard] = done.manifest_line
         if on_shard is not None:
             on_shard(done)
@@ -159,7 +159,7 @@ def _jobs(out_dir: Path, count: int, seed: int, recipe: Recipe) -> list[ShardJob
 
 
 def _refuse_to_shrink(out_dir: Path, jobs: list[ShardJob], manifest: _Manifest) -> None:
-    """ValueError where the folder holds scenes beyond those asked for, which training would read all the same."""
+    """Raise ValueError where the folder holds scenes beyond those requested, which training would read too."""
     counts = {job.path.name: job.count for job in jobs}
     beyond = {path.name for path in out_dir.glob("shard-*.npz")} - counts.keys()
     beyond |= {shard for shard, line in manifest.lines.items() if line["scenes"] > counts.get(shard, 0)}
@@ -169,7 +169,7 @@ def _refuse_to_shrink(out_dir: Path, jobs: list[ShardJob], manifest: _Manifest) 
 
 
 def _claim(out_dir: Path, series: dict[str, Any]) -> None:
-    """Write down whose folder this is; ValueError where it is another series'."""
+    """Write the series of this folder; ValueError where it belongs to another series."""
     path = out_dir / "series.json"
     if not path.exists():
         if any(out_dir.glob("shard-*.npz")):

@@ -1,6 +1,7 @@
 """LiDAR clouds of a scene by plain geometry: first hits of rays on walls, objects and ground, with noise along the ray.
 
-No photons: `nearest_hits` says where each ray ends and on what. Frames: `scene` is the scene's own, heights above the
+No photons: `nearest_hits` gives the range and the surface at which each ray ends. Frames: `scene` is the scene's own,
+heights above the
 ground; `radar` has its origin in the antenna, z up; `lidar` has its origin in the sensor.
 """
 
@@ -19,13 +20,13 @@ from sim_player.generate.placement import Boxes, chords
 from sim_player.scene.description import Scene, SceneObject
 from sim_player.scene.meshes import Mesh, box
 
-#: What a ray ended on; objects are numbered from 0 up.
+#: Codes of the surface at which a ray ends; objects are numbered from 0 up.
 NOTHING, GROUND, WALL = -3, -2, -1
 #: The ground reaches this far.
 GROUND_HALF_M = 500.0
-#: A viewpoint that is chosen keeps this far from walls and objects and from the one that it must overlap.
+#: Least distance of a viewpoint from walls and objects, and largest distance from the one that it must overlap.
 CLEARANCE_M, FARTHEST_STEP_M = 1.2, 14.0
-#: Sides that are seen flatter than this, as cosine to their normal, do not count as seen.
+#: Least cosine to the normal at which a side counts as covered.
 LEAST_COSINE = 0.3
 
 
@@ -49,7 +50,7 @@ class LidarParams:
 
 @dataclass(frozen=True, kw_only=True)
 class Viewpoint:
-    """Where a LiDAR stands in the scene: place, height above the ground, heading, tilt."""
+    """Pose of a LiDAR in the scene: position, height above the ground, heading, tilt."""
 
     x_m: float
     y_m: float
@@ -68,7 +69,7 @@ class Viewpoint:
 
 @dataclass(frozen=True, eq=False)
 class LidarCloud:
-    """N hits: `points_m` [N, 3] in the LiDAR's frame, what each lies on (`WALL`, `GROUND` or the object's index), and
+    """N hits: `points_m` [N, 3] in the LiDAR's frame, the surface of each (`WALL`, `GROUND` or the object's index), and
     the true `radar_from_lidar` [4, 4]."""
 
     points_m: np.ndarray
@@ -96,7 +97,7 @@ def ray_directions(params: LidarParams) -> np.ndarray:
 
 
 def scene_triangles(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners [F, 3, 3] of all surfaces in the scene's frame and what each face belongs to [F]."""
+    """Return the corners [F, 3, 3] of all surfaces in the scene's frame and the owner of each face [F]."""
     flat = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * GROUND_HALF_M
     faces, owner = [flat[[[0, 1, 2], [0, 2, 3]]]], [GROUND]
     for surface in scene.surfaces:
@@ -120,7 +121,7 @@ def _upright(line_m: np.ndarray, height_m: float) -> np.ndarray:
 
 
 def _object_triangles(scene_object: SceneObject) -> np.ndarray:
-    """Return the triangles of an object where it stands; a class is the box of its kind."""
+    """Return the triangles of an object at its pose; a class is the box of its kind."""
     kind = scene_object.kind
     mesh: Mesh = scene_object.shape or box(kind.length_m, kind.width_m, kind.height_m)
     corners = mesh.corners_m
@@ -130,9 +131,7 @@ def _object_triangles(scene_object: SceneObject) -> np.ndarray:
 def nearest_hits(
     scene: Scene, origin_m: np.ndarray, directions: np.ndarray, max_range_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the range [N] to the first surface along unit vectors [N, 3] from a place [3] (or infinity), and what
-    it is.
-    """
+    """Return the range [N] to the first surface along unit vectors [N, 3] from a point [3] (or infinity), and its code."""
     o3d = import_open3d()
     triangles, owner = scene_triangles(scene)
     caster = o3d.t.geometry.RaycastingScene(nthreads=1)
@@ -147,7 +146,7 @@ def nearest_hits(
 
 
 def lidar_cloud(scene: Scene, viewpoint: Viewpoint, params: LidarParams, seed: int) -> LidarCloud:
-    """Return what a LiDAR measures at one place of a scene at rest, noise drawn from `seed`."""
+    """Return the cloud of a LiDAR at one viewpoint of a scene at rest, noise drawn from `seed`."""
     scene_from_lidar = viewpoint.scene_from_lidar()
     directions = ray_directions(params)
     range_m, surface = nearest_hits(
@@ -166,8 +165,8 @@ def radar_from_scene(scene: Scene) -> np.ndarray:
 def choose_viewpoints(scene: Scene, max_viewpoints: int = 3, spacing_m: float = 1.0) -> tuple[Viewpoint, ...]:
     """Choose up to `max_viewpoints` viewpoints that together see as much as they can of the sides of all objects.
 
-    The first is the radar's own position. Each next one is near an earlier one and in its sight, so that clouds overlap.
-    The choice is greedy, on a grid.
+    The first is the radar's own position. Each next one is near an earlier one and in its sight, so that clouds
+    overlap; greedy, on a grid.
     """
     lines = [chords(surface) for surface in scene.surfaces if surface.role != "ground"]
     a = np.concatenate([np.zeros((0, 2)), *(line[:-1] for line in lines)])
@@ -211,7 +210,7 @@ def _side_samples(face_a: np.ndarray, face_b: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _free_positions(a: np.ndarray, b: np.ndarray, boxes: Boxes, samples: np.ndarray, spacing_m: float) -> np.ndarray:
-    """Return the grid places [N, 2] around the radar and the objects that keep clear of everything."""
+    """Return the grid positions [N, 2] around the radar and the objects that keep clear of everything."""
     every = np.concatenate([np.zeros((1, 2)), samples])
     low, high = every.min(axis=0) - 4.0, every.max(axis=0) + 4.0
     x, y = (np.arange(math.ceil(lo), hi, spacing_m) for lo, hi in zip(low, high, strict=True))

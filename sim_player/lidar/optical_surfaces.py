@@ -1,4 +1,5 @@
-"""What a level ray of light can meet in a frozen world, and the patches of objects that scattered light reaches.
+"""Surfaces that a level ray of light can meet in a frozen world, and the patches of objects that scattered light
+reaches.
 
 Walls with their faces at 850 nm, objects as matt surfaces: classes as boxes, meshes by their faces.
 """
@@ -121,7 +122,7 @@ def object_albedo(scene_object: SceneObject) -> float:
 
 
 def _triangles(view: Snapshot, index: int) -> np.ndarray:
-    """Return the corners of a mesh's faces where it stands, heights over the ground, [F, 3, 3]."""
+    """Return the corners of a mesh's faces at its pose, heights over the ground, [F, 3, 3]."""
     mesh = view.world.scene.objects[index].shape
     corners = np.zeros((0, 3, 3)) if mesh is None else mesh.corners_m
     scene_object = view.world.scene.objects[index]
@@ -130,7 +131,7 @@ def _triangles(view: Snapshot, index: int) -> np.ndarray:
 
 
 def _cut(corners: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cut of triangles [F, 3, 3] at a height: ends [M, 2] of the segments, and the level part of their normals [M]."""
+    """Cut triangles [F, 3, 3] at a height: ends [M, 2] of the segments, and the level part of their normals [M]."""
     above = corners[..., 2] >= height_m
     # the corner that lies alone on its side comes first
     alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
@@ -147,7 +148,7 @@ def _cut(corners: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarray, 
 
 @dataclass(frozen=True)
 class Patches:
-    """Q matt patches of all objects: place and outward normal [Q, 3], area, albedo, object; owner as `Blockers`."""
+    """Q matt patches of all objects: position and outward normal [Q, 3], area, albedo, object; owner as `Blockers`."""
 
     place_m: np.ndarray
     normal: np.ndarray
@@ -175,7 +176,7 @@ def patches_of(view: Snapshot) -> Patches:
 
 
 def _box_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the places, normals and areas of the patches of a box: four sides and the roof."""
+    """Return the positions, normals and areas of the patches of a box: four sides and the roof."""
     height_m = view.world.scene.objects[index].kind.height_m
     start = len(view.world.wall_a) + 4 * index
     corners = np.column_stack([view.blockers.a[start : start + 4], np.zeros(4)])
@@ -198,8 +199,8 @@ def _cells(corner: np.ndarray, along: np.ndarray, up: np.ndarray) -> tuple[np.nd
 
 
 def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the places, normals and areas of a mesh: pieces of its faces, joined where one cube holds some that
-    face alike.
+    """Return the positions, normals and areas of a mesh: pieces of its faces, merged where they share a cube and face
+    alike.
     """
     corners = _split(_triangles(view, index))
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])

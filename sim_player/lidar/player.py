@@ -1,4 +1,4 @@
-"""A scene played as a single-photon LiDAR: photon histograms scan by scan, truth, and the vehicle's own motion."""
+"""Player of a scene as a single-photon LiDAR: photon histograms scan by scan, truth, and the vehicle's own motion."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ class LidarPlayer:
         )
 
     def truth(self, scan: int) -> SceneTruth:
-        """Return what is there when a scan starts, as the X-band radar at the same place would see it."""
+        """Return the truth at the start of a scan, for the X-band radar at the same position."""
         stamp_ns = self.stamp_ns(scan)
         time_s = self._elapsed_s(stamp_ns)
         return scene_truth(self._world, self.scene.setup, trace(self._world, time_s), time_s, stamp_ns, scan)

@@ -1,9 +1,9 @@
 """A scene seen by a single-photon LiDAR: level rays at the sensor's height, optical paths, photon histograms.
 
-Each azimuth of the grid is one ray. Where it first meets something, that surface's scattered light comes straight back.
-A wall's smooth face sends the rest on as a mirror, over up to `MIRRORS` walls, to surfaces whose scattered light comes
-back the same way. And from the laser's spot on a wall scattered light reaches hidden objects, which scatter it back to
-the spot: the confocal return of Eq. (8), in patches. Ranges are half the way there and back.
+Each azimuth of the grid is one ray. The first surface on it scatters light straight back. A wall's smooth face sends
+the rest on as a mirror, over up to `MIRRORS` walls, to surfaces whose scattered light comes back the same way. And from
+the laser's spot on a wall scattered light reaches hidden objects, which scatter it back to the spot: the confocal
+return of Eq. (8), in patches. Ranges are half the way there and back.
 
 Walls and foliage are opaque, foliage is a matt surface where its line runs, objects are matt. Left out: light through
 panes, the glint of a wall seen head-on, matt returns of hidden walls, and three bounces after a mirror.
@@ -45,16 +45,16 @@ from sim_player.trace.paths import Paths
 from sim_player.trace.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_passage
 from sim_player.trace.truth import visible_paths
 
-#: Walls that a ray may be mirrored by, one after the other.
+#: Largest number of mirrors on a ray.
 MIRRORS = 2
-#: Rays times surfaces, or spots times patches, that are held at a time.
+#: Largest number of rays times surfaces, or spots times patches, in memory at a time.
 MOST_PAIRS = 1 << 18
 #: Detections over a whole scan below which a contribution is left out.
 BUDGET = 1e-3
 
 Contribution = Literal["mirror", "diffuse"]
 
-#: What the options of words may say.
+#: Allowed words of each option.
 WORDS = {
     "fresnel": ("mean", "printed"),
     "nlos": ("mirror", "diffuse"),
@@ -64,7 +64,7 @@ WORDS = {
 
 
 class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is simulated, and how where the text leaves or prints two ways."""
+    """Options of the simulation, with a choice where the text leaves or prints two variants."""
 
     #: Eq. (14) as the mean of both powers, or as printed.
     fresnel: FresnelMean = "mean"
@@ -73,10 +73,10 @@ class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     #: `photon_map` refuses.
     merge: bool = True
     nlos: tuple[Contribution, ...] = ("mirror", "diffuse")
-    #: What happens to paths beyond the unambiguous range.
+    #: Treatment of paths beyond the unambiguous range.
     beyond: Literal["discard", "wrap"] = "discard"
-    #: In closed form wherever that is exact, event by event elsewhere; or one of them (`draw_histogram` says what the
-    #: closed form keeps where it is not exact: the means).
+    #: In closed form wherever that is exact, event by event elsewhere; or one of them (`draw_histogram`: where the
+    #: closed form is not exact, it keeps the means).
     engine: Literal["auto", "closed", "events"] = "auto"
     #: Expected detections a scan below which a contribution is skipped; 0: none is.
     budget: float = BUDGET
@@ -95,7 +95,7 @@ DEFAULT = SpadOptions()
 
 
 class Way(IntEnum):
-    """How the light came: straight, over mirrors, or scattered by a wall on both ways."""
+    """Route of the light: straight, over mirrors, or scattered by a wall in both directions."""
 
     DIRECT = 0
     MIRROR = 1
@@ -125,11 +125,11 @@ class OpticalPaths:
 
 
 class OpticPlan(msgspec.Struct, frozen=True, kw_only=True):
-    """What was decided about one contribution, and why."""
+    """Decision about one contribution, with its reason."""
 
     name: str
     used: bool
-    #: The most detections it can bring, or move, over all azimuths of a scan.
+    #: Upper bound of the detections that it adds, or moves, over all azimuths of a scan.
     bound: float
     reason: str
 
@@ -159,9 +159,9 @@ def optical_paths(
 def plan_optics(
     world: World, lidar: LidarSetup, time_s: float = 0.0, options: SpadOptions = DEFAULT
 ) -> tuple[OpticPlan, ...]:
-    """Return which contributions a scene calls for, and which engine counts: a bound and a reason each.
+    """Return the contributions that a scene needs and the counting engine, each with a bound and a reason.
 
-    A bound leaves out what hides and takes every cosine as 1; raises ValueError as `optical_paths`.
+    A bound ignores occlusion and takes every cosine as 1; raises ValueError as `optical_paths`.
     """
     return *_contributions(_Sight.of(world, lidar, time_s, options, None)), *_counting(lidar, options)
 
@@ -169,11 +169,11 @@ def plan_optics(
 def label_paths(
     world: World, lidar: LidarSetup, paths: Paths, time_s: float = 0.0, options: SpadOptions = DEFAULT
 ) -> OpticalPaths:
-    """Return the supplement's reading: one path of light for each labelled point of the radar's map.
+    """Return one path of light for each labelled point of the radar's map, as the supplement reads.
 
     `paths` are the radar's, traced in `world` at the same time. Mirrored ones carry the two-bounce factor R_s^2 of
-    their first wall, once for each of their mirrors; an arc counts as its chord. Labels know no normals of objects:
-    these are lit head-on. A label stands at the azimuth nearest to it.
+    their first wall, once for each of their mirrors; an arc counts as its chord. Labels have no normals of objects:
+    objects are lit head-on. A label goes to the azimuth nearest to it.
     """
     visible = paths.take(visible_paths(world.setup, paths, lidar.grid))
     of_wall, at_wall = visible.thing < 0, visible.surface >= 0
@@ -205,8 +205,8 @@ def spad_histograms(
 ) -> np.ndarray:
     """Return the photon histograms of all azimuths, uint32 [azimuth, bins].
 
-    Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends on no other, nor on how many threads
-    count. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
+    Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends neither on others nor on the number
+    of threads. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
     """
     spad, closed = lidar.spad, _closed(lidar.spad, options)
     draw = draw_histogram if closed else event_histogram
@@ -217,7 +217,7 @@ def spad_histograms(
         drawn = [draw(spad, _delay_s(group), group.photons, rng) for group in measured[azimuth]]
         return np.sum(drawn, axis=0) if drawn else np.zeros(spad.bins, np.int64)
 
-    # counting events lets go of the interpreter; a draw in closed form is too short for that
+    # counting events releases the interpreter lock; a draw in closed form is too short for that
     with ThreadPoolExecutor(1 if closed else len(os.sched_getaffinity(0))) as pool:
         return _as_counts(list(pool.map(histogram, range(len(measured)))))
 
@@ -251,12 +251,12 @@ def join_paths(parts: Sequence[OpticalPaths]) -> OpticalPaths:
 
 @dataclass(frozen=True)
 class _Rays:
-    """N level rays on their way."""
+    """N level rays, traced so far."""
 
     azimuth_index: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
-    #: So far: way, share of the mirrors passed on the way out and back, width per radian of divergence and its slope.
+    #: So far: path length, two-way share of the mirrors passed, width per radian of divergence and its slope.
     range_m: np.ndarray
     share: np.ndarray
     spread_m: np.ndarray
@@ -269,7 +269,9 @@ class _Rays:
 
 @dataclass(frozen=True)
 class _Hits:
-    """What N rays met: `rays` led on to there, the piece, its level normal towards the ray, cosine of incidence."""
+    """First hits of N rays: `rays` moved to the hit, the piece, its level normal towards the ray, cosine of
+    incidence.
+    """
 
     rays: _Rays
     piece: np.ndarray
@@ -282,7 +284,7 @@ class _Hits:
 
 
 def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
-    """Return the first piece each ray meets; rays that meet none are left out."""
+    """Return the first hit of each ray; rays without one are left out."""
     range_m, piece = _nearest(surfaces, rays.origin, rays.direction)
     met = np.isfinite(range_m)
     rays, range_m, piece = rays.take(met), range_m[met], piece[met]
@@ -294,7 +296,7 @@ def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
 
 
 def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distance [N] to the nearest piece (infinite: none) and which it is."""
+    """Return the distance [N] to the nearest piece (infinite: none) and its index."""
     range_m, piece = np.full(len(origin), np.inf), np.zeros(len(origin), np.int64)
     straight = np.flatnonzero(surfaces.curvature_per_m == 0.0)
     step = max(MOST_PAIRS // max(len(straight), 1), 1)
@@ -343,8 +345,8 @@ def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction
 
 
 def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
-    """Return the rays after a mirror that leaves them a share of their power on each of both ways; the ones left
-    without drop.
+    """Return the rays after a mirror that leaves a share of their power in each direction; rays without power are
+    dropped.
     """
     rays, level = hits.rays, np.sum(hits.normal * hits.rays.direction, axis=1)
     along = surfaces.b[hits.piece] - surfaces.a[hits.piece]
@@ -365,14 +367,14 @@ def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
 
 @dataclass(frozen=True)
 class _Sight:
-    """A world frozen at a time, and what the laser's rays meet first."""
+    """A world frozen at a time, and the first hits of the laser's rays."""
 
     view: Snapshot
     lidar: LidarSetup
     options: SpadOptions
     surfaces: Surfaces
     first: _Hits
-    #: Share of the scan's azimuths that is looked at.
+    #: Share of the scan's azimuths in use.
     part: float
 
     @classmethod
@@ -400,7 +402,7 @@ class _Sight:
         return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
 
     def returns(self, hits: _Hits, route: Way) -> OpticalPaths:
-        """Return what the surfaces that were hit scatter straight back along the rays."""
+        """Return the light that the surfaces hit scatter straight back along the rays."""
         rays, met = hits.rays, self.surfaces.take(hits.piece)
         spad = self.lidar.spad
         albedo = met.diffuse(hits.cosine, spad.wavelength_m, self.options.fresnel)
@@ -412,7 +414,7 @@ class _Sight:
         return self.returns(self.first, Way.DIRECT)
 
     def mirrored(self) -> list[OpticalPaths]:
-        """Return what is seen in one mirror and in two."""
+        """Return the paths by one mirror and by two."""
         parts, hits = [], self.first
         for _ in range(MIRRORS):
             share = self.surfaces.take(hits.piece).mirror(
@@ -438,7 +440,7 @@ class _Sight:
         if not len(patches.area_m2) or not len(spots.piece):
             return []
         blockers = _opaque(self.view.blockers)
-        # a million patches still go one spot at a time
+        # at least one spot at a time, however many patches there are
         step = max(MOST_PAIRS // len(patches.area_m2), 1)
         parts = np.split(np.arange(len(spots.piece)), range(step, len(spots.piece), step))
         return [self._confocal(spots.take(part), patches, blockers) for part in parts]
@@ -471,7 +473,7 @@ class _Sight:
 def _optical_paths(
     azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, route: Way, object_index: np.ndarray
 ) -> OpticalPaths:
-    """Return the paths that came one way."""
+    """Return the paths of one route."""
     kind = PathClass.LOS if route == Way.DIRECT else PathClass.MIRRORED
     count = len(range_m)
     return OpticalPaths(
@@ -482,7 +484,7 @@ def _optical_paths(
 def _condensed(
     azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, object_index: np.ndarray, spad: SpadParams
 ) -> OpticalPaths:
-    """Return the diffuse paths, those of one object and azimuth that the timing cannot tell apart as one at their mean
+    """Return the diffuse paths, with those of one object and azimuth within the timing resolution merged at their mean
     range.
 
     Cells are half the timing's standard deviation wide, which widens it by 1 % at most.
@@ -498,7 +500,7 @@ def _condensed(
 
 
 def _opaque(blockers: Blockers) -> Blockers:
-    """Return the same to light: foliage blocks."""
+    """Return the blockers for light: foliage blocks."""
     return replace(blockers, kind=np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8))
 
 
@@ -506,7 +508,7 @@ def _opaque(blockers: Blockers) -> Blockers:
 
 
 def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
-    """Return what hidden things can bring in two ways, from what the first rays met."""
+    """Return the bounds of the mirror and diffuse contributions of hidden objects, from the first hits."""
     bounds = {"mirror": _mirror_bound(sight), "diffuse": _diffuse_bound(sight)}
     plans = []
     for name, bound in bounds.items():
@@ -518,7 +520,7 @@ def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
 
 
 def _mirror_bound(sight: _Sight) -> float:
-    """Return the detections by way of mirrors if behind each mirror white things stood at its own range."""
+    """Return the detections by mirrors if each mirror showed white surfaces at its own range."""
     met, spad, hits = sight.surfaces.take(sight.first.piece), sight.lidar.spad, sight.first
     share = np.square(met.mirror(hits.cosine, spad.wavelength_m, sight.options.fresnel))
     # arcs may focus
@@ -549,7 +551,7 @@ def _diffuse_bound(sight: _Sight) -> float:
 
 
 def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, OpticPlan]:
-    """Return the dead time that reaches into the next period, and the engine."""
+    """Return the plans of the dead time that reaches into the next period, and of the engine."""
     spad = lidar.spad
     exact, closed = exact_closed_form(spad), _closed(spad, options)
     carried = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s"
@@ -592,7 +594,7 @@ def _by_cell(paths: OpticalPaths, range_bin_m: float) -> list[OpticalPaths]:
 
 
 def _within(paths: OpticalPaths, spad: SpadParams, options: SpadOptions) -> OpticalPaths:
-    """Return the paths within the unambiguous range, or all where they wrap; without those that bring no light."""
+    """Return the paths within the unambiguous range, or all where they wrap; without those of zero power."""
     kept = paths.photons > 0.0
     if options.beyond == "discard":
         kept &= paths.range_m < spad.unambiguous_range_m
