@@ -214,7 +214,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Return the arrays of scenes first..first+count-1 of the series of a seed; `sim_player.dataset.writer` lists them."""
+    """Return the arrays of scenes first..first+count-1 of a series, as listed in `sim_player.dataset.writer`."""
     profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
     for index in range(first, first + count):
         scene, place = draw_scene(recipe, seed, index)

@@ -174,8 +174,8 @@ class _Strip:
     def orders(self, incident: complex, spectra: np.ndarray, grid: YeeGrid) -> FloquetOrders:
         """Sort the fields at the probe rows into plane waves of the grid."""
         cells = self.grid.cells_x
-        place = np.arange(cells)
-        phase = np.exp(1j * self.along_per_m * self.cell_m * place)
+        columns = np.arange(cells)
+        phase = np.exp(1j * self.along_per_m * self.cell_m * columns)
         # [2, orders]: reflected, transmitted amplitudes at the probe rows per incident one
         waves = np.fft.fft(spectra * phase, axis=1) / (cells * incident)
         waves[0, 0] -= 1.0

@@ -131,7 +131,9 @@ def _object_triangles(scene_object: SceneObject) -> np.ndarray:
 def nearest_hits(
     scene: Scene, origin_m: np.ndarray, directions: np.ndarray, max_range_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the range [N] to the first surface along unit vectors [N, 3] from a point [3] (or infinity), and its code."""
+    """Return the range [N] to the first surface along unit vectors [N, 3] from a point [3] (infinity: none), and its
+    code.
+    """
     o3d = import_open3d()
     triangles, owner = scene_triangles(scene)
     caster = o3d.t.geometry.RaycastingScene(nthreads=1)

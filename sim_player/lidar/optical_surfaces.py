@@ -150,7 +150,7 @@ def _cut(corners: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarray, 
 class Patches:
     """Q matt patches of all objects: position and outward normal [Q, 3], area, albedo, object; owner as `Blockers`."""
 
-    place_m: np.ndarray
+    position_m: np.ndarray
     normal: np.ndarray
     area_m2: np.ndarray
     albedo: np.ndarray
@@ -166,7 +166,7 @@ def patches_of(view: Snapshot) -> Patches:
     count = np.array([len(area) for *_, area in made], int)
     object_index = np.repeat(np.arange(len(objects), dtype=np.int32), count)
     return Patches(
-        place_m=np.concatenate([np.zeros((0, 3)), *(positions for positions, _, _ in made)]),
+        position_m=np.concatenate([np.zeros((0, 3)), *(positions for positions, _, _ in made)]),
         normal=np.concatenate([np.zeros((0, 3)), *(normal for _, normal, _ in made)]),
         area_m2=np.concatenate([np.zeros(0), *(area for *_, area in made)]),
         albedo=np.repeat([object_albedo(scene_object) for scene_object in objects], count),

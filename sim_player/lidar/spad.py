@@ -48,7 +48,7 @@ from sim_player.trace.truth import visible_paths
 #: Largest number of mirrors on a ray.
 MIRRORS = 2
 #: Largest number of rays times surfaces, or spots times patches, in memory at a time.
-MOST_PAIRS = 1 << 18
+MAX_PAIRS = 1 << 18
 #: Detections over a whole scan below which a contribution is left out.
 BUDGET = 1e-3
 
@@ -94,7 +94,7 @@ class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 DEFAULT = SpadOptions()
 
 
-class Way(IntEnum):
+class LightRoute(IntEnum):
     """Route of the light: straight, over mirrors, or scattered by a wall in both directions."""
 
     DIRECT = 0
@@ -110,9 +110,9 @@ class OpticalPaths:
     range_m: np.ndarray
     #: Mean detected signal photons per pulse, Eq. (10).
     photons: np.ndarray
-    #: `PathClass` and `Way` values, uint8.
+    #: `PathClass` and `LightRoute` values, uint8.
     kind: np.ndarray
-    way: np.ndarray
+    route: np.ndarray
     #: Object it comes from, -1 for a wall; int32.
     thing: np.ndarray
 
@@ -194,7 +194,7 @@ def label_paths(
         range_m=range_m,
         photons=factor * direct_photons(lidar.spad, range_m, albedo, cosine),
         kind=visible.kind,
-        way=np.where(visible.kind == PathClass.LOS, Way.DIRECT, Way.MIRROR).astype(np.uint8),
+        route=np.where(visible.kind == PathClass.LOS, LightRoute.DIRECT, LightRoute.MIRROR).astype(np.uint8),
         thing=visible.thing,
     )
     return _within(made, lidar.spad, options)
@@ -299,7 +299,7 @@ def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> t
     """Return the distance [N] to the nearest piece (infinite: none) and its index."""
     range_m, piece = np.full(len(origin), np.inf), np.zeros(len(origin), np.int64)
     straight = np.flatnonzero(surfaces.curvature_per_m == 0.0)
-    step = max(MOST_PAIRS // max(len(straight), 1), 1)
+    step = max(MAX_PAIRS // max(len(straight), 1), 1)
     a, b = surfaces.a[straight], surfaces.b[straight]
     reach = CLEARANCE_M / np.maximum(np.hypot(*(b - a).T), CLEARANCE_M)
     for start in range(0, len(origin) if len(straight) else 0, step):
@@ -401,7 +401,7 @@ class _Sight:
         part = len(index) / lidar.grid.azimuth_bins
         return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
 
-    def returns(self, hits: _Hits, route: Way) -> OpticalPaths:
+    def returns(self, hits: _Hits, route: LightRoute) -> OpticalPaths:
         """Return the light that the surfaces hit scatter straight back along the rays."""
         rays, met = hits.rays, self.surfaces.take(hits.piece)
         spad = self.lidar.spad
@@ -411,7 +411,7 @@ class _Sight:
 
     def direct(self) -> OpticalPaths:
         """Return the first surface of every azimuth."""
-        return self.returns(self.first, Way.DIRECT)
+        return self.returns(self.first, LightRoute.DIRECT)
 
     def mirrored(self) -> list[OpticalPaths]:
         """Return the paths by one mirror and by two."""
@@ -421,7 +421,7 @@ class _Sight:
                 hits.cosine, self.lidar.spad.wavelength_m, self.options.fresnel
             )
             hits = _first_hits(self.surfaces, _reflected(self.surfaces, hits, share))
-            parts.append(self.returns(hits, Way.MIRROR))
+            parts.append(self.returns(hits, LightRoute.MIRROR))
         return parts
 
     @property
@@ -441,19 +441,19 @@ class _Sight:
             return []
         blockers = _opaque(self.view.blockers)
         # at least one spot at a time, however many patches there are
-        step = max(MOST_PAIRS // len(patches.area_m2), 1)
+        step = max(MAX_PAIRS // len(patches.area_m2), 1)
         parts = np.split(np.arange(len(spots.piece)), range(step, len(spots.piece), step))
         return [self._confocal(spots.take(part), patches, blockers) for part in parts]
 
     def _confocal(self, spots: _Hits, patches: Patches, blockers: Blockers) -> OpticalPaths:
         spad, height_m = self.lidar.spad, self.lidar.lidar_height_m
         spot = np.column_stack([spots.rays.origin, np.full(len(spots.piece), height_m)])
-        to_patch = patches.place_m - spot[:, None]
+        to_patch = patches.position_m - spot[:, None]
         spot_range_m = np.linalg.norm(to_patch, axis=-1)
         wall_cosine = np.einsum("nqi,ni->nq", to_patch[..., :2], spots.normal) / spot_range_m
         object_cosine = -np.einsum("nqi,qi->nq", to_patch, patches.normal) / spot_range_m
         n, q = np.nonzero((wall_cosine > 0.0) & (object_cosine > 0.0))
-        free = free_passage((spot[n], patches.place_m[q]), blockers, patches.owner[q]).free
+        free = free_passage((spot[n], patches.position_m[q]), blockers, patches.owner[q]).free
         n, q = n[free], q[free]
         wall_albedo = self.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, self.options.fresnel)
         photons = confocal_photons(
@@ -471,10 +471,10 @@ class _Sight:
 
 
 def _optical_paths(
-    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, route: Way, object_index: np.ndarray
+    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, route: LightRoute, object_index: np.ndarray
 ) -> OpticalPaths:
     """Return the paths of one route."""
-    kind = PathClass.LOS if route == Way.DIRECT else PathClass.MIRRORED
+    kind = PathClass.LOS if route == LightRoute.DIRECT else PathClass.MIRRORED
     count = len(range_m)
     return OpticalPaths(
         azimuth_index, range_m, photons, np.full(count, kind, np.uint8), np.full(count, route, np.uint8), object_index
@@ -496,7 +496,7 @@ def _condensed(
     weight = np.bincount(owner, photons, count)
     lit = weight > 0.0
     mean_m = np.bincount(owner, photons * range_m, count)[lit] / weight[lit]
-    return _optical_paths(cells[0, lit], mean_m, weight[lit], Way.DIFFUSE, cells[1, lit].astype(np.int32))
+    return _optical_paths(cells[0, lit], mean_m, weight[lit], LightRoute.DIFFUSE, cells[1, lit].astype(np.int32))
 
 
 def _opaque(blockers: Blockers) -> Blockers:
@@ -538,7 +538,7 @@ def _diffuse_bound(sight: _Sight) -> float:
     total = 0.0
     for index in np.unique(patches.thing):
         own = patches.thing == index
-        positions = patches.place_m[own, :2]
+        positions = patches.position_m[own, :2]
         middle = positions.mean(axis=0)
         reach_m = PATCH_M + np.hypot(*(positions - middle).T).max()
         to_middle = middle - spots.rays.origin

@@ -21,8 +21,8 @@ UpAxis = Literal["y", "z"]
 UP_AXIS: dict[str, UpAxis] = {".obj": "z", ".ply": "z", ".stl": "z", ".glb": "y", ".gltf": "y"}
 #: Longest extent of a plausible object. The same numbers read in metres and in millimetres never both pass.
 EXTENT_M = (0.05, 40.0)
-MOST_FACES = 1_000_000
-MOST_BYTES = 256 * 2**20
+MAX_FACES = 1_000_000
+MAX_BYTES = 256 * 2**20
 #: Vertices nearer than this share of the longest extent are one.
 WELD_SHARE = 1e-7
 #: A triangle whose height is less than this share of its longest edge has no area worth the name.
@@ -230,8 +230,8 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
     if not path.is_file():
         raise ValueError(f"{path}: no such mesh file")
     size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ValueError(f"{path}: size: at most {MOST_BYTES // 2**20} MiB are read, got {size / 2**20:.0f}")
+    if size > MAX_BYTES:
+        raise ValueError(f"{path}: size: at most {MAX_BYTES // 2**20} MiB are read, got {size / 2**20:.0f}")
     try:
         _refuse_cut_obj(path)
         whole = trimesh.load_scene(path, process=False, skip_materials=True).to_mesh()
@@ -257,8 +257,8 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
         raise ValueError(f"vertices and faces: must have three numbers each, got {vertices.shape} and {faces.shape}")
     if not len(faces):
         raise ValueError("faces: must hold at least one triangle, got 0 (empty, or cut off)")
-    if len(faces) > MOST_FACES:
-        raise ValueError(f"faces: at most {MOST_FACES}, got {len(faces)}: simplify the mesh")
+    if len(faces) > MAX_FACES:
+        raise ValueError(f"faces: at most {MAX_FACES}, got {len(faces)}: simplify the mesh")
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise ValueError(f"vertices[{bad.argmax()}]: must be finite, got {vertices[bad.argmax()].tolist()}")

@@ -224,8 +224,8 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
     instants = chebyshev_instants(swing_rad, tolerance)
     head = chebyshev_instants(swing_rad * span, tolerance, span) if head_samples else np.zeros(0)
     # the chirp's own echo over the chirp and over its start, then the previous chirp's over the start
-    places = [(share, False) for share in (*instants, *head)] + [(share, True) for share in head]
-    values = _values(factors, slow, places, np.complex64 if precision == "float32" else np.complex128)
+    steps = [(share, False) for share in (*instants, *head)] + [(share, True) for share in head]
+    values = _values(factors, slow, steps, np.complex64 if precision == "float32" else np.complex128)
     own, previous = len(instants), len(instants) + len(head)
     return SweptEchoes(
         radar=radar,

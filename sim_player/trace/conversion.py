@@ -1,4 +1,4 @@
-"""Echoes as the radar has them: weights under the effects asked for, directions as angles, its own frame."""
+"""Conversion of echoes to paths in the radar's frame: weights under the given effects, directions as angles."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def weights(echoes: Echoes, world: World, effects: frozenset[str]) -> np.ndarray
 
 
 def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
-    """Return the echoes as the radar has them: its own frame, directions as angles, weights under the effects."""
+    """Return the echoes as paths in the radar's frame: directions as angles, weights under the effects."""
     out_m, back_m = echoes.out_m, echoes.back_m
     if "non_cofocal" in effects and view.world.scene.radar.separation_m > 0.0:
         out_m, back_m = _separated(view, echoes)
@@ -51,7 +51,7 @@ def _separated(view: Snapshot, echoes: Echoes) -> tuple[np.ndarray, np.ndarray]:
     """
     yaw = view.pose.yaw_rad
     half = 0.5 * view.world.scene.radar.separation_m * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
-    # the virtual point stays where it is; the array moves against it
+    # the virtual point stays; the array moves against it
     out = np.linalg.norm(echoes.depart * echoes.out_m[:, None] - half, axis=1)
     back = np.linalg.norm(echoes.arrive * echoes.back_m[:, None] + half, axis=1)
     return out, back

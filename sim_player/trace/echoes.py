@@ -1,7 +1,7 @@
-"""Echoes: a way out, a scatterer, a way back; their weights with and without each effect; their form as `Paths`.
+"""Echoes: an outbound route, a scatterer, a return route; their weights with and without each effect.
 
-Weight of an echo in sqrt(mW), without the antenna: sqrt(P lambda^2 sigma / (4 pi)^3) times the factors of both ways
-over both lengths, so 1/R^2 for one way there and back (Eq. (5)), and two bounces square the field of one.
+Weight of an echo in sqrt(mW), without the antenna: sqrt(P lambda^2 sigma / (4 pi)^3) times the factors of both routes
+over both lengths: 1/R^2 for the same route there and back (Eq. (5)); two bounces square the field of one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Echoes:
     front: np.ndarray
     rough: np.ndarray
     foliage: np.ndarray
-    #: Lengths of both ways, and unit vectors of travel where they leave and (reversed) return, [E, 3].
+    #: Lengths of both routes, and unit vectors of travel at departure and (reversed) at arrival, [E, 3].
     out_m: np.ndarray
     back_m: np.ndarray
     depart: np.ndarray
@@ -66,9 +66,7 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
-    """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice
-    (either first).
-    """
+    """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different routes count twice."""
     out, back = routes.take(pairs[0]), routes.take(pairs[1])
     world, centre = view.world, out.target
     rcs = np.sqrt(centre_rcs_m2(world, centre, -out.arrive) * centre_rcs_m2(world, centre, -back.arrive))
@@ -115,7 +113,7 @@ def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def surface_echoes(
     view: Snapshot, routes: Routes, weight: np.ndarray, point: np.ndarray, wall: np.ndarray, needs: int
 ) -> Echoes:
-    """Return the echoes of places on walls, out and back by the same route; `weight` already divided by the lengths."""
+    """Return the echoes of points on walls, out and back by the same route; `weight` already divided by the lengths."""
     count = len(routes)
     return Echoes(
         weight=weight * routes.other**2,
@@ -138,7 +136,7 @@ def surface_echoes(
 
 
 def _rate(view: Snapshot, routes: Routes, still: bool = False) -> np.ndarray:
-    """Return the rate of change of a route's length: by Fermat only its ends' motion counts."""
+    """Return the rate of change of a route's length: by Fermat's principle only the motion of its ends matters."""
     own = dot(routes.depart[:, :2], view.radar_velocity)
     if still:
         return np.asarray(-own)

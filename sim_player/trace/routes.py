@@ -1,8 +1,8 @@
-"""One-way routes between the antenna and points of the scene: the geometry that every echo is made of.
+"""One-way routes between the antenna and points of the scene: the geometry of every echo.
 
 A route leaves the antenna in some direction, meets walls, ground or an edge, and arrives at its target; by reciprocity
-it is also the way back. Field of a route: product of its factors / length. The factors that effects exchange are kept
-apart, so that an echo's weight can be asked for with and without them ("geometry first, fields second").
+it is also the return route. Field of a route: product of its factors / length. The factors that effects exchange are
+kept apart, so that an echo's weight can be computed with and without them ("geometry first, fields second").
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot
 from sim_player.trace.segments import Passage, in_series, passage, without
 
-#: Nearer than this spherical spreading means nothing; lengths are taken as at least this.
+#: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
 NONE = -1
 
@@ -31,7 +31,7 @@ class Routes:
     #: Unit vectors of travel at the antenna and at the target, [N, 3].
     depart: np.ndarray
     arrive: np.ndarray
-    #: First and second mirror on the way from the antenna, -1 for none; int32.
+    #: First and second mirror from the antenna, -1 for none; int32.
     wall: np.ndarray
     wall2: np.ndarray
     #: Edge that bends it, -1 for none; int32.
@@ -44,7 +44,7 @@ class Routes:
     rough: np.ndarray
     foliage: np.ndarray
     other: np.ndarray
-    #: Bit of every effect that made it, uint32.
+    #: Bits of all effects that it needs, uint32.
     needs: np.ndarray
 
     def __len__(self) -> int:
@@ -79,7 +79,7 @@ def make_routes(
     rough: np.ndarray | float = 1.0,
     other: np.ndarray | complex = 1.0,
 ) -> Routes:
-    """Return the routes from their geometry and what their legs met; factors not given are one."""
+    """Return the routes from their geometry and the occlusion of their segments; factors not given are one."""
     count = len(target)
 
     def spread(value: object, dtype: type) -> np.ndarray:
@@ -110,7 +110,7 @@ def no_routes() -> Routes:
 
 
 def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Passage]:
-    """Return the straight from the antenna to points [N, 3], whatever stands between; and what stands between."""
+    """Return the straight routes from the antenna to points [N, 3], blocked ones too, and their occlusion."""
     occlusion = passage(view.antenna, point_m, view.blockers, owner)
     ray = point_m - view.antenna
     length = norm(ray)
@@ -132,10 +132,10 @@ class Bounces:
 
 
 def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
-    """Return all (piece of wall, point) pairs where the piece shows the point to a source [3], legs not looked at.
+    """Return all (piece of wall, point) pairs where the piece mirrors the point to a source [3], without occlusion.
 
     The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
-    `mirrors` [W]: which pieces are asked.
+    `mirrors` [W]: the pieces to test.
     """
     world = view.world
     walls = np.flatnonzero(mirrors)
@@ -165,9 +165,9 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
 def mirror_routes(
     view: Snapshot, point_m: np.ndarray, mirrors: np.ndarray, owner: np.ndarray, ignore_wall: int | None = None
 ) -> tuple[Routes, Passage]:
-    """Return the routes by one straight mirror to points [N, 3], whatever stands in their legs; and what stands there.
+    """Return the routes by one straight mirror to points [N, 3], blocked ones too, and their occlusion.
 
-    `ignore_wall` names a piece of wall that stands in no leg.
+    `ignore_wall` is a piece of wall that blocks no segment.
     """
     bounces = plane_bounces(view, view.antenna, point_m, mirrors)
     target_m = point_m[bounces.target]

@@ -1,4 +1,4 @@
-"""What really is in a scene: visible scattering centres that a map can tell apart, images and their true places."""
+"""Ground truth of a scene: visible scattering centres that a map can resolve, images and their true positions."""
 
 from __future__ import annotations
 
@@ -19,26 +19,24 @@ from sim_player.trace.paths import Paths
 
 #: Truth points differ by at least this many cells in range or in azimuth.
 SEPARATION_CELLS = 4.0
-#: A centre counts as visible when its own beam power stands this far over a beam's noise.
+#: Least SNR of a visible centre: its own beam power over a beam's noise.
 VISIBLE_SNR_DB = 10.0
 
 
-#: Ways that a map shows too, but that no truth point stands for: mixtures, bends, light of other objects, ...
+#: Effects whose paths a map shows too, but that have no truth points: mixed routes, diffraction, interreflection, ...
 UNLABELLED = bits(
     frozenset({"non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce"})
 )
 
 
 def labelled(paths: Paths) -> np.ndarray:
-    """Return which paths a truth point may stand for: objects and walls in direct sight, objects in one or two
-    mirrors.
-    """
+    """Return which paths can have truth points: objects and walls in direct sight, objects by one or two mirrors."""
     plain = (paths.needs & np.uint32(UNLABELLED)) == 0
     return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.thing >= 0)))
 
 
 def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
-    """Return the power of each path in the beam that sees it best, mW, [paths]."""
+    """Return the power of each path in its best beam, mW, [paths]."""
     pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad, *departure(paths))
     return np.abs(paths.amplitude) ** 2 * (np.abs(pattern) ** 2).max(axis=0)
 
@@ -66,7 +64,7 @@ def _cells(paths: Paths, grid: RangeAzimuthGrid) -> tuple[np.ndarray, np.ndarray
 
 
 def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Return the greedy choice, first come first kept: indices whose cells differ from all kept by 4 in one
+    """Thin points greedily, first come first kept: indices whose cells differ from all kept ones by 4 in one
     coordinate.
     """
     kept: list[int] = []
@@ -91,7 +89,7 @@ def scene_truth(
 ) -> SceneTruth:
     """Return the truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
 
-    `start_from_radar`: where the radar is then; None: where the scene's `ego` takes it.
+    `start_from_radar`: the radar's pose at that time; None: the pose from the scene's `ego`.
     """
     pose = radar_pose(world.scene, time_s) if start_from_radar is None else start_from_radar
     radar_from_start = pose.inverse()
@@ -119,19 +117,19 @@ def hidden_objects(paths: Paths) -> frozenset[int]:
 
 @dataclass(frozen=True)
 class ObjectImages:
-    """What could be seen of each of N objects, before any detection."""
+    """Visibility of each of N objects before any detection."""
 
     #: Some part is in direct sight; some mirror shows a part, wherever its image lies. bool [N].
     direct: np.ndarray
     mirrored: np.ndarray
-    #: Strongest scattering centre among the images in the map, over the noise of the beam that sees it best, dB [N];
+    #: Strongest scattering centre among the images in the map, over the noise of its best beam, dB [N];
     #: -inf where the map holds no image. The second is that of images by one mirror.
     snr_db: np.ndarray
     single_snr_db: np.ndarray
 
 
 def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
-    """Return the sum up the labelled paths of a scene's `count` objects."""
+    """Summarise the labelled paths of a scene's `count` objects."""
     paths = paths.take(labelled(paths))
     with np.errstate(divide="ignore"):
         snr_db = 10.0 * np.log10(best_power_mw(setup, paths) / _noise_mw(setup))
@@ -153,7 +151,7 @@ def _strongest(object_index: np.ndarray, snr_db: np.ndarray, count: int) -> np.n
 
 
 def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
-    """Return all objects of the scene where the radar has them at a time."""
+    """Return all objects of the scene in the radar's frame at a time."""
     hidden = hidden_objects(paths)
     objects = []
     for index, scene_object in enumerate(world.scene.objects):
@@ -178,7 +176,7 @@ def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2)
 
 
 def _surfaces(world: World, radar_from_start: Pose2) -> tuple[TruthSurface, ...]:
-    """Return all walls as the radar has them."""
+    """Return all walls in the radar's frame."""
     walls = [surface for surface in world.scene.surfaces if surface.role != "ground"]
     return tuple(
         TruthSurface(

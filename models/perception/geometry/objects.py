@@ -25,7 +25,7 @@ from msgs.values.perception import BevFrame, HiddenObject, Wall
 #: A uniform face of length L has variance L^2 / 12 along it.
 UNIFORM_FACE = 12.0
 #: Largest number of point pairs that may join fragments, nearest first: the pairs of two hundred points.
-MOST_PAIRS = 20_000
+MAX_PAIRS = 20_000
 
 
 class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -96,7 +96,7 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
     variance = np.einsum("pi,pij,pj->p", difference, covariance_m2[first] + covariance_m2[second], difference)
     sigma_m = np.sqrt(variance) / np.maximum(distance_m, 1e-9)
     near = np.flatnonzero((distance_m <= params.eps_m + sigma_m) & (labels[first] != labels[second]))
-    for pair in near[np.argsort(distance_m[near], kind="stable")][:MOST_PAIRS]:
+    for pair in near[np.argsort(distance_m[near], kind="stable")][:MAX_PAIRS]:
         i, j = first[pair], second[pair]
         if labels[i] == labels[j]:
             continue

@@ -343,14 +343,14 @@ def _steps_s(params: TrackerParams) -> np.ndarray:
     return params.step_s * np.arange(round(params.horizon_s / params.step_s) + 1)
 
 
-def radar_ahead(place: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
+def radar_ahead(pose: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
     """Return the positions of the radar [steps, 2] in the odometry frame if the vehicle keeps its speed and yaw
     rate.
     """
     times_s = _steps_s(params)
-    motions = (ego_motion(place.speed_mps, place.yaw_rate_rps, float(time_s)) for time_s in times_s)
-    poses = [place.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
-    return np.array([[pose.x_m, pose.y_m] for pose in poses])
+    motions = (ego_motion(pose.speed_mps, pose.yaw_rate_rps, float(time_s)) for time_s in times_s)
+    poses = [pose.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
+    return np.array([[radar_pose.x_m, radar_pose.y_m] for radar_pose in poses])
 
 
 def _wall_ends(walls: Sequence[Wall], odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
