@@ -4,9 +4,9 @@ Seen from above, in the frame of the relay wall (u along it, n towards the radar
 
     radar at (-r1 sin, r1 cos), object at (r2 sin, r2 cos), the hiding wall on the line u = 0 between them.
 
-Both legs end at P, so the direct line crosses u = 0 farther from the wall than the way by the mirror does: the hiding
-wall begins between the two. R = r1 + r2 is the range at which the image appears. Everything is drawn from
-(seed, viewpoint) alone, so that the settings of a sweep differ in what is swept and in nothing else.
+Both segments end at P, so the direct line crosses u = 0 farther from the wall than the path by the mirror does: the
+hiding wall begins between the two. R = r1 + r2 is the range at which the image appears. Everything is drawn from
+(seed, viewpoint) alone, so that the settings of a sweep differ in the swept parameter alone.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ WALLS: dict[str, WallKind] = {
     "plasterboard": WallKind("plasterboard", 12.5, 0.1),
     "wood": WallKind("wood", 20.0, 0.1),
 }
-#: How far poses differ: azimuth of the specular point, heading against the wall, place.
+#: Variation of poses: azimuth of the specular point, heading against the wall, position.
 AZIMUTH_DEG, YAW_DEG, SHIFT_M = 12.0, 10.0, 0.3
 #: The relay wall reaches this far beyond the outermost specular point, and by this share of the image's range.
 REACH_M, REACH_SHARE = 3.0, 0.03
-#: Room between the object and both walls, and between the hiding wall and each of the two ways it stands between.
+#: Room between the object and both walls, and between the hiding wall and each of the two paths beside it.
 CLEARANCE_M, PATH_CLEARANCE_M = 0.3, 0.03
 #: The hiding wall reaches so far beyond the outermost direct line.
 HIDING_REACH_M = 2.0
@@ -63,7 +63,7 @@ TRUTH_SPACING_M = 0.5
 
 
 class Corner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One setting: where the image appears, how the wall is met, what it is made of, what is hidden."""
+    """One setting: range of the image, incidence and material of the wall, hidden object."""
 
     #: R = r1 + r2, and the share of it before the wall.
     range_m: float = 8.0
@@ -156,7 +156,7 @@ def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
 
 
 def _hiding_span(radar: np.ndarray, box: np.ndarray) -> tuple[float, float] | None:
-    """Return from where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it all."""
+    """Return the span on u = 0 of a wall that hides a box [4, 2]; None where none hides all of it."""
     if box.min() < CLEARANCE_M:
         return None
     share = -radar[0] / (box[:, 0] - radar[0])
@@ -168,7 +168,7 @@ def _hiding_span(radar: np.ndarray, box: np.ndarray) -> tuple[float, float] | No
 
 @dataclass(frozen=True)
 class _Frame:
-    """From the relay wall's frame to the radar's: u and n as directions, P as origin."""
+    """Transform from the relay wall's frame to the radar's: u and n as directions, P as origin."""
 
     near_m: float
     azimuth_rad: float
@@ -202,7 +202,7 @@ def comparison_place(seed: int, index: int, kind: PlaceKind) -> Scene:
 
 
 def with_sensor(scene: Scene, preset: str, spad: SpadParams | None = None) -> Scene:
-    """Return the same place seen by another sensor, without faults, at the same spot.
+    """Return the same place with another sensor, without faults, at the same position.
 
     ValueError where the sensor or a material at its carrier is unknown.
     """
@@ -215,7 +215,7 @@ def with_sensor(scene: Scene, preset: str, spad: SpadParams | None = None) -> Sc
 
 @dataclass(frozen=True)
 class MirrorWay:
-    """The way to an object's middle by one wall: both legs, angle of incidence at the wall, azimuth at the sensor."""
+    """Path to an object's centre by one wall: both segments, angle of incidence at the wall, azimuth at the sensor."""
 
     to_wall_m: float
     beyond_m: float
@@ -224,12 +224,12 @@ class MirrorWay:
 
     @property
     def range_m(self) -> float:
-        """Where the image appears."""
+        """Range of the image."""
         return self.to_wall_m + self.beyond_m
 
 
 def mirror_way(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorWay:
-    """Return the way from the sensor to an object by the line of a straight wall of two points."""
+    """Return the path from the sensor to an object by the line of a straight wall of two points."""
     a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
     normal, offset_m = wall_from_ends(a, b, np.zeros(2))
     position = np.array([scene.objects[object_index].x_m, scene.objects[object_index].y_m])
@@ -246,7 +246,9 @@ def mirror_way(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorW
 
 @dataclass(frozen=True)
 class ShownPoints:
-    """What mirrors show of a scene's objects, whatever the sensor: true places and images [N, 2], object of each."""
+    """Points of a scene's objects that mirrors show, for any sensor: true positions and images [N, 2], object of
+    each.
+    """
 
     place_m: np.ndarray
     image_m: np.ndarray
@@ -259,8 +261,8 @@ class ShownPoints:
 
 
 def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = None) -> ShownPoints:
-    """Return the points on the sides of objects that one mirror shows within the grid: geometry alone, no power is
-    looked at.
+    """Return the points on the sides of objects that one mirror shows within the grid: by geometry alone, without
+    power.
 
     Scattering centres of the objects, thinned to `TRUTH_SPACING_M` in order; the same for every sensor.
     """
@@ -289,7 +291,7 @@ def incidences(scene: Scene, shown: ShownPoints, surface: int = 0) -> tuple[floa
 
 
 def _apart(points_m: np.ndarray, object_index: np.ndarray) -> np.ndarray:
-    """Return the greedy choice: indices of points at least `TRUTH_SPACING_M` from all kept ones of their object."""
+    """Thin points greedily: indices of points at least `TRUTH_SPACING_M` from all kept ones of their object."""
     kept: list[int] = []
     for index, point_m in enumerate(points_m):
         own = [earlier for earlier in kept if object_index[earlier] == object_index[index]]

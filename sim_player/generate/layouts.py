@@ -1,7 +1,7 @@
-"""Four types of place as plans: where walls stand, where traffic runs, where vehicles are parked.
+"""Plans of four types of place: positions of walls, traffic and parked vehicles.
 
 A plan is drawn with the radar at (0, 0) looking along x, the hidden side on the left; whoever uses it turns it and
-exchanges left and right. It says which kinds of wall suit where, not which one is built.
+exchanges left and right. It lists the kinds of wall that suit each line, not the one that is built.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sim_player.generate.wall_kinds import Line, RelayKind
 
 PlaceKind = Literal["street", "parking_lot", "residential_block", "mixed_intersection"]
 
-#: What lines the side of a road, closes its end, or fronts a building.
+#: Kinds of wall along the side of a road, at its end, and on the front of a building.
 ROADSIDE: tuple[RelayKind, ...] = (
     "facade",
     "concrete_wall",
@@ -97,7 +97,7 @@ class Bay:
 
 @dataclass(frozen=True)
 class Layout:
-    """Everything a place is made of before walls have a material."""
+    """Parts of a place before walls have a material."""
 
     blocks: tuple[Block, ...]
     lines: tuple[Line, ...]

@@ -1,7 +1,7 @@
-"""What hides, what mirrors, and where in a place a road user fits: many candidate spots at once.
+"""Placement of road users: occlusion, mirrors and free room at many candidate spots at once.
 
-Seen from above, with arcs as chords. Only straight opaque walls and vehicles count as hiding something: not glass, not
-plants, not arcs. Everything counts as in the way of a path by a mirror. What is visible in the end is traced.
+The geometry is in plan, with arcs as chords. Only straight opaque walls and vehicles hide objects: not glass, plants or
+arcs. Every wall blocks a path by a mirror. The final visibility is traced.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Boxes:
 
 @dataclass(frozen=True)
 class Images:
-    """What mirrors show: P pairs of a spot's index and the specular point that shows it."""
+    """Mirror images of spots: P pairs of a spot's index and its specular point."""
 
     spot: np.ndarray
     specular: np.ndarray
@@ -133,13 +133,13 @@ def hidden(points: np.ndarray, walls: Walls, boxes: Boxes) -> np.ndarray:
 
 
 def clear(start: np.ndarray, end: np.ndarray, walls: Walls, boxes: Boxes) -> np.ndarray:
-    """Return which legs [N] pass by everything."""
+    """Return which segments [N] are free."""
     face_a, face_b = boxes.faces
     return ~blocked(start, end, np.concatenate([walls.a, face_a]), np.concatenate([walls.b, face_b]))
 
 
 def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, range_m: tuple[float, float]) -> Images:
-    """Return the mirror images of spots [N, 2] that the radar sees: both legs free, within its range and angle."""
+    """Return the mirror images of spots [N, 2] that the radar sees: both segments free, within its range and angle."""
     a, b = walls.a[walls.mirrors], walls.b[walls.mirrors]
     along = b - a
     along = along / np.hypot(*along.T)[:, None]

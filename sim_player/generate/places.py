@@ -1,8 +1,7 @@
 """Random places from a seed (section 2.1.2): streets, parking lots, residential blocks, mixed intersections.
 
-A plan of the place, walls on it, parked vehicles, then road users out of sight whose mirror image the radar sees, then
-others in the open; at last the radar's faults and the weather. Where nothing finds a place to hide, a new plan is
-drawn.
+The steps are: a plan of the place, walls, parked vehicles, hidden road users with a mirror image, others in the open,
+the radar's faults and the weather. Where no road user can hide, a new plan is drawn.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ from sim_player.scene.description import (
 )
 from sim_player.scene.front_end import FrontEnd, Spur
 
-#: How often each class is tried first in hiding: long vehicles fit more rarely.
+#: Probability of each class to be tried first in hiding: long vehicles fit more rarely.
 HIDING_SHARE = {"car": 0.28, "van": 0.17, "truck": 0.22, "bus": 0.17, "bicycle": 0.08, "pedestrian": 0.08}
 PLACE_KINDS: tuple[PlaceKind, ...] = get_args(PlaceKind)
 #: Share of places that are given no hidden object.
 EMPTY_SHARE = 0.12
-#: Share, among places with two hidden objects or more, where the second one's image is sought beside the first one's.
+#: Share, among places with two hidden objects or more, where the second image is to lie beside the first.
 OVERLAP_SHARE, OVERLAP_M = 0.4, 1.5
 GROUND_SHARE, FAULTY_SHARE, RAIN_SHARE, SEPARATED_SHARE = 0.8, 0.3, 0.25, 0.3
 #: Each fault of a faulty front end is there with this probability.
@@ -45,9 +44,9 @@ FAULT_SHARE = 0.6
 #: Plans drawn until something hides.
 ATTEMPTS = 4
 CANDIDATES = 160
-#: Candidates that pass the quick tests and are looked at whole.
+#: Largest number of candidates that are tested in full after the quick tests.
 SHORTLIST = 24
-#: The radar stands at least this far off every wall, and off the circle around every road user.
+#: Least distance of the radar from every wall, and from the circle around every road user.
 WALL_ROOM_M, RADAR_ROOM_M = 1.0, 2.0
 #: The place is turned under the radar by this much, rms.
 TURN_RAD = math.radians(4.0)
@@ -57,7 +56,7 @@ GROUNDS: dict[str, tuple[float, tuple[float, float]]] = {
     "concrete": (0.3, (0.2, 1.0)),
     "medium_dry_ground": (0.1, (1.0, 3.0)),
 }
-#: Most speed by class, m/s.
+#: Largest speed by class, m/s.
 MAX_SPEED_MPS = {"car": 15.0, "van": 15.0, "truck": 15.0, "bus": 15.0, "bicycle": 7.0, "pedestrian": 2.0}
 
 
@@ -67,7 +66,7 @@ Built = tuple[RelayKind | None, tuple[Surface, ...]]
 
 @dataclass(frozen=True)
 class Place:
-    """A scene and what it was made of."""
+    """A scene with the parts it was made from."""
 
     scene: Scene
     kind: PlaceKind
@@ -101,7 +100,7 @@ def draw_place(
     kind: PlaceKind | None = None,
     motion: bool = False,
 ) -> Place:
-    """Return `random_place` with what the scene was made of."""
+    """Return `random_place` with the parts of the scene."""
     _check(seed, index, preset, kind)
     rng = np.random.default_rng([seed, index])
     drawn: PlaceKind = PLACE_KINDS[rng.integers(len(PLACE_KINDS))]
@@ -128,7 +127,7 @@ def draw_place(
 
 
 def _check(seed: int, index: int, preset: str, kind: str | None) -> None:
-    """Arguments at the door."""
+    """Check the arguments."""
     for name, number in (("seed", seed), ("index", index)):
         if number < 0:
             raise ValueError(f"{name} must not be negative, got {number!r}")
@@ -140,7 +139,7 @@ def _check(seed: int, index: int, preset: str, kind: str | None) -> None:
 
 @dataclass(frozen=True)
 class _Turn:
-    """From the plan to the radar's frame: turned, then left and right exchanged."""
+    """Transform from the plan to the radar's frame: turned, then left and right exchanged."""
 
     angle_rad: float
     flip: bool
@@ -166,7 +165,7 @@ class _Turn:
 
 @dataclass
 class _Crowd:
-    """Walls, and the road users that stand among them so far."""
+    """Walls, and the road users placed among them so far."""
 
     surfaces: tuple[Surface, ...]
     relays: tuple[RelayKind, ...]
@@ -179,13 +178,15 @@ class _Crowd:
     hidden: list[int] = field(default_factory=list)
     parked: int = 0
     overlapping: bool = False
-    #: Ranges of the images of hidden objects, and the legs [L, 2] of the paths that show them.
+    #: Ranges of the images of hidden objects, and the segments [L, 2] of the paths that show them.
     image_m: list[float] = field(default_factory=list)
     segment_a: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     segment_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def add(self, rng: np.random.Generator, hide: bool, beside_m: float | None = None) -> bool:
-        """Return a road user out of sight (with an image at about a range) or in the open; False where none fits."""
+        """Add a road user out of sight (with an image at about a range) or in the open; return False where none
+        fits.
+        """
         spot, heading = _candidates(rng, self.layout, self.turn, CANDIDATES)
         boxes = Boxes.of(tuple(self.objects))
         keep = ~indoors(spot, self.rings) & (np.hypot(*spot.T) > IMAGE_RANGE_M[0])
@@ -209,7 +210,7 @@ class _Crowd:
         return False
 
     def park(self, rng: np.random.Generator) -> None:
-        """Vehicles in some of the bays."""
+        """Park vehicles in some of the bays."""
         low, high = self.layout.parked
         count = int(rng.integers(low, high + 1))
         for index in rng.permutation(len(self.layout.bays)):
@@ -226,7 +227,7 @@ class _Crowd:
         self.parked = len(self.objects)
 
     def _stand(self, name: str, spot: np.ndarray, yaw_deg: np.ndarray, boxes: Boxes, hide: bool = False) -> np.ndarray:
-        """Return which spots [N] leave room to walls, others, the radar, and to the paths that show hidden ones."""
+        """Return which spots [N] leave room to walls, road users, the radar, and to the paths that show hidden ones."""
         size = OBJECT_KINDS[name]
         fits = np.hypot(*spot.T) > 0.5 * math.hypot(size.length_m, size.width_m) + RADAR_ROOM_M
         fits[np.flatnonzero(fits)[SHORTLIST:]] = False
@@ -246,7 +247,7 @@ class _Crowd:
         return fits
 
     def _add_hidden(self, specular: np.ndarray, spot: np.ndarray, range_m: float) -> None:
-        """A hidden object and the paths that show it."""
+        """Record a hidden object and the paths that show it."""
         self.hidden.append(len(self.objects))
         self.image_m.append(range_m)
         self.segment_a = np.concatenate([self.segment_a, np.zeros_like(specular), specular])
@@ -254,7 +255,7 @@ class _Crowd:
 
 
 def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset) -> _Crowd:
-    """Return a place without road users but for the parked; drawn anew until the radar has room."""
+    """Return a place with parked vehicles alone; drawn again until the radar has room."""
     while True:
         layout = draw_layout(rng, kind)
         turn = _Turn(float(rng.normal(0.0, TURN_RAD)), bool(rng.random() < 0.5))
@@ -293,7 +294,7 @@ def _footprint(block: Block) -> np.ndarray:
 
 
 def _hide(rng: np.random.Generator, crowd: _Crowd, count: int, overlap: bool) -> None:
-    """Road users out of sight, the second beside the first one's image if overlap is asked for."""
+    """Add road users out of sight, the second beside the first one's image if overlap is requested."""
     for _ in range(count):
         beside = crowd.image_m[0] if overlap and len(crowd.image_m) == 1 else None
         if crowd.add(rng, True, beside):
@@ -317,7 +318,7 @@ def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: in
 
 
 def _yaw_deg(rng: np.random.Generator, name: str, heading_deg: np.ndarray) -> np.ndarray:
-    """Return the headings [N]: with the traffic, either way; pedestrians, and all in a yard, anyhow."""
+    """Return the headings [N]: along the traffic, either way; random for pedestrians and in yards."""
     free = np.isnan(heading_deg) | (name == "pedestrian")
     along = heading_deg + rng.choice([0.0, 180.0], len(heading_deg)) + rng.normal(0.0, 6.0, len(heading_deg))
     return np.where(free, rng.uniform(0.0, 360.0, len(heading_deg)), along)
@@ -368,7 +369,7 @@ def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
 
 
 def _faulty(rng: np.random.Generator) -> FrontEnd:
-    """Return a front end with some of the faults that real ones have."""
+    """Return a front end with some typical faults."""
     coupled, skewed, flickers, leaks, spurs = rng.random(5) < FAULT_SHARE
     return FrontEnd(
         coupling_db=float(rng.uniform(-30.0, -18.0)) if coupled else None,

@@ -1,8 +1,8 @@
 """Random drives past a side street from a seed: streets, walls, parked and moving road users, speeds, sight lines.
 
 The vehicle starts at (0, 0) along x; a side street opens on the left (on the right in half of the scenes), and a road
-user comes down it towards the main street. It is hidden at first and comes into direct sight within the drive. Nothing
-is asked of the mirrors: in some streets no wall ever shows the road user before it is in direct sight.
+user comes down it towards the main street. It is hidden at first and comes into direct sight within the drive. Mirrors
+are not required: in some streets no wall shows the road user before it is in direct sight.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from sim_player.trace.truth import labelled
 
 #: Index of the road user that comes down the side street.
 CROSSING = 0
-#: What closes the view across the junction: the main street's other side, its bend, or the end of a T-junction.
+#: View across the junction: the main street's other side, its bend, or the end of a T-junction.
 Layout = Literal["parallel", "bend", "across"]
 LAYOUTS: tuple[Layout, ...] = ("parallel", "bend", "across")
-#: How the vehicle drives past.
+#: Manner of driving past.
 Manner = Literal["steady", "braking", "turning"]
 MANNERS: tuple[Manner, ...] = ("steady", "braking", "turning")
-#: How often each class comes down the side street, and its band of speeds [m/s].
+#: Probability of each class in the side street, and its band of speeds [m/s].
 CLASS_SHARE = {"car": 0.45, "van": 0.15, "truck": 0.08, "bus": 0.05, "bicycle": 0.15, "pedestrian": 0.12}
 SPEED_MPS = {
     "car": (3.0, 12.0),
@@ -47,9 +47,9 @@ SPEED_MPS = {
     "pedestrian": (0.8, 2.5),
 }
 EGO_SPEED_MPS, BRAKING_MPS2, TURN_DPS = (2.0, 12.0), (1.0, 3.0), (3.0, 12.0)
-#: Direct sight comes this long after the start [s]; sight is looked for at this step.
+#: Time of direct sight after the start [s], and the step of the search for it.
 SIGHT_S, STEP_S = (2.1, 7.5), 0.3
-#: Drives go on for so long [s], a little more than the latest sight.
+#: Duration of a drive [s], a little more than the latest sight.
 DURATION_S = 9.0
 #: Share of scenes with a low wall at the corner in place of a house, a parked vehicle in the side street, an oncoming
 #: vehicle and a pedestrian in plain sight; share of parking bays that are taken.
@@ -57,13 +57,13 @@ LOW_CORNER, PARKED_ASIDE, ONCOMING, WALKER, TAKEN = 0.25, 0.4, 0.3, 0.4, 0.35
 MASONRY = ("concrete", "painted", "rendered", "brick")
 #: Room between the vehicle's path and walls, between its path and road users, and between road users and walls [m].
 WALL_ROOM_M, USER_ROOM_M, FOOTING_M = 1.2, 1.8, 0.3
-#: Streets drawn before a seed is given up: about one in three suits.
+#: Streets drawn before an error: about one in three is suitable.
 ATTEMPTS = 2000
 
 
 @dataclass(frozen=True)
 class SideStreet:
-    """A scene in the vehicle's frame at the start, and how the vehicle drives; object `CROSSING` comes out."""
+    """A scene in the vehicle's frame at the start, and the vehicle's drive; object `CROSSING` comes out."""
 
     scene: Scene
     drive: Drive
@@ -105,7 +105,7 @@ def direct_sight(paths: Paths) -> bool:
 
 
 def _draw(rng: np.random.Generator, name: str) -> SideStreet:
-    """Return one street, whether it suits or not."""
+    """Return one street, suitable or not."""
     speed_mps = float(rng.uniform(*EGO_SPEED_MPS))
     near_m = 4.0 + speed_mps * float(rng.uniform(1.5, 5.0))
     layout = LAYOUTS[rng.integers(len(LAYOUTS))]
@@ -124,7 +124,7 @@ def _draw(rng: np.random.Generator, name: str) -> SideStreet:
 
 
 def _walls(rng: np.random.Generator, plan: _Plan) -> tuple[Surface, ...]:
-    """Return the corner that hides the side street, the house beyond it, and what may mirror it."""
+    """Return the corner that hides the side street, the house beyond it, and the possible mirrors."""
     start = -float(rng.uniform(0.0, 4.0))
     corner = [(start, plan.left_m), (plan.near_m, plan.left_m), (plan.near_m, plan.left_m + rng.uniform(12.0, 30.0))]
     low = rng.random() < LOW_CORNER
@@ -245,7 +245,7 @@ def _crossing(rng: np.random.Generator, plan: _Plan) -> SceneObject:
 def _drive(rng: np.random.Generator, manner: Manner, speed_mps: float) -> Drive:
     """Return the speed and yaw rate over the drive, [s], [m/s], [rad/s]."""
     time_s = np.arange(0.0, DURATION_S + 0.05, 0.05)
-    # nobody holds the wheel quite still
+    # the steering wheel is never quite still
     sway_rps = math.radians(rng.uniform(0.0, 1.0))
     yaw_rate_rps = sway_rps * np.sin(2.0 * np.pi * (rng.uniform(0.1, 0.4) * time_s + rng.random()))
     speeds = np.full(len(time_s), speed_mps)

@@ -1,7 +1,7 @@
 """Random street scenes from a seed: relay walls, corners, hidden and open road users, empty places.
 
 Roughness is drawn where the choice of wavelength matters (0.1-2 mm rms), thickness by material. An object meant to
-hide is placed where its centre is out of sight and seen in a wall; what is visible in the end is traced, not assumed.
+hide is placed where its centre is out of sight and seen in a wall; the final visibility is traced, not assumed.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ THICKNESS_MM: dict[str, tuple[float, float]] = {
     "wood": (18.0, 60.0),
 }
 ROUGHNESS_MM = (0.1, 2.0)
-#: Share of scenes that are given no hidden object (in about as many more, none finds a place to hide).
+#: Share of scenes without a hidden object by design (in about as many more, none can be hidden).
 EMPTY_SHARE = 0.15
-#: Where images of hidden objects are asked to lie.
+#: Required range and azimuth of images of hidden objects.
 IMAGE_RANGE_M, IMAGE_AZIMUTH_RAD = (5.0, 60.0), math.radians(55.0)
-#: Candidate places drawn for one object before it is given up.
+#: Largest number of candidate positions drawn for one object.
 CANDIDATES = 256
-#: How often each class is drawn: cars are most common, in the scene as in the street.
+#: Probability of each class: cars are most common, as on real streets.
 CLASS_SHARE: dict[str, float] = {
     "car": 0.35,
     "van": 0.15,
@@ -134,7 +134,7 @@ def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
 def _place(
     rng: np.random.Generator, surfaces: tuple[Surface, ...], objects: tuple[SceneObject, ...], hidden: bool
 ) -> SceneObject | None:
-    """Return a random road user at the first candidate place that fits; None where none does."""
+    """Return a random road user at the first candidate position that fits; None where none does."""
     name = str(rng.choice(list(CLASS_SHARE), p=list(CLASS_SHARE.values())))
     spot = np.column_stack([rng.uniform(4.0, 50.0, CANDIDATES), rng.uniform(-35.0, 35.0, CANDIDATES)])
     yaw_deg = rng.choice([0.0, 90.0, 180.0, 270.0], CANDIDATES) + rng.normal(0.0, 12.0, CANDIDATES)
@@ -154,7 +154,7 @@ def _place(
 def _stands_well(
     road_user: SceneObject, surfaces: tuple[Surface, ...], objects: tuple[SceneObject, ...], hidden: bool
 ) -> bool:
-    """Return the clear of radar, walls and others; if hidden, out of sight as a whole and not only its centre."""
+    """Return whether a road user is clear of radar, walls and others and, if hidden, out of sight as a whole."""
     return (
         math.hypot(road_user.x_m, road_user.y_m) > road_user.kind.length_m
         and all(_apart(road_user, other) for other in objects)
@@ -172,13 +172,13 @@ def _pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _in_open(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
-    """Return the places in direct sight within the radar's field of view."""
+    """Return whether spots are in direct sight within the radar's field of view."""
     ahead = np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD
     return ahead & (np.hypot(*spot.T) > IMAGE_RANGE_M[0]) & ~blocked(ORIGIN, spot, *_pieces(surfaces))
 
 
 def _in_mirror(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
-    """Return the places out of direct sight that some wall shows, at a range and azimuth the radar covers."""
+    """Return whether spots are out of direct sight and shown by a wall at a range and azimuth that the radar covers."""
     a, b = _pieces(surfaces)
     shown = np.zeros(len(spot), bool)
     for start, end in zip(a, b, strict=True):

@@ -68,7 +68,7 @@ RelayKind = Literal[
 
 @dataclass(frozen=True)
 class Line:
-    """Where a wall is to stand: from start to end in metres, its front on the left of that way."""
+    """Line of a wall in plan: from start to end in metres, its front on the left of that direction."""
 
     start: Point
     end: Point

@@ -1,7 +1,7 @@
-"""A scene: upright walls, objects and the radar's own motion, as YAML says it, checked at the door.
+"""Description of a scene in YAML: upright walls, objects and the radar's own motion, validated on input.
 
-All in the radar frame at start (x forward, y left, metres; heights above the ground). Every complaint is one line:
-file, field, value, rule.
+All in the radar frame at start (x forward, y left, metres; heights above the ground). Every error is one line: file,
+field, value, rule.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from sim_player.scene.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mes
 
 #: Larger files are no scenes.
 MAX_BYTES = 1 << 20
-#: The radar stands at least this far from every wall.
+#: Least distance of the radar from every wall.
 RADAR_CLEARANCE_M = 0.1
-#: Straight pieces that stand for an arc in checks leave it by at most this.
+#: Largest deviation from an arc of the straight pieces that replace it in checks.
 ARC_ERROR_M = 1e-3
 #: A mesh without thickness counts as this thick in plan.
 THINNEST_M = 0.01
-#: Weather that some place on Earth has had, with room to spare.
+#: Valid ranges of the weather, wider than observed on Earth.
 WEATHER_RANGES: dict[str, tuple[float, float]] = {
     "rain_mm_per_h": (0.0, 200.0),
     "temperature_c": (-60.0, 60.0),
@@ -45,7 +45,7 @@ WEATHER_RANGES: dict[str, tuple[float, float]] = {
     "water_vapour_g_per_m3": (0.0, 50.0),
 }
 
-#: No place or size of a scene lies farther from the radar: a number beyond is a slip.
+#: Largest coordinate or size in a scene: a larger number is an input error.
 FARTHEST_M = 1e4
 
 Point = tuple[float, float]
@@ -77,7 +77,7 @@ OBJECT_KINDS: dict[str, ObjectKind] = {
 
 
 class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which radar, and how high above the ground it is mounted."""
+    """The radar of a scene and its height above the ground."""
 
     preset: Literal["xband", "77ghz", "spad"] = "xband"
     height_m: float = 1.0
@@ -85,7 +85,7 @@ class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     spad: SpadParams = SpadParams()
     #: Time from one scan of the LiDAR to the next; None: as long as its measurements take.
     spad_scan_period_s: float | None = None
-    #: Distance between the transmitting and the receiving array, along y; the radar stands in the middle.
+    #: Distance between the transmitting and the receiving array, along y; the radar's position is the middle.
     separation_m: float = 0.0
     #: The receiver's, over the preset's; None: the preset's.
     noise_figure_db: float | None = None
@@ -104,7 +104,8 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     roughness_mm: float = 0.0
     #: Distance along the wall over which its heights stay alike.
     correlation_mm: float = 30.0
-    #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the way it runs.
+    #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the direction of the
+    #: polyline.
     curvature_per_m: float = 0.0
 
 
@@ -115,10 +116,10 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     class_: ObjectClass | None = msgspec.field(name="class", default=None)
-    #: File, relative to the scene's; `sim_player.scene.meshes.load_mesh` says what is read.
+    #: File, relative to the scene's; formats as in `sim_player.scene.meshes.load_mesh`.
     mesh: str | None = None
     unit: Unit = "m"
-    #: None: what the format says, else z.
+    #: None: as defined by the format, else z.
     up: UpAxis | None = None
     #: Sizes that `sim_player.scene.meshes.PRIMITIVES` lists for it.
     primitive: Primitive | None = None
@@ -143,11 +144,11 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     @property
     def shape(self) -> Mesh | None:
-        """Its mesh in its own frame, lifted to `z_m`; None for a class. ValueError where it cannot be had."""
+        """Its mesh in its own frame, lifted to `z_m`; None for a class. ValueError where it cannot be loaded."""
         return None if self.class_ else _shape_of(self._key())
 
     def _key(self) -> SceneObject:
-        """Return the same shape standing still at the origin: what its mesh depends on, and nothing else."""
+        """Return the same shape at rest at the origin: the fields that its mesh depends on."""
         return msgspec.structs.replace(self, x_m=0.0, y_m=0.0, yaw_deg=0.0, speed_mps=0.0)
 
     def corners_m(self) -> np.ndarray:
@@ -203,7 +204,7 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything the simulator is told about a place."""
+    """A scene: the complete input of the simulator."""
 
     name: str
     radar: SceneRadar = SceneRadar()
@@ -240,7 +241,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def load_scene(path: Path) -> Scene:
     """Read and check a scene file; ValueError in one line that names file, field, value and rule."""
     try:
-        # before it is read: a scene from elsewhere must not take the memory of a graph
+        # check before reading: a foreign scene must not exhaust the memory of a graph
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"a scene holds at most {MAX_BYTES} bytes, got {path.stat().st_size}")
         return scene_from_yaml(path.read_text(encoding="utf-8"), path.parent)
@@ -311,7 +312,7 @@ def check_scene(scene: Scene) -> None:
 
 
 def _check_radar(radar: SceneRadar) -> None:
-    """Mounting, and faults that a front end can have."""
+    """Check the mounting and the faults of the front end."""
     front_end = radar.front_end
     if not radar.height_m > 0.0:
         raise ValueError(f"radar.height_m: must be positive, got {radar.height_m!r}")
@@ -330,7 +331,7 @@ def _check_radar(radar: SceneRadar) -> None:
 
 
 def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
-    """Material, sizes, polyline, and the radar's distance of one surface."""
+    """Check material, sizes and polyline of one surface, and its distance from the radar."""
     if surface.thickness_mm is not None and not surface.thickness_mm > 0.0:
         raise ValueError(f"{field}.thickness_mm: must be positive, got {surface.thickness_mm!r}")
     _check_material(field, surface, carrier_hz)
@@ -349,7 +350,7 @@ def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
 
 
 def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
-    """A build that is known at the carrier; foliage stands upright, it is no ground."""
+    """Check that the build is known at the carrier, and that foliage is no ground."""
     thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
     try:
         if not is_volume(surface.material):
@@ -361,7 +362,7 @@ def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
 
 
 def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Point) -> None:
-    """Length of one piece of wall, its arc, and the radar's distance from it."""
+    """Check the length of one piece of wall, its arc, and the radar's distance from it."""
     chord = math.dist(a, b)
     if not chord > SHORTEST_WALL_M:
         raise ValueError(f"{field}.polyline_m[{index + 1}]: a piece of wall must have a length, got {a} to {b}")
@@ -379,7 +380,7 @@ def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Po
 
 
 def _check_object(field: str, scene_object: SceneObject, scene: Scene) -> None:
-    """One form, a mesh that can be had, the radar outside the object, the object clear of all walls."""
+    """Check that an object has one form, a loadable mesh, the radar outside it, and no wall through it."""
     _check_form(field, scene_object, scene.setup.radar.carrier_hz)
     if scene_object.contains(np.zeros((1, 2)))[0]:
         raise ValueError(
@@ -394,7 +395,7 @@ def _check_object(field: str, scene_object: SceneObject, scene: Scene) -> None:
 
 
 def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> None:
-    """Class, mesh or primitive, with the fields that belong to it; its material and shape."""
+    """Check class, mesh or primitive with its fields, its material and shape."""
     given = [
         name for name in ("class", "mesh", "primitive") if getattr(scene_object, "class_" if name == "class" else name)
     ]
@@ -420,7 +421,7 @@ def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> Non
 
 
 def wall_inside(scene_object: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
-    """Return the index of the first surface that runs through an object's box, None where it stands clear."""
+    """Return the index of the first surface that runs through an object's box, None for none."""
     pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
     if not pieces:
         return None
@@ -432,7 +433,7 @@ def wall_inside(scene_object: SceneObject, surfaces: tuple[Surface, ...]) -> int
 
 
 def _segments(surface: Surface) -> list[tuple[Point, Point]]:
-    """Return the straight pieces of a wall, or those that stand for its arcs; none for the ground."""
+    """Return the straight pieces of a wall, or those that replace its arcs; none for the ground."""
     if surface.role == "ground":
         return []
     ends = pairwise(surface.polyline_m)
@@ -458,7 +459,7 @@ def _distance_to_origin(a: np.ndarray, b: np.ndarray) -> float:
 
 
 def _numbers(value: Any, field: str) -> Iterator[tuple[str, float]]:
-    """All floats below a plain value with the path that leads to them."""
+    """Yield all floats below a plain value with their paths."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _numbers(inner, f"{field}.{key}" if field else str(key))

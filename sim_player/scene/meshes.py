@@ -1,7 +1,7 @@
-"""Triangle meshes as objects: read from OBJ, PLY, STL or glTF, or built as primitives; checked at the door.
+"""Triangle meshes as objects: read from OBJ, PLY, STL or glTF, or built as primitives; validated on input.
 
-A mesh stands in its own frame like an object class: x forward, y left, z up, on the ground (min z = 0) and centred in
-plan by its box.
+A mesh has its own frame like an object class: x forward, y left, z up, on the ground (min z = 0) and centred in plan by
+its box.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ UpAxis = Literal["y", "z"]
 
 #: Formats and the axis that is up in them unless a scene says otherwise; glTF 2.0 fixes +y.
 UP_AXIS: dict[str, UpAxis] = {".obj": "z", ".ply": "z", ".stl": "z", ".glb": "y", ".gltf": "y"}
-#: Longest extent of a plausible object. The same numbers read in metres and in millimetres never both pass.
+#: Longest extent of a plausible object. The same numbers never pass both as metres and as millimetres.
 EXTENT_M = (0.05, 40.0)
 MAX_FACES = 1_000_000
 MAX_BYTES = 256 * 2**20
 #: Vertices nearer than this share of the longest extent are one.
 WELD_SHARE = 1e-7
-#: A triangle whose height is less than this share of its longest edge has no area worth the name.
+#: A triangle whose height is less than this share of its longest edge counts as degenerate.
 FLAT_SHARE = 1e-6
 
 
@@ -180,7 +180,7 @@ def sphere(diameter_m: float, material: str = "metal", rounds: int = 4) -> Mesh:
     return _primitive("sphere", triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), material)
 
 
-#: What a scene may call a primitive: its constructor and what its `size_m` lists.
+#: Primitives by name: constructor and meaning of `size_m`.
 PRIMITIVES: dict[str, tuple[Any, tuple[str, ...]]] = {
     "box": (box, ("length", "width", "height")),
     "plate": (plate, ("width", "height")),
@@ -214,7 +214,7 @@ def _quartered(triangles: np.ndarray) -> np.ndarray:
 
 
 def _primitive(name: str, vertices_m: np.ndarray, faces: np.ndarray, material: str) -> Mesh:
-    """Return a primitive through the same door as files."""
+    """Return a primitive, built and checked like a mesh from a file."""
     return mesh_from_arrays(vertices_m, faces, material, name)
 
 
@@ -241,7 +241,9 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refuse_cut_obj(path: Path) -> None:
-    """An OBJ whose last line is a face of fewer than three corners was cut off; readers drop such a line silently."""
+    """Raise ValueError where the last face of an OBJ has fewer than three corners; readers drop such a line
+    silently.
+    """
     if path.suffix.lower() != ".obj":
         return
     with path.open("rb") as file:
@@ -252,7 +254,7 @@ def _refuse_cut_obj(path: Path) -> None:
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Faces there, not too many, no vertex that is not a number, three of each."""
+    """Check shapes, the number of faces, finite vertices and valid corner indices."""
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
         raise ValueError(f"vertices and faces: must have three numbers each, got {vertices.shape} and {faces.shape}")
     if not len(faces):
@@ -267,7 +269,7 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _check_extent(extent_m: float, unit: Unit) -> None:
-    """The longest extent must be an object's; metres and millimetres cannot both pass."""
+    """Check that the longest extent is plausible for an object in this unit."""
     if EXTENT_M[0] <= extent_m <= EXTENT_M[1]:
         return
     other_unit, other_m = ("mm", extent_m * 1e-3) if unit == "m" else ("m", extent_m * 1e3)
@@ -278,7 +280,7 @@ def _check_extent(extent_m: float, unit: Unit) -> None:
 
 
 def _weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices at one place become one, so that faces know their neighbours."""
+    """Merge vertices at one position, so that faces share them with their neighbours."""
     step = WELD_SHARE * max(float(np.ptp(vertices, axis=0).max()), 1e-12)
     _, first, label = np.unique(np.round(vertices / step), axis=0, return_index=True, return_inverse=True)
     return vertices[first], label.ravel()[faces]
@@ -293,7 +295,7 @@ def _have_area(corners: np.ndarray) -> np.ndarray:
 
 
 def _used(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return only the vertices that some face has."""
+    """Return the vertices that faces use, and the faces renumbered."""
     kept, label = np.unique(faces, return_inverse=True)
     return vertices[kept], label.reshape(faces.shape)
 
@@ -345,7 +347,7 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def _components(count: int, first: np.ndarray, second: np.ndarray) -> tuple[int, np.ndarray]:
     """Return the connected components of an undirected graph: their number and the label of each node."""
-    # here: most scenes have no mesh
+    # imported here: most scenes have no mesh
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 

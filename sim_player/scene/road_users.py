@@ -1,7 +1,7 @@
 """Road users as boxes of scattering centres: along the faces, stronger at corners and wheels, random in phase.
 
-What it leaves out: curved bodies, cavities (wheel arches, windows), multiple scattering inside an object, roofs,
-micro-motion of legs and wheels. The mean over all aspects is held to the class's RCS; speckle does the rest.
+Not modelled: curved bodies, cavities (wheel arches, windows), multiple scattering inside an object, roofs,
+micro-motion of legs and wheels. The mean over all aspects equals the class's RCS; speckle gives the variation.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from msgs.values.units import ratio_from_db
 from sim_player.scene.description import OBJECT_KINDS, ObjectKind
 
-#: Centres stand about this far apart along a face.
+#: Mean spacing of the centres along a face.
 CENTRE_SPACING_M = 0.28
 #: Heights of the centres above ground: sills, bumpers, lamps.
 CENTRE_HEIGHT_M = (0.3, 1.0)
@@ -38,7 +38,7 @@ class ScatteringCentres:
     phase_rad: np.ndarray
     #: Exponent of the lobe; 0 for centres without one.
     lobe_exponent: np.ndarray
-    #: Share of the peak that is seen from everywhere in front.
+    #: Share of the peak in all directions in front.
     lobe_floor: float = LOBE_FLOOR
 
 

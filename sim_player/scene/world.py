@@ -1,4 +1,4 @@
-"""A scene made ready for tracing: flat arrays, randomness drawn; and the same frozen at a time."""
+"""A scene prepared for tracing: flat arrays with drawn scatterers, and its snapshot at a time."""
 
 from __future__ import annotations
 
@@ -66,9 +66,10 @@ class World:
     face_b: np.ndarray
     face_height_m: np.ndarray
     velocity_mps: np.ndarray
-    #: Wall scatterers: place [Q, 2], piece of wall, length of wall it stands for (0: structure), RCS, unit phasor.
+    #: Wall scatterers: position [Q, 2], piece of wall, length of wall that it represents (0: structure), RCS, unit
+    #: phasor.
     speck_m: np.ndarray
-    #: Across the wall where a scatterer sits, either way, [Q, 2].
+    #: Normal of the wall at the scatterer, either sign, [Q, 2].
     speck_normal: np.ndarray
     speck_wall: np.ndarray
     speck_length_m: np.ndarray
@@ -170,13 +171,13 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
 
 
 def radar_pose(scene: Scene, time_s: float) -> Pose2:
-    """Return `start_from_now`: where the radar is after a time."""
+    """Return `start_from_now`: the pose of the radar after a time."""
     return ego_motion(scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps), time_s)
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A world frozen at a time: the radar and everything that moves at its place, in the scene's frame."""
+    """A world frozen at a time: the radar and all moving objects at their positions, in the scene's frame."""
 
     world: World
     pose: Pose2
@@ -192,7 +193,7 @@ class Snapshot:
 
     @property
     def origin(self) -> np.ndarray:
-        """The antenna's place in the plane, [2]."""
+        """The antenna's position in the plane, [2]."""
         return self.antenna[:2]
 
 
@@ -234,7 +235,7 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
 
 
 def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the unit normals [W, 2] towards a place and offsets [W] of all pieces of wall."""
+    """Return the unit normals [W, 2] towards a point and offsets [W] of all pieces of wall."""
     along = world.wall_b - world.wall_a
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
     middle = 0.5 * (world.wall_a + world.wall_b)
@@ -244,7 +245,7 @@ def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, ...], np.ndarray]:
-    """Return the distinct builds of all walls, and which of them each piece has."""
+    """Return the distinct builds of all walls, and the index of each piece's build."""
     stack_index: dict[Layers, int] = {}
     index = []
     for surface in surfaces:
@@ -323,7 +324,7 @@ def _centres(scene_object: SceneObject, wavelength_m: float, seed: int, index: i
         position_m=centres.position_m,
         normals=np.stack([centres.normal, centres.normal], axis=1),
         peak_rcs_m2=centres.peak_rcs_m2,
-        # what tells the patches of a mesh apart is their place
+        # the phase of a patch of a mesh comes from its position
         phase_rad=np.zeros(len(centres.peak_rcs_m2)),
         lobe_exponent=centres.lobe_exponent,
         lobe_floor=0.0,

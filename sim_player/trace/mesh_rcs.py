@@ -3,7 +3,7 @@
 Fields are square roots of RCS with a phase: |field|^2 is the RCS in m^2, and far away the phase of a point p is
 exp(+j k (s + r).p), s and r unit vectors to source and receiver (e^{+jwt}, origin of the mesh's frame at its foot).
 
-What it leaves out: diffraction by edges beyond what physical optics has of it, creeping waves, transmission through
+Not modelled: diffraction by edges beyond physical optics, creeping waves, transmission through
 thin dielectric faces, and, in patches and centres, shadow and reflection between parts of the object.
 """
 
@@ -20,12 +20,12 @@ from models.physics.materials import permittivity
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.meshes import Mesh
 
-#: Rays stand at most this share of a wavelength apart unless told otherwise.
+#: Default largest spacing of rays as a share of a wavelength.
 RAY_SPACING = 1.0 / 8.0
 MOST_RAYS = 16_000_000
-#: Patches: their size, at most so many of a mesh, and what share of the scattered energy the centres keep.
+#: Patches: their size, their largest number per mesh, and the share of the scattered energy that the centres keep.
 PATCH_M, MAX_PATCHES, KEPT_SHARE = 0.12, 400, 0.999
-#: Directions of the half space over a patch in which it may be seen.
+#: Number of directions of the half space over a patch that are tested for visibility.
 LOOKS = 32
 #: Faces of a leaf of the search tree, and entries of the reflection table over the cosine.
 LEAF_FACES, TABLE_SIZE = 4, 2049
@@ -41,11 +41,11 @@ class Patches:
     area_m2: np.ndarray
     #: Edge vectors of the parallelogram, [K, 2, 3].
     edges_m: np.ndarray
-    #: How far normals spread within the patch along two directions, covariance [K, 2, 2].
+    #: Spread of the normals within the patch along two directions, covariance [K, 2, 2].
     normal_spread: np.ndarray
-    #: Size that the patches have, grown from the size asked for until they were few enough.
+    #: Size of the patches: grown from the requested size until they are few enough.
     patch_m: float
-    #: Triangles of the mesh that went into the patches, and area that no direction outside sees.
+    #: Triangles of the mesh in the patches, and area that is visible from no direction outside.
     merged_faces: int
     unseen_area_m2: float
 
@@ -71,15 +71,16 @@ class MeshCentres:
 def patches(mesh: Mesh, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES) -> Patches:
     """Cut and merge a mesh's faces into patches of about `patch_m`, larger if there would be more than `max_patches`.
 
-    Pieces of one cell of space and alike in normal become one patch. Faces of an open mesh count on both sides; what
-    nothing outside can see (interiors) is left out and its area told. Raises ValueError for a size that is not
+    Pieces of one cell of space with similar normals become one patch. Faces of an open mesh count on both sides;
+    surfaces invisible from outside (interiors) are left out and their area reported. Raises ValueError for a size that
+    is not
     positive, or for fewer patches than the faces have directions.
     """
     if not (math.isfinite(patch_m) and patch_m > 0.0):
         raise ValueError(f"patch_m must be finite and positive, got {patch_m!r}")
     if max_patches < 1:
         raise ValueError(f"most must be at least 1, got {max_patches!r}")
-    # four times as many as wanted at first: whether a piece can be seen is asked in small
+    # four times as many pieces at first: visibility is tested on small pieces
     patch_m = max(patch_m, math.sqrt(mesh.areas_m2.sum() / (4.0 * max_patches)))
     pieces, normal, unseen_area_m2 = _outside(mesh, patch_m)
     middle = mesh.vertices_m.mean(axis=0)
@@ -124,7 +125,7 @@ def patch_field(
 def mesh_centres(
     mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES
 ) -> MeshCentres:
-    """Return the scattering centres of a mesh at rest in its own frame, for tracers that know points with lobes.
+    """Return the scattering centres of a mesh at rest in its own frame, for tracers of points with lobes.
 
     A patch of area A sends the energy pi A |r|^2 (its RCS summed over all directions of a monostatic radar), whatever
     its shape. The lobe's solid angle is that of diffraction, lambda^2 / 4A, widened by the spread of its normals: a
@@ -181,8 +182,8 @@ def mesh_field(
 
     A grid of rays no wider than `ray_spacing_m` (None: lambda / 8) falls on the mesh from `direction` and is followed
     through up to `bounces` faces, both sides of which reflect. At each, the total field n x H, E x n of the ray's tube
-    radiates back if nothing stands before the radar; the tube's footprint is integrated in closed form on the face's
-    plane, so the spacing only limits how well edges are met. Materials reflect as half-spaces (TE and TM apart).
+    radiates back if nothing blocks the radar; the tube's footprint is integrated in closed form on the face's
+    plane, so the spacing only limits the accuracy at edges. Materials reflect as half-spaces (TE and TM apart).
     `te`: the radar's field is as upright as it can be. Raises ValueError for more than 16 million rays.
     """
     towards = np.asarray(direction, np.float64)
@@ -227,7 +228,7 @@ def _ray_grid(
         raise ValueError(f"ray_spacing_m must be finite and positive, got {spacing_m!r}")
     projected = mesh.vertices_m @ np.stack([across, up, towards]).T
     least, size = projected.min(axis=0), np.ptp(projected, axis=0)
-    # even numbers: no ray runs into the middle edge of a symmetric corner
+    # even numbers: no ray hits the middle edge of a symmetric corner
     count = 2.0 * np.maximum(np.ceil(0.5 * size[:2] / spacing_m * (1.0 - 1e-9)), 1.0)
     if count.prod() > MOST_RAYS:
         raise ValueError(
@@ -257,10 +258,9 @@ def _normal_reflectance(material: str, wavelength_m: float) -> float:
 
 
 def _outside(mesh: Mesh, patch_m: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the pieces [P, 3, 3] no longer than half a patch that can be seen, outward normals [P, 3], area that
-    cannot.
+    """Return the visible pieces [P, 3, 3] no longer than half a patch, outward normals [P, 3], and the invisible area.
 
-    A piece of an open mesh that is seen from both sides comes twice.
+    A piece of an open mesh that is visible from both sides appears twice.
     """
     pieces, owner = _small_pieces(mesh.corners_m, 0.5 * patch_m)
     normal = mesh.normals[owner]
@@ -287,14 +287,14 @@ def _cells(pieces: np.ndarray, normal: np.ndarray, middle: np.ndarray, patch_m: 
 
 @dataclass(frozen=True)
 class _Gathered:
-    """Patches before it is known which can be seen; fields as in `Patches`."""
+    """Patches before the visibility test; fields as in `Patches`."""
 
     centre_m: np.ndarray
     normal: np.ndarray
     area_m2: np.ndarray
     edges_m: np.ndarray
     normal_spread: np.ndarray
-    #: How thick each is along its normal, rms.
+    #: Thickness along the normal, rms.
     depth_m: np.ndarray
 
 
@@ -430,7 +430,7 @@ def _cross(a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _ahead(a, step, b):  # type: ignore[no-untyped-def]
-    """a + step b."""
+    """Return a + step b."""
     return a[0] + step * b[0], a[1] + step * b[1], a[2] + step * b[2]
 
 
@@ -441,7 +441,7 @@ def _row(array, index):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, error_model="numpy")
 def _first_hit(faces, bounds, first, count, start, direction, nearest):  # type: ignore[no-untyped-def]
-    """Distance and index of the first triangle along a ray beyond `nearest`; (inf, -1) for none (Moeller-Trumbore)."""
+    """Return distance and index of the first triangle on a ray beyond `nearest`; (inf, -1): none (Moeller-Trumbore)."""
     best, hit = np.inf, -1
     inverse = (_inverse(direction[0]), _inverse(direction[1]), _inverse(direction[2]))
     stack = np.empty(64, np.int64)
@@ -476,7 +476,7 @@ def _inverse(value):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _meet(face, start, direction):  # type: ignore[no-untyped-def]
-    """Distance along a ray to a triangle, -1 where it passes by."""
+    """Return the distance along a ray to a triangle, -1 where it misses."""
     a = _row(face, 0)
     ab, ac = _ahead(_row(face, 1), -1.0, a), _ahead(_row(face, 2), -1.0, a)
     p = _cross(direction, ac)
@@ -494,7 +494,7 @@ def _meet(face, start, direction):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _any_free(faces, bounds, first, count, start, directions):  # type: ignore[no-untyped-def]
-    """Whether any of the ways [K, L, 3] from each start [K, 3] meets no face."""
+    """Return whether any of the directions [K, L, 3] from each start [K, 3] meets no face."""
     free = np.zeros(len(start), np.bool_)
     for i in range(len(start)):
         for j in range(directions.shape[1]):
@@ -518,11 +518,11 @@ def _sinc(x):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _reflected(field, direction, out, normal, te, tm):  # type: ignore[no-untyped-def]
-    """Field after a bounce: its part across the plane of incidence times te, the part within times tm."""
+    """Return the field after a bounce: its part across the plane of incidence times te, the part within times tm."""
     s = _cross(direction, normal)
     length = math.sqrt(_dot(s, s))
     if length < 1e-9:
-        # head on there is no such plane: any will do
+        # at normal incidence there is no such plane: any will do
         s = _cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (1.0, 0.0, 0.0))
         length = math.sqrt(_dot(s, s))
     s = (s[0] / length, s[1] / length, s[2] / length)
@@ -533,7 +533,7 @@ def _reflected(field, direction, out, normal, te, tm):  # type: ignore[no-untype
 
 @njit(cache=True)
 def _radiated(field, field_out, direction, out, normal, towards, receive):  # type: ignore[no-untyped-def]
-    """Half of what the currents n x H and E x n of incident plus reflected field send towards the receiver."""
+    """Return half the radiation of the currents n x H and E x n of incident plus reflected field to the receiver."""
     h, h_out = _cross(direction, field), _cross(out, field_out)
     current = _cross(normal, (h[0] + h_out[0], h[1] + h_out[1], h[2] + h_out[2]))
     total = (field[0] + field_out[0], field[1] + field_out[1], field[2] + field_out[2])
@@ -543,7 +543,7 @@ def _radiated(field, field_out, direction, out, normal, towards, receive):  # ty
 
 @njit(cache=True, nogil=True)
 def _shoot(faces, bounds, first, count, start, towards, across, up, receive, wavenumber, bounces, te, tm, nearest):  # type: ignore[no-untyped-def]
-    """Sum over rays and bounces of radiated field times footprint, in units of a ray's cross section."""
+    """Return the sum over rays and bounces of radiated field times footprint, in units of a ray's cross section."""
     towards_, receive_ = (towards[0], towards[1], towards[2]), (receive[0], receive[1], receive[2])
     total = 0.0j
     for ray in range(len(start)):
