@@ -40,14 +40,14 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Transmission:
-    """What the detectors read and the field at the frequency of interest."""
+    """Detector readings and the field at the frequency of interest."""
 
     #: Power reflected and transmitted by the plane wave at the beam's angle [dB].
     reflection_db: float
     transmission_db: float
     #: Field out of plane as phasor per incident one on the axis at the front face, complex64 [x, z].
     field: np.ndarray
-    #: Places of the picture's rows and columns; the wall spans wall_m of z.
+    #: Positions of the picture's rows and columns; the wall spans wall_m of z.
     x_m: np.ndarray
     z_m: np.ndarray
     wall_m: tuple[float, float]

@@ -1,4 +1,4 @@
-"""Tables of what walls reflect by FDTD: specular and total power over angle, roughness, polarisation and band.
+"""Tables of wall reflectance by FDTD: specular and total power over angle, roughness, polarisation and band.
 
 They are the check of the closed form that the ray tracer uses: exact stack of layers times Kirchhoff's factor, alpha =
 |r|^2 exp(-g^2) with g = 4 pi s cos / lambda. Smooth walls come from one column of cells, rough ones from strips of
@@ -48,9 +48,9 @@ WALLS: dict[str, tuple[str, float | None]] = {
 }
 SMOOTH_ANGLES_DEG = np.arange(0.0, 85.1, 0.5)
 ROUGH_ANGLES_DEG = np.array([0.0, 30.0, 60.0])
-#: Rms heights [m] of each band: from where roughness begins to count to where the mirror is all but gone.
+#: Rms heights [m] of each band: from the first visible effect of roughness to the near loss of the mirror.
 ROUGHNESS_M = {10e9: (1e-3, 2e-3, 4e-3), 77e9: (0.1e-3, 0.2e-3, 0.5e-3)}
-#: Rough walls that are run: elsewhere the engine refuses, rings, or the wall says nothing new for its price.
+#: Rough walls that are run: elsewhere the engine refuses, rings, or the result adds too little for its cost.
 ROUGH_RUNS: tuple[tuple[str, float, Polarisation], ...] = (
     ("concrete", 10e9, "te"),
     ("concrete", 10e9, "tm"),
@@ -68,7 +68,7 @@ SPARED_RUNS: tuple[tuple[str, float, Polarisation], ...] = (("brick", 10e9, "te"
 CORRELATION_WAVELENGTHS, SEEDS = 4.0 / 3.0, (0, 1, 2)
 #: Cells per wavelength: smooth, rough dielectric, rough metal (whose stairs want finer cells; none lie inside it).
 SMOOTH_CELLS, ROUGH_CELLS, METAL_CELLS = 20.0, 16.0, 30.0
-#: What beside an entry fixes its result: a stopped build goes on only under the same.
+#: Settings that fix a result beside its entry: a stopped build resumes only under the same.
 SETTINGS = (SMOOTH_CELLS, ROUGH_CELLS, METAL_CELLS, CORRELATION_WAVELENGTHS)
 #: A layer with more loss there and back is cut to a half-space.
 OPAQUE_DB = 80.0
@@ -76,7 +76,7 @@ OPAQUE_DB = 80.0
 MAX_ERROR_DB, MAX_RESIDUE = 1.5, 1e-3
 #: Agreement with the closed form that `compare` counts.
 AGREEMENT_DB = 0.5
-#: Why a rough cell is there or not, by the code in the table.
+#: Status of a rough cell by the code in the table.
 MEASURED, NOT_RUN, REFUSED, UNSURE, RINGING = range(5)
 STATUS = (
     "measured",
@@ -107,7 +107,7 @@ class Entry(msgspec.Struct, frozen=True):
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """What one entry and angle gave; field and powers of rough walls are shares of the smooth wall's.
+    """Result of one entry and angle; field and powers of rough walls are shares of the smooth wall's.
 
     lobe and lobe_spread: mean and standard deviation over the seeds of |r_0|^2 as it is; specular and error_db: power
     of the mean field by the control variate and its standard error.
@@ -124,7 +124,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 class Done(msgspec.Struct, frozen=True):
-    """An entry and its cells: one line of the file from which a stopped build goes on."""
+    """An entry and its cells: one line of the file from which a stopped build resumes."""
 
     entry: Entry
     cells: tuple[Cell, ...]
@@ -279,7 +279,7 @@ class ReflectanceTable:
 
     @cached_property
     def _splines(self) -> dict[tuple[int, int, int], CubicSpline]:
-        """Real and imaginary part of r over angle, of every smooth wall that was run."""
+        """Splines of the real and imaginary part of r over angle, of every smooth wall that was run."""
         splines = {}
         for at in np.ndindex(*self.smooth_r.shape[:3]):
             r = self.smooth_r[at].astype(np.complex128)
@@ -288,7 +288,7 @@ class ReflectanceTable:
         return splines
 
     def _roughness_db(self, at: tuple[int, int, int], angle_deg: np.ndarray, roughness_m: float) -> np.ndarray:
-        """Return what roughness takes [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent
+        """Return the loss by roughness [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent
         cell.
         """
         levels = np.concatenate([[0.0], np.square(self.roughness_m[at[1]])])
@@ -301,7 +301,7 @@ class ReflectanceTable:
         return loss_db
 
     def _level_db(self, at: tuple[int, int, int], level: int, angle_deg: np.ndarray) -> np.ndarray:
-        """Return what one roughness level takes [dB] over angle."""
+        """Return the loss by one roughness level [dB] over angle."""
         angles_deg, status = self.rough_angle_deg, self.status[(*at, level)]
         needed = np.zeros(len(angles_deg), bool)
         right = np.clip(np.searchsorted(angles_deg, angle_deg), 1, len(angles_deg) - 1)
@@ -341,7 +341,7 @@ class ReflectanceTable:
 
 
 def table_entries() -> list[Entry]:
-    """Return what the shipped table is made of, short runs first; a rough entry is one angle."""
+    """Return the entries of the shipped table, short runs first; a rough entry is one angle."""
     smooth = tuple(float(angle) for angle in SMOOTH_ANGLES_DEG)
     entries = [Entry(wall, band, pol, 0.0, smooth) for wall in WALLS for band in BANDS_HZ for pol in POLARISATIONS]
     for angle in ROUGH_ANGLES_DEG:
@@ -400,7 +400,7 @@ class _Wall(msgspec.Struct):
 
 
 class _Card(msgspec.Struct):
-    """What must stand on a table's card, beside all else that does."""
+    """Required fields of a table's card; it may have more."""
 
     sha256: str
     bands_ghz: list[float]
@@ -439,9 +439,9 @@ def simulate(entry: Entry) -> Done:
 
 
 def cut_opaque(layers: Layers, frequency_hz: float) -> Layers:
-    """Return the layers down to the first that nothing comes back through (OPAQUE_DB), which becomes a half-space."""
+    """Return the layers down to the first opaque one (OPAQUE_DB), which becomes a half-space."""
     for index, (eps, depth_m) in enumerate(layers):
-        # the way straight through is the one with least loss
+        # the path straight through has the least loss
         decay_per_m = -2.0 * math.pi * frequency_hz / SPEED_OF_LIGHT_MPS * np.sqrt(complex(eps)).imag
         if 20.0 / math.log(10.0) * 2.0 * decay_per_m * depth_m > OPAQUE_DB:
             return (*layers[:index], (eps, math.inf))
@@ -453,7 +453,7 @@ def mirror_field(ratio: np.ndarray, kirchhoff: np.ndarray, phase_rad: float) -> 
     both [seeds].
 
     With g = phase_rad: mean(r_0) - beta (mean(K) - exp(-g^2/2)), beta the least-squares slope of r_0 on K; the
-    error is that of what K leaves unexplained.
+    error is that of the part that K does not explain.
     """
     slope = np.vdot(kirchhoff, ratio) / np.vdot(kirchhoff, kirchhoff)
     mean = ratio.mean() - slope * (kirchhoff.mean() - math.exp(-0.5 * phase_rad**2))
@@ -511,7 +511,7 @@ def _reference(
 
 
 def _read_partial(path: Path) -> dict[Entry, tuple[Cell, ...]]:
-    """Return the entries done by an earlier build under the same settings; a line cut off by its end is passed over."""
+    """Return the entries done by an earlier build under the same settings; an incomplete last line is skipped."""
     if not path.exists():
         return {}
     cells = {}
@@ -554,7 +554,7 @@ def _as_table(entries: Sequence[Entry], done: dict[Entry, tuple[Cell, ...]]) -> 
 
 
 def _place(cell: Cell, at: tuple[int, ...], status: np.ndarray, values: dict[str, np.ndarray]) -> None:
-    """Put a rough cell into the table; one not to be trusted keeps its lobe alone, its mean field is left out."""
+    """Put a rough cell into the table; an unreliable one keeps its lobe alone, its mean field is left out."""
     unsure = not cell.error_db <= MAX_ERROR_DB
     status[at] = RINGING if cell.residue > MAX_RESIDUE else UNSURE if unsure else MEASURED
     if status[at] == RINGING:
@@ -566,7 +566,7 @@ def _place(cell: Cell, at: tuple[int, ...], status: np.ndarray, values: dict[str
 
 
 def _refused(walls: tuple[str, ...], bands_hz: tuple[float, ...]) -> np.ndarray:
-    """Return where the engine takes no rough wall, bool [W, F, P]."""
+    """Return the combinations without rough walls in the engine, bool [W, F, P]."""
     metal = [[any(is_conductor(eps) for eps, _ in layers_of(wall, band)) for band in bands_hz] for wall in walls]
     return np.array(metal)[:, :, None] & (np.array(POLARISATIONS) == "tm")
 
@@ -579,7 +579,7 @@ def _described(
     rough_deg: np.ndarray,
     status: np.ndarray,
 ) -> dict[str, Any]:
-    """Return the card's part that the table knows itself."""
+    """Return the part of the card that follows from the table."""
     return {
         "walls": [{"name": wall, "built_of": _built_of(wall), "bands": _media_of(wall, bands_hz)} for wall in walls],
         "bands_ghz": [band / 1e9 for band in bands_hz],

@@ -18,7 +18,7 @@ from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
 from sim_player.fdtd.media import Layers, checked_layers
 
-#: Cells between absorber, source row, probe row and whatever comes next.
+#: Cells between absorber, source row, probe row and the next part.
 GAP_CELLS = 3
 #: Sub-columns of a cell over which the surface's height is averaged.
 SUB_COLUMNS = 4
@@ -54,7 +54,7 @@ class RoughParams:
 
 @dataclass(frozen=True)
 class FloquetOrders:
-    """What leaves a strip: amplitudes of order zero, power shares of all propagating orders and their angles."""
+    """Floquet orders of a strip: amplitudes of order zero, power shares of all propagating orders and their angles."""
 
     r: complex
     t: complex
@@ -221,7 +221,7 @@ class _Strip:
             heights = self._heights(self.grid.cells_x, offset_x) if index == 0 else np.zeros((1, 1))
             share = sum(np.clip(top - face - column[:, None], 0.0, 1.0) for column in heights.T) / heights.shape[1]
             if self.conductor:
-                # a cell part metal would be a poor conductor, and lossy: it is one or the other
+                # a partly metal cell would be a poor, lossy conductor: each cell is metal or not
                 share = np.round(share)
             mean += (values[index + 1] - values[index]) * share
         return mean

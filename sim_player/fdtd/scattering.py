@@ -1,4 +1,4 @@
-"""Reflection and transmission of walls by FDTD: the one call that tables and commands use."""
+"""Reflection and transmission of walls by FDTD: the interface of tables and commands."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sim_player.fdtd.media import Layers
 from sim_player.fdtd.rough import FloquetOrders, RoughParams, scatter
 from sim_player.fdtd.strip import StripParams, build_strips, run_strip
 
-#: Steepest planar incidence: nearer to grazing the pulse that keeps clear of the cut-off grows without bound.
+#: Steepest planar incidence: nearer to grazing, the length of a pulse clear of the cut-off grows without bound.
 MAX_ANGLE_RAD = math.radians(89.0)
 
 
 @dataclass(frozen=True)
 class Scattered:
-    """What a wall makes of a plane wave of unit power."""
+    """Scattering of a plane wave of unit power by a wall."""
 
     #: Complex field reflection of the specular lobe at the front's mean plane, sign of TM as Eq. (13).
     r: complex
@@ -118,7 +118,7 @@ def _reflect_smooth(
 
 
 def _from_orders(orders: FloquetOrders) -> Scattered:
-    """Return the public form of a wide strip's answer."""
+    """Return the public form of a wide strip's result."""
     return Scattered(
         orders.r,
         orders.t,

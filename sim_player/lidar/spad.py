@@ -426,7 +426,7 @@ class _Sight:
 
     @property
     def spots(self) -> _Hits:
-        """Where the laser falls on walls."""
+        """Spots of the laser on walls."""
         return self.first.take(self.surfaces.thing[self.first.piece] < 0)
 
     @cached_property

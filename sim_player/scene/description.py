@@ -215,7 +215,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def moves(self) -> bool:
-        """Whether anything changes with time."""
+        """True where the radar or an object moves."""
         return bool(
             self.ego.speed_mps or self.ego.yaw_rate_dps or any(scene_object.speed_mps for scene_object in self.objects)
         )

@@ -62,7 +62,7 @@ class Mesh:
 
     @cached_property
     def closed(self) -> bool:
-        """Whether every edge joins exactly two faces that are wound alike, so that there is an inside."""
+        """True where every edge joins exactly two faces that are wound alike, so that there is an inside."""
         edges = _directed_edges(self.faces)
         _, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
         return bool((count == 2).all()) and len(np.unique(edges, axis=0)) == len(edges)

@@ -78,18 +78,18 @@ class World:
 
     @property
     def is_mirror(self) -> np.ndarray:
-        """Which pieces of wall are walls, not foliage; bool [W]."""
+        """Mask of the pieces that are walls, not foliage; bool [W]."""
         return self.wall_stack >= 0
 
     @property
     def is_curved(self) -> np.ndarray:
-        """Which pieces of wall bend enough to matter; bool [W]."""
+        """Mask of the pieces with a relevant curvature; bool [W]."""
         chord = np.hypot(*(self.wall_b - self.wall_a).T)
         return self.is_mirror & (np.abs(self.wall_curvature_per_m) * chord >= STRAIGHT)
 
     @property
     def is_flat(self) -> np.ndarray:
-        """Which pieces of wall are mirrors that do not bend; bool [W]."""
+        """Mask of the straight mirrors; bool [W]."""
         return self.is_mirror & ~self.is_curved
 
     @property

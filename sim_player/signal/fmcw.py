@@ -1,4 +1,4 @@
-"""From paths to beats: tones summed on a grid, slow time of moving paths in a few terms, noise, int16 codes.
+"""Beats from paths: tones summed on a grid, slow time of moving paths in a few terms, noise, int16 codes.
 
 Beats follow the recorded convention m(t) = sum conj(W) exp{+j(2 pi S tau t + 2 pi f_c tau - pi S tau^2)}.
 Left out by this plain signal chain: range migration within one beam (a path moves under 1/10 of a range bin in 0.7 ms
@@ -25,7 +25,7 @@ from sim_player.trace.paths import Paths
 KERNEL_WIDTH, OVERSAMPLING = 12, 2
 #: Samples that the noise and rounding kernel works on at a time.
 BLOCK = 2048
-#: What the slow-time basis may miss of any path, relative to that path.
+#: Largest error of the slow-time basis for any path, relative to that path.
 SLOW_TIME_TOLERANCE = 1e-5
 
 
@@ -37,7 +37,8 @@ def beam_weights(setup: RadarSetup, paths: Paths, beams: slice = slice(None)) ->
 
 
 def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Return the azimuth and elevation of departure; (None, None) where all paths return the way they went (half the
+    """Return the azimuth and elevation of departure; (None, None) where all paths return along their outbound route
+    (half the
     work).
     """
     azimuth_rad, elevation_rad = paths.departure_azimuth_rad, paths.departure_elevation_rad
@@ -94,7 +95,7 @@ def _kaiser_bessel(offset: np.ndarray) -> np.ndarray:
 
 @lru_cache(maxsize=8)
 def kernel_transform(count: int) -> np.ndarray:
-    """Transform of the kernel at the centred samples, [count]."""
+    """Return the transform of the kernel at the centred samples, [count]."""
     turns = np.pi * KERNEL_WIDTH * (np.arange(count) - count // 2) / (OVERSAMPLING * count)
     argument = np.sqrt(_kernel_shape() ** 2 - turns**2)
     return KERNEL_WIDTH * np.sinh(argument) / argument
@@ -132,7 +133,7 @@ def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
     """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the
     tolerance.
     """
-    # here, because what it brings along takes half a second, of which a player that starts again has no need
+    # imported here: the import takes half a second, which a restarted player does not need
     from scipy.signal.windows import dpss
 
     chirp = np.arange(chirps) - 0.5 * (chirps - 1)

@@ -91,7 +91,8 @@ def kernel_profiles(
 def kernel_objections(
     setup: RadarSetup, paths: Paths, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
 ) -> list[str]:
-    """Return why the kernel level cannot hold a signal, empty where it can: motion, too little dither, a clipping
+    """Return the reasons why the kernel level cannot hold a signal, empty where it can: motion, little dither, a
+    clipping
     converter.
 
     The converter's peak is first bounded by the sum of amplitudes; only beams over that are summed up in time.
@@ -104,7 +105,9 @@ def kernel_objections(
 
 
 def motion_objection(paths: Paths, effects: SignalEffects) -> str | None:
-    """Return why Doppler has no place in one profile a beam, if so: the former looks for the strongest Doppler bin."""
+    """Return the reason why one profile a beam cannot hold Doppler, or None: the former searches the strongest Doppler
+    bin.
+    """
     if not effects.motion or not np.any(paths.radial_speed_mps):
         return None
     fastest = float(np.abs(paths.radial_speed_mps).max())
@@ -122,7 +125,7 @@ def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
     Each echo is spread over the `KERNEL_WIDTH` nearest half bins; the grid is convolved with the spectrum of
     window x cardinal function, once per instant. The overlapped start is corrected in time.
     """
-    # here: basic effects have no sweep
+    # imported here: basic effects have no sweep
     from scipy.sparse import csr_array
 
     radar, (instants, rows) = echoes.radar, echoes.weights.shape[:2]
@@ -180,7 +183,7 @@ def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BIN
 def _fixed_profiles(
     setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd, bins: range, seed: Sequence[int]
 ) -> Iterator[np.ndarray]:
-    """Profiles of what the electronics add to one beam: leakage and spurs."""
+    """Yield the profiles of leakage and spurs of one beam."""
     if effects.leakage and front_end.leakage_dbm is not None:
         yield leakage_profile(setup.radar, front_end.leakage_dbm, bins)
     if not effects.spurs or not front_end.spurs:
@@ -189,7 +192,7 @@ def _fixed_profiles(
         if setup.beat_sign > 0:
             yield spur_profile(setup.radar, spur, turns, bins)
         else:
-            # the receiver conjugates all it gets: the tone stands at -f
+            # the receiver conjugates its input: the tone lies at -f
             mirrored = range(1 - bins.stop, 1 - bins.start)
             yield np.conj(spur_profile(setup.radar, spur, turns, mirrored)[::-1])
 
@@ -245,7 +248,7 @@ def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: Fr
     """Return the largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is
     harmless.
     """
-    # the overlap exchanges echoes for their like
+    # the overlap exchanges echoes for similar ones
     lone = msgspec.structs.replace(effects, chirp_overlap=False)
     echoes = swept_echoes(setup, paths, lone, front_end, precision="float32")
     fixed = sum(np.abs(tone).max() for tone, _ in _fixed_beats(setup, effects, front_end, [0]))
@@ -282,7 +285,7 @@ def beat_terms(
     beam: int = 0,
     seed: Sequence[int] = (0,),
 ) -> Terms:
-    """Return all that reaches the receiver in one beam but noise: sum_r carrier[c] basis[r, c] beats[r].
+    """Return the noise-free input of the receiver in one beam: sum_r carrier[c] basis[r, c] beats[r].
 
     Echoes in slow-time terms, leakage and spurs as two more terms each. Returns beats complex128 [terms, samples],
     carrier complex128 [chirps], basis float64 [terms, chirps]. `seed` names the beam.
@@ -345,7 +348,7 @@ def received_samples(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
 ) -> np.ndarray:
-    """Return what the converter gets: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
+    """Return the input of the converter: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
     beats, carrier, basis = terms
     samples = (carrier[:, None] * basis.T).astype(np.complex64) @ beats.astype(np.complex64)
     if setup.beat_sign < 0:
@@ -372,7 +375,7 @@ def echo_beats(echoes: SweptEchoes) -> np.ndarray:
 def _fixed_beats(
     setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd, seed: Sequence[int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Leakage and spurs of one beam: one chirp of each and its phasor per chirp."""
+    """Yield leakage and spurs of one beam: one chirp of each and its phasor per chirp."""
     radar = setup.radar
     if effects.leakage and front_end.leakage_dbm is not None:
         yield leakage_beat(radar, front_end.leakage_dbm), np.ones(radar.chirps_per_beam)
@@ -380,5 +383,5 @@ def _fixed_beats(
         return
     for spur, turns in zip(front_end.spurs, spur_turns(front_end.spurs, seed), strict=True):
         tone, phasor = spur_beat(radar, spur, turns)
-        # spurs do not pass the mixer: the hardware's sign, which is applied to all terms later, is not theirs
+        # spurs do not pass the mixer: undo the hardware's sign, which is applied to all terms later
         yield (tone, phasor) if setup.beat_sign > 0 else (np.conj(tone), np.conj(phasor))

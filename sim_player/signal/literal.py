@@ -1,4 +1,5 @@
-"""The literal level, reference of all others: chirps in time, delayed, mixed, a pattern at every sample.
+"""The literal level, reference of all others: chirps in time, delayed and mixed, with the antenna pattern at every
+sample.
 
 Nothing is expanded, gridded or summed in closed form; float64, phases reduced to fractions of a turn. For few paths,
 beams and chirps: every path costs its samples times the columns of the array.

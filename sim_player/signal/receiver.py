@@ -1,4 +1,4 @@
-"""Receiver: what it adds to the echoes and what it does to them, sample by sample and, where it can be, per bin.
+"""Receiver: signals added to the echoes and distortions of them, sample by sample and, where possible, per bin.
 
 Order: echoes and leakage, spurs, thermal and flicker noise; then I/Q imbalance; then the converter. Per-bin laws
 hold for profiles as the plain mean over chirps and the FFT / N make them.
@@ -25,7 +25,7 @@ DITHER_STEPS = 1.0
 
 
 def leakage_beat(radar: RadarParams, power_dbm: float) -> np.ndarray:
-    """Return the transmitter straight into the receiver: a beat at nearly zero range, the same in all beams;
+    """Return the leakage of the transmitter into the receiver: a beat at nearly zero range, the same in all beams;
     [samples].
     """
     return math.sqrt(ratio_from_db(power_dbm)) * beat_samples(radar, np.array([LEAKAGE_LENGTH_M]))[0]
@@ -107,7 +107,7 @@ def iq_imbalance(values: np.ndarray, mirrored: np.ndarray, front_end: FrontEnd, 
 
 
 def converter_step(front_end: FrontEnd) -> int:
-    """Step of the converter in int16 codes, 2^(16 - bits); ValueError unless bits are 2..16."""
+    """Return the step of the converter in int16 codes, 2^(16 - bits); ValueError unless bits are 2..16."""
     if not 2 <= front_end.adc_bits <= 16:
         raise ValueError(f"front_end.adc_bits must be 2..16, got {front_end.adc_bits!r}")
     return 2 ** (16 - front_end.adc_bits)
@@ -127,7 +127,9 @@ def quantisation_power_mw(setup: RadarSetup, step: int) -> float:
 
 
 def dither_objection(setup: RadarSetup, front_end: FrontEnd, thermal: bool) -> str | None:
-    """Return why rounding is no white noise here, if so: thermal noise under `DITHER_STEPS` steps per component."""
+    """Return the reason why rounding is no white noise, or None: thermal noise under `DITHER_STEPS` steps per
+    component.
+    """
     step = converter_step(front_end)
     rms = math.sqrt(0.5 * setup.radar.noise_power_mw / setup.milliwatt_per_code_squared) if thermal else 0.0
     if rms >= DITHER_STEPS * step:
@@ -136,7 +138,9 @@ def dither_objection(setup: RadarSetup, front_end: FrontEnd, thermal: bool) -> s
 
 
 def overload_objection(setup: RadarSetup, peak_mw_root: float) -> str | None:
-    """Return why a converter would clip, if so: a component's peak over full scale; `peak_mw_root` in sqrt(mW)."""
+    """Return the reason why a converter would clip, or None: a component's peak over full scale; `peak_mw_root` in
+    sqrt(mW).
+    """
     codes = peak_mw_root / math.sqrt(setup.milliwatt_per_code_squared)
     if codes < 32767.0:
         return None

@@ -29,9 +29,9 @@ from sim_player.signal.switches import (
 )
 from sim_player.trace.paths import Paths
 
-#: What interpolation along the chirp may miss, relative to the array's peak.
+#: Largest error of the interpolation along the chirp, relative to the array's peak.
 TOLERANCE = {"float64": 1e-11, "float32": 1e-5}
-#: Samples of the overlapped start that are worked on at a time.
+#: Samples of the overlapped start that are processed at a time.
 CHUNK = 64
 
 
@@ -51,7 +51,7 @@ class SweptEchoes:
     head_instants: np.ndarray
     head_own: np.ndarray
     head_previous: np.ndarray
-    #: Bound of half the phase that the slow factor runs through in a chirp; precision of the weights.
+    #: Bound of half the phase sweep of the slow factor in a chirp; precision of the weights.
     swing_rad: float
     precision: str
 
@@ -136,7 +136,7 @@ def moving_echoes(
 
 
 class _Factors:
-    """The slow factor of every echo: the antenna's conj(B_t B_r) at an instant of the chirp."""
+    """Slow factor of every echo: the antenna's conj(B_t B_r) at an instant of the chirp."""
 
     def __init__(
         self, setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beams: slice
@@ -168,7 +168,9 @@ class _Factors:
         return np.conj(pattern)
 
     def recorded(self, previous: bool) -> np.ndarray:
-        """Return what does not change along the chirp: conj(W), turned by the phase of the beat; complex128 [P]."""
+        """Return the factor that is constant along the chirp: conj(W), turned by the phase of the beat; complex128
+        [P].
+        """
         radar, length_m = self.setup.radar, self.paths.length_m
         if not previous:
             return np.conj(self.paths.amplitude) * np.exp(1j * beat_phase_rad(radar, length_m))
@@ -202,7 +204,7 @@ class _SlowTime:
         """Return the share of each term at an instant, complex128 [terms, P]."""
         if not self._migrates:
             return self._share[index]
-        # the way moved since the chirp's start, as a phase
+        # the distance moved since the chirp's start, as a phase
         elapsed_s = share_of_chirp * self._radar.chirp_period_s
         turns = 2.0 * self._doppler(since_sent_s) / self._radar.wavelength_m * elapsed_s
         return self._share[index] * np.exp(2j * np.pi * turns)
@@ -243,7 +245,7 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
 
 
 def _values(factors: _Factors, slow: _SlowTime | None, instants: list[tuple[float, bool]], kind: type) -> np.ndarray:
-    """Return the recorded weights at (share of the chirp, previous chirp's?) places, [places, R, P]."""
+    """Return the recorded weights at instants (share of the chirp, previous chirp's?), [instants, R, P]."""
     recorded = {previous: factors.recorded(previous) for previous in (False, True)}
     if slow is None:
         rows = factors.beams

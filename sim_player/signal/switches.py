@@ -1,4 +1,4 @@
-"""Effects of array, waveform and receiver as switches, and what each does to a set-up; off means the ideal.
+"""Effects of array, waveform and receiver as switches, and the change of a set-up by each; off means ideal.
 
 Antenna and waveform (an echo's own, `sim_player/signal/swept_echoes.py`):
 - element_pattern: gain falls off the element's axis; off: peak gain everywhere in front (`isotropic`).
@@ -26,7 +26,7 @@ from sim_player.scene.front_end import FrontEnd
 
 
 class SignalEffects(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which effects a signal has; the defaults are the plain signal chain of `sim_player.signal.fmcw`."""
+    """Switches of the effects of a signal; the defaults are the plain signal chain of `sim_player.signal.fmcw`."""
 
     element_pattern: bool = True
     quantised_phases: bool = True
@@ -43,7 +43,7 @@ class SignalEffects(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     spurs: bool = False
 
 
-#: Today's chain, nothing but the phases of still echoes, and everything.
+#: The plain chain, only the phases of echoes at rest, and all effects.
 PLAIN = SignalEffects()
 IDEAL = SignalEffects(**dict.fromkeys(SignalEffects.__struct_fields__, False))
 ALL = SignalEffects(**dict.fromkeys(SignalEffects.__struct_fields__, True))

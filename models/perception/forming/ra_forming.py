@@ -470,7 +470,7 @@ class _OpenScan:
 
     @property
     def complete(self) -> bool:
-        """Whether every used beam has arrived."""
+        """True once every used beam has arrived."""
         return not np.isnan(self._noise_power_mw[self._used]).any()
 
     def add(self, beam: RadarBeam) -> bool:
