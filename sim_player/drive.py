@@ -53,7 +53,7 @@ class Drive:
         return np.interp(time_s, self.time_s, self.speed_mps)
 
     def yaw_rate_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return the same of the yaw rate."""
+        """Return the yaw rate at times; held before the first and after the last."""
         return np.interp(time_s, self.time_s, self.yaw_rate_rps)
 
 

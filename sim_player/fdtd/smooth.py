@@ -43,7 +43,7 @@ class SmoothWall:
     def simulated(
         self, angles_rad: np.ndarray, cells_per_wavelength: float, dtype: str = "float64", workers: int = 2
     ) -> list[Scattered]:
-        """Return the same by time stepping; cells count per wavelength in the material."""
+        """Return the reflection by time stepping; cells count per wavelength in the material."""
         layers = ((self.permittivity, self.thickness_m),)
         settings = (self.frequency_hz, self.polarisation, cells_per_wavelength, dtype, workers)
         return reflect_angles(layers, angles_rad, *settings)

@@ -387,7 +387,7 @@ def _faulty(rng: np.random.Generator) -> FrontEnd:
 
 
 def draw_weather(rng: np.random.Generator) -> Weather:
-    """Return the dry or rainy air, cold to hot."""
+    """Draw the weather: dry or rainy, cold to hot."""
     return Weather(
         rain_mm_per_h=float(rng.uniform(0.0, 30.0)) if rng.random() < RAIN_SHARE else 0.0,
         temperature_c=float(rng.uniform(-5.0, 30.0)),

@@ -259,7 +259,7 @@ def _drive(rng: np.random.Generator, manner: Manner, speed_mps: float) -> Drive:
 
 
 def _mirrored(street: SideStreet) -> SideStreet:
-    """Return the left and right exchanged."""
+    """Return the street with left and right exchanged."""
     scene, drive = street.scene, street.drive
 
     def wall(piece: Surface) -> Surface:

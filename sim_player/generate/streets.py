@@ -116,7 +116,7 @@ def _bend(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
-    """Return the same street with plain floats, left and right exchanged if asked."""
+    """Return the same street with plain floats, left and right exchanged if `flip`."""
     sign = -1.0 if flip else 1.0
     return tuple(
         Surface(

@@ -32,7 +32,7 @@ def leakage_beat(radar: RadarParams, power_dbm: float) -> np.ndarray:
 
 
 def leakage_profile(radar: RadarParams, power_dbm: float, bins: range) -> np.ndarray:
-    """Return the same as a Hann-windowed profile, complex128 [bins]."""
+    """Return the leakage as a Hann-windowed profile, complex128 [bins]."""
     profile = range_profile(radar, np.array([LEAKAGE_LENGTH_M]), len(bins), first_bin=bins.start)[0]
     return math.sqrt(ratio_from_db(power_dbm)) * profile
 
@@ -53,7 +53,7 @@ def spur_beat(radar: RadarParams, spur: Spur, start_turns: float) -> tuple[np.nd
 
 
 def spur_profile(radar: RadarParams, spur: Spur, start_turns: float, bins: range) -> np.ndarray:
-    """Return the same after the mean over chirps, Hann-windowed, complex128 [bins]."""
+    """Return a spur after the mean over chirps, Hann-windowed, complex128 [bins]."""
     tone_bin = np.array([spur.frequency_hz * radar.chirp_period_s])
     chirps = spur_beat(radar, spur, start_turns)[1].mean()
     amplitude = math.sqrt(ratio_from_db(spur.power_dbm))

@@ -72,7 +72,7 @@ def cardinal_functions(instants: np.ndarray, share: np.ndarray, span: float = 1.
 
 
 def chebyshev_instants(swing_rad: float, tolerance: float, span: float = 1.0) -> np.ndarray:
-    """Return the as many Chebyshev points of [0, span] as interpolate exp(j swing x), |x| <= 1, to a tolerance."""
+    """Return the fewest Chebyshev points of [0, span] that interpolate exp(j swing x), |x| <= 1, to a tolerance."""
     orders = np.abs(jv(np.arange(int(2.0 * swing_rad) + 60), swing_rad))
     left = 4.0 * np.cumsum(orders[::-1])[::-1]
     count = max(int(np.argmax(left <= tolerance)), 1) if swing_rad > 0.0 else 1
@@ -305,6 +305,6 @@ def _tones(cycles_per_sample: np.ndarray, sample: np.ndarray) -> np.ndarray:
 
 
 def _stepped_tones(cycles_per_sample: np.ndarray, count: int) -> np.ndarray:
-    """Return the same for n < count, a multiple of 8: coarse steps times fine ones, few exponentials."""
+    """Return exp(2 pi j x n) for n < count, a multiple of 8: coarse steps times fine ones, few exponentials."""
     coarse, fine = _tones(cycles_per_sample, np.arange(0, count, 8)), _tones(cycles_per_sample, np.arange(8))
     return (coarse[:, :, None] * fine[:, None]).reshape(len(coarse), count)

@@ -62,7 +62,7 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
 
 
 def find_pursued_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
-    """Return the same by pursuit: as many peaks as the heat map's mass is worth; raises ValueError as above."""
+    """Return the peaks of the heat map by pursuit: as many as its mass is worth; raises ValueError as above."""
     _require_on_grid(probabilities, ra_map)
     points = pursued_points(probabilities, params.threshold, params.pursuit)
     return peaks_at(ra_map, points.cells.astype(np.int64), points.cells, points.score, points.path_class, params)
