@@ -312,7 +312,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
             f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
         ),
         "scene": f"{_size(scene.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels",
-        "mesh": f"{_size(meshes.MOST_BYTES)}, {meshes.MOST_FACES:,} faces",
+        "mesh": f"{_size(meshes.MAX_BYTES)}, {meshes.MAX_FACES:,} faces",
         "DBC": _size(MAX_DBC_BYTES),
         "line of a CAN log; object of a BLF, packed": (
             f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"

@@ -14,7 +14,7 @@ from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
 from models.perception.forming.ra_forming import FormingParams, RaFormer
 from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.perception.tracking.odometry import MOST_WAITING, Odometry, ScanOdometry, standing
+from models.perception.tracking.odometry import MAX_WAITING_STATES, Odometry, ScanOdometry, standing
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from msgs.bus.interface import Envelope, Received
 from msgs.values.frames import Pose2, polar_from_xy
@@ -152,12 +152,12 @@ def test_a_clock_that_was_set_back_begins_anew() -> None:
 def test_states_without_scans_do_not_pile_up() -> None:
     """A radar that is off for a minute: the pose is that of all states, what waits is bounded."""
     ours, plain = ScanOdometry(), Odometry()
-    stamps_ns = range(0, 3 * MOST_WAITING * STATE_NS, STATE_NS)
+    stamps_ns = range(0, 3 * MAX_WAITING_STATES * STATE_NS, STATE_NS)
     every = [VehicleState(stamp_ns=ns, speed_mps=3.0, yaw_rate_rps=0.1) for ns in stamps_ns]
     for state in every:
         ours.add(state)
         plain.add(state)
-    assert len(ours._waiting) == MOST_WAITING
+    assert len(ours._waiting) == MAX_WAITING_STATES
     assert ours.at(every[-1].stamp_ns) == plain.at(every[-1].stamp_ns)
 
 
