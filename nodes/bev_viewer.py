@@ -68,7 +68,7 @@ class BevViewer(Node):
             _LOG.warning("no browser could be opened here")
 
     def due_ns(self, now_ns: int) -> int | None:
-        """The node table is due twice a second, whether anybody speaks or not: silence is news."""
+        """Return the node table is due twice a second, whether anybody speaks or not: silence is news."""
         return self._assembly.table_due_ns(now_ns)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
@@ -92,5 +92,5 @@ class BevViewer(Node):
 
 
 def create(params: Params) -> BevViewer:
-    """The node, its page being served; raises `OSError` where no port can be had."""
+    """Return the node, its page being served; raises `OSError` where no port can be had."""
     return BevViewer(params)

@@ -162,7 +162,7 @@ class CanOut(Node):
 
 
 def create(params: Params) -> CanOut:
-    """The node; `ValueError` for a DBC that does not fit. A bus that is not there may come later."""
+    """Return the node; `ValueError` for a DBC that does not fit. A bus that is not there may come later."""
     path = checkout_path(params.dbc)
     database = load_dbc(path)
     try:

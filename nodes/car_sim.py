@@ -61,7 +61,7 @@ class CarSim(Node):
 
 
 def motion_of(params: Params) -> VehicleState:
-    """Speed, yaw rate and the steering that goes with them."""
+    """Return speed, yaw rate and the steering that goes with them."""
     speed_mps, yaw_rate_rps = params.speed_mps, params.yaw_rate_rps
     if params.scene is not None:
         # here: a car whose motion is given needs no simulator
@@ -79,7 +79,7 @@ def motion_of(params: Params) -> VehicleState:
 
 
 def create(params: Params) -> CarSim:
-    """The node; `ValueError` for files that do not fit or a motion that the DBC's bits cannot hold."""
+    """Return the node; `ValueError` for files that do not fit or a motion that the DBC's bits cannot hold."""
     database, mapping = load_dbc(checkout_path(params.dbc)), load_mapping(checkout_path(params.mapping))
     motion = motion_of(params)
     # a motion that does not fit is found here, not on the road

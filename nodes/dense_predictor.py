@@ -124,12 +124,12 @@ def _require_sound(ra_map: RangeAzimuthMap) -> None:
 
 
 def model_path(model: str | None) -> Path:
-    """The file of a network as parameters name it."""
+    """Return the file of a network as parameters name it."""
     return DEFAULT_MODEL if model is None else learned_path(model, ".onnx")
 
 
 def detector_for(params: Params, setup: RadarSetup) -> Detector:
-    """The detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
+    """Return the detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
     if params.method == "cfar":
         return CfarDetector(setup, params.cfar)
     return NetworkDetector(
@@ -146,5 +146,5 @@ def detector_for(params: Params, setup: RadarSetup) -> Detector:
 
 
 def create(params: Params) -> DensePredictorNode:
-    """The node with its parameters."""
+    """Return the node with its parameters."""
     return DensePredictorNode(params)

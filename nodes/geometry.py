@@ -57,7 +57,7 @@ class GeometryNode(Node):
         self._bias_source: BiasSource | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One view per set of peaks; what the stage cannot take is refused, counted and said."""
+        """Return one view per set of peaks; what the stage cannot take is refused, counted and said."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "perception/peaks"):
             match received.message:
@@ -127,5 +127,5 @@ def confidence_paths(confidence: str) -> list[Path]:
 
 
 def create(params: Params) -> GeometryNode:
-    """The node with its parameters."""
+    """Return the node with its parameters."""
     return GeometryNode(params)

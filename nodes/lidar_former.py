@@ -33,7 +33,7 @@ class LidarFormerNode(Node):
         self._trouble = ""
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One map per scan; what does not fit the set-up is refused, counted and said."""
+        """Return one map per scan; what does not fit the set-up is refused, counted and said."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "lidar/histograms"):
             match received.message:
@@ -68,5 +68,5 @@ class LidarFormerNode(Node):
 
 
 def create(params: Params) -> LidarFormerNode:
-    """The node; it has no parameters."""
+    """Return the node; it has no parameters."""
     return LidarFormerNode()

@@ -75,18 +75,18 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"{address}: TCP beyond this machine needs keys (key and allowed, connect.PEER.key)")
 
     def open_addresses(self) -> list[str]:
-        """Addresses beyond this machine that no key protects."""
+        """Return addresses beyond this machine that no key protects."""
         plain = [peer.address for peer in self.connect.values() if not peer.key]
         if self.bind and not self.key:
             plain.append(self.bind)
         return [address for address in plain if not is_loopback(address)]
 
     def chosen_topics(self) -> tuple[str, ...]:
-        """Topics of this graph that it reads."""
+        """Return topics of this graph that it reads."""
         return self.export
 
     def imported_topics(self) -> tuple[str, ...]:
-        """Topics of peers that it publishes here."""
+        """Return topics of peers that it publishes here."""
         return tuple(sorted({topic for peer in self.connect.values() for topic in peer.topics}))
 
     @property
@@ -127,14 +127,14 @@ class Link(Node):
         return self._exporter.address if self._exporter else ""
 
     def watched(self) -> tuple[zmq.Socket[bytes], ...]:
-        """The sockets of all peers."""
+        """Return the sockets of all peers."""
         ends = [importer.sources for importer in self._importers]
         if self._exporter is not None:
             ends.append(self._exporter.sources)
         return tuple(source for sources in ends for source in sources)
 
     def pending(self) -> bool:
-        """Whether a peer has said something."""
+        """Return whether a peer has said something."""
         return any(source.poll(0) for source in self.watched())
 
     def due_ns(self, now_ns: int) -> int | None:
@@ -198,12 +198,12 @@ class Link(Node):
 
 
 def create(params: Params) -> Link:
-    """The node, its port open; raises `ValueError` or `OSError` naming key, folder or address."""
+    """Return the node, its port open; raises `ValueError` or `OSError` naming key, folder or address."""
     return Link(params)
 
 
 def _keys(params: Params) -> tuple[KeyPair | None, dict[str, bytes]]:
-    """The own pair and the public keys of the peers that have one."""
+    """Return the own pair and the public keys of the peers that have one."""
     own = load_own(Path(params.key)) if params.key else None
     return own, {name: load_public(Path(peer.key)) for name, peer in params.connect.items() if peer.key}
 

@@ -82,7 +82,7 @@ class StageClock:
         self._durations_ms.setdefault(name, []).append(1e-6 * duration_ns)
 
     def drain(self) -> tuple[StageTime, ...]:
-        """Stages since the last call, in the order in which they first ran."""
+        """Return stages since the last call, in the order in which they first ran."""
         durations_ms, self._durations_ms = self._durations_ms, {}
         return tuple(_stage_time(name, ms) for name, ms in durations_ms.items())
 
@@ -110,7 +110,7 @@ class ShedTally:
         self._counts[what, reason] = self._counts.get((what, reason), 0) + count
 
     def counts(self) -> tuple[ShedCount, ...]:
-        """Figures since the node started, in the order in which each first came up."""
+        """Return figures since the node started, in the order in which each first came up."""
         return tuple(ShedCount(what=what, reason=reason, count=count) for (what, reason), count in self._counts.items())
 
 
@@ -140,7 +140,7 @@ class Node:
         raise TypeError(f"{type(self).__name__} must define step(inputs, now_ns)")
 
     def due_ns(self, now_ns: int) -> int | None:
-        """Bus time at which `step` is to be called even without input; None: never."""
+        """Return bus time at which `step` is to be called even without input; None: never."""
         return None
 
     def watched(self) -> tuple[Any, ...]:
@@ -156,7 +156,7 @@ class Node:
         return False
 
     def health(self) -> tuple[NodeState, str]:
-        """State for the next heartbeat, and the reason where it is not READY."""
+        """Return state for the next heartbeat, and the reason where it is not READY."""
         return NodeState.READY, ""
 
     def close(self) -> None:
@@ -255,7 +255,7 @@ class Heartbeat:
             self._publish_log()
 
     def remaining_s(self) -> float:
-        """Time until the next heartbeat is due."""
+        """Return time until the next heartbeat is due."""
         return self._last_s + HEARTBEAT_S - time.monotonic()
 
     def _publish_log(self) -> None:
@@ -306,7 +306,7 @@ def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """`ValueError: rule`, on one line."""
+    """Return `ValueError: rule`, on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
@@ -445,7 +445,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
 
 
 def _has_its_name(heartbeat: Heartbeat) -> bool:
-    """Whether no living process bears the node's name, as the first heartbeat finds out; says which one does."""
+    """Return whether no living process bears the node's name, as the first heartbeat finds out; says which one does."""
     try:
         heartbeat.beat(NodeState.STARTING)
     except ValueError as error:

@@ -126,7 +126,7 @@ class RaFormerNode(Node):
         self._queue.at_once = setup.array.digital
 
     def _with_background(self, setup: RadarSetup) -> RadarSetup:
-        """The set-up with the background of the parameters, where they name one."""
+        """Return the set-up with the background of the parameters, where they name one."""
         return setup if self._background is None else msgspec.structs.replace(setup, background=self._background)
 
     def _put(self, received: Received) -> None:
@@ -157,7 +157,7 @@ class RaFormerNode(Node):
         self._behind = f"{reason}: {counted(left_out, 'scan')} left out so far"
 
     def _is_sound(self, ra_map: RangeAzimuthMap) -> bool:
-        """Whether a map is to be published: not one that the bus tore too many beams out of."""
+        """Return whether a map is to be published: not one that the bus tore too many beams out of."""
         assert self._former is not None
         used = len(self._former.folder.setup.beams) - len(ra_map.unused_beams)
         is_torn = self._queue.torn(ra_map.scan_id)
@@ -212,7 +212,7 @@ class RaFormerNode(Node):
             self.shed.add("beam", reason, beams)
 
     def _state_for(self, beam: RadarBeam) -> VehicleState | None:
-        """The newest valid state not younger than the beam; the former keeps that of a scan's first beam for all."""
+        """Return newest valid state not younger than the beam; the former keeps that of a scan's first beam for all."""
         state = self._states.at(beam.stamp_ns) if self._params.ego_compensation else None
         return state if state is not None and state.valid else None
 
@@ -225,5 +225,5 @@ class RaFormerNode(Node):
 
 
 def create(params: Params) -> RaFormerNode:
-    """The node with its parameters."""
+    """Return the node with its parameters."""
     return RaFormerNode(params)

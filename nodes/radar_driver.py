@@ -108,7 +108,7 @@ class RadarDriver(Node):
         self._device.close()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """The set-up, or one beam, or one try to find the radar again."""
+        """Return the set-up, or one beam, or one try to find the radar again."""
         if self._due_ns is None:
             self._due_ns = now_ns + ns_from_s(self._params.settle_s)
             self._setup = msgspec.structs.replace(self._setup, stamp_ns=now_ns)
@@ -147,7 +147,7 @@ class RadarDriver(Node):
         self._retry_s = min(2.0 * self._retry_s, MAX_RETRY_S)
 
     def _measure(self, now_ns: int) -> RadarBeam | None:
-        """The next beam, stamped when its chirps began; None where the burst was none."""
+        """Return the next beam, stamped when its chirps began; None where the burst was none."""
         start_ns = self._clock_ns()
         with self.stages("steer"):
             self._device.steer(self._beam_index)
@@ -202,7 +202,7 @@ class RadarDriver(Node):
 
 
 def create(params: Params) -> RadarDriver:
-    """The node with its parameters; a radar that cannot be found now is bad input, one that is lost later is not."""
+    """Return node with its parameters; a radar that cannot be found now is bad input, one that is lost later is not."""
     device = cn0566.Cn0566(params.cn0566, params.beams)
     try:
         device.open()

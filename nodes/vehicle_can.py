@@ -76,13 +76,13 @@ class FrameSource(Protocol):
         """True when nothing will ever come again."""
 
     def stamp_ns(self, now_ns: int) -> int:
-        """The bus clock's time on the clock of the stamps."""
+        """Return the bus clock's time on the clock of the stamps."""
 
     def due_ns(self, now_ns: int, stamp_ns: int) -> int:
         """Bus time of the next look for frames, or of `stamp_ns` on the clock of the stamps if that is earlier."""
 
     def frames(self, now_ns: int) -> list[LogFrame]:
-        """Frames up to now, with their stamps."""
+        """Return frames up to now, with their stamps."""
 
     def close(self) -> None:
         """Let go of bus or file."""
@@ -104,11 +104,11 @@ class LiveSource:
         return self._link.trouble
 
     def stamp_ns(self, now_ns: int) -> int:
-        """The same clock."""
+        """Return the same clock."""
         return now_ns
 
     def due_ns(self, now_ns: int, stamp_ns: int) -> int:
-        """The next poll, or earlier."""
+        """Return the next poll, or earlier."""
         return min(stamp_ns, now_ns if self._next_ns is None else self._next_ns)
 
     def frames(self, now_ns: int) -> list[LogFrame]:
@@ -147,7 +147,7 @@ class LogSource:
         return self._next is None
 
     def stamp_ns(self, now_ns: int) -> int:
-        """Time of the log; it starts to play with the first call."""
+        """Return time of the log; it starts to play with the first call."""
         if self._play_ns is None:
             self._play_ns = now_ns
         start_ns = self._play_ns if self._start_ns is None else self._start_ns
@@ -162,7 +162,7 @@ class LogSource:
         return now_ns if ahead_ns <= 0 else now_ns + int(ahead_ns / self._rate) + 1
 
     def frames(self, now_ns: int) -> list[LogFrame]:
-        """Frames whose time has come."""
+        """Return frames whose time has come."""
         until_ns = self.stamp_ns(now_ns)
         due: list[LogFrame] = []
         while len(due) < BURST and self._next is not None:
@@ -221,7 +221,7 @@ class VehicleCanNode(Node):
         return self._source.ended
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """States of all frames that came, and the one that is due without any."""
+        """Return states of all frames that came, and the one that is due without any."""
         if self._reporter is None:
             self._reporter = StateReporter(self._decoder, self._source.stamp_ns(now_ns))
         states: list[VehicleState | None] = []

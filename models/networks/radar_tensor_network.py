@@ -75,7 +75,7 @@ class RadarTensorNetwork(nn.Module):
         self.locate = nn.Conv2d(len(widths) * config.neck_width, 2, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Class logits and offsets of every anchor."""
+        """Return class logits and offsets of every anchor."""
         x = self.stem(x)
         necks = []
         for stage, neck in zip(self.stages, self.neck, strict=True):
@@ -87,7 +87,7 @@ class RadarTensorNetwork(nn.Module):
 
 
 def _upsample(in_width: int, out_width: int, factor: int) -> nn.Sequential:
-    """Transposed convolution whose kernel covers each fine cell once."""
+    """Return a transposed convolution whose kernel covers each fine cell once."""
     return nn.Sequential(
         nn.ConvTranspose2d(in_width, out_width, factor, stride=factor, bias=False),
         nn.BatchNorm2d(out_width),

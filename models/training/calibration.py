@@ -39,7 +39,7 @@ def peak_outcomes(detector: Detector, frames: Iterable[Frame]) -> tuple[np.ndarr
 
 
 def fit_table(score: np.ndarray, is_true: np.ndarray, groups: int = 20) -> ScoreTable:
-    """Knots of the monotone table: mean score and share of true peaks of groups of equal size, isotonic.
+    """Return knots of the monotone table: mean score and share of true peaks of groups of equal size, isotonic.
 
     Groups that would fall are pooled (isotonic regression), so the table rises strictly: ranks stay. Below the first
     group it falls to (0, 0), above the last it rises to (1, 1). Empty where there are too few peaks for two groups.

@@ -85,17 +85,17 @@ class NetworkChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
             raise ValueError(f"network {self.family}: {with_known_names(error, wanted)}") from None
 
     def build(self) -> nn.Module:
-        """The network with fresh weights."""
+        """Return the network with fresh weights."""
         return FAMILIES[self.family].module(self.resolved)
 
 
 def choice_of(family: str, config: Any) -> NetworkChoice:
-    """A configuration of a family as it is written to a file."""
+    """Return a configuration of a family as it is written to a file."""
     return NetworkChoice(family=family, config=msgspec.json.decode(msgspec.json.encode(config)))
 
 
 def chosen_network(family: str, size: str, inputs: str | None = None) -> tuple[NetworkChoice, Encoding]:
-    """A network of one of a family's sizes and the encoding it takes; raises `ValueError` listing what there is.
+    """Return a network of one of a family's sizes and the encoding it takes; raises `ValueError` listing what there is.
 
     `inputs` None: ours for `compact_unet`, that of the specification for all others.
     """

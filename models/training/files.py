@@ -12,11 +12,11 @@ from msgs.files.whole_files import write_whole as write_whole
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal; read in pieces, as captures are large."""
+    """Return SHA-256 of a file, hexadecimal; read in pieces, as captures are large."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def json_lines(value: object) -> bytes:
-    """JSON for people to read: indented, with a last newline."""
+    """Return JSON for people to read: indented, with a last newline."""
     return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"

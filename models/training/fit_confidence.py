@@ -62,7 +62,7 @@ class ScenePlaces:
 def scene_places(
     frame: Frame, detector: Detector, params: GeometryParams, residual: Residual | None = None
 ) -> ScenePlaces:
-    """The places that the geometry stage makes of what a detector finds in a frame."""
+    """Return the places that the geometry stage makes of what a detector finds in a frame."""
     peaks = detector.detect(frame.ra_map)
     scan = fold_scan(peaks, params, residual)
     features = place_features(scan.recovered, scan.walls, scan.returns, params.recovery)
@@ -77,7 +77,7 @@ def _true_places(frame: Frame) -> np.ndarray:
 
 
 def fit_confidence(train: list[ScenePlaces], validation: list[ScenePlaces], config: FitConfig) -> PlaceConfidence:
-    """A model with weights from training scenes, threshold and metrics from validation scenes.
+    """Return a model with weights from training scenes, threshold and metrics from validation scenes.
 
     Raises `ValueError` where the training scenes hold no true place or no false one.
     """
@@ -89,7 +89,7 @@ def fit_confidence(train: list[ScenePlaces], validation: list[ScenePlaces], conf
 
 
 def _joined(scenes: list[ScenePlaces]) -> tuple[np.ndarray, np.ndarray]:
-    """Features and truth of the places of all scenes."""
+    """Return features and truth of the places of all scenes."""
     features = np.concatenate([np.zeros((0, len(FEATURES))), *(scene.features for scene in scenes)])
     return features, np.concatenate([np.zeros(0, bool), *(scene.is_true for scene in scenes)])
 
@@ -103,13 +103,13 @@ class _Loss:
     config: FitConfig
 
     def parts(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """The row cut into A, a, w, b."""
+        """Return the row cut into A, a, w, b."""
         hidden = self.config.hidden
         matrix, rest = np.split(row, [hidden * self.inputs.shape[1]])
         return matrix.reshape(hidden, -1), rest[:hidden], rest[hidden:-1], float(rest[-1])
 
     def start(self) -> np.ndarray:
-        """First weights, of the variance that keeps activations of order one."""
+        """Return first weights, of the variance that keeps activations of order one."""
         rng, hidden, count = np.random.default_rng(self.config.seed), self.config.hidden, self.inputs.shape[1]
         matrix = rng.standard_normal(hidden * count) / np.sqrt(count)
         return np.concatenate([matrix, np.zeros(hidden), rng.standard_normal(hidden) / np.sqrt(hidden), [0.0]])
@@ -129,7 +129,7 @@ class _Loss:
 
 
 def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) -> PlaceConfidence:
-    """The model of features [N, F] and truth [N], threshold 0.5; features that are all equal count for nothing."""
+    """Return model of features [N, F] and truth [N], threshold 0.5; features that are all equal count for nothing."""
     if len(np.unique(is_true)) < 2:
         raise ValueError(f"places to fit must be true and false, got {len(is_true)} of one kind")
     means, spread = features.mean(axis=0), features.std(axis=0)
@@ -151,7 +151,7 @@ def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) ->
 
 
 def best_threshold(scenes: list[ScenePlaces], probability: list[np.ndarray]) -> float:
-    """The threshold of the best recovered F1 within 1 m; the lowest of equals."""
+    """Return the threshold of the best recovered F1 within 1 m; the lowest of equals."""
     return max(THRESHOLDS, key=lambda threshold: _counts(scenes, probability, threshold, REACH_M).f1)
 
 
@@ -161,7 +161,7 @@ def _counts(scenes: list[ScenePlaces], probability: list[np.ndarray], threshold:
 
 
 def confidence_metrics(scenes: list[ScenePlaces], probability: list[np.ndarray], threshold: float) -> dict[str, float]:
-    """Recovered scores at a threshold and without; how far probabilities and peak scores are from the truth."""
+    """Return recovered scores at a threshold and without; how far probabilities and peak scores are from the truth."""
     _, is_true = _joined(scenes)
     together = np.concatenate([np.zeros(0), *probability])
     score = np.concatenate([np.zeros(0), *(scene.score for scene in scenes)])
@@ -184,7 +184,7 @@ def collected(
     residual: Residual | None = None,
     on_scene: Callable[[], None] = lambda: None,
 ) -> list[ScenePlaces]:
-    """The places of many scenes; `on_scene` hears of each."""
+    """Return the places of many scenes; `on_scene` hears of each."""
     scenes = []
     for frame in frames:
         scenes.append(scene_places(frame, detector, params, residual))

@@ -58,7 +58,7 @@ class Layout:
 
 
 def _swin_targets(name: str) -> tuple[str, ...]:
-    """Encoder stage i and its mirror in the decoder, layers_up 3-i; the bottleneck has none."""
+    """Return encoder stage i and its mirror in the decoder, layers_up 3-i; the bottleneck has none."""
     mirrored = re.fullmatch(r"layers\.([012])\.(blocks\..+)", name)
     return (name, f"layers_up.{3 - int(mirrored[1])}.{mirrored[2]}") if mirrored else (name,)
 
@@ -112,7 +112,7 @@ def load_initial(network: nn.Module, path: Path) -> InitReport:
 
 
 def _read(path: Path) -> tuple[dict[str, Tensor], bool]:
-    """Tensors of a file by name, and whether they lay in one of our runs."""
+    """Return tensors of a file by name, and whether they lay in one of our runs."""
     content = load_state(path)
     wrapped = isinstance(content, dict) and "network" in content
     for wrapper in ("network", "model"):
@@ -127,7 +127,7 @@ def _read(path: Path) -> tuple[dict[str, Tensor], bool]:
 
 
 def _recognise(tensors: dict[str, Tensor]) -> Layout:
-    """The kind of a checkpoint, from its names."""
+    """Return the kind of a checkpoint, from its names."""
 
     def holds(prefix: str) -> bool:
         return any(name.startswith(prefix) for name in tensors)
@@ -140,14 +140,14 @@ def _recognise(tensors: dict[str, Tensor]) -> Layout:
 
 
 def _is_derived(name: str, layout: Layout, state: dict[str, Tensor]) -> bool:
-    """Whether a tensor is a derived buffer of a module that the network has."""
+    """Return whether a tensor is a derived buffer of a module that the network has."""
     module, _, leaf = name.rpartition(".")
     parents = tuple(f"{target}." for target in layout.targets(module))
     return leaf in DERIVED and any(known.startswith(parents) for known in state)
 
 
 def _fit(network: nn.Module, name: str, tensor: Tensor, layout: Layout) -> Tensor:
-    """The tensor itself, or a table of position biases brought to the window of the network."""
+    """Return the tensor itself, or a table of position biases brought to the window of the network."""
     module, _, leaf = name.rpartition(".")
     if not layout.interpolates or leaf != BIAS_TABLE or tensor.shape == network.get_parameter(name).shape:
         return tensor
@@ -156,7 +156,7 @@ def _fit(network: nn.Module, name: str, tensor: Tensor, layout: Layout) -> Tenso
 
 
 def interpolate_biases(table: Tensor, offsets: tuple[int, int]) -> Tensor:
-    """Biases of a square window's offsets, [side * side, heads], at other (row, column) offsets, bicubic.
+    """Return biases of a square window's offsets, [side * side, heads], at other (row, column) offsets, bicubic.
 
     The farthest offsets of one window become those of the other, and no offset stays no offset. A table that belongs to
     no square window returns as it is.

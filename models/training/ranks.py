@@ -22,18 +22,18 @@ class Ranks:
 
     @property
     def leads(self) -> bool:
-        """Whether this process writes the run folder."""
+        """Return whether this process writes the run folder."""
         return self.rank == 0
 
     def shared(self, network: nn.Module) -> nn.Module:
-        """The network whose gradients are averaged over all ranks; itself where there is one."""
+        """Return the network whose gradients are averaged over all ranks; itself where there is one."""
         if self.count == 1:
             return network
         devices = [self.device.index] if self.device.type == "cuda" else None
         return DistributedDataParallel(network, device_ids=devices)
 
     def mean(self, value: float) -> float:
-        """Mean of a number over all ranks."""
+        """Return mean of a number over all ranks."""
         if self.count == 1:
             return value
         total = torch.tensor(value, device=self.device, dtype=torch.float64)

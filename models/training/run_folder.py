@@ -27,7 +27,7 @@ def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
 
 
 def load_config(run_dir: Path, kind: type[Config]) -> Config:
-    """The configuration of a run that has a best network; raises `ValueError` naming the file that is not there."""
+    """Return configuration of a run that has a best network; raises `ValueError` naming the file that is not there."""
     for name in (CONFIG, BEST):
         if not (run_dir / name).exists():
             raise ValueError(f"{run_dir / name} must exist: the run folder holds no trained network")
@@ -35,7 +35,7 @@ def load_config(run_dir: Path, kind: type[Config]) -> Config:
 
 
 def load_json(path: Path, kind: type[Config]) -> Config:
-    """A value of a type from a file; raises `ValueError` naming the file."""
+    """Return a value of a type from a file; raises `ValueError` naming the file."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:

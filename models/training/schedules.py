@@ -36,7 +36,7 @@ class ScheduleConfig:
             raise ValueError(f"schedule.warm_up must be in (0, 1), got {self.warm_up}")
 
     def factor(self, step: int, steps_per_epoch: int) -> float:
-        """Learning rate at a step, relative to the largest."""
+        """Return learning rate at a step, relative to the largest."""
         if self.kind == "constant":
             return 1.0
         if self.kind == "steps":
@@ -60,7 +60,7 @@ SCHEDULES = {"one_cycle": ScheduleConfig(), "published": PUBLISHED, "fine_tuning
 def optimiser_of(
     network: nn.Module, config: ScheduleConfig, head: tuple[str, ...], steps_per_epoch: int
 ) -> tuple[torch.optim.Optimizer, torch.optim.lr_scheduler.LRScheduler]:
-    """Optimiser and schedule of a network; `head` are the prefixes of its head's parameters."""
+    """Return optimiser and schedule of a network; `head` are the prefixes of its head's parameters."""
     named = list(network.named_parameters())
     of_head = [parameter for name, parameter in named if name.split(".")[0] in head]
     others = [parameter for name, parameter in named if name.split(".")[0] not in head]

@@ -34,10 +34,10 @@ class DetectionTally:
                 total[k] += frame[k]
 
     def macro_f1(self, threshold: float = DEFAULT_THRESHOLD) -> float:
-        """Mean F1 of the classes at one of the thresholds."""
+        """Return mean F1 of the classes at one of the thresholds."""
         return sum(counts.f1 for counts in self.counts[threshold].values()) / len(PathClass)
 
 
 def positions_m(grid: RangeAzimuthGrid, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Positions in the plane, [points, 2] in metres, of fractional cells."""
+    """Return positions in the plane, [points, 2] in metres, of fractional cells."""
     return xy_from_polar(grid.range_at(row), grid.azimuth_at(column))

@@ -239,7 +239,7 @@ class DenseTraining:
         )
 
     def evaluate(self) -> tuple[float, DetectionTally]:
-        """Mean loss a batch and detection scores over the validation maps."""
+        """Return mean loss a batch and detection scores over the validation maps."""
         self._shared.eval()
         tally = DetectionTally(self.data.config.grid, WATCHED_THRESHOLDS)
         losses, size = [], self.config.schedule.batch_size
@@ -276,7 +276,7 @@ class DenseTraining:
 
 
 def load_best(run_dir: Path) -> tuple[nn.Module, RunConfig, int]:
-    """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
+    """Return the best network of a run in evaluation mode, the run's configuration, and the network's epoch.
 
     Raises `ValueError` where the folder holds none, naming the file.
     """

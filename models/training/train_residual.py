@@ -186,7 +186,7 @@ def residual_loss(answer: Tensor, target: Tensor, weight: Tensor) -> Tensor:
 
 
 def network_offsets(network: nn.Module, folded: FoldedImages, frame: ResidualFrame) -> np.ndarray:
-    """Corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
+    """Return corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
     network.eval()
     frames = image_frames(folded.reflection, frame)
     with torch.no_grad():
@@ -204,7 +204,7 @@ def _tensor(array: np.ndarray) -> Tensor:
 
 
 def load_best_residual(run_dir: Path) -> tuple[ResidualReflectNet, ResidualRunConfig, int]:
-    """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
+    """Return the best network of a run in evaluation mode, the run's configuration, and the network's epoch.
 
     Raises `ValueError` where the folder holds none, naming the file.
     """

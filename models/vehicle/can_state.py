@@ -1,6 +1,6 @@
-"""CAN frames to vehicle state: which frames count, what they say in SI units, how long it holds.
+"""CAN frames to vehicle state: valid frames, their values in SI units, and how long these hold.
 
-Pure: a frame is an arbitration id, bytes and a stamp; time is only what the caller says it is.
+Pure: a frame is an arbitration id, bytes and a stamp; the caller states the time.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ if TYPE_CHECKING:
     from cantools.database import Database
     from cantools.database.can import Message
 
-#: What a message said holds while it is younger than this many of its periods.
+#: A message's values hold while they are younger than this many of its periods.
 AGE_PERIODS = 10
-#: An invalid state is said again at least this often.
+#: Maximum interval between reports of an invalid state.
 INVALID_INTERVAL_NS = 100_000_000
-#: Stamps that go back further than this are a new start, not a late frame.
+#: Stamps that go back further than this are a restart, not a late frame.
 RESTART_NS = 1_000_000_000
-#: A state must fit its topic's byte limit whatever a DBC calls its signals.
+#: A state must fit its topic's byte limit whatever the length of a DBC's signal names.
 _REASON_LIMIT = 500
-#: So many frames without one that is looked for are no chance.
+#: So many frames without one of the wanted messages are not by chance.
 _MANY_FRAMES = 100
 
 
-#: What each quantity of a mapping measures.
+#: Dimension of each quantity of a mapping.
 DIMENSIONS = {"speed": Dimension.SPEED, "yaw rate": Dimension.ANGULAR_RATE, "steering": Dimension.ANGLE}
 
-#: Frames that are no fault of the car: every bus carries messages that no mapping asks for.
+#: Verdicts that are no fault of the car: every bus carries messages that no mapping asks for.
 HARMLESS = frozenset({Verdict.COUNTED, Verdict.FIRST, Verdict.UNKNOWN_ID, Verdict.REMOTE_FRAME})
 
 
 class Judged(NamedTuple):
-    """The verdict on a frame, the message it belongs to, and why it does not count."""
+    """The verdict on a frame, the message it belongs to, and the reason if it is not valid."""
 
     verdict: Verdict
     message: str = ""
@@ -51,10 +51,10 @@ class Judged(NamedTuple):
 
 
 class CanDecoder:
-    """Holds what the frames of one car have said.
+    """The latest values in the frames of one car.
 
-    Raises `ValueError` naming the mapping's field for a message or signal that the DBC does not have, and where the
-    units of DBC and mapping do not meet.
+    Raises `ValueError` naming the mapping's field for a message or signal that the DBC does not have, and if the
+    units of DBC and mapping do not agree.
     """
 
     def __init__(self, database: Database, mapping: CanMapping) -> None:
@@ -67,14 +67,14 @@ class CanDecoder:
         }
         self._wheels = [] if mapping.wheel_speeds is None else self._wheel_sides(mapping.wheel_speeds)
         self._sources = [*self._quantities.values(), *self._wheels]
-        #: How ranges and units of the DBC were read where that is not plain; for the log.
+        #: Notes for the log on how ambiguous ranges and units of the DBC were read.
         self.warnings = tuple(dict.fromkeys(text for item in self._sources for text in item.quantity.warnings))
         for name in mapping.messages:
             if name not in self._watches:
                 raise ValueError(f"messages.{name}: no quantity is taken from this message")
         self._by_id = {watch.frame_id: watch for watch in self._watches.values()}
         self._newest_ns = 0
-        #: How many frames met each verdict.
+        #: Number of frames by verdict.
         self.counts: Counter[Verdict] = Counter()
 
     @property
@@ -83,7 +83,7 @@ class CanDecoder:
         return self._quantities["speed"].watch.name
 
     def add(self, arbitration_id: int, data: bytes, stamp_ns: int, extended: bool = False) -> Judged:
-        """Take in one data frame; never raises for what a bus can carry."""
+        """Process one data frame; never raises for anything a bus can carry."""
         judged = self._judge(arbitration_id, data, stamp_ns, extended)
         self.counts[judged.verdict] += 1
         return judged
@@ -94,11 +94,11 @@ class CanDecoder:
         return Judged(verdict)
 
     def state(self, now_ns: int) -> VehicleState:
-        """The vehicle at `now_ns`; not valid, with every reason, while any quantity is missing, old or out of range."""
+        """Return the vehicle at `now_ns`; not valid, with reasons, if any quantity is missing, old or out of range."""
         troubles = [text for text in (item.trouble(now_ns) for item in self._quantities.values()) if text]
-        others = self.counts[Verdict.UNKNOWN_ID]
-        if others >= _MANY_FRAMES and not any(watch.seen for watch in self._watches.values()):
-            troubles.append(f"{others} frames of other ids came: wrong DBC?")
+        unknown = self.counts[Verdict.UNKNOWN_ID]
+        if unknown >= _MANY_FRAMES and not any(watch.has_frame for watch in self._watches.values()):
+            troubles.append(f"{unknown} frames of other ids came: wrong DBC?")
         stamps_ns = [item.stamp_ns for item in self._quantities.values() if item.stamp_ns is not None]
         steering = self._quantities.get("steering")
         return VehicleState(
@@ -113,13 +113,13 @@ class CanDecoder:
         )
 
     def expiry_ns(self) -> int | None:
-        """When the state stops being valid if nothing more comes; None while something has never come."""
+        """Return when the state stops being valid without further frames; None while any value is still missing."""
         times_ns = [item.expiry_ns() for item in self._quantities.values()]
         known_ns = [time_ns for time_ns in times_ns if time_ns is not None]
         return min(known_ns) if len(known_ns) == len(times_ns) else None
 
     def _wheel_difference_mps(self, now_ns: int) -> float | None:
-        """Right less left; the state is valid without it."""
+        """Return right less left; the state is valid without it."""
         if not self._wheels or any(side.trouble(now_ns) for side in self._wheels):
             return None
         left, right = self._wheels
@@ -159,7 +159,7 @@ class CanDecoder:
         return _Quantity(name, quantity, watch, sign_watch)
 
     def _wheel_sides(self, rule: WheelSpeedsRule) -> list[_Quantity]:
-        """The speed of the left side, then that of the right one."""
+        """Return the speed of the left side, then that of the right one."""
         sides = {"left": rule.side(rule.left), "right": rule.side(rule.right)}
         return [self._quantity(f"{name} wheels", "wheel_speeds", side, Dimension.SPEED) for name, side in sides.items()]
 
@@ -172,7 +172,7 @@ class CanDecoder:
 
 
 class _Watch:
-    """One message: whether its frames count, and what the last one that counted said."""
+    """One message: checks its frames, and keeps the values of the last valid one."""
 
     def __init__(self, message: Message, rule: MessageRule) -> None:
         self.message = message
@@ -183,29 +183,29 @@ class _Watch:
         self.forget()
 
     def forget(self) -> None:
-        """As if no frame had come."""
+        """Reset to the state before any frame."""
         self.values: dict[str, float] = {}
         self.stamp_ns: int | None = None
-        self.seen = False
+        self.has_frame = False
         self._last_ns: int | None = None
         self._frames.forget()
         self._refused = ""
 
     def judge(self, data: bytes, stamp_ns: int) -> tuple[Verdict, str]:
-        """Whether a frame counts, else why not."""
+        """Return the verdict on a frame, and the reason if it is not valid."""
         verdict, why = self._check(data, stamp_ns)
-        self.seen = True
+        self.has_frame = True
         self._refused = why
         if verdict is Verdict.COUNTED:
             self.stamp_ns = stamp_ns
         return verdict, why
 
     def expiry_of(self, stamp_ns: int | None) -> int | None:
-        """When what a frame of this stamp said is too old."""
+        """Return when the values of a frame of this stamp are too old."""
         return None if stamp_ns is None else stamp_ns + self._limit_ns
 
     def silence(self, stamp_ns: int | None, now_ns: int) -> str:
-        """Why there is no word younger than ten periods; empty if there is."""
+        """Return why there is no value younger than ten periods; empty if there is one."""
         if stamp_ns is not None and now_ns - stamp_ns < self._limit_ns:
             return ""
         good = "good " if self._refused else ""
@@ -225,7 +225,7 @@ class _Watch:
 
 
 class _Quantity:
-    """Speed, yaw rate or steering as last said within its range."""
+    """Speed, yaw rate or steering as last received within its range."""
 
     def __init__(self, name: str, quantity: Quantity, watch: _Watch, sign_watch: _Watch | None) -> None:
         self._name, self.quantity, self.watch, self._sign_watch = name, quantity, watch, sign_watch
@@ -234,13 +234,13 @@ class _Quantity:
         self._fault = ""
 
     def take(self, stamp_ns: int) -> str:
-        """Take the value from the frame that has just counted; returns what is wrong with it."""
+        """Take the value from the last valid frame; return what is wrong with it."""
         self._fault = self._read(stamp_ns)
         return self._fault
 
     def trouble(self, now_ns: int) -> str:
-        """Why the value cannot be used at `now_ns`; empty if it can."""
-        # the message may go on without this signal (multiplexed), so its own stamp counts too
+        """Return why the value cannot be used at `now_ns`; empty if it can."""
+        # the message may continue without this signal (multiplexed), so its own stamp counts too
         why = self.watch.silence(self.watch.stamp_ns, now_ns) or self._fault
         why = why or self.watch.silence(self.stamp_ns, now_ns)
         if not why and self._sign_watch is not None:
@@ -248,7 +248,7 @@ class _Quantity:
         return f"{self._name}: {why}" if why else ""
 
     def expiry_ns(self) -> int | None:
-        """When the value is too old."""
+        """Return when the value is too old."""
         times_ns = [self.watch.expiry_of(self.stamp_ns)]
         if self._sign_watch is not None:
             times_ns.append(self._sign_watch.expiry_of(self._sign_watch.stamp_ns))
@@ -281,7 +281,7 @@ class _Quantity:
 
 
 class StateReporter:
-    """Says the state at the rate of the speed message; where it is not valid, also when nothing comes."""
+    """Reports the state at the rate of the speed message; if it is not valid, also without frames."""
 
     def __init__(self, decoder: CanDecoder, start_ns: int) -> None:
         self.decoder = decoder
@@ -290,27 +290,27 @@ class StateReporter:
         self._was_valid = False
 
     def frame(self, judged: Judged, stamp_ns: int) -> VehicleState | None:
-        """The state if the frame just judged was a speed message that counts."""
+        """Return the state if the frame just judged was a valid speed message."""
         is_speed = judged.message == self.decoder.speed_message
         if not is_speed or judged.verdict not in (Verdict.COUNTED, Verdict.OUT_OF_RANGE):
             return None
         return self._say(self.decoder.state(stamp_ns))
 
     def tick(self, now_ns: int, trouble: str = "") -> VehicleState | None:
-        """The state if it is due; `trouble` of the bus itself makes it invalid."""
+        """Return the state if it is due; `trouble` of the bus itself makes it invalid."""
         if now_ns < self.due_ns(trouble):
             return None
         state = self.decoder.state(now_ns)
         if trouble:
             state = msgspec.structs.replace(state, valid=False, reason=trouble[:_REASON_LIMIT])
         if state.valid and self._was_valid:
-            # younger frames of the other messages have come meanwhile
+            # younger frames of the other messages have arrived meanwhile
             self._arm(state)
             return None
         return self._say(state)
 
     def due_ns(self, trouble: str = "") -> int:
-        """When `tick` has something to say: at the moment the state expires, then again and again."""
+        """Return when `tick` has a state to report: at the moment the state expires, then repeatedly."""
         return min(self._due_ns, self._said_ns + INVALID_INTERVAL_NS) if trouble else self._due_ns
 
     def _say(self, state: VehicleState) -> VehicleState:
@@ -324,10 +324,10 @@ class StateReporter:
 
 
 class StampMapper:
-    """Maps stamps of another clock onto the bus clock: the fastest of the last seconds' frames took no time.
+    """Maps stamps of another clock onto the bus clock; the fastest frame of the last seconds defines zero delay.
 
     Delays only add, so the least difference between arrival and stamp is the offset between the clocks. It is taken
-    over one to two windows: clocks that drift or are set are followed within two seconds.
+    over one to two windows: the mapping follows a clock that drifts or is set within two seconds.
     """
 
     def __init__(self, window_ns: int = 1_000_000_000) -> None:
@@ -336,7 +336,7 @@ class StampMapper:
         self._window_end_ns: int | None = None
 
     def map(self, stamp_ns: int, arrival_ns: int) -> int:
-        """The stamp on the clock of `arrival_ns`, never later than that."""
+        """Return the stamp on the clock of `arrival_ns`, never later than that."""
         difference_ns = arrival_ns - stamp_ns
         if self._window_end_ns is None or arrival_ns >= self._window_end_ns:
             self._window_end_ns = arrival_ns + self._window_ns

@@ -1,4 +1,4 @@
-"""What a type would have known, said beside msgspec's word on a field or a choice that it does not."""
+"""Valid names of a type, added to msgspec's message on an unknown field or choice."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ from typing import Any
 
 import msgspec.inspect
 
-#: The messages that a list of what is known belongs to, and msgspec's place of the value.
+#: The messages that a list of valid names belongs to, and msgspec's path of the value.
 _UNKNOWN = re.compile(
     r"(?P<what>Object contains unknown field|Invalid enum value) .*?(?: - at `\$(?P<path>[^`]*)`)?$", re.DOTALL
 )
 #: A step of msgspec's path: a field, the number of an item, or any value of a mapping.
 _STEP = re.compile(r"\.(?P<field>\w+)|\[\d*\]|\[\.\.\.\]")
-#: Where msgspec's text names the place, as the end of the message.
+#: Text with which msgspec introduces the path, as the end of the message.
 _PLACE = " - at `$"
 
 
 def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
-    """msgspec's message for `wanted`; about an unknown field or choice, it lists those that stand in its place."""
+    """Return msgspec's message for `wanted`; for an unknown field or choice, with a list of the valid ones."""
     text = str(error)
-    found = _UNKNOWN.search(text)
-    known = _names_at(wanted, found["path"] or "", found["what"].startswith("Object")) if found else []
-    if not known:
+    match = _UNKNOWN.search(text)
+    valid = _names_at(wanted, match["path"] or "", match["what"].startswith("Object")) if match else []
+    if not valid:
         return text
-    rule, place, path = text.partition(_PLACE)
-    return f"{rule}; known are {', '.join(known)}{place}{path}"
+    rule, location, path = text.partition(_PLACE)
+    return f"{rule}; known are {', '.join(valid)}{location}{path}"
 
 
 def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:
-    """Names of the fields, or of the choices, of all that may stand at a path of msgspec's."""
+    """Return the names of the fields, or of the choices, of all types at a path of msgspec's."""
     kinds = list(_plain(msgspec.inspect.type_info(wanted)))
     for step in _STEP.finditer(path):
         kinds = [inner for kind in kinds for inner in _inside(kind, step["field"])]
@@ -49,21 +49,21 @@ def _choices(kind: msgspec.inspect.Type) -> list[str]:
 
 
 def _inside(kind: Any, field: str | None) -> Iterator[msgspec.inspect.Type]:
-    """Types of a field, or of the items or values where `field` is None."""
+    """Yield types of a field, or of the items or values where `field` is None."""
     if field is not None:
-        inner = [one.type for one in getattr(kind, "fields", ()) if one.encode_name == field]
+        inner = [item.type for item in getattr(kind, "fields", ()) if item.encode_name == field]
     else:
         inner = [getattr(kind, name) for name in ("item_type", "value_type") if hasattr(kind, name)]
         inner += getattr(kind, "item_types", ())
-    for one in inner:
-        yield from _plain(one)
+    for item in inner:
+        yield from _plain(item)
 
 
 def _plain(kind: msgspec.inspect.Type) -> Iterator[msgspec.inspect.Type]:
-    """The types that a union or an annotated type stands for."""
+    """Yield the members of a union or an annotated type."""
     if isinstance(kind, msgspec.inspect.UnionType):
-        for one in kind.types:
-            yield from _plain(one)
+        for member in kind.types:
+            yield from _plain(member)
     elif isinstance(kind, msgspec.inspect.Metadata):
         yield from _plain(kind.type)
     else:

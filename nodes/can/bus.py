@@ -62,7 +62,7 @@ class BusParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 def open_bus(params: BusParams) -> can.BusABC:
-    """The bus of `params`, and of nothing else: files and variables of the machine are not read."""
+    """Return the bus of `params`, and of nothing else: files and variables of the machine are not read."""
     bitrate = {} if params.bitrate is None else {"bitrate": params.bitrate}
     options = {**bitrate, **params.options}
     return can.Bus(channel=params.channel, interface=params.interface, ignore_config=True, **options)
@@ -86,7 +86,7 @@ class CanLink:
         self.unreadable = 0
 
     def receive(self, now_ns: int) -> list[can.Message]:
-        """Frames that wait, without waiting for any."""
+        """Return frames that wait, without waiting for any."""
         frames: list[can.Message] = []
         error = self._attempt(lambda bus: _drain(bus, frames), now_ns)
         for frame in frames:
@@ -190,7 +190,7 @@ def _drain(bus: can.BusABC, frames: list[can.Message]) -> None:
 
 
 def decode_frame(decoder: CanDecoder, frame: can.Message, stamp_ns: int) -> Judged:
-    """One frame of python-can into the decoder."""
+    """Return one frame of python-can into the decoder."""
     if frame.is_error_frame:
         return decoder.skip(Verdict.ERROR_FRAME)
     if frame.is_remote_frame:
@@ -206,7 +206,7 @@ def bus_frame(arbitration_id: int, data: bytes, extended: bool, now_ns: int) -> 
 
 
 def frame_stamp_ns(frame: can.Message) -> int:
-    """The frame's own stamp; negative, which no decoder takes, where it has none that is a time."""
+    """Return the frame's own stamp; negative, which no decoder takes, where it has none that is a time."""
     # in nanoseconds it may be infinite though it is not in seconds
     return ns_from_s(frame.timestamp) if math.isfinite(frame.timestamp * NANOSECONDS_PER_SECOND) else _NO_STAMP_NS
 
@@ -219,13 +219,13 @@ class LogFrame(NamedTuple):
 
 
 def checkout_path(name: str) -> Path:
-    """A file as named, or where that does not exist, as named from the checkout."""
+    """Return a file as named, or where that does not exist, as named from the checkout."""
     path = Path(name)
     return path if path.exists() else CHECKOUT / path
 
 
 def load_dbc(path: Path) -> Database:
-    """A car's DBC; one that breaks rules of the format is read all the same, with a warning.
+    """Return a car's DBC; one that breaks rules of the format is read all the same, with a warning.
 
     Raises `ValueError` naming the file if it is no DBC at all, `OSError` if it cannot be read.
     """
@@ -262,7 +262,7 @@ def _refuse_long_messages(dbc: str) -> None:
 
 
 def load_mapping(path: Path) -> CanMapping:
-    """A car's mapping from YAML; `ValueError` names file, field, value and rule."""
+    """Return a car's mapping from YAML; `ValueError` names file, field, value and rule."""
     value = read_yaml_mapping(path)
     try:
         refuse_unknown(value, CanMapping, "")
@@ -277,7 +277,7 @@ def load_mapping(path: Path) -> CanMapping:
 
 
 def load_decoder(dbc: Path, mapping: Path) -> CanDecoder:
-    """A decoder for one car; `ValueError` names the mapping's file and the field that the DBC does not match.
+    """Return a decoder for one car; `ValueError` names the mapping's file and the field that the DBC does not match.
 
     Ranges and units of the DBC that were not taken as they stand are logged.
     """

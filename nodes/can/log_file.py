@@ -30,7 +30,7 @@ _KINDS = {
 
 
 def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
-    """Frames of a candump (.log), ASC, BLF, CSV or TRC log (also gzipped), of one channel if one is named.
+    """Yield frames of a candump (.log), ASC, BLF, CSV or TRC log (also gzipped), of one channel if one is named.
 
     Raises `ValueError` naming the file and the frame where it cannot be read on; `OSError` if it cannot be opened.
     """

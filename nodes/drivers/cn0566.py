@@ -55,7 +55,7 @@ class Params(PhaserParams, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def load_library() -> Any:
-    """pyadi-iio; raises `ValueError` with one line that says what to install."""
+    """Return pyadi-iio; raises `ValueError` with one line that says what to install."""
     try:
         return importlib.import_module("adi")
     except ImportError as error:
@@ -249,7 +249,7 @@ class Cn0566:
 
 
 def _tone(params: PhaserParams) -> np.ndarray:
-    """The tone that is transmitted over and over, whole turns of it; complex128 [samples]."""
+    """Return the tone that is transmitted over and over, whole turns of it; complex128 [samples]."""
     turns = params.offset_hz / params.sample_rate_hz * np.arange(params.interval_samples)
     return np.asarray(_TONE_AMPLITUDE * np.exp(2j * np.pi * (turns % 1.0)))
 

@@ -66,11 +66,11 @@ class BeamQueue:
             self._under_way.append(beam)
 
     def ends_scan(self) -> bool:
-        """Whether the next beam begins another scan than the one under way."""
+        """Return whether the next beam begins another scan than the one under way."""
         return not self._under_way and bool(self._to_begin)
 
     def take(self) -> RadarBeam:
-        """The next beam; begins its scan if it is a new one's."""
+        """Return the next beam; begins its scan if it is a new one's."""
         if not self._under_way:
             self._begin()
         return self._under_way.popleft()
@@ -92,7 +92,7 @@ class BeamQueue:
         return bool(self._under_way) or len(self._shed) < SHED_IN_A_ROW
 
     def _pile_limit(self) -> float:
-        """In scans: behind a pile this high a scan's last beam is folded `behind` scans after it came.
+        """Return in scans: behind a pile this high a scan's last beam is folded `behind` scans after it came.
 
         Begun p scans late, with every beam taking `load` intervals, the end comes p + load - 1 late. No more than a
         scan piles up, so that a node that sleeps while its load is low does not wake to work long out of date.

@@ -35,7 +35,7 @@ class StateHistory:
         del self._states[: max(oldest, len(self._states) - KEPT_STATES)]
 
     def at(self, stamp_ns: int) -> VehicleState | None:
-        """The newest state not younger than `stamp_ns`, None where it is too old or there is none."""
+        """Return the newest state not younger than `stamp_ns`, None where it is too old or there is none."""
         # by stamp, not by arrival: what was held up on its way must not pass for the newest
         count = bisect_right(self._states, stamp_ns, key=_stamp)
         state = self._states[count - 1] if count else None

@@ -43,12 +43,12 @@ def last_beam_ns(setup: Setup | None = None) -> int:
 
 
 def latency_ns(stamp_ns: int, now_ns: int, setup: Setup | None = None) -> int:
-    """Time since the nominal end of the last beam of the scan that began at `stamp_ns`."""
+    """Return time since the nominal end of the last beam of the scan that began at `stamp_ns`."""
     return now_ns - stamp_ns - last_beam_ns(setup)
 
 
 def on_one_clock(stamp_ns: int, now_ns: int) -> bool:
-    """Whether a stamp and a clock reading have anything to do with each other."""
+    """Return whether a stamp and a clock reading have anything to do with each other."""
     return 0 <= now_ns - stamp_ns <= LONGEST_AGE_NS
 
 
@@ -64,7 +64,7 @@ class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def stage_figures(stages: list[StageTime]) -> list[StageFigures]:
-    """Figures of each stage over all heartbeats of a node, in the order in which the stages first ran."""
+    """Return figures of each stage over all heartbeats of a node, in the order in which the stages first ran."""
     names = dict.fromkeys(stage.name for stage in stages)
     return [_stage(name, [stage for stage in stages if stage.name == name]) for name in names]
 
@@ -118,7 +118,7 @@ class ViewFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def views_text(views: ViewFigures) -> str:
-    """One line for people: age, rate, latency, deadlines missed now and in all."""
+    """Return one line for people: age, rate, latency, deadlines missed now and in all."""
     if views.views_total == 0:
         return "no view yet"
     parts = [
@@ -207,12 +207,12 @@ class ViewWatch:
         return latency_ns(self._newest.stamp_ns, now_ns, self._setup)
 
     def _overdue(self, age_ns: int | None) -> int:
-        """The scan after the newest view's ends a period later and has its deadline after that, and so on."""
+        """Return the scan after the newest view's ends a period later and has its deadline after that, and so on."""
         period_ns = ns_from_s(scan_period_s(self._setup))
         return 0 if age_ns is None else max(0, (age_ns - ns_from_s(self._deadline_s) - 1) // period_ns)
 
     def _absent_before(self, scan_id: int, stamp_ns: int) -> int:
-        """Scans skipped since the newest view, by number and by time: a source that starts anew skips none."""
+        """Return scans skipped since the newest view, by number and by time: a source that starts anew skips none."""
         if self._newest is None:
             return 0
         elapsed_ns = stamp_ns - self._newest.stamp_ns

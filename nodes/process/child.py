@@ -72,7 +72,7 @@ class Child:
         return self._process.returncode
 
     def read_lines(self) -> list[str]:
-        """Whole lines it has written since the last call; never waits."""
+        """Return whole lines it has written since the last call; never waits."""
         lines: list[str] = []
         for _ in range(_READS_PER_TURN):
             try:

@@ -54,7 +54,7 @@ class Restart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             raise ValueError(f"max_restarts must not be negative, got {self.max_restarts!r}")
 
     def backoff_s(self, recent_restarts: int) -> float:
-        """Delay before the next start after `recent_restarts` restarts inside the window."""
+        """Return delay before the next start after `recent_restarts` restarts inside the window."""
         if recent_restarts == 0:
             return 0.0
         # the exponent is bounded because 2.0 ** 1024 overflows
@@ -116,7 +116,7 @@ class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def start_order(launch: LaunchFile) -> tuple[str, ...]:
-    """Nodes so that each stands behind all it comes after, otherwise as written; a cycle is a `ValueError`."""
+    """Return nodes so that each stands behind all it comes after, otherwise as written; a cycle is a `ValueError`."""
     return _ordered({name: entry.after for name, entry in launch.nodes.items()})
 
 
@@ -130,7 +130,7 @@ def stop_order(launch: LaunchFile) -> tuple[str, ...]:
 
 
 def _ordered(needed: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Keys so that each stands behind all it needs, otherwise as they come."""
+    """Return keys so that each stands behind all it needs, otherwise as they come."""
     ordered: dict[str, None] = {}
     while waiting := [name for name in needed if name not in ordered]:
         free = next((name for name in waiting if all(other in ordered for other in needed[name])), None)
@@ -141,12 +141,12 @@ def _ordered(needed: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
 
 
 def read_launch_file(path: Path) -> LaunchFile:
-    """The launch file at `path`; raises `ValueError` naming file, field and rule, `OSError` if it cannot be read."""
+    """Return launch file at `path`; raises `ValueError` naming file, field and rule, `OSError` if it cannot be read."""
     return launch_from_mapping(read_yaml_mapping(path), str(path))
 
 
 def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
-    """A launch file from plain data; `where` opens every error."""
+    """Return a launch file from plain data; `where` opens every error."""
     fields = dict(value)
     nodes = convert_at(fields.pop("nodes", {}), dict[str, Any], f"{where}: nodes")
     # node by node, because msgspec's path writes the key of a mapping as [...]
@@ -155,7 +155,7 @@ def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
-    """A YAML mapping with unique keys of type str, read safely and only up to `MAX_BYTES`."""
+    """Return a YAML mapping with unique keys of type str, read safely and only up to `MAX_BYTES`."""
     with path.open("rb") as file:
         data = file.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
@@ -167,7 +167,7 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
 
 
 def parse_yaml(text: str | bytes, where: str) -> Any:
-    """One YAML document of plain values; duplicate keys, aliases and deep nesting are refused."""
+    """Return one YAML document of plain values; duplicate keys, aliases and deep nesting are refused."""
     try:
         return yaml.load(text, Loader=_StrictLoader)
     except yaml.YAMLError as error:
@@ -244,7 +244,7 @@ def without_metadata(launch: LaunchFile) -> LaunchFile:
 
 
 def recorders(launch: LaunchFile) -> dict[str, NodeEntry]:
-    """The nodes that record."""
+    """Return the nodes that record."""
     return _of_module(launch, RECORDER_MODULE)
 
 
@@ -263,12 +263,12 @@ def without_viewers(launch: LaunchFile) -> LaunchFile:
 
 
 def dump_launch(launch: LaunchFile) -> str:
-    """The launch file as YAML with all defaults written out; reads back as an equal value."""
+    """Return the launch file as YAML with all defaults written out; reads back as an equal value."""
     return yaml.dump(msgspec.to_builtins(launch), Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
 
 
 def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """`old` with `new` laid over it, mapping by mapping."""
+    """Return `old` with `new` laid over it, mapping by mapping."""
     result = dict(old)
     for key, value in new.items():
         both = isinstance(value, dict) and isinstance(result.get(key), dict)

@@ -109,7 +109,7 @@ def _doing(last: Sample, sample: Sample) -> Doing:
 
 
 def sample(pid: int) -> Sample:
-    """The process `pid` now; without states where it has gone or cannot be seen."""
+    """Return the process `pid` now; without states where it has gone or cannot be seen."""
     states, cpu_s, waited_ns = "", 0.0, 0
     with contextlib.suppress(OSError):
         # of the whole process, because the times of a thread go with it

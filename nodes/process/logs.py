@@ -32,7 +32,7 @@ _LEVELS = ("debug", "info", "warning", "error", "critical")
 
 
 def utc_now() -> str:
-    """Wall-clock time for people, ISO 8601; intervals are measured on the monotonic clock instead."""
+    """Return wall-clock time for people, ISO 8601; intervals are measured on the monotonic clock instead."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -44,7 +44,7 @@ class JsonFormatter(logging.Formatter):
         self._node = node
 
     def format(self, record: logging.LogRecord) -> str:
-        """One line; line ends inside the text are escaped by JSON."""
+        """Return one line; line ends inside the text are escaped by JSON."""
         entry = {"time": utc_now(), "node": self._node, "level": record.levelname.lower(), "text": record.getMessage()}
         if state := getattr(record, "state", None):
             entry["state"] = state
@@ -57,7 +57,7 @@ class SeparatedJsonFormatter(JsonFormatter):
     """The same, marked so that a supervisor tells it from text that a library wrote to the same stream."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The JSON object behind a record separator."""
+        """Return the JSON object behind a record separator."""
         return RECORD_SEPARATOR + super().format(record)
 
 
@@ -86,7 +86,7 @@ class BusLogHandler(logging.Handler):
         )
 
     def drain(self) -> list[LogRecord]:
-        """All records that wait, oldest first."""
+        """Return all records that wait, oldest first."""
         return [self._pending.popleft() for _ in range(len(self._pending))]
 
 
@@ -142,7 +142,7 @@ class LineSplitter:
         self._allowed, self._allowed_at_s = float(LINES_AT_ONCE), clock()
 
     def feed(self, data: bytes) -> list[str]:
-        """Whole lines so far, without their ends."""
+        """Return whole lines so far, without their ends."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         while len(self._rest) >= self._limit:
             lines.append(self._rest[: self._limit])
@@ -185,7 +185,7 @@ def printable(text: str, kept: str = "\t\n") -> str:
 
 
 def parse_line(node: str, line: str) -> dict[str, Any]:
-    """A line of a child as a log entry: its own record if it is one, else its text at level "output".
+    """Return a line of a child as a log entry: its own record if it is one, else its text at level "output".
 
     An entry has time, node (never another's), level and text, and state and traceback where the record has them.
     """
@@ -205,7 +205,7 @@ def parse_line(node: str, line: str) -> dict[str, Any]:
 
 
 def _record(line: str) -> dict[str, Any] | None:
-    """The record in a line, None where it is none."""
+    """Return the record in a line, None where it is none."""
     try:
         entry = json.loads(line[1:])
     except (ValueError, RecursionError):

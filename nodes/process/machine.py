@@ -12,7 +12,7 @@ _PACKAGES = ("mirrorwave", "numpy", "scipy", "onnxruntime", "pyzmq", "msgspec", 
 
 
 def machine_facts() -> dict[str, Any]:
-    """Processor, cores, memory in bytes, kernel, Python and package versions; no name and no address."""
+    """Return processor, cores, memory in bytes, kernel, Python and package versions; no name and no address."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),

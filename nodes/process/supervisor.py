@@ -104,7 +104,7 @@ class _Watched:
         self.heard_s, self.silence, self.is_said = now_s, None, False
 
     def is_silent(self, now_s: float) -> bool:
-        """Whether it, once ready, has said nothing for so long that the world should know."""
+        """Return whether it, once ready, has said nothing for so long that the world should know."""
         is_known = self.silence is not None and self.silence.doing is not None
         return is_known and self.phase is Phase.READY and now_s - self.heard_s >= SILENT_S
 
@@ -481,7 +481,7 @@ class Supervisor:
 
 
 def _locked_file(run_dir: Path) -> TextIO:
-    """The lock of a graph's directory, held while it is open.
+    """Return the lock of a graph's directory, held while it is open.
 
     Raises `OSError` where another graph holds it, `ValueError` where it is a symbolic link.
     """
@@ -496,7 +496,7 @@ def _locked_file(run_dir: Path) -> TextIO:
 
 
 def read_lock(run_dir: Path) -> dict[str, Any]:
-    """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
+    """Return pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
     try:
         with open(run_dir / LOCK_NAME, opener=no_link) as file:
             owner = json.loads(file.read(1 << 16) or "{}")

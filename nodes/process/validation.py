@@ -34,7 +34,7 @@ def convert_at(value: Any, wanted: type[T], where: str) -> T:
 
 
 def explain(text: str, where: str) -> str:
-    """msgspec's message with its `$.path` put behind `where`, the way a person would write the field."""
+    """Return msgspec's message with its `$.path` put behind `where`, the way a person would write the field."""
     found = _PATH.search(text)
     path = found["path"] if found else ""
     rule = _PATH.sub("", text).replace("`", "")
@@ -66,13 +66,13 @@ def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
 
 
 def _alternatives(wanted: Any) -> tuple[Any, ...]:
-    """The types that a value may have."""
+    """Return the types that a value may have."""
     is_union = typing.get_origin(wanted) in (typing.Union, types.UnionType)
     return typing.get_args(wanted) if is_union else (wanted,)
 
 
 def _choices(wanted: Any) -> tuple[Any, ...]:
-    """The texts that a value may be, where only some may."""
+    """Return the texts that a value may be, where only some may."""
     if typing.get_origin(wanted) is typing.Literal:
         return typing.get_args(wanted)
     return tuple(item.value for item in wanted) if isinstance(wanted, type) and issubclass(wanted, Enum) else ()

@@ -180,5 +180,5 @@ def _map_messages(ra_map: RangeAzimuthMap, latency_ms: float | None, peaks: Peak
 
 
 def _age_ms(stamp_ns: int, now_ns: int) -> float | None:
-    """Time since the first beam, None where stamp and clock have nothing to do with each other."""
+    """Return time since the first beam, None where stamp and clock have nothing to do with each other."""
     return round(1e-6 * (now_ns - stamp_ns), 1) if on_one_clock(stamp_ns, now_ns) else None

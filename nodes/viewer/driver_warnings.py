@@ -173,7 +173,7 @@ class Warner:
         self._now_ns: int | None = None
 
     def step(self, facts: Facts) -> tuple[DriverWarning, ...]:
-        """The warnings at `facts.now_ns`, the most urgent first; a clock that went back begins anew."""
+        """Return the warnings at `facts.now_ns`, the most urgent first; a clock that went back begins anew."""
         now_ns = facts.now_ns
         if self._now_ns is not None and now_ns < self._now_ns:
             self._known.clear()
@@ -222,7 +222,7 @@ def _by_urgency(one: DriverWarning) -> tuple[bool, int, float, int, str]:
 
 
 def findings(facts: Facts, params: WarningParams) -> list[Finding]:
-    """All conditions that hold; of several with one key the first that counts is meant."""
+    """Return all conditions that hold; of several with one key the first that counts is meant."""
     return [one for rule in RULES for one in rule(facts, params)]
 
 
@@ -247,7 +247,7 @@ def _is_motion_known(facts: Facts, params: WarningParams) -> bool:
 
 
 def hidden_objects(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Of each side whose ways cross, then who comes into sight, then who moves there; the most urgent first.
+    """Return of each side whose ways cross, then who comes into sight, then who moves there; the most urgent first.
 
     A side, not a track, has the key: one vehicle that is followed twice, or under a new id, is one warning.
     """
@@ -271,7 +271,7 @@ def hidden_objects(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def _what_first(one: Finding) -> tuple[int, bool, bool, float]:
-    """Ways that meet go before what comes into sight, even where they only keep a warning."""
+    """Return ways that meet go before what comes into sight, even where they only keep a warning."""
     return -one.level, one.kind != "meet", not one.firm, math.inf if one.left_s is None else one.left_s
 
 
@@ -319,7 +319,7 @@ def _about_track(one: Track, crossing: Crossing | None, late_s: float, params: W
 
 
 def _meeting(about: Finding, crossing: Crossing, late_s: float, params: WarningParams) -> Finding:
-    """Ways that come near each other, firm where that is near, sure and soon."""
+    """Return ways that come near each other, firm where that is near, sure and soon."""
     left_s = max(crossing.time_s - late_s, 0.0)
     apart = f"{crossing.distance_m:.1f} m (± {crossing.std_m:.1f} m) apart if both go on so"
     return about._replace(
@@ -336,7 +336,7 @@ def _meeting(about: Finding, crossing: Crossing, late_s: float, params: WarningP
 
 
 def _untracked(frame: BevFrame, params: WarningParams) -> Iterable[Finding]:
-    """Objects of a view without tracks: there, but nobody knows yet how they move."""
+    """Return objects of a view without tracks: there, but nobody knows yet how they move."""
     for one in frame.objects:
         if math.isfinite(one.x_m) and math.isfinite(one.y_m):
             side = side_of(one.x_m, one.y_m, params)
@@ -346,7 +346,7 @@ def _untracked(frame: BevFrame, params: WarningParams) -> Iterable[Finding]:
 
 
 def is_moving(one: Track, params: WarningParams) -> bool:
-    """Whether the speed of a track is beyond doubt not zero."""
+    """Return whether the speed of a track is beyond doubt not zero."""
     velocity = np.array([one.velocity_x_mps, one.velocity_y_mps])
     speed_mps = float(np.hypot(*velocity))
     if speed_mps <= params.moving_mps:
@@ -358,7 +358,7 @@ def is_moving(one: Track, params: WarningParams) -> bool:
 
 
 def _std_along(direction: np.ndarray, covariance: np.ndarray) -> float:
-    """Standard deviation in a direction [2]; infinite where the covariance [2, 2] is not finite."""
+    """Return standard deviation in a direction [2]; infinite where the covariance [2, 2] is not finite."""
     if not np.isfinite(covariance).all():
         return math.inf
     return math.sqrt(max(float(direction @ covariance @ direction), 0.0))
@@ -376,7 +376,7 @@ def _crossings(facts: Facts, tracks: Sequence[Track], params: WarningParams) -> 
 
 
 def radar_ahead_m(state: VehicleState, vehicle_from_radar: Pose2, times_s: np.ndarray) -> np.ndarray:
-    """Places [N, 2] of the radar in its own axes of now, if the vehicle keeps speed and yaw rate."""
+    """Return places [N, 2] of the radar in its own axes of now, if the vehicle keeps speed and yaw rate."""
     radar_from_vehicle = vehicle_from_radar.inverse()
     motions = (ego_motion(state.speed_mps, state.yaw_rate_rps, time_s) for time_s in times_s.tolist())
     poses = (radar_from_vehicle @ motion @ vehicle_from_radar for motion in motions)
@@ -407,7 +407,7 @@ def crossing_of(one: Track, radar_m: np.ndarray, times_s: np.ndarray, near_m: fl
 
 
 def side_of(x_m: float, y_m: float, params: WarningParams) -> str:
-    """Side of a place: ahead, left, right, behind."""
+    """Return side of a place: ahead, left, right, behind."""
     azimuth_deg = math.degrees(math.atan2(y_m, x_m))
     if abs(azimuth_deg) <= params.ahead_deg:
         return "ahead"
@@ -417,7 +417,7 @@ def side_of(x_m: float, y_m: float, params: WarningParams) -> str:
 
 
 def side_of_track(one: Track, params: WarningParams) -> str:
-    """Side of a track; one that is straight ahead and crosses comes from where it came from."""
+    """Return side of a track; one that is straight ahead and crosses comes from where it came from."""
     side = side_of(one.x_m, one.y_m, params)
     crosses = abs(one.velocity_y_mps) > max(abs(one.velocity_x_mps), params.moving_mps)
     if side == "ahead" and crosses:
@@ -426,17 +426,17 @@ def side_of_track(one: Track, params: WarningParams) -> str:
 
 
 def side_words(side: str) -> str:
-    """ "from the left", "ahead", "behind"."""
+    """Return  "from the left", "ahead", "behind"."""
     return f"from the {side}" if side in ("left", "right") else side
 
 
 def speed_words(one: Track) -> str:
-    """Speed over ground: "14 km/h"."""
+    """Return speed over ground: "14 km/h"."""
     return f"{3.6 * math.hypot(one.velocity_x_mps, one.velocity_y_mps):.0f} km/h"
 
 
 def place_words(x_m: float, y_m: float) -> str:
-    """Distance and bearing: "18 m, 35° left"."""
+    """Return distance and bearing: "18 m, 35° left"."""
     azimuth_deg = round(math.degrees(math.atan2(y_m, x_m)))
     bearing = "straight ahead" if azimuth_deg == 0 else f"{abs(azimuth_deg)}° {'left' if azimuth_deg > 0 else 'right'}"
     return f"{math.hypot(x_m, y_m):.0f} m, {bearing}"
@@ -446,7 +446,7 @@ def place_words(x_m: float, y_m: float) -> str:
 
 
 def silence(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """No view for longer than a few scans: of a silent radar, or of a perception that does not follow it."""
+    """Return no view for longer than a few scans: of a silent radar, or of a perception that does not follow it."""
     if facts.frame_at_ns is None:
         waited_s = s_from_ns(facts.now_ns - facts.since_ns)
         if waited_s > _silent_s(facts, params):
@@ -457,7 +457,7 @@ def silence(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def _who_is_silent(facts: Facts, quiet: str, params: WarningParams) -> tuple[str, str]:
-    """Title and detail of a silence; where no map ever came nobody can tell whose it is."""
+    """Return title and detail of a silence; where no map ever came nobody can tell whose it is."""
     if facts.map_at_ns is None:
         return "No view", quiet
     map_age_s = s_from_ns(facts.now_ns - facts.map_at_ns)
@@ -506,7 +506,7 @@ def own_motion(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def lateness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Views that come too late, or not at all."""
+    """Return views that come too late, or not at all."""
     views = facts.views
     if views is None or views.misses + views.overdue == 0:
         return
@@ -516,7 +516,7 @@ def lateness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def nodes(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Parts of the graph that are not well, and what was lost between them."""
+    """Return parts of the graph that are not well, and what was lost between them."""
     for node in facts.nodes:
         if node.state in ("degraded", "silent"):
             detail = node.reason or "it gives no reason"
@@ -538,7 +538,7 @@ RULES: tuple[Callable[[Facts, WarningParams], Iterable[Finding]], ...] = (
 
 
 def warnings_json(warnings: Sequence[DriverWarning], now_ns: int) -> list[dict[str, Any]]:
-    """Warnings for a page: how long they have lasted instead of when they began."""
+    """Return warnings for a page: how long they have lasted instead of when they began."""
     return [
         {
             "key": one.key,

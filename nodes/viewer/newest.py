@@ -50,7 +50,7 @@ class Board:
             return {kind: post for kind, post in self._posted.items() if post.version > seen.get(kind, 0)}
 
     def messages(self, kind: str, posted: Posted) -> tuple[WireMessage, ...]:
-        """The post as websocket messages; rendered once for all readers. For the readers' one thread."""
+        """Return the post as websocket messages; rendered once for all readers. For the readers' one thread."""
         version, messages = self._rendered.get(kind, (0, ()))
         if version != posted.version:
             messages = posted.render()
@@ -63,5 +63,5 @@ def _nobody() -> None:
 
 
 def json_text(value: Any) -> str:
-    """Compact JSON; numbers that JSON lacks become null."""
+    """Return compact JSON; numbers that JSON lacks become null."""
     return msgspec.json.encode(value).decode()

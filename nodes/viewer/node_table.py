@@ -57,7 +57,7 @@ class NodeTable:
         self._forget_oldest()
 
     def rows(self, now_ns: int) -> list[dict[str, Any]]:
-        """One row a node, in the order of the stream: sources first, who publishes nothing last."""
+        """Return one row a node, in the order of the stream: sources first, who publishes nothing last."""
         names = sorted(self._heard, key=lambda name: (_place_in_stream(self._heard[name][-1].status), name))
         return [self._row(name, now_ns) for name in names]
 
@@ -92,18 +92,18 @@ class NodeTable:
 
 
 def _place_in_stream(status: NodeStatus) -> int:
-    """Place of the first topic that a node publishes in the table of topics."""
+    """Return place of the first topic that a node publishes in the table of topics."""
     published = {count.topic for count in status.published}
     return next((place for place, topic in enumerate(TOPICS) if topic in published - set(_SELF_TALK)), len(TOPICS))
 
 
 def _gone(status: NodeStatus) -> int:
-    """Messages lost or unreadable since the node started."""
+    """Return messages lost or unreadable since the node started."""
     return sum(count.lost + count.rejected for count in status.received)
 
 
 def _rates(first: _Heard, last: _Heard) -> list[dict[str, Any]]:
-    """Messages a second of each topic that a node publishes."""
+    """Return messages a second of each topic that a node publishes."""
     before = {count.topic: count.messages for count in first.status.published}
     return [
         {"topic": count.topic, "hz": round(_rate(before.get(count.topic, 0), count.messages, first, last), 1)}

@@ -43,7 +43,7 @@ class TokenFile:
         self._graph = (owner["pid"], owner["started"], owner["run"]) if is_known else None
 
     def recall(self) -> KeptToken | None:
-        """The token that an earlier process of this node kept during this run of the graph."""
+        """Return the token that an earlier process of this node kept during this run of the graph."""
         if self._graph is None:
             return None
         try:
@@ -75,7 +75,7 @@ class TokenFile:
 
 
 def _read(path: Path) -> bytes:
-    """Bytes of a regular file of ours that nobody else can read; raises `ValueError` for any other."""
+    """Return bytes of a regular file of ours that nobody else can read; raises `ValueError` for any other."""
     with open(path, "rb", opener=no_link) as file:
         found = os.fstat(file.fileno())
         if not stat.S_ISREG(found.st_mode) or found.st_uid != os.geteuid() or found.st_mode & 0o077:

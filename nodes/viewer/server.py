@@ -144,7 +144,7 @@ class ViewerServer:
 
     @property
     def alive(self) -> bool:
-        """Whether pages are still served."""
+        """Return whether pages are still served."""
         return self._thread.is_alive()
 
     @property
@@ -382,7 +382,7 @@ def _is_of_this_page(headers: Mapping[str, str]) -> bool:
 
 
 def _closing(send: Send) -> Send:
-    """One answer a connection: none is kept for later."""
+    """Return one answer a connection: none is kept for later."""
 
     async def closing(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
@@ -402,7 +402,7 @@ async def _upgrade_required(request: HTTPConnection) -> Response:
 
 
 def _listen(port: int) -> socket.socket:
-    """A listening socket on the loopback address, at `port` or, where that is taken, a free one."""
+    """Return a listening socket on the loopback address, at `port` or, where that is taken, a free one."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

@@ -102,7 +102,7 @@ def sensor_json(setup: Setup) -> dict[str, Any]:
 
 
 def sensor_text(setup: Setup) -> str:
-    """A sensor in a line: "X-band radar, 10 GHz, 25 beams", "SPAD LiDAR, 850 nm, 256 azimuths, 11 gates"."""
+    """Return a sensor in a line: "X-band radar, 10 GHz, 25 beams", "SPAD LiDAR, 850 nm, 256 azimuths, 11 gates"."""
     if isinstance(setup, LidarSetup):
         gates = f", {setup.spad.gates} gates" if setup.spad.gates > 1 else ""
         return f"SPAD LiDAR, {1e9 * setup.spad.wavelength_m:.4g} nm, {setup.grid.azimuth_bins} azimuths{gates}"
@@ -115,7 +115,7 @@ def sensor_text(setup: Setup) -> str:
 
 
 def summary_text(frame: BevFrame) -> str:
-    """One line for people and screen readers: "2 hidden objects at 11.6, 8.5 m and 16.3, 13.7 m"."""
+    """Return one line for people and screen readers: "2 hidden objects at 11.6, 8.5 m and 16.3, 13.7 m"."""
     places = [f"{one.x_m:.1f}, {one.y_m:.1f} m" for one in _placed(frame)]
     if not places:
         return "no hidden object"
@@ -142,7 +142,7 @@ def ellipse(covariance: Sequence[Sequence[float]]) -> tuple[float, float, float]
 
 
 def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
-    """Geometry, scale and conditions of a map, and the peaks found in it where they are this scan's."""
+    """Return geometry, scale and conditions of a map, and the peaks found in it where they are this scan's."""
     grid = ra_map.grid
     level_db, reference = _level_db(ra_map)
     mine = peaks if peaks is not None and peaks.scan_id == ra_map.scan_id else None
@@ -168,7 +168,7 @@ def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
 
 
 def map_tile(ra_map: RangeAzimuthMap) -> bytes:
-    """The map's levels as codes: row r, column c is the strongest of its `pool` of cells.
+    """Return the map's levels as codes: row r, column c is the strongest of its `pool` of cells.
 
     Code k stands for `floor + k STEP_DB`, rounded to the nearest; what lies outside the span is clipped, what is not a
     number is code 0.
@@ -183,7 +183,7 @@ def map_tile(ra_map: RangeAzimuthMap) -> bytes:
 
 
 def mask_tile(frame: BevFrame) -> bytes:
-    """The observability mask, `Visibility` of four cells a byte, the first in the lowest two bits."""
+    """Return the observability mask, `Visibility` of four cells a byte, the first in the lowest two bits."""
     cells = np.minimum(frame.visibility, max(Visibility)).ravel()
     quads = np.pad(cells, (0, -len(cells) % 4)).reshape(-1, 4)
     packed = (quads << np.array([0, 2, 4, 6], np.uint8)).sum(axis=1, dtype=np.uint8)
@@ -212,7 +212,7 @@ def _level_db(ra_map: RangeAzimuthMap) -> tuple[np.ndarray, str]:
 
 
 def _pooling(shape: tuple[int, int]) -> tuple[int, int]:
-    """Range bins and azimuth bins that go into one cell of a tile."""
+    """Return range bins and azimuth bins that go into one cell of a tile."""
     return -(-shape[0] // TILE_ROWS), -(-shape[1] // TILE_COLUMNS)
 
 
@@ -221,7 +221,7 @@ def _metres(values: Any) -> list[float]:
 
 
 def _placed(frame: BevFrame) -> list[HiddenObject]:
-    """Objects that have a place to be shown at: the bus lets any number through."""
+    """Return objects that have a place to be shown at: the bus lets any number through."""
     return [
         one
         for one in frame.objects
@@ -230,7 +230,7 @@ def _placed(frame: BevFrame) -> list[HiddenObject]:
 
 
 def _pressing(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks worth showing, in order of urgency: who comes into sight first, then the nearest."""
+    """Return the tracks worth showing, in order of urgency: who comes into sight first, then the nearest."""
     placed = [one for one in tracks if _has_place(one)]
     return sorted(placed, key=_urgency)[:MAX_TRACKS]
 
@@ -279,7 +279,7 @@ def _object_json(one: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]:
 
 
 def _nearest_json(one: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None:
-    """The hidden true object of the least face error; None where none is hidden, or none has a place."""
+    """Return the hidden true object of the least face error; None where none is hidden, or none has a place."""
     hidden = [other for other in truth.objects if other.hidden and _is_whole(other)]
     distances = object_distances([one], truth, hidden)
     if not hidden or not np.isfinite(distances.error_m).all():
@@ -290,7 +290,7 @@ def _nearest_json(one: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None
 
 
 def _is_whole(one: TruthObject) -> bool:
-    """Whether all numbers of a true object are such: the bus lets any through."""
+    """Return whether all numbers of a true object are such: the bus lets any through."""
     return all(math.isfinite(getattr(one, name)) for name in one.__struct_fields__ if name not in _NO_NUMBERS)
 
 
@@ -330,7 +330,7 @@ def _vehicle_json(vehicle: VehicleState) -> dict[str, Any]:
 
 
 def _peaks_json(peaks: Peaks) -> list[list[float]]:
-    """Range [m], azimuth [rad], class, score of each peak."""
+    """Return range [m], azimuth [rad], class, score of each peak."""
     return [
         [round(range_m, 2), round(azimuth_rad, 4), path_class, round(score, 2)]
         for range_m, azimuth_rad, path_class, score in zip(

@@ -72,13 +72,13 @@ class Watch:
         return self._trails.past
 
     def warnings(self, now_ns: int) -> tuple[DriverWarning, ...]:
-        """The warnings at a time, the most urgent first; to be asked often enough for times to be true."""
+        """Return the warnings at a time, the most urgent first; to be asked often enough for times to be true."""
         views = self._views.figures(now_ns)
         nodes = _node_facts(self._nodes.rows(now_ns))
         return self._warner.step(self._facts._replace(now_ns=now_ns, views=views, nodes=nodes))
 
     def table(self, now_ns: int) -> dict[str, Any]:
-        """The node table as the page is told it."""
+        """Return the node table as the page is told it."""
         views = self._views.figures(now_ns)
         graph = {"text": views_text(views), "well": views.misses == views.overdue == 0}
         return {"type": "nodes", "graph": graph, "nodes": self._nodes.rows(now_ns)}

@@ -1,4 +1,4 @@
-"""Mean detections of an always armed photon counter: between times of a period, and the time at which a count is met.
+"""Mean detections of an always armed photon counter: between times of a period, and the time that reaches a count.
 
 The flux is periodic. A path adds its photons as a Gaussian about its delay, `timing_rms_s` wide and wrapped over the
 period; ambient light adds a constant rate. `photon_counting` draws and expects histograms from it.
@@ -43,7 +43,7 @@ class FluxTable(NamedTuple):
 
 
 def pulses_of(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray) -> Pulses:
-    """Pulses of paths [P], delays taken modulo the period; paths without photons are left out.
+    """Return the pulses of paths [P], delays taken modulo the period; paths without photons are left out.
 
     Raises `ValueError` unless both are of one length, finite and not negative, photons no more than `MOST_PHOTONS`.
     """
@@ -61,7 +61,7 @@ def pulses_of(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray) -> Pul
 
 
 def counts_between(spad: SpadParams, pulses: Pulses, edges_s: np.ndarray) -> np.ndarray:
-    """Mean detections between neighbouring edges within a period, float64 [edges - 1]; edges ascend.
+    """Return mean detections between neighbouring edges within a period, float64 [edges - 1]; edges ascend.
 
     Each is a difference of tails on the pulse's own side, so that it keeps its digits far from the pulse.
     """
@@ -73,7 +73,7 @@ def counts_between(spad: SpadParams, pulses: Pulses, edges_s: np.ndarray) -> np.
 
 
 def flux_table(spad: SpadParams, pulses: Pulses) -> FluxTable:
-    """The flux of one period, for `counts_at` and `time_at`; nodes only about the pulses, `NODES_PER_RMS` of them."""
+    """Return the flux of one period, for `counts_at`, `time_at`; nodes only about pulses, `NODES_PER_RMS` of them."""
     rms_s, period_s = spad.timing_rms_s, spad.period_s
     if rms_s > WIDEST_PERIODS * period_s:
         rate_hz = spad.ambient_rate_hz + pulses.photons.sum() / period_s
@@ -86,7 +86,7 @@ def flux_table(spad: SpadParams, pulses: Pulses) -> FluxTable:
 
 
 def _images(spad: SpadParams) -> int:
-    """Periods to either side from which a pulse reaches into this one."""
+    """Return the number of periods to either side from which a pulse reaches into this one."""
     return math.ceil(REACH * spad.timing_rms_s / spad.period_s)
 
 
@@ -134,13 +134,13 @@ def _add_rates(rate_hz, time_s, delay_s, photons, rms_s, period_s, images):  # t
 
 @njit(cache=True, nogil=True)
 def _cell_counts(u, gain, left, right):  # type: ignore[no-untyped-def]
-    """Counts from the start of a cell to its part u: the cubic with the cell's gain and the slopes at its ends."""
+    """Return counts from the start of a cell to its part u: a cubic of the cell's gain and the slopes at its ends."""
     return u * (left + u * (3.0 * gain - 2.0 * left - right + u * (left + right - 2.0 * gain)))
 
 
 @njit(cache=True, nogil=True)
 def cell_of(value, edges):  # type: ignore[no-untyped-def]
-    """Last cell between ascending edges that begins at or below a value; -1 before them all."""
+    """Return the last cell between ascending edges that begins at or below a value; -1 before them all."""
     low, high = -1, len(edges)
     while high - low > 1:
         middle = (low + high) >> 1
@@ -153,7 +153,7 @@ def cell_of(value, edges):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def counts_at(at_s, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
-    """Mean detections from the start of the period to a time within it; the last three are a `FluxTable`."""
+    """Return mean detections from the start of the period to a time within it; the last three are a `FluxTable`."""
     cell = min(max(cell_of(at_s, time_s), 0), len(time_s) - 2)
     width_s = time_s[cell + 1] - time_s[cell]
     u = (at_s - time_s[cell]) / width_s
@@ -163,7 +163,7 @@ def counts_at(at_s, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def time_at(wanted, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
-    """Time within the period at which mean detections reach a number: the inverse of `counts_at`."""
+    """Return the time within the period at which mean detections reach a number: the inverse of `counts_at`."""
     cell = min(max(cell_of(wanted, counts), 0), len(time_s) - 2)
     width_s, gain = time_s[cell + 1] - time_s[cell], counts[cell + 1] - counts[cell]
     rest = wanted - counts[cell]

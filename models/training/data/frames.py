@@ -52,7 +52,7 @@ class FrameLabels:
         return len(self.range_m)
 
     def select(self, keep: np.ndarray) -> FrameLabels:
-        """The points of a mask or an index."""
+        """Return the points of a mask or an index."""
         return FrameLabels(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
@@ -110,7 +110,7 @@ class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     test_sha256: str
 
     def of(self, name: str) -> np.ndarray:
-        """The scenes of one split, or of `all`."""
+        """Return the scenes of one split, or of `all`."""
         if name == "all":
             return np.sort(np.concatenate([self.train, self.validation, self.test])).astype(np.int64)
         if name not in ("train", "validation", "test"):
@@ -151,18 +151,18 @@ class DataSet:
         return AzimuthInterpolator(self.setup, self.grid)
 
     def scan(self, index: int) -> Scan:
-        """One scene as stored; raises `ValueError` where it holds what is not finite."""
+        """Return one scene as stored; raises `ValueError` where it holds what is not finite."""
         path, scene = self._place[index]
         return _scan(path, _arrays(path, path.stat().st_mtime_ns), scene, index)
 
     def frame(self, index: int, seen: Callable[[Scan], Scan] = lambda scan: scan) -> Frame:
-        """One scene as a map with its truth; `seen` may put another radar before it."""
+        """Return one scene as a map with its truth; `seen` may put another radar before it."""
         scan = seen(self.scan(index))
         names = ("index", "labels", "place", "relays", "objects", "hidden", "scene_yaml", "sequence", "places_m")
         return Frame(ra_map=scan_map(scan, self._interpolator), **{name: getattr(scan, name) for name in names})
 
     def frames(self, indices: Iterable[int], seen: Callable[[Scan], Scan] = lambda scan: scan) -> Iterator[Frame]:
-        """Scenes one after the other, as `frame` makes them."""
+        """Return scenes one after the other, as `frame` makes them."""
         return (self.frame(int(index), seen) for index in indices)
 
     def fingerprint(self, index: int) -> str:
@@ -206,7 +206,7 @@ class _Facts(msgspec.Struct):
 
 
 def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
-    """The map of a scan, formed from its profiles as on the vehicle or taken as it is."""
+    """Return the map of a scan, formed from its profiles as on the vehicle or taken as it is."""
     grid = interpolator.grid
     if scan.profiles is not None:
         stamps_ns = np.zeros(len(scan.profiles), np.int64)
@@ -254,7 +254,7 @@ def _scene_count(path: Path) -> int:
 
 
 def _open(path: Path) -> tuple[list[str], int]:
-    """Names of the arrays of a shard, and its scenes; 0 where it does not say."""
+    """Return names of the arrays of a shard, and its scenes; 0 where it does not say."""
     try:
         scenes = sum(np.atleast_1d(noise).size for noise in load_arrays(path, ("noise_power_mw",)).values())
         return array_names(path), scenes
@@ -264,7 +264,7 @@ def _open(path: Path) -> tuple[list[str], int]:
 
 @lru_cache(maxsize=2)
 def _arrays(path: Path, changed_ns: int) -> dict[str, np.ndarray]:
-    """All arrays of a shard as of its last change; neighbouring scenes come from the same one."""
+    """Return all arrays of a shard as of its last change; neighbouring scenes come from the same one."""
     arrays = load_arrays(path)
     arrays.pop("plan", None)
     _check_arrays(path, arrays)
@@ -354,7 +354,7 @@ def _labels(arrays: dict[str, np.ndarray], points: slice) -> FrameLabels:
 
 
 def fixed_splits(directory: Path, seed: int = 0) -> Splits:
-    """Training, validation and test scenes of a folder, by scene or by sequence; the same ever after.
+    """Return training, validation and test scenes of a folder, by scene or by sequence; the same ever after.
 
     Written to `splits.json` at the first call and read from there later. Raises `ValueError` where the file cannot be
     read, does not cover the folder's scenes once each, leaks a scene from one split into another, or names other test
@@ -390,12 +390,12 @@ def _draw_splits(data: DataSet, seed: int) -> Splits:
 
 
 def _groups(data: DataSet) -> np.ndarray:
-    """The sequence of each scene, or its own number where it belongs to none."""
+    """Return the sequence of each scene, or its own number where it belongs to none."""
     return np.array([data.scan(index).sequence or f"scene {index:09d}" for index in range(len(data))])
 
 
 def scenes_sha256(data: DataSet, indices: Iterable[int]) -> str:
-    """One hash over the fingerprints of scenes, in order."""
+    """Return one hash over the fingerprints of scenes, in order."""
     return hashlib.sha256("".join(data.fingerprint(int(index)) for index in indices).encode()).hexdigest()
 
 

@@ -77,19 +77,19 @@ class FoldedImages:
         return ReflectionState(self.images_m, self.patch_m, self.state)
 
     def within(self, reach_m: float) -> np.ndarray:
-        """Images whose true place is known and within `reach_m` of where the mirror law puts them; bool [N]."""
+        """Return images whose true place is known and within `reach_m` of where the mirror law puts them; bool [N]."""
         # false for NaN
         return np.linalg.norm(self.target_m, axis=1) <= reach_m
 
     def select(self, keep: np.ndarray) -> FoldedImages:
-        """The images of a mask or an index, with all truth."""
+        """Return the images of a mask or an index, with all truth."""
         names = [field.name for field in fields(self) if not field.name.startswith("truth")]
         chosen = {name: getattr(self, name)[keep] for name in names}
         return FoldedImages(**chosen, truth_m=self.truth_m, truth_scene=self.truth_scene)
 
 
 def join(parts: Iterable[FoldedImages]) -> FoldedImages:
-    """Many in one row."""
+    """Return many in one row."""
     parts = [_none(), *parts]
     return FoldedImages(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FoldedImages)}
@@ -115,13 +115,13 @@ Folded = tuple[Recovered, ReflectionState]
 
 
 def fold_ours(peaks: Peaks, params: GeometryParams | None = None) -> Folded:
-    """The images of a scene as the geometry stage folds them, hidden or not."""
+    """Return the images of a scene as the geometry stage folds them, hidden or not."""
     scan = fold_scan(peaks, params or GeometryParams())
     return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns, NEIGHBOURS)
 
 
 def fold_published(peaks: Peaks, params: PublishedParams | None = None) -> Folded:
-    """The images of a scene as the published back end folds them."""
+    """Return the images of a scene as the published back end folds them."""
     seen = [_none().reflection]
 
     def listen(reflection: ReflectionState) -> np.ndarray:
@@ -136,7 +136,7 @@ GEOMETRIES: dict[Geometry, Callable[[Peaks], Folded]] = {"ours": fold_ours, "pub
 
 
 def with_truth(folded: Folded, labels: FrameLabels, scene: int, gate_m: float = 2.0) -> FoldedImages:
-    """The folded images of one scene, each with the truth image it lies nearest to.
+    """Return the folded images of one scene, each with the truth image it lies nearest to.
 
     Labels without a true place count for nothing.
     """
@@ -160,7 +160,7 @@ def with_truth(folded: Folded, labels: FrameLabels, scene: int, gate_m: float = 
 
 
 def truth_peaks(labels: FrameLabels) -> Peaks:
-    """The labels of a scene as if they had been detected without error; snr and score say nothing."""
+    """Return the labels of a scene as if they had been detected without error; snr and score say nothing."""
     count = len(labels)
     return Peaks(
         stamp_ns=0,
@@ -176,7 +176,7 @@ def truth_peaks(labels: FrameLabels) -> Peaks:
 
 
 def fold_frame(frame: Frame, source: Source, detector: Detector, config: SampleConfig) -> Iterator[FoldedImages]:
-    """The images of one scene by one source, or by both."""
+    """Yield the images of one scene by one source, or by both."""
     if source != "peaks":
         folded = fold_published(truth_peaks(frame.labels), TRAINING_WALLS)
         yield with_truth(folded, frame.labels, frame.index, config.gate_m)
@@ -193,7 +193,7 @@ def fold_scenes(
     config: SampleConfig,
     on_scene: Callable[[], None] = lambda: None,
 ) -> FoldedImages:
-    """The images of many scenes; `on_scene` hears of each."""
+    """Return the images of many scenes; `on_scene` hears of each."""
     parts: list[FoldedImages] = []
     for frame in data.frames(indices):
         parts += fold_frame(frame, source, detector, config)
@@ -231,7 +231,7 @@ class RecoveredScores(msgspec.Struct, frozen=True, kw_only=True):
 def recovered_scores(
     folded: FoldedImages, offsets_m: np.ndarray, reach_m: float = math.inf, tau_m: float = 1.0
 ) -> RecoveredScores:
-    """Scores of folded places moved by offsets [N, 2] (zero: the mirror law alone)."""
+    """Return scores of folded places moved by offsets [N, 2] (zero: the mirror law alone)."""
     within = folded.within(reach_m)
     errors_m = np.abs(offsets_m - folded.target_m)[within].sum(axis=1)
     places_m = folded.folded_m + offsets_m

@@ -28,12 +28,12 @@ class PointLabels:
     path_class: np.ndarray
 
     def flipped(self, azimuth_bins: int) -> PointLabels:
-        """The same points with left and right exchanged."""
+        """Return the same points with left and right exchanged."""
         return replace(self, column=azimuth_bins - 1 - self.column)
 
 
 def point_labels(labels: FrameLabels, grid: RangeAzimuthGrid) -> PointLabels:
-    """Truth of a map in cells of its grid."""
+    """Return truth of a map in cells of its grid."""
     return PointLabels(
         row=grid.range_index(labels.range_m),
         column=grid.azimuth_index(labels.azimuth_rad),
@@ -102,7 +102,7 @@ class TrainingData:
 
 
 def load_training_data(config: DataConfig) -> TrainingData:
-    """Scenes of the training and validation splits, and all of the further data sets.
+    """Return scenes of the training and validation splits, and all of the further data sets.
 
     Raises `ValueError` where a folder holds no data set, maps of another grid than the configuration's, more azimuth
     detail than the configured columns sample, or, in a further one, another radar or a scene, a place or a drive of the
@@ -160,7 +160,7 @@ class SampleFormer:
         self._interpolator = AzimuthInterpolator(self.setup, config.grid)
 
     def sample(self, scan: Scan, rng: np.random.Generator | None = None) -> DenseSample:
-        """The map of a scan; with a generator, seen through an imperfect radar and augmented."""
+        """Return the map of a scan; with a generator, seen through an imperfect radar and augmented."""
         config = self.config
         if rng is not None and scan.profiles is not None and rng.random() >= config.clean_share:
             scan = perturb_scan(scan, config.perturbation, rng, self.setup)
@@ -173,7 +173,7 @@ class SampleFormer:
         return sample if rng is None else augment(sample, config.grid.azimuth_bins, rng)
 
     def encode(self, samples: Sequence[DenseSample]) -> np.ndarray:
-        """Network inputs, float32 [batch, channels, range, columns]."""
+        """Return network inputs, float32 [batch, channels, range, columns]."""
         columns = np.stack([sample.columns for sample in samples])
         noise_power_mw = np.array([sample.noise_power_mw for sample in samples])
         return encode_columns(self.config.encoding, columns, noise_power_mw)
@@ -182,7 +182,7 @@ class SampleFormer:
 def perturb_scan(
     scan: Scan, perturbation: Perturbation, rng: np.random.Generator, setup: RadarSetup | None = None
 ) -> Scan:
-    """The same scene seen by a less perfect radar: beam gains, phases and receiver noise differ.
+    """Return the same scene seen by a less perfect radar: beam gains, phases and receiver noise differ.
 
     Of a digital array (`setup`) they are those of its columns, no beam is missing alone, and nothing moves between
     beams of one time.
@@ -250,7 +250,7 @@ def shuffled_batches(
     rank: int = 0,
     ranks: int = 1,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, list[PointLabels]]]:
-    """One epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out.
+    """Yield one epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out.
 
     Of several ranks each takes its part of every batch, and all together what one alone would.
     """

@@ -51,7 +51,7 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         )
 
     def takes(self, facts: SceneFacts) -> bool:
-        """Whether one scene counts."""
+        """Return whether one scene counts."""
         for what, kinds_of in KINDS.items():
             there = frozenset(kinds_of(facts))
             only = getattr(self, f"only_{what}s")
@@ -75,7 +75,7 @@ def parse_selection(without: Iterable[str] = (), only: Iterable[str] = ()) -> Se
 def select(
     facts: Sequence[SceneFacts] | Mapping[int, SceneFacts], indices: Iterable[int], selection: Selection
 ) -> np.ndarray:
-    """Those of the scene indices that a selection takes, in their order, int64; `facts[index]` is of one scene.
+    """Return those of the scene indices that a selection takes, in their order, int64; `facts[index]` is of one scene.
 
     Raises `ValueError` for a kind that no scene in `facts` has (the kinds that there are, by name) and where no scene
     is left.
@@ -99,7 +99,7 @@ def check_kinds(selection: Selection, facts: Iterable[SceneFacts]) -> None:
 
 
 def kind_counts(facts: Iterable[SceneFacts]) -> dict[str, dict[str, int]]:
-    """In how many scenes each kind of relay, object and place is."""
+    """Return in how many scenes each kind of relay, object and place is."""
     counts: dict[str, dict[str, int]] = {what: {} for what in KINDS}
     for one in facts:
         for what, kinds_of in KINDS.items():
@@ -109,7 +109,7 @@ def kind_counts(facts: Iterable[SceneFacts]) -> dict[str, dict[str, int]]:
 
 
 def _text(selection: Selection) -> str:
-    """A selection as it is asked for."""
+    """Return a selection as it is asked for."""
     parts = [
         f"{verb} {what}={kind}"
         for verb in ("without", "only")

@@ -94,7 +94,7 @@ class ImportSummary:
 
 
 def grid_of(kind: Kind) -> RangeAzimuthGrid:
-    """The grid that maps of a kind are imported onto."""
+    """Return the grid that maps of a kind are imported onto."""
     return RangeAzimuthGrid() if kind == "sim" else RangeAzimuthGrid(range_bin_m=REAL_RANGE_M[1] / (SHAPE[0] - 1))
 
 
@@ -108,7 +108,7 @@ def find_captures(directory: Path, kind: Kind) -> tuple[list[Capture], list[str]
 
 
 def _sim_captures(directory: Path) -> tuple[list[Capture], list[str]]:
-    """Points files with the map of the same name: beside them, or the only one of that name anywhere below."""
+    """Return points files with the map of the same name: beside them, or the only one of that name anywhere below."""
     maps = [path for path in sorted(directory.rglob("*.npy")) if not _is_label_map(path)]
     captures, faults = [], []
     for points in sorted(directory.rglob("*.npz")):
@@ -146,12 +146,12 @@ def _real_captures(directory: Path) -> list[Capture]:
 
 
 def _name(path: Path, directory: Path) -> str:
-    """A path as it is called below the imported folder."""
+    """Return a path as it is called below the imported folder."""
     return path.relative_to(directory).as_posix() if path != directory else directory.resolve().name
 
 
 def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | None = None) -> ImportedFrame:
-    """One capture in our terms.
+    """Return one capture in our terms.
 
     Raises `ValueError` that names file, field, value and rule: an array missing, of another shape or type, not finite,
     images without true places (simulated: without as many), points off the grid.
@@ -189,7 +189,7 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
 
 
 def _load(path: Path) -> Any:
-    """An array or an archive; ValueError names a file that cannot be read."""
+    """Return an array or an archive; ValueError names a file that cannot be read."""
     try:
         return load_arrays(path) if is_archive(path) else load_array(path)
     except (OSError, ValueError) as error:
@@ -228,14 +228,14 @@ def _sim_map(path: Path) -> np.ndarray:
 
 
 def _real_map(path: Path) -> tuple[np.ndarray, int]:
-    """Power of a spectrum, zero where the source is below, and how often that is."""
+    """Return power of a spectrum, zero where the source is below, and how often that is."""
     power = _field(path, _load(path), SPECTRUM_KEY)
     _require_map(path, SPECTRUM_KEY, power, "fiu", "power (real)")
     return np.maximum(power.astype(np.float64), 0.0), int(np.count_nonzero(power < 0.0))
 
 
 def _sim_points(path: Path, keys: SimKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Direct points, images and true places [N, 2] in the radar's frame."""
+    """Return direct points, images and true places [N, 2] in the radar's frame."""
     arrays = _load(path)
     direct, image, true_place = (
         _points(path, key, _field(path, arrays, key), 1) for key in (keys.direct, keys.image, keys.true_place)
@@ -244,7 +244,7 @@ def _sim_points(path: Path, keys: SimKeys) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _points(path: Path, name: str, array: Any, axis: int) -> np.ndarray:
-    """Points [N, 2] in the radar's frame of an array (3, N) (`axis` 1) or (N, 2) (`axis` 0) in the source's."""
+    """Return points [N, 2] in the radar's frame of an array (3, N) (`axis` 1) or (N, 2) (`axis` 0) in the source's."""
     if isinstance(array, dict):
         raise ValueError(f"{path}: {name} must be a single array (.npy), got an archive")
     coordinates, wanted = (3, "(3, N)") if axis == 1 else (2, "(N, 2)")
@@ -268,13 +268,13 @@ def _check_on_grid(capture: Capture, range_m: np.ndarray, azimuth_rad: np.ndarra
 
 
 def noise_of(power: np.ndarray) -> float:
-    """Mean of exponential noise whose quiet fifth is that of a map's cells above zero; 0 for an empty map."""
+    """Return mean of exponential noise whose quiet fifth is that of a map's cells above zero; 0 for an empty map."""
     present = power[power > 0.0]
     return float(np.quantile(present, QUIET_SHARE) / -np.log1p(-QUIET_SHARE)) if len(present) else 0.0
 
 
 def resampled(power: np.ndarray) -> tuple[np.ndarray, float]:
-    """Power [512, 256] on the source's real axis as one on our grid, which starts at 0; and its noise.
+    """Return power [512, 256] on the source's real axis as one on our grid, which starts at 0; and its noise.
 
     Linear in range. What lies before the source's start holds the noise: no step for a network to learn.
     """

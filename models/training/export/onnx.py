@@ -62,7 +62,7 @@ class Exported(nn.Module):
         self.eval()
 
     def forward(self, x: Tensor) -> Tensor:
-        """Encoded maps to answers."""
+        """Return encoded maps to answers."""
         answer = self.network(x.half() if self.half_precision else x).float()
         return torch.sigmoid(answer) if self.head == "heatmap" else answer
 
@@ -114,7 +114,7 @@ def write_onnx(network: nn.Module, example: tuple[Tensor, ...], path: Path, **na
 
 
 def parity(model: Exported, path: Path, maps: Iterable[np.ndarray] = (), seed: int = 0) -> float:
-    """Largest difference of the answers of torch and ONNX Runtime over random inputs and encoded maps."""
+    """Return largest difference of the answers of torch and ONNX Runtime over random inputs and encoded maps."""
     shape = model.network.config.in_channels, model.network.config.range_bins, model.network.config.columns
     rng = np.random.default_rng(seed)
     random = [(scale * rng.standard_normal(shape)).astype(np.float32) for scale in (0.0, 1.0, 10.0)]
@@ -122,7 +122,7 @@ def parity(model: Exported, path: Path, maps: Iterable[np.ndarray] = (), seed: i
 
 
 def largest_difference(model: Exported, path: Path, inputs: Iterable[np.ndarray]) -> float:
-    """Largest difference of the answers of torch and of a file to inputs [channels, range, columns].
+    """Return largest difference of the answers of torch and of a file to inputs [channels, range, columns].
 
     Probabilities are compared, and offsets of anchors relative to the largest one (at least a cell).
     """
@@ -229,7 +229,7 @@ def require_onnx(model_path: Path) -> None:
 
 
 def score_files(paths: Sequence[Path], frames: Iterable[Frame]) -> list[DetectionTally]:
-    """Detections of exported files, as the vehicle runs them, over the same frames."""
+    """Return detections of exported files, as the vehicle runs them, over the same frames."""
     predictors = [DensePredictor(path) for path in paths]
     tallies = [DetectionTally(predictor.card.grid) for predictor in predictors]
     for frame in frames:
@@ -258,7 +258,7 @@ def _cropped(network: nn.Module, range_bins: int) -> nn.Module:
 def _draft(
     model: Exported, run: RunConfig, encoding: Encoding, epoch: int, run_dir: Path, config: ExportConfig
 ) -> ModelCard:
-    """The card without what the file and its scores decide."""
+    """Return the card without what the file and its scores decide."""
     training = run.training
     draft = ModelCard(
         name=run_dir.name,
@@ -285,7 +285,7 @@ def _draft(
 
 
 def _training_command(run: RunConfig, run_dir: Path) -> str:
-    """The command of a run so far as its folder tells; `config` on the card says all of it."""
+    """Return the command of a run so far as its folder tells; `config` on the card says all of it."""
     choice, schedule = run.training.network, run.training.schedule
     resolved, channels = choice.resolved, run.data.encoding.channels
     sizes = FAMILIES[choice.family].sizes.items()
@@ -309,7 +309,7 @@ def _training_command(run: RunConfig, run_dir: Path) -> str:
 
 
 def _training_maps(scenes: _Scenes, run: RunConfig, encoding: Encoding, config: ExportConfig) -> np.ndarray:
-    """Encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
+    """Return encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
     count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
     chosen = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
     return np.stack([encode_map(encoding, frame.ra_map) for frame in scenes.data.frames(chosen)])
@@ -360,7 +360,7 @@ _RECIPE = ("places", "preset", "effects", "budget_db")
 
 
 def _command(data_dir: Path) -> str:
-    """The command that makes a data set again, from what its folder says."""
+    """Return the command that makes a data set again, from what its folder says."""
     try:
         series = msgspec.json.decode((data_dir / "series.json").read_bytes())
         if series.get("format") == "maps":

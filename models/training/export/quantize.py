@@ -23,7 +23,7 @@ class _Maps(quantization.CalibrationDataReader):
         self._name, self._maps = name, iter(maps)
 
     def get_next(self) -> dict[str, np.ndarray] | None:
-        """The next input, or None after the last."""
+        """Return the next input, or None after the last."""
         encoded = next(self._maps, None)
         return None if encoded is None else {self._name: encoded[None]}
 
@@ -57,6 +57,6 @@ def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
 
 
 def _attention(graph: onnx.GraphProto) -> list[str]:
-    """Names of the products of two activations."""
+    """Return names of the products of two activations."""
     learned = {tensor.name for tensor in graph.initializer}
     return [node.name for node in graph.node if node.op_type == "MatMul" and learned.isdisjoint(node.input)]

@@ -56,7 +56,7 @@ def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, com
 def _draft(
     network: ResidualReflectNet, run: ResidualRunConfig, epoch: int, sha256: str, name: str, command: str
 ) -> ResidualCard:
-    """The card without scores."""
+    """Return the card without scores."""
     return ResidualCard(
         name=name,
         sha256=sha256,
@@ -80,7 +80,7 @@ def _check_parity(path: Path, offsets_m: np.ndarray, wanted_m: np.ndarray) -> No
 
 
 def _metrics(test: FoldedImages, offsets_m: np.ndarray, reach_m: float) -> dict[str, float]:
-    """Scores with and without the residual, and on how much."""
+    """Return scores with and without the residual, and on how much."""
 
     def named(scores: RecoveredScores, suffix: str) -> dict[str, float]:
         return {name + suffix: round(value, 4) for name, value in msgspec.structs.asdict(scores).items()}

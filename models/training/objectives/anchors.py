@@ -33,7 +33,7 @@ def anchor_targets(
 def _map_targets(
     labels: PointLabels, shape: tuple[int, int], stride: int, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Targets of one map; points off the map are left out."""
+    """Return targets of one map; points off the map are left out."""
     at = np.stack([labels.row, labels.column], axis=-1).astype(np.float64)
     on_map = ((at > -0.5) & (at < stride * np.array(shape) - 0.5)).all(axis=-1)
     anchor, offset, owner = _anchors_about(at[on_map], stride, radius)
@@ -61,7 +61,7 @@ def _anchors_about(at: np.ndarray, stride: int, radius: float) -> tuple[np.ndarr
 
 
 def anchor_loss(output: Tensor, classes: Tensor, offsets: Tensor, background_weight: float = 1.0) -> Tensor:
-    """Loss of an answer [batch, 5, rows, columns] against the targets of `anchor_targets`, a scalar.
+    """Return loss of an answer [batch, 5, rows, columns] against the targets of `anchor_targets`, a scalar.
 
     Softmax focal loss (gamma 2), its mean over the anchors of points plus `background_weight` times its mean over
     noise, so that the many do not drown the few; and the smooth l1 distance [cells] of the offsets of anchors of
@@ -78,5 +78,5 @@ def anchor_loss(output: Tensor, classes: Tensor, offsets: Tensor, background_wei
 
 
 def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
-    """Mean of the values under a mask, 0 where it is empty."""
+    """Return mean of the values under a mask, 0 where it is empty."""
     return torch.where(mask, values, 0.0).sum() / mask.sum().clamp(min=1)

@@ -8,7 +8,7 @@ from torch.nn import functional
 
 
 def binary_focal_loss(logits: Tensor, mask: Tensor, alpha: float = 0.99, gamma: float = 2.0) -> Tensor:
-    """Mean over all cells of the focal loss of `logits` against a `mask` of 0 and 1 of their shape, a scalar.
+    """Return mean over all cells of the focal loss of `logits` against a `mask` of 0 and 1 of their shape, a scalar.
 
     Cells of the mask weigh `alpha`, all others 1 - `alpha`. Written on logits: with z the logit towards the truth,
     (1 - p)^gamma is exp(gamma logsigmoid(-z)), so loss and gradient are finite for any finite logit.

@@ -36,7 +36,7 @@ def class_heatmaps(
     classes: int = 2,
     sigma_px: float = 1.0,
 ) -> np.ndarray:
-    """One heatmap per path class, float32 [classes, rows, columns]."""
+    """Return one heatmap per path class, float32 [classes, rows, columns]."""
     return np.stack(
         [gaussian_heatmap(shape, row[path_class == k], column[path_class == k], sigma_px) for k in range(classes)]
     )
@@ -45,7 +45,7 @@ def class_heatmaps(
 def class_masks(
     shape: tuple[int, int], row: np.ndarray, column: np.ndarray, path_class: np.ndarray, classes: int = 2
 ) -> np.ndarray:
-    """One mask per path class, float32 [classes, rows, columns]: 1 in the cell of each point, 0 elsewhere."""
+    """Return one mask per path class, float32 [classes, rows, columns]: 1 in the cell of each point, 0 elsewhere."""
     masks = np.zeros((classes, *shape), np.float32)
     cells = np.stack([np.rint(row), np.rint(column)], axis=-1).astype(np.int64)
     inside = ((cells >= 0) & (cells < shape)).all(axis=-1)

@@ -12,7 +12,7 @@ from torch.nn import functional
 def heatmap_focal_loss(
     logits: Tensor, heatmap: Tensor, alpha: float = 2.0, beta: float = 4.0, weights: Tensor | None = None
 ) -> Tensor:
-    """Focal loss of Eq. (23), a scalar; `logits` and `heatmap` have the same shape, `heatmap` is 1 at each peak.
+    """Return focal loss of Eq. (23), a scalar; `logits` and `heatmap` have the same shape, `heatmap` is 1 at each peak.
 
     Written on logits: log c = logsigmoid(z), log(1 - c) = -softplus(z), so no probability is clamped and gradients
     stay finite for any logit. Divided by the number of peaks; without a peak, the sum of the negatives. `weights`
