@@ -1,4 +1,4 @@
-"""Finds LOS and mirrored returns in each range-azimuth map."""
+"""Node `dense_predictor`: finds LOS and mirrored returns in each range-azimuth map."""
 
 from __future__ import annotations
 
@@ -24,39 +24,39 @@ from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
 
-#: Squares of it, and sums of them over a map, are numbers that float32 holds.
-MOST_AMPLITUDE = 1e15
-#: Zero, which is not known, or so much.
+#: Its square, and sums of squares over a map, are finite in float32.
+MAX_AMPLITUDE = 1e15
+#: Noise power is zero, which means unknown, or at least this.
 NOISE_LIMITS_MW = (1e-60, 1e60)
-#: More would take the machine longer to start than any map to detect in.
-MOST_THREADS = 256
+#: More would take the machine longer to start than any map takes to process.
+MAX_THREADS = 256
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which detector, and its parameters."""
+    """Detector and its parameters."""
 
     method: Literal["network", "cfar"] = "network"
     #: An exported network (FILE.onnx) with its card beside it, or the name of a committed one; None: the default.
     model: str | None = None
     threads: int = 1
-    #: How a network's peaks are placed (`models.perception.detection.detectors.Refine`): true is "pursuit", false
+    #: Placement of a network's peaks (`models.perception.detection.detectors.Refine`): true is "pursuit", false
     #: "none".
     refine: bool | Refine = True
     refinement: RefinementParams = RefinementParams()
-    #: The mean answer to the map and to the map with left and right exchanged.
+    #: Average the answers to the map and to the map with left and right exchanged.
     flip_test: bool = False
-    #: Scores become probabilities, by the table of the model's card.
+    #: Turn scores into probabilities, by the table of the model's card.
     calibrate: bool = False
     named: NamedParams = NamedParams()
     #: None: the released settings with the threshold of the model's card.
     peaks: PeakParams | None = None
     cfar: CfarParams = CfarParams()
-    #: Of maps of a LiDAR, which CFAR looks at whatever the method: no committed network was trained on any.
+    #: For maps of a LiDAR, which CFAR processes whatever the method: no committed network was trained on any.
     photons: CfarParams = PHOTON_CFAR
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threads <= MOST_THREADS:
-            raise ValueError(f"threads must be 1..{MOST_THREADS}, got {self.threads!r}")
+        if not 1 <= self.threads <= MAX_THREADS:
+            raise ValueError(f"threads must be 1..{MAX_THREADS}, got {self.threads!r}")
 
 
 class DensePredictorNode(Node):
@@ -68,13 +68,13 @@ class DensePredictorNode(Node):
     def __init__(self, params: Params) -> None:
         super().__init__()
         self._params = params
-        # the default set-up until the radar's own comes: a missing or broken model shows at start, not at the first map
+        # the default set-up until the radar's own arrives: a missing or broken model shows at start, not with a map
         self._detector = detector_for(params, RadarSetup())
         self._photon_detector = PhotonDetector(params.photons)
         self._trouble = ""
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One set of peaks per map; set-ups and maps that do not suit the detector are refused, counted and said."""
+        """Return one set of peaks per map; unsuitable set-ups and maps are refused, counted and reported."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "radar/ra_map"):
             match received.message:
@@ -85,15 +85,15 @@ class DensePredictorNode(Node):
         return out
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while maps are refused."""
+        """Return DEGRADED while maps are refused."""
         return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
 
     def _set_up(self, setup: RadarSetup) -> None:
-        """Detect by another set-up; one that cannot be used changes nothing."""
+        """Use another set-up; an unsuitable one changes nothing."""
         try:
             self._detector = detector_for(self._params, setup)
         except ValueError as error:
-            self._say(str(error), "setup")
+            self._refuse(str(error), "setup")
 
     def _detected(self, ra_map: RangeAzimuthMap) -> list[Outgoing]:
         detector = self._photon_detector if ra_map.mode == "photons" else self._detector
@@ -102,34 +102,34 @@ class DensePredictorNode(Node):
                 _require_sound(ra_map)
                 peaks = detector.detect(ra_map)
         except ValueError as error:
-            self._say(str(error), "map")
+            self._refuse(str(error), "map")
             return []
         self._trouble = ""
         return [Outgoing("perception/peaks", peaks)]
 
-    def _say(self, trouble: str, what: str) -> None:
-        self.shed.add(what, "refused")
+    def _refuse(self, trouble: str, kind: str) -> None:
+        self.shed.add(kind, "refused")
         if trouble != self._trouble:
-            _LOG.warning("%s refused: %s", what, trouble)
+            _LOG.warning("%s refused: %s", kind, trouble)
         self._trouble = trouble
 
 
 def _require_sound(ra_map: RangeAzimuthMap) -> None:
-    """Raise `ValueError` for a map with numbers that would spread over all that are near: no power follows of them."""
+    """Raise `ValueError` for a map with numbers that would spread over their neighbours and have no finite power."""
     largest = float(np.maximum(np.abs(ra_map.values.real), np.abs(ra_map.values.imag)).max())
-    if not largest <= MOST_AMPLITUDE:
-        raise ValueError(f"map.values must be finite, of at most {MOST_AMPLITUDE:g}, got {largest!r}")
+    if not largest <= MAX_AMPLITUDE:
+        raise ValueError(f"map.values must be finite, of at most {MAX_AMPLITUDE:g}, got {largest!r}")
     if ra_map.noise_power_mw:
         require_within("map.noise_power_mw", *NOISE_LIMITS_MW, ra_map.noise_power_mw)
 
 
 def model_path(model: str | None) -> Path:
-    """Return the file of a network as parameters name it."""
+    """Return the file of a network from its parameter."""
     return DEFAULT_MODEL if model is None else learned_path(model, ".onnx")
 
 
 def detector_for(params: Params, setup: RadarSetup) -> Detector:
-    """Return the detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
+    """Return the detector of the parameters; raises `ValueError` naming a file that is missing or broken."""
     if params.method == "cfar":
         return CfarDetector(setup, params.cfar)
     return NetworkDetector(

@@ -1,4 +1,4 @@
-"""Folds mirror images back through their walls and publishes the bird's-eye view."""
+"""Node `geometry`: folds mirror images back through their walls and publishes the bird's-eye view."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
 
-#: After so much driving without a bias of the yaw rate the node says why there is none.
+#: After this much driving without a bias of the yaw rate the node logs the reason.
 BIAS_OVERDUE_S = 30.0
 
 
@@ -32,11 +32,11 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
-    #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `auto`: of the committed ones the
-    #: one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed network;
-    #: `none`: all places are kept, with the scores of their peaks.
+    #: A fitted `PlaceConfidence`, used for peaks of the detector it was fitted on; `auto`: the committed one that was
+    #: fitted on the peaks' detector, none for peaks of another; `default`: that of the committed network;
+    #: `none`: all positions are kept, with the scores of their peaks.
     confidence: str = "none"
-    #: What is kept from scan to scan: odometry, tracks, walls.
+    #: State that is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()
 
 
@@ -57,7 +57,7 @@ class GeometryNode(Node):
         self._bias_source: BiasSource | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Return one view per set of peaks; what the stage cannot take is refused, counted and said."""
+        """Return one view per set of peaks; unsuitable peaks are refused, counted and reported."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "perception/peaks"):
             match received.message:
@@ -69,7 +69,7 @@ class GeometryNode(Node):
         return out
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while peaks are refused."""
+        """Return DEGRADED while peaks are refused."""
         return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:
@@ -93,7 +93,7 @@ class GeometryNode(Node):
         return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
     def _note(self, bias: BiasEstimate) -> None:
-        """Log what the bias of the yaw rate is learnt from, whenever that changes."""
+        """Log the source of the bias of the yaw rate, whenever that changes."""
         is_unknown = bias.source is BiasSource.NONE
         if bias.source == self._bias_source or (is_unknown and bias.driven_s < BIAS_OVERDUE_S):
             return
@@ -102,7 +102,7 @@ class GeometryNode(Node):
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
-    """What the stage needs beside the peaks; raises `ValueError` naming a file that is missing or broken."""
+    """Return the inputs of the stage beside the peaks; raises `ValueError` naming a missing or broken file."""
     residual = None if params.residual == "none" else _learned_residual(Path(params.residual))
     fitted = tuple(load_confidence(path) for path in confidence_paths(params.confidence))
     if params.confidence == "auto":
@@ -111,14 +111,14 @@ def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidenc
 
 
 def _learned_residual(path: Path) -> Residual:
-    # here: without a network this node starts again faster by what bringing its runtime along takes
+    # imported here: without a network this node starts faster by the import of its runtime
     from models.perception.geometry.residual_model import LearnedResidual
 
     return LearnedResidual(path)
 
 
 def confidence_paths(confidence: str) -> list[Path]:
-    """Return the files of fitted models as parameters name them."""
+    """Return the files of fitted models of the parameter."""
     if confidence == "none":
         return []
     if confidence == "auto":

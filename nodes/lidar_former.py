@@ -1,4 +1,4 @@
-"""Turns the photon histograms of each scan of a LiDAR into a map on the radar's grid."""
+"""Node `lidar_former`: turns the photon histograms of each scan of a LiDAR into a map on the radar's grid."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ _LOG = logging.getLogger(__name__)
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """None: all that matters is in `lidar/setup`."""
+    """None: all parameters are in `lidar/setup`."""
 
 
 class LidarFormerNode(Node):
-    """lidar/histograms -> radar/ra_map, on which all that follows works as it does for radars."""
+    """lidar/histograms -> radar/ra_map, which all later stages process as they do a radar's."""
 
     inputs = ("lidar/setup", "lidar/histograms")
     outputs = ("radar/ra_map",)
@@ -33,7 +33,7 @@ class LidarFormerNode(Node):
         self._trouble = ""
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Return one map per scan; what does not fit the set-up is refused, counted and said."""
+        """Return one map per scan; histograms that do not fit the set-up are refused, counted and reported."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "lidar/histograms"):
             match received.message:
@@ -44,7 +44,7 @@ class LidarFormerNode(Node):
         return out
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while histograms are refused or no set-up has come."""
+        """Return DEGRADED while histograms are refused or no set-up has come."""
         return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
 
     def _formed(self, histograms: PhotonHistograms) -> list[Outgoing]:

@@ -1,4 +1,4 @@
-"""Plays a scene, a SigMF capture or an MCAP recording onto the bus, at the sensor's rate or any other."""
+"""Node `player`: plays a scene, a SigMF capture or an MCAP recording onto the bus, at the sensor's rate or another."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-#: What the sensors say, and the truth. All else in a recording is the graph's own work and is done again.
+#: Messages of the sensors, and the truth. All others in a recording are the graph's own results and are recomputed.
 SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), "vehicle/state", "sim/truth")
-#: What is said once, before all else.
+#: Sent once, before all others.
 SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
-#: Scenes named in launch files are looked for here when they are not in the working directory.
-#: What must be known before a beam.
+#: Scenes named in launch files are also searched for here.
+#: Required before a beam.
 _KNOWN = (*SETUP_TOPICS, "vehicle/state")
-#: A scan of a LiDAR lasts seconds; the vehicle's motion is told this often meanwhile, or at every azimuth.
+#: A scan of a LiDAR lasts seconds; the vehicle's motion is sent this often meanwhile, or at every azimuth.
 _STATE_PERIOD_S = 0.02
-#: Most messages that one step may send: heartbeats and a stop come between steps.
+#: Maximum messages of one step: heartbeats and a stop come between steps.
 BURST = 8
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What to play and how fast; exactly one of `scene` and `capture`."""
+    """Source and speed of play; exactly one of `scene` and `capture`."""
 
     scene: str | None = None
     capture: str | None = None
@@ -54,20 +54,20 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     scans: int | None = None
     #: Speed of play; 1 is real time.
     rate: float = 1.0
-    #: Rest before the first beam, in which subscribers get ready, and after the last, in which it gets through.
+    #: Rest before the first beam, in which subscribers get ready, and after the last, for its transmission.
     settle_s: float = 0.3
     #: Standard deviation of a random phase of each beam: the scene is then not coherent across a scan.
     phase_jitter_rad: float = 0.0
     chirps_per_beam: int | None = None
-    #: Speed of every object along its heading, and of the radar; None: as the scene says.
+    #: Speed of every object along its heading, and of the radar; None: as in the scene.
     object_speed_mps: float | None = None
     ego_speed_mps: float | None = None
-    #: Effects to simulate: basic, auto (what the scene calls for under the budget), all, or names between commas.
+    #: Effects to simulate: basic, auto (those relevant to the scene within the budget), all, or names between commas.
     effects: str = "basic"
     budget_db: float = -20.0
-    #: False where a car on a CAN bus says how the vehicle moves.
+    #: False if a car on a CAN bus sends the vehicle's motion.
     publish_vehicle_state: bool = True
-    #: Added to the stamps of a capture's vehicle states: what `mirrorwave calibrate clock` finds.
+    #: Added to the stamps of a capture's vehicle states: the result of `mirrorwave calibrate clock`.
     vehicle_clock_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -82,7 +82,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Event(NamedTuple):
-    """A message and when to send it, counted from the first beam."""
+    """A message and its time of sending, counted from the first beam."""
 
     offset_ns: int
     outgoing: Outgoing
@@ -105,11 +105,11 @@ class Player(Node):
         self._next = next(events, None)
 
     def finished(self) -> bool:
-        """True once the last message has had time to get through."""
+        """Return true once the last message has had time to arrive."""
         return self._ended
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When the next message is to go out, or when to end."""
+        """Return when the next message is to be sent, or when to end."""
         if self._next is None:
             return self._end_ns or now_ns
         if self._start_ns is None:
@@ -130,13 +130,13 @@ class Player(Node):
         return out
 
     def _open(self, now_ns: int) -> list[Outgoing]:
-        """What must be known before the first beam goes out at once, the rest after settling.
+        """Return the messages that must precede the first beam, at once; the rest is sent after settling.
 
-        A car may have been heard long before its radar: what queues would not hold goes at its time.
+        A car may have been recorded long before its radar: messages beyond the queues' depth are sent at their time.
         """
         self._start_ns = now_ns + self._settle_ns
         out: list[Outgoing] = []
-        # of a scene nothing was heard before its start
+        # a scene has no messages before its start
         latest_ns = 0 if self._restamp else MAX_AGE_NS
         while self._next is not None and self._next.offset_ns <= latest_ns and self._next.outgoing.topic in _KNOWN:
             out.append(self._take())
@@ -147,7 +147,7 @@ class Player(Node):
         return due_ns is not None and due_ns <= now_ns
 
     def _take(self) -> Outgoing:
-        """Return the next message; makes the one after it, so that its time finds it ready."""
+        """Return the next message; makes the one after it, so that it is ready in time."""
         assert self._next is not None
         outgoing = self._stamped(self._next.outgoing)
         with self.stages("synthesise"):
@@ -155,14 +155,14 @@ class Player(Node):
         return outgoing
 
     def _stamped(self, outgoing: Outgoing) -> Outgoing:
-        """Return a live scene is stamped with the bus clock; a capture keeps the stamps it was recorded with."""
+        """Return the message with its stamp: of the bus clock for a live scene, as recorded for a capture."""
         if not self._restamp or self._start_ns is None:
             return outgoing
         return Outgoing(outgoing.topic, moved(outgoing.message, self._start_ns))
 
 
 def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
-    """Return a message with a stamp, as if it had been measured so much later."""
+    """Return a message with its stamp moved, as if it had been measured later by this."""
     stamps: dict[str, Any] = {"stamp_ns": message.stamp_ns + by_ns}  # type: ignore[attr-defined]
     if isinstance(message, PhotonHistograms):
         stamps["azimuth_stamp_ns"] = message.azimuth_stamp_ns + by_ns
@@ -170,30 +170,30 @@ def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
 
 
 def scene_events(player: ScenePlayer | LidarPlayer, scans: int | None) -> Iterator[Event]:
-    """What the sensor of a scene says, vehicle states and truth, scan after scan, stamped from zero."""
+    """Yield a scene's sensor messages, vehicle states and truth, scan after scan, stamped from zero."""
     return _lidar_events(player, scans) if _is_lidar(player) else _radar_events(player, scans)
 
 
 def _is_lidar(player: ScenePlayer | LidarPlayer) -> TypeIs[LidarPlayer]:
-    # by its set-up, not its class: to start a radar's player should not take bringing the LiDAR's along
+    # by its set-up, not its class: starting a radar's player should not import the LiDAR's
     return isinstance(player.setup, LidarSetup)
 
 
 def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
-    """Yield histograms go out when their last azimuth has been measured."""
+    """Yield the messages of a LiDAR; histograms are sent when their last azimuth has been measured."""
     setup = player.setup
     azimuths = setup.grid.azimuth_bins
-    told_at = range(0, azimuths, max(1, round(_STATE_PERIOD_S / setup.spad.measurement_time_s)))
-    # compiles what scans need while the graph still waits
+    state_azimuths = range(0, azimuths, max(1, round(_STATE_PERIOD_S / setup.spad.measurement_time_s)))
+    # compiles the kernels of scans while the graph still waits
     player.scan(0)
     yield Event(0, Outgoing("lidar/setup", setup))
     for scan in itertools.count() if scans is None else range(scans):
         histograms = None
-        for azimuth in told_at:
+        for azimuth in state_azimuths:
             stamp_ns = player.stamp_ns(scan, azimuth)
             yield Event(stamp_ns, Outgoing("vehicle/state", player.vehicle_state(stamp_ns)))
-            # made early, so that the scan's end finds it ready, and not while the scan before goes out
-            histograms = player.scan(scan) if azimuth == told_at[len(told_at) // 3] else histograms
+            # made early, so that it is ready at the scan's end, and not while the previous scan is sent
+            histograms = player.scan(scan) if azimuth == state_azimuths[len(state_azimuths) // 3] else histograms
         end_ns = player.stamp_ns(scan, azimuths)
         yield Event(end_ns, Outgoing("lidar/histograms", histograms or player.scan(scan)))
         yield Event(end_ns, Outgoing("sim/truth", player.truth(scan)))
@@ -204,7 +204,7 @@ def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
     scan = 0
     while scans is None or scan < scans:
         beams: Iterable[RadarBeam] = (player.beam(scan, index) for index in range(len(player.setup.beams)))
-        # those of a digital array are there at once: made before their time, not while they are due
+        # those of a digital array have one time: made before it, not while they are due
         for beam in list(beams) if player.setup.array.digital else beams:
             due_ns = beam.stamp_ns + _wait_ns(player.setup, beam)
             yield Event(due_ns, Outgoing("vehicle/state", player.vehicle_state(beam.stamp_ns)))
@@ -214,17 +214,17 @@ def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
 
 
 def _wait_ns(setup: RadarSetup, beam: RadarBeam) -> int:
-    """How long a beam is held back: queues would not take those of one time at once, over half of the scan they do."""
+    """Return the delay of a beam: queues cannot take a scan's simultaneous beams at once, but over half of it."""
     return beam.beam_index * setup.beam_share_ns // 2 if setup.array.digital else 0
 
 
 def capture_events(path: Path) -> Iterator[Event]:
-    """What the sensors said in a capture, SigMF or MCAP by its name."""
+    """Yield the sensors' messages of a capture, SigMF or MCAP by its name."""
     return _recording_events(path) if path.suffix == ".mcap" else _sigmf_events(path)
 
 
 def truth_beside(capture: Path) -> Path:
-    """Where the truth of a SigMF capture stands: NAME.truth.mcap beside NAME.sigmf-meta."""
+    """Return the path of the truth of a SigMF capture: NAME.truth.mcap beside NAME.sigmf-meta."""
     return capture.with_name(capture.name.split(".sigmf")[0] + ".truth.mcap")
 
 
@@ -261,7 +261,7 @@ def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterato
     """Yield `messages` of a recording with `setup`, the first set-up among them, before all others.
 
     A part of a recording begins with the set-up, sent again with the part's first message; a beam that was sent a
-    moment before and took longer on its way stands before both.
+    moment before and took longer in transit precedes both.
     """
     if setup is None:
         yield from messages
@@ -276,7 +276,7 @@ def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterato
 
 
 def _with_offset(event: Event, offset_ns: int) -> Event:
-    """Return a vehicle state on the radar's clock; everything else as it is."""
+    """Return a vehicle state on the radar's clock; everything else unchanged."""
     topic, message = event.outgoing
     if not isinstance(message, VehicleState):
         return event
@@ -300,8 +300,8 @@ def scene_of(params: Params) -> Scene:
     in_checkout = CHECKOUT / path
     scene = load_scene(in_checkout if in_checkout.exists() and not path.exists() else path)
     if params.object_speed_mps is not None:
-        things = tuple(msgspec.structs.replace(thing, speed_mps=params.object_speed_mps) for thing in scene.objects)
-        scene = msgspec.structs.replace(scene, objects=things)
+        objects = tuple(msgspec.structs.replace(item, speed_mps=params.object_speed_mps) for item in scene.objects)
+        scene = msgspec.structs.replace(scene, objects=objects)
     if params.ego_speed_mps is not None:
         ego = msgspec.structs.replace(scene.ego, speed_mps=params.ego_speed_mps)
         scene = msgspec.structs.replace(scene, ego=ego)
@@ -331,7 +331,7 @@ def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
 
 
 def _require_for_lidar(params: Params) -> None:
-    """Raise `ValueError` for parameters of radars; effects "auto" are what a scene calls for, of a LiDAR none."""
+    """Raise `ValueError` for parameters of radars; effects "auto" selects by the scene, none for a LiDAR."""
     radar_only = ("phase_jitter_rad", "chirps_per_beam", "effects", "budget_db")
     default = Params(scene=params.scene)
     for name in radar_only:
@@ -341,7 +341,7 @@ def _require_for_lidar(params: Params) -> None:
 
 
 def create(params: Params) -> Player:
-    """Return node with its parameters; the first message is made here, so that compiling is over when it is ready."""
+    """Return the node with its parameters; the first message is made here, so that a ready node has compiled."""
     if params.scene is not None:
         events = scene_events(scene_player(params), params.scans)
     else:

@@ -1,7 +1,7 @@
-"""Folds beams as they arrive and publishes the range-azimuth map of each scan.
+"""Node `ra_former`: folds beams as they arrive and publishes the range-azimuth map of each scan.
 
-Where beams come faster than they can be folded, whole scans are left out (`nodes.inputs.beam_queue`): never single
-beams of a scan that was begun. A scan of which the bus lost too many beams is left out as well. All are counted.
+If beams arrive faster than they can be folded, whole scans are dropped (`nodes.inputs.beam_queue`): never single
+beams of a begun scan. A scan of which the bus lost too many beams is dropped as well. All are counted.
 """
 
 from __future__ import annotations
@@ -28,23 +28,23 @@ from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
 
-#: A scan whose next beam has not come for this long is given up and published with what is there.
+#: A scan whose next beam has not arrived for this long is closed and published with its present beams.
 PATIENCE_NS = 500_000_000
-#: Beams of a scan lie no further apart; stamps that do are of a clock that was set meanwhile.
+#: Beams of a scan are no further apart; larger steps mean that the clock was set meanwhile.
 LONGEST_SCAN_NS = 2_000_000_000
 
 
 class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Parameters of the forming stage; `ego_compensation` takes the vehicle's own motion out."""
+    """Parameters of the forming stage; `ego_compensation` compensates the vehicle's own motion."""
 
     ego_compensation: bool = True
     #: Open-field background (.npy of `mirrorwave calibrate background`) in place of the set-up's own.
     background: str | None = None
-    #: A scan is not begun where beams have piled up so high that, at the pace of late, its last would be folded more
-    #: than this many scans after it came: half the deadline, and the other half belongs to what follows.
+    #: A scan is not begun if so many beams are queued that, at the recent pace, its last would be folded more
+    #: than this many scans after it came: half the deadline, and the other half belongs to the later stages.
     behind: float = 0.5
-    #: A scan of which the bus lost beams is left out when a larger share of its beams is missing: 25 beams carry 15
-    #: unknowns, with fewer than these the azimuths are guesses.
+    #: A scan of which the bus lost beams is dropped when a larger share of its beams is missing: 25 beams carry 15
+    #: unknowns, with fewer than these the azimuths are underdetermined.
     missing_limit: float = 0.4
 
     def __post_init__(self) -> None:
@@ -64,27 +64,27 @@ class RaFormerNode(Node):
     def __init__(self, params: Params) -> None:
         super().__init__()
         self._params = params
-        # compiles the folding kernel while the graph still waits for this node, not when the first beam does
+        # compiles the folding kernel while the graph still waits for this node, not at the first beam
         RaFormer(RadarSetup(), params)
         self._background = None if params.background is None else load_background(Path(params.background))
         self._former: RaFormer | None = None
         self._states = StateHistory()
         self._queue = BeamQueue(params.behind)
-        #: Durations of the last folds, about a scan; a test puts another clock in.
+        #: Durations of the last folds, about a scan; tests replace the clock.
         self._folds_ns: deque[int] = deque(maxlen=32)
         self._clock_ns: Callable[[], int] = time.perf_counter_ns
         self._give_up_ns: int | None = None
         self._refused = 0
         self._trouble = ""
-        #: Why scans were left out lately; empty once two successive ones came through.
+        #: Reason for recently dropped scans; empty once two successive ones passed.
         self._behind = ""
         self._published_scan: int | None = None
-        #: Number and stamp of the scan under way, as its first beam has them.
+        #: Number and stamp of the current scan, as its first beam has them.
         self._scan_begun: tuple[int, int] | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Fold one beam; the last of a scan brings its map, a long silence that of an unfinished one."""
-        # set-up and vehicle state first: what they say holds for the beams that came with them
+        """Fold one beam; the last of a scan yields its map, a long silence that of an unfinished one."""
+        # set-up and vehicle state first: they apply to the beams that came with them
         for received in sorted(inputs, key=lambda item: item.topic == "radar/beam"):
             match received.message:
                 case RadarSetup() as setup:
@@ -96,7 +96,7 @@ class RaFormerNode(Node):
                     self._give_up_ns = now_ns + PATIENCE_NS
         maps = self._fold_next()
         if self._queue:
-            # what waits here is not missing, however long folding takes
+            # a beam that waits here is not missing, however long folding takes
             self._give_up_ns = now_ns + PATIENCE_NS
         elif self._give_up_ns is not None and now_ns >= self._give_up_ns:
             maps += self._close_scan()
@@ -104,29 +104,29 @@ class RaFormerNode(Node):
         return [Outgoing("radar/ra_map", ra_map) for ra_map in maps if self._is_sound(ra_map)]
 
     def pending(self) -> bool:
-        """True while beams wait."""
+        """Return true while beams wait."""
         return len(self._queue) > 0
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When to stop waiting for the rest of a scan."""
+        """Return when to stop waiting for the rest of a scan."""
         return self._give_up_ns
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while beams are refused, no set-up has come or scans are left out."""
+        """Return DEGRADED while beams are refused, no set-up has arrived or scans are dropped."""
         reason = self._trouble or self._behind
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
     def _set_up(self, setup: RadarSetup) -> None:
-        """Form by another set-up; one that cannot be used changes nothing, and its beams are refused as they come."""
+        """Use another set-up; an unsuitable one changes nothing, and its beams are refused."""
         try:
             self._former = RaFormer(self._with_background(setup), self._params)
         except ValueError as error:
-            self._say(str(error), "setup")
+            self._refuse(str(error), "setup")
             return
         self._queue.at_once = setup.array.digital
 
     def _with_background(self, setup: RadarSetup) -> RadarSetup:
-        """Return the set-up with the background of the parameters, where they name one."""
+        """Return the set-up with the background of the parameters, if they name one."""
         return setup if self._background is None else msgspec.structs.replace(setup, background=self._background)
 
     def _put(self, received: Received) -> None:
@@ -137,7 +137,7 @@ class RaFormerNode(Node):
             self._leave_out("behind")
 
     def _fold_next(self) -> list[RangeAzimuthMap]:
-        """Maps of the next beam: between two beams the bus is emptied, so that nothing is lost there meanwhile."""
+        """Return the maps of the next beam; the bus is emptied between beams, so that it drops nothing meanwhile."""
         if not self._queue:
             return []
         # a scan that another follows gets no more beams
@@ -146,7 +146,7 @@ class RaFormerNode(Node):
         maps += self._fold(self._queue.take())
         self._folds_ns.append(self._clock_ns() - start_ns)
         if self._former is not None:
-            # none where more beams are to come than a scan has nanoseconds
+            # none if more beams are missing than a scan has nanoseconds
             share_ns = max(self._former.folder.setup.beam_share_ns, 1)
             self._queue.load = sum(self._folds_ns) / len(self._folds_ns) / share_ns
         return maps
@@ -157,7 +157,7 @@ class RaFormerNode(Node):
         self._behind = f"{reason}: {counted(left_out, 'scan')} left out so far"
 
     def _is_sound(self, ra_map: RangeAzimuthMap) -> bool:
-        """Return whether a map is to be published: not one that the bus tore too many beams out of."""
+        """Return whether a map is to be published: not one of which the bus lost too many beams."""
         assert self._former is not None
         used = len(self._former.folder.setup.beams) - len(ra_map.unused_beams)
         is_torn = self._queue.torn(ra_map.scan_id)
@@ -174,23 +174,23 @@ class RaFormerNode(Node):
         try:
             return [] if self._former is None else self._former.flush()
         except ValueError as error:
-            # its first beam, which never came, would have a stamp that none can have
-            self._say(str(error), "scan")
+            # its first beam, which is missing, would have an impossible stamp
+            self._refuse(str(error), "scan")
             return []
 
     def _fold(self, beam: RadarBeam) -> list[RangeAzimuthMap]:
         if self._former is None:
-            self._say(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
+            self._refuse(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
             return []
         if jump_s := self._clock_jump_s(beam):
-            self._say(f"the radar's clock was set by {jump_s:+.0f} s within scan {beam.scan_id}")
+            self._refuse(f"the radar's clock was set by {jump_s:+.0f} s within scan {beam.scan_id}")
             return []
         late, repeated = self._former.late_beams, self._former.repeated_beams
         try:
             with self.stages("last beam" if beam.beam_index == beam.beam_count - 1 else "beam"):
                 maps = self._former.add(beam, self._state_for(beam))
         except ValueError as error:
-            self._say(str(error))
+            self._refuse(str(error))
             return []
         self._count("late", self._former.late_beams - late)
         self._count("repeated", self._former.repeated_beams - repeated)
@@ -201,7 +201,7 @@ class RaFormerNode(Node):
         return maps
 
     def _clock_jump_s(self, beam: RadarBeam) -> float:
-        """How far a beam's stamp is from its scan's where that is further than a scan lasts; else 0."""
+        """Return how far a beam's stamp is from its scan's if that exceeds a scan; else 0."""
         if self._scan_begun is None or self._scan_begun[0] != beam.scan_id:
             self._scan_begun = (beam.scan_id, beam.stamp_ns)
         away_ns = beam.stamp_ns - self._scan_begun[1]
@@ -212,13 +212,13 @@ class RaFormerNode(Node):
             self.shed.add("beam", reason, beams)
 
     def _state_for(self, beam: RadarBeam) -> VehicleState | None:
-        """Return newest valid state not younger than the beam; the former keeps that of a scan's first beam for all."""
+        """Return the newest valid state not younger than the beam; the former keeps a scan's first beam's for all."""
         state = self._states.at(beam.stamp_ns) if self._params.ego_compensation else None
         return state if state is not None and state.valid else None
 
-    def _say(self, trouble: str, what: str = "beam") -> None:
-        self._refused += what == "beam"
-        self.shed.add(what, "refused")
+    def _refuse(self, trouble: str, kind: str = "beam") -> None:
+        self._refused += kind == "beam"
+        self.shed.add(kind, "refused")
         if trouble != self._trouble:
             _LOG.warning("%s (%s refused so far)", trouble, counted(self._refused, "beam"))
         self._trouble = trouble

@@ -1,4 +1,4 @@
-"""Where a run trains: one CPU, one GPU, or several processes started by torchrun."""
+"""Processes of a training run: one CPU, one GPU, or several processes started by torchrun."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Ranks:
         return self.rank == 0
 
     def shared(self, network: nn.Module) -> nn.Module:
-        """Return the network whose gradients are averaged over all ranks; itself where there is one."""
+        """Return the network whose gradients are averaged over all ranks; itself if there is one rank."""
         if self.count == 1:
             return network
         devices = [self.device.index] if self.device.type == "cuda" else None
@@ -43,7 +43,7 @@ class Ranks:
 
 @contextmanager
 def joined_ranks() -> Iterator[Ranks]:
-    """The ranks that torchrun's environment names, joined for as long as the context lasts; else this process alone."""
+    """Join the ranks that torchrun's environment names for the duration of the context; else this process alone."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
     cuda = torch.cuda.is_available()
     if count == 1:

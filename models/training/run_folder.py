@@ -1,4 +1,4 @@
-"""What a run folder holds: the resolved configuration, the last state, the best network, the curves."""
+"""Contents of a run folder: the resolved configuration, the last state, the best network, the curves."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Config = TypeVar("Config")
 
 
 def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
-    """Write the resolved configuration, or insist that the run's own is the same; only one process `leads`."""
+    """Write the resolved configuration, or require that the run's own is the same; only one process `leads`."""
     path, wanted = run_dir / CONFIG, json_lines(config)
     if path.exists():
         if path.read_bytes() != wanted:
@@ -27,7 +27,7 @@ def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
 
 
 def load_config(run_dir: Path, kind: type[Config]) -> Config:
-    """Return configuration of a run that has a best network; raises `ValueError` naming the file that is not there."""
+    """Return the configuration of a run that has a best network; raises `ValueError` naming a missing file."""
     for name in (CONFIG, BEST):
         if not (run_dir / name).exists():
             raise ValueError(f"{run_dir / name} must exist: the run folder holds no trained network")
@@ -51,11 +51,11 @@ def save_state(path: Path, state: dict[str, Any]) -> None:
 
 
 def load_state(path: Path, device: torch.device | str = "cpu") -> Any:
-    """What a checkpoint holds, of tensors and plain values; raises `ValueError` naming a file that is none."""
+    """Return a checkpoint's tensors and plain values; raises `ValueError` naming an invalid file."""
     if not path.is_file():
         raise ValueError(f"{path} must be a checkpoint file: there is none")
     try:
         return torch.load(path, map_location=device, weights_only=True)
     except Exception as error:
-        # torch lets through whatever its readers raise, each with pages of advice
+        # torch passes on any exception of its readers, each with pages of advice
         raise ValueError(f"{path} must be a checkpoint of tensors only, torch cannot read it as one") from error

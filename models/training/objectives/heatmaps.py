@@ -1,4 +1,4 @@
-"""Heatmaps that the dense network is trained towards, Eq. (22)."""
+"""Target heatmaps of the dense network, Eq. (22)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ _REACH_SIGMA = 5.4
 
 
 def gaussian_heatmap(shape: tuple[int, int], row: np.ndarray, column: np.ndarray, sigma_px: float = 1.0) -> np.ndarray:
-    """Largest of the Gaussians around points, float32 [rows, columns]; exactly 1 in the cell of each point, Eq. (22).
+    """Return the maximum of the Gaussians around points, float32 [rows, columns], Eq. (22).
 
-    `row` and `column` are fractional cells [points]; each is rounded to its cell, points off the map are left out.
+    It is exactly 1 in the cell of each point. `row` and `column` are fractional cells [points]; each is rounded to its
+    cell, points off the map are left out.
     """
     heatmap = np.zeros(shape, np.float32)
     reach = int(np.ceil(_REACH_SIGMA * sigma_px))

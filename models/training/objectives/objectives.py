@@ -1,4 +1,4 @@
-"""What a network is trained towards, and how its answer is read: heatmaps, plain segmentation, anchors."""
+"""Objectives of a network, and the reading of its answer: heatmaps, plain segmentation, anchors."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Objective(Protocol):
 
 
 def objective_of(config: ObjectiveConfig, network: Any) -> Objective:
-    """The objective of a network of this configuration; raises `ValueError` where one has anchors, the other none."""
+    """Return the objective of a network of this configuration; `ValueError` if only one of them has anchors."""
     stride = getattr(network, "anchor_stride", None)
     if (config.kind == "anchors") != (stride is not None):
         rule = "not be anchors for a network without anchors" if stride is None else "be anchors for such a network"
