@@ -153,7 +153,7 @@ RAIN_ALPHA: dict[str, _RainFit] = {
 #: Foliage, both times f^0.284 with f in GHz: loss of a short path [dB/m] (Weissberger's law below 14 m, in leaf, as
 #: quoted in textbooks) and the maximum loss of a long one [dB] (fitted here, see `vegetation_db`).
 FOLIAGE_DB_PER_M = 0.45
-FOLIAGE_MOST_DB = 20.0
+FOLIAGE_MAX_DB = 20.0
 FOLIAGE_EXPONENT = 0.284
 
 
@@ -207,7 +207,7 @@ def vegetation_db(frequency_hz: float, depth_m: np.ndarray) -> np.ndarray:
     if not np.all((depth_m >= 0.0) & (depth_m <= 100.0)):
         raise ValueError(f"depth_m must lie in 0..100, got {depth_m!r}")
     scale = frequency_ghz**FOLIAGE_EXPONENT
-    return -FOLIAGE_MOST_DB * scale * np.expm1(-depth_m * FOLIAGE_DB_PER_M / FOLIAGE_MOST_DB)
+    return -FOLIAGE_MAX_DB * scale * np.expm1(-depth_m * FOLIAGE_DB_PER_M / FOLIAGE_MAX_DB)
 
 
 def _within(name: str, value: float, minimum: float, maximum: float) -> float:

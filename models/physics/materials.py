@@ -21,8 +21,8 @@ class MaterialRow:
     b: float
     c: float
     d: float
-    least_ghz: float
-    most_ghz: float
+    min_ghz: float
+    max_ghz: float
     source: str = "ITU-R P.2040"
 
 
@@ -183,9 +183,7 @@ def validity_ghz(material: str) -> tuple[tuple[float, float], ...]:
     common = [(0.0, math.inf)]
     for part in parts:
         common = [
-            (max(minimum, row.least_ghz), min(maximum, row.most_ghz))
-            for minimum, maximum in common
-            for row in TABLE[part]
+            (max(minimum, row.min_ghz), min(maximum, row.max_ghz)) for minimum, maximum in common for row in TABLE[part]
         ]
     return tuple((minimum, maximum) for minimum, maximum in common if minimum <= maximum)
 
@@ -215,7 +213,7 @@ def permittivity(name: str, frequency_hz: float, extrapolate: bool = False) -> c
     frequency_ghz = frequency_hz / 1e9
     row = min(TABLE[key], key=lambda row: _outside(row, frequency_ghz))
     if _outside(row, frequency_ghz) > 0.0 and not extrapolate:
-        ranges = " and ".join(f"{row.least_ghz:g}..{row.most_ghz:g}" for row in TABLE[key])
+        ranges = " and ".join(f"{row.min_ghz:g}..{row.max_ghz:g}" for row in TABLE[key])
         raise ValueError(f"material {key} is known for {ranges} GHz, got {frequency_ghz:g} GHz")
     conductivity = row.c * frequency_ghz**row.d
     loss = conductivity / (2.0 * math.pi * frequency_hz * VACUUM_PERMITTIVITY_F_PER_M)
@@ -228,4 +226,4 @@ def _key(name: str) -> str:
 
 def _outside(row: MaterialRow, frequency_ghz: float) -> float:
     """Return the logarithmic distance of a frequency outside a row's range; zero inside."""
-    return max(math.log(row.least_ghz / frequency_ghz), math.log(frequency_ghz / row.most_ghz), 0.0)
+    return max(math.log(row.min_ghz / frequency_ghz), math.log(frequency_ghz / row.max_ghz), 0.0)

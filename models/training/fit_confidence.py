@@ -43,7 +43,7 @@ class FitConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
-class ScenePlaces:
+class ScenePositions:
     """The folded positions of one scene [N, 2], their features [N, F] and peak scores [N], and all true ones [M, 2]."""
 
     points_m: np.ndarray
@@ -59,14 +59,14 @@ class ScenePlaces:
         return np.asarray(cKDTree(self.truth_m).query(self.points_m)[0] < REACH_M)
 
 
-def scene_places(
+def scene_positions(
     frame: Frame, detector: Detector, params: GeometryParams, residual: Residual | None = None
-) -> ScenePlaces:
+) -> ScenePositions:
     """Return the positions that the geometry stage derives from a detector's peaks in a frame."""
     peaks = detector.detect(frame.ra_map)
     scan = fold_scan(peaks, params, residual)
     features = place_features(scan.recovered, scan.walls, scan.returns, params.recovery)
-    return ScenePlaces(scan.recovered.points_m, features, scan.recovered.score, _true_places(frame))
+    return ScenePositions(scan.recovered.points_m, features, scan.recovered.score, _true_places(frame))
 
 
 def _true_places(frame: Frame) -> np.ndarray:
@@ -76,7 +76,7 @@ def _true_places(frame: Frame) -> np.ndarray:
     return places_m[np.isfinite(places_m).all(axis=1)]
 
 
-def fit_confidence(train: list[ScenePlaces], validation: list[ScenePlaces], config: FitConfig) -> PlaceConfidence:
+def fit_confidence(train: list[ScenePositions], validation: list[ScenePositions], config: FitConfig) -> PlaceConfidence:
     """Return a model with weights from training scenes, threshold and metrics from validation scenes.
 
     Raises `ValueError` if the training scenes hold no true position or no false one.
@@ -88,7 +88,7 @@ def fit_confidence(train: list[ScenePlaces], validation: list[ScenePlaces], conf
     return msgspec.structs.replace(model, threshold=threshold, metrics=metrics)
 
 
-def _joined(scenes: list[ScenePlaces]) -> tuple[np.ndarray, np.ndarray]:
+def _joined(scenes: list[ScenePositions]) -> tuple[np.ndarray, np.ndarray]:
     """Return features and truth of the positions of all scenes."""
     features = np.concatenate([np.zeros((0, len(FEATURES))), *(scene.features for scene in scenes)])
     return features, np.concatenate([np.zeros(0, bool), *(scene.is_true for scene in scenes)])
@@ -150,17 +150,19 @@ def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) ->
     )
 
 
-def best_threshold(scenes: list[ScenePlaces], probability: list[np.ndarray]) -> float:
+def best_threshold(scenes: list[ScenePositions], probability: list[np.ndarray]) -> float:
     """Return the threshold of the best recovered F1 within 1 m; the lowest of equals."""
     return max(THRESHOLDS, key=lambda threshold: _counts(scenes, probability, threshold, REACH_M).f1)
 
 
-def _counts(scenes: list[ScenePlaces], probability: list[np.ndarray], threshold: float, tau_m: float) -> Counts:
+def _counts(scenes: list[ScenePositions], probability: list[np.ndarray], threshold: float, tau_m: float) -> Counts:
     pairs = zip(scenes, probability, strict=True)
     return sum((recovered_counts(scene.points_m[p >= threshold], scene.truth_m, tau_m) for scene, p in pairs), Counts())
 
 
-def confidence_metrics(scenes: list[ScenePlaces], probability: list[np.ndarray], threshold: float) -> dict[str, float]:
+def confidence_metrics(
+    scenes: list[ScenePositions], probability: list[np.ndarray], threshold: float
+) -> dict[str, float]:
     """Return recovered scores with and without a threshold, and the errors of probabilities and peak scores."""
     _, is_true = _joined(scenes)
     together = np.concatenate([np.zeros(0), *probability])
@@ -183,10 +185,10 @@ def collected(
     params: GeometryParams,
     residual: Residual | None = None,
     on_scene: Callable[[], None] = lambda: None,
-) -> list[ScenePlaces]:
+) -> list[ScenePositions]:
     """Return the positions of many scenes; `on_scene` is called for each."""
     scenes = []
     for frame in frames:
-        scenes.append(scene_places(frame, detector, params, residual))
+        scenes.append(scene_positions(frame, detector, params, residual))
         on_scene()
     return scenes

@@ -81,9 +81,9 @@ class HiddenObjectList:
     def __init__(self, database: Database) -> None:
         self._messages = {message.name: message for message in database.messages}
         #: Object slots of a list.
-        self.places = _slot_count(self._messages)
+        self.slots = _slot_count(self._messages)
         status = _checked(self._messages, STATUS_MESSAGE, (*_STATUS, *FAULT_SIGNALS.values(), OTHER_FAULT))
-        for slot in range(1, self.places + 1):
+        for slot in range(1, self.slots + 1):
             for name, signals in ((POSITION_MESSAGE, _POSITION), (SHAPE_MESSAGE, _SHAPE)):
                 _require_within(_checked(self._messages, name.format(slot), signals), status)
         #: Time from one list to the next.
@@ -98,9 +98,9 @@ class HiddenObjectList:
         The list is valid while `age_ns`, the view's age, is within 0..`max_age_ns`; None is an unknown age.
         """
         fresh = view is not None and age_ns is not None and 0 <= age_ns <= max_age_ns
-        objects = placed_objects(view.objects, self.places) if view is not None and fresh else ()
+        objects = listed_objects(view.objects, self.slots) if view is not None and fresh else ()
         frames, saturated = [], False
-        for slot in range(1, self.places + 1):
+        for slot in range(1, self.slots + 1):
             hidden_object = objects[slot - 1] if slot <= len(objects) else None
             for name, values_of in ((POSITION_MESSAGE, position_values), (SHAPE_MESSAGE, shape_values)):
                 message = self._messages[name.format(slot)]
@@ -109,7 +109,7 @@ class HiddenObjectList:
                 saturated = saturated or fitted.saturated
                 frames.append(self._frame(message, {**fitted.values, "VALID": valid}, fitted.saturated, counter))
         status = self._messages[STATUS_MESSAGE]
-        values = {**fit(status, status_values(view, age_ns, self.places)).values, "VALID": fresh}
+        values = {**fit(status, status_values(view, age_ns, self.slots)).values, "VALID": fresh}
         frames.append(self._frame(status, values, saturated, counter))
         return sorted(frames, key=lambda frame: (frame.delay_ns, frame.arbitration_id))
 
@@ -119,7 +119,7 @@ class HiddenObjectList:
         return ListFrame(message.name, message.frame_id, message.is_extended_frame, data, delay_ns)
 
 
-def placed_objects(objects: tuple[HiddenObject, ...], slots: int) -> tuple[HiddenObject, ...]:
+def listed_objects(objects: tuple[HiddenObject, ...], slots: int) -> tuple[HiddenObject, ...]:
     """Return the objects that get a slot: the highest scores first, those with non-finite numbers last."""
 
     def rank(item: HiddenObject) -> tuple[bool, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from msgs.values.arrays import require_finite, require_within
 
 #: Limit in both directions: its square, and the divisors of it, are finite doubles.
-MOST_PLACE_M = 1e12
+MAX_COORDINATE_M = 1e12
 
 
 class Pose2(msgspec.Struct, frozen=True):
@@ -22,7 +22,7 @@ class Pose2(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         require_finite("pose", self.x_m, self.y_m, self.yaw_rad)
-        require_within("pose", -MOST_PLACE_M, MOST_PLACE_M, self.x_m, self.y_m)
+        require_within("pose", -MAX_COORDINATE_M, MAX_COORDINATE_M, self.x_m, self.y_m)
 
     def __matmul__(self, inner: Pose2) -> Pose2:
         """Return the product: `a_from_b @ b_from_c` is `a_from_c`, inner names must meet."""

@@ -40,9 +40,9 @@ SPACING_LIMITS_M = (1e-9, 1e3)
 RANGE_BIN_LIMITS_M = (1e-9, 1e9)
 #: Without a limit: the same in all directions.
 BEAM_WIDTH_LIMITS_DEG = (1e-3, math.inf)
-MOST_BEAMS = 1024
+MAX_BEAMS = 1024
 #: In both directions.
-MOST_LEVEL_DB = 300.0
+MAX_LEVEL_DB = 300.0
 LONGEST_CHIRP_INTERVAL_S = 1e3
 
 
@@ -174,7 +174,7 @@ class ElementPattern(msgspec.Struct, frozen=True, kw_only=True):
         for name in ("azimuth_hpbw_deg", "elevation_hpbw_deg"):
             require_within(f"element.{name}", *BEAM_WIDTH_LIMITS_DEG, getattr(self, name))
         for name in ("peak_gain_dbi", "sidelobe_floor_db"):
-            require_within(f"element.{name}", -MOST_LEVEL_DB, MOST_LEVEL_DB, getattr(self, name))
+            require_within(f"element.{name}", -MAX_LEVEL_DB, MAX_LEVEL_DB, getattr(self, name))
 
 
 class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
@@ -185,8 +185,8 @@ class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not self.azimuth_deg:
             raise ValueError("beams.azimuth_deg must name at least one beam")
-        if len(self.azimuth_deg) > MOST_BEAMS:
-            raise ValueError(f"beams.azimuth_deg must name at most {MOST_BEAMS} beams, got {len(self.azimuth_deg)}")
+        if len(self.azimuth_deg) > MAX_BEAMS:
+            raise ValueError(f"beams.azimuth_deg must name at most {MAX_BEAMS} beams, got {len(self.azimuth_deg)}")
         require_finite("beams.azimuth_deg", *self.azimuth_deg)
         if max(abs(angle) for angle in self.azimuth_deg) >= 90.0:
             raise ValueError(f"beams.azimuth_deg must lie inside -90..90, got {self.azimuth_deg}")
@@ -280,7 +280,7 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     def __post_init__(self) -> None:
         require_stamps("setup.stamp_ns", self.stamp_ns)
-        require_within("setup.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
+        require_within("setup.full_scale_dbm", -MAX_LEVEL_DB, MAX_LEVEL_DB, self.full_scale_dbm)
         require_finite("setup.radar_height_m", self.radar_height_m)
         if self.beat_sign not in (1, -1):
             raise ValueError(f"setup.beat_sign must be +1 or -1, got {self.beat_sign!r}")
@@ -343,11 +343,11 @@ class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_array("beam.samples", self.samples, "<i2", (None, None, 2))
         require_finite("beam.azimuth_rad", self.azimuth_rad)
         require_stamps("beam.stamp_ns", self.stamp_ns)
-        require_within("beam.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
+        require_within("beam.full_scale_dbm", -MAX_LEVEL_DB, MAX_LEVEL_DB, self.full_scale_dbm)
         if self.scan_id < 0:
             raise ValueError(f"beam.scan_id must not be negative, got {self.scan_id!r}")
-        if self.beam_count > MOST_BEAMS:
-            raise ValueError(f"beam.beam_count must be at most {MOST_BEAMS}, got {self.beam_count!r}")
+        if self.beam_count > MAX_BEAMS:
+            raise ValueError(f"beam.beam_count must be at most {MAX_BEAMS}, got {self.beam_count!r}")
         if not 0 <= self.beam_index < self.beam_count:
             raise ValueError(f"beam.beam_index must be 0..beam_count-1, got {self.beam_index!r} of {self.beam_count!r}")
 

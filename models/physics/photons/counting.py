@@ -25,11 +25,11 @@ from models.physics.photons.first_photon import first_photon_histogram, first_ph
 from models.physics.photons.flux import Pulses, cell_of, counts_at, counts_between, flux_table, pulses_of, time_at
 from msgs.values.lidar import SpadParams
 
-MOST_PHASES = 4096
+MAX_PHASES = 4096
 #: Bins of all phases and gates together, held in memory and drawn in closed form.
-MOST_BINS = 1 << 22
+MAX_BINS = 1 << 22
 #: Detections counted event by event: about four minutes.
-MOST_DETECTIONS = 10**9
+MAX_DETECTIONS = 10**9
 CELLS_PER_RMS = 16
 #: Waiting times drawn at a time; bounds the memory of counting event by event.
 CHUNK = 1 << 16
@@ -48,13 +48,13 @@ class Comb(NamedTuple):
 def comb(spad: SpadParams) -> Comb:
     """Return the edges of the bins as stamps see them: each moves up to the next tick.
 
-    Raises `ValueError` if ticks of a run have more than `MOST_PHASES` phases within the periods, and for more than
-    `MOST_BINS` in all phases and gates.
+    Raises `ValueError` if ticks of a run have more than `MAX_PHASES` phases within the periods, and for more than
+    `MAX_BINS` in all phases and gates.
     """
     phases = _phases(spad)
-    if phases * spad.bins * spad.gates > MOST_BINS:
+    if phases * spad.bins * spad.gates > MAX_BINS:
         raise ValueError(
-            f"spad.bins must not exceed {MOST_BINS // (phases * spad.gates)} with {phases} phases of ticks and "
+            f"spad.bins must not exceed {MAX_BINS // (phases * spad.gates)} with {phases} phases of ticks and "
             f"spad.gates {spad.gates}, got {spad.bins!r}"
         )
     if spad.tick_s == 0.0:
@@ -73,14 +73,14 @@ def comb(spad: SpadParams) -> Comb:
 
 
 def _phases(spad: SpadParams) -> int:
-    """Return the number of phases of the ticks within a period; ValueError for more than `MOST_PHASES`."""
+    """Return the number of phases of the ticks within a period; ValueError for more than `MAX_PHASES`."""
     if spad.tick_s == 0.0 or spad.tick_from == "pulse":
         return 1
     per_period = 1 / (decimal(spad.repetition_rate_hz) * decimal(spad.tick_s))
     phases = min(per_period.denominator, spad.pulses)
-    if phases > MOST_PHASES:
+    if phases > MAX_PHASES:
         raise ValueError(
-            f"spad.tick_s must come round with the period within {MOST_PHASES} periods, got {phases} for "
+            f"spad.tick_s must come round with the period within {MAX_PHASES} periods, got {phases} for "
             f"{spad.tick_s!r}: choose spad.tick_from 'pulse', or a tick whose ratio to the period is simpler"
         )
     return phases
@@ -154,7 +154,7 @@ def detections(
     Free arming yields those that are not kept too, gated arming one a period at most. Drawn are photons that meet an
     armed detector: the next one comes when as many mean counts have passed as an exponential variable says, which is
     the law of Eqs. (11) and (12) without the rest. Errors of `expected_histogram`, and if there would be more
-    than `MOST_DETECTIONS`.
+    than `MAX_DETECTIONS`.
     """
     table = flux_table(spad, pulses_of(spad, delay_s, photons))
     free = spad.arming == "free"
@@ -177,9 +177,9 @@ def _bounded(spad: SpadParams, counts: float) -> None:
     """Raise ValueError where detections of so many mean counts a period would take too long to count."""
     # upper limit of the mean number of detections: each takes a dead time, or the rest of its gate
     a_period = counts / (1.0 + counts * spad.dead_time_s / spad.period_s) if spad.arming == "free" else min(counts, 1.0)
-    if spad.pulses * a_period > MOST_DETECTIONS:
+    if spad.pulses * a_period > MAX_DETECTIONS:
         raise ValueError(
-            f"spad.measurement_time_s must hold at most {MOST_DETECTIONS} detections event by event, got about "
+            f"spad.measurement_time_s must hold at most {MAX_DETECTIONS} detections event by event, got about "
             f"{spad.pulses * a_period:.0e} in {spad.measurement_time_s!r} s: count in closed form"
         )
 

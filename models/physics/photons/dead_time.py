@@ -22,7 +22,7 @@ from numba import njit
 
 from msgs.values.lidar import SpadParams
 
-MOST_CELLS = 1 << 22
+MAX_CELLS = 1 << 22
 #: Dead time (beyond whole periods) below this share of a period changes no first photon: it is left out.
 SHORTEST_SHARE = 2.0**-18
 #: Maximum periods stepped through while the detector forgets its initial state, and cells of them all.
@@ -57,16 +57,16 @@ def decimal(value: float) -> Fraction:
 def dead_time_grid(spad: SpadParams, cells_per_rms: int) -> DeadTimeGrid:
     """Return the cells of a period: about so many per standard deviation of the pulse, a divisor of the dead time.
 
-    Raises `ValueError` if that takes more than `MOST_CELLS`.
+    Raises `ValueError` if that takes more than `MAX_CELLS`.
     """
     periods, rest = divmod(decimal(spad.dead_time_s), 1 / decimal(spad.repetition_rate_hz))
     share = float(rest * decimal(spad.repetition_rate_hz))
     share = share if share >= SHORTEST_SHARE else 0.0
     least = math.ceil(cells_per_rms * max(spad.period_s / spad.timing_rms_s, 64.0, 0.25 / share if share else 0.0))
-    if least > MOST_CELLS:
+    if least > MAX_CELLS:
         raise ValueError(
             f"spad.irf_fwhm_s must be wider, {spad.irf_fwhm_s:g} s takes {least} cells a period of at most "
-            f"{MOST_CELLS}: count event by event, or choose spad.arming 'gated'"
+            f"{MAX_CELLS}: count event by event, or choose spad.arming 'gated'"
         )
     candidates = np.arange(least, least + min(least, 1 << 16))
     cells = int(candidates[np.argmin(np.abs(candidates * share - np.rint(candidates * share)))])

@@ -17,7 +17,7 @@ from msgs.values.lidar import SpadParams
 #: Standard deviations after which a Gaussian is zero in doubles.
 REACH = 38.5
 #: A rate of more photons overflows.
-MOST_PHOTONS = 1e100
+MAX_PHOTONS = 1e100
 #: Nodes of a flux table in one standard deviation of the pulse.
 NODES_PER_RMS = 32
 #: Above so many periods a wrapped Gaussian is constant: its first harmonic is exp(-2 pi^2 2^2) = 5e-35.
@@ -45,7 +45,7 @@ class FluxTable(NamedTuple):
 def pulses_of(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray) -> Pulses:
     """Return the pulses of paths [P], delays taken modulo the period; paths without photons are left out.
 
-    Raises `ValueError` unless both are of one length, finite and not negative, photons no more than `MOST_PHOTONS`.
+    Raises `ValueError` unless both are of one length, finite and not negative, photons no more than `MAX_PHOTONS`.
     """
     delay_s, photons = np.asarray(delay_s, np.float64), np.asarray(photons, np.float64)
     if delay_s.ndim != 1 or delay_s.shape != photons.shape:
@@ -54,8 +54,8 @@ def pulses_of(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray) -> Pul
         wrong = ~(np.isfinite(values) & (values >= 0.0))
         if wrong.any():
             raise ValueError(f"{name} must be finite and not negative, got {float(values[wrong][0])!r}")
-    if photons.max(initial=0.0) > MOST_PHOTONS:
-        raise ValueError(f"photons must not exceed {MOST_PHOTONS:g} a pulse, got {float(photons.max())!r}")
+    if photons.max(initial=0.0) > MAX_PHOTONS:
+        raise ValueError(f"photons must not exceed {MAX_PHOTONS:g} a pulse, got {float(photons.max())!r}")
     some = photons > 0.0
     return Pulses(np.fmod(delay_s[some], spad.period_s), photons[some])
 
