@@ -93,7 +93,7 @@ class DensePredictorNode(Node):
         try:
             self._detector = detector_for(self._params, setup)
         except ValueError as error:
-            self._refuse(str(error), "setup")
+            self._warn_refused(str(error), "setup")
 
     def _detected(self, ra_map: RangeAzimuthMap) -> list[Outgoing]:
         detector = self._photon_detector if ra_map.mode == "photons" else self._detector
@@ -102,12 +102,12 @@ class DensePredictorNode(Node):
                 _require_sound(ra_map)
                 peaks = detector.detect(ra_map)
         except ValueError as error:
-            self._refuse(str(error), "map")
+            self._warn_refused(str(error), "map")
             return []
         self._trouble = ""
         return [Outgoing("perception/peaks", peaks)]
 
-    def _refuse(self, trouble: str, kind: str) -> None:
+    def _warn_refused(self, trouble: str, kind: str) -> None:
         self.shed.add(kind, "refused")
         if trouble != self._trouble:
             _LOG.warning("%s refused: %s", kind, trouble)

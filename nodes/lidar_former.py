@@ -54,12 +54,12 @@ class LidarFormerNode(Node):
             with self.stages("map"):
                 ra_map = photon_map(self._setup, histograms)
         except ValueError as error:
-            self._say(str(error))
+            self._warn_refused(str(error))
             return []
         self._trouble = ""
         return [Outgoing("radar/ra_map", ra_map)]
 
-    def _say(self, trouble: str) -> None:
+    def _warn_refused(self, trouble: str) -> None:
         self._refused += 1
         self.shed.add("scan", "refused")
         if trouble != self._trouble:

@@ -330,13 +330,15 @@ def _turn(node: Node, bus: Bus, timeout_s: float) -> bool:
 
 
 def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
-    for said in node.step(inputs, now_ns):
-        if said[0] not in node.outputs:
-            raise ValueError(f"{type(node).__name__} published {said[0]!r}; its outputs are {', '.join(node.outputs)}")
-        if isinstance(said, Forwarded):
-            bus.forward(said)
+    for outgoing in node.step(inputs, now_ns):
+        if outgoing[0] not in node.outputs:
+            raise ValueError(
+                f"{type(node).__name__} published {outgoing[0]!r}; its outputs are {', '.join(node.outputs)}"
+            )
+        if isinstance(outgoing, Forwarded):
+            bus.forward(outgoing)
         else:
-            bus.publish(*said)
+            bus.publish(*outgoing)
 
 
 class InProcessGraph:

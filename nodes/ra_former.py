@@ -121,7 +121,7 @@ class RaFormerNode(Node):
         try:
             self._former = RaFormer(self._with_background(setup), self._params)
         except ValueError as error:
-            self._refuse(str(error), "setup")
+            self._warn_refused(str(error), "setup")
             return
         self._queue.at_once = setup.array.digital
 
@@ -175,22 +175,22 @@ class RaFormerNode(Node):
             return [] if self._former is None else self._former.flush()
         except ValueError as error:
             # its first beam, which is missing, would have an impossible stamp
-            self._refuse(str(error), "scan")
+            self._warn_refused(str(error), "scan")
             return []
 
     def _fold(self, beam: RadarBeam) -> list[RangeAzimuthMap]:
         if self._former is None:
-            self._refuse(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
+            self._warn_refused(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
             return []
         if jump_s := self._clock_jump_s(beam):
-            self._refuse(f"the radar's clock was set by {jump_s:+.0f} s within scan {beam.scan_id}")
+            self._warn_refused(f"the radar's clock was set by {jump_s:+.0f} s within scan {beam.scan_id}")
             return []
         late, repeated = self._former.late_beams, self._former.repeated_beams
         try:
             with self.stages("last beam" if beam.beam_index == beam.beam_count - 1 else "beam"):
                 maps = self._former.add(beam, self._state_for(beam))
         except ValueError as error:
-            self._refuse(str(error))
+            self._warn_refused(str(error))
             return []
         self._count("late", self._former.late_beams - late)
         self._count("repeated", self._former.repeated_beams - repeated)
@@ -216,7 +216,7 @@ class RaFormerNode(Node):
         state = self._states.at(beam.stamp_ns) if self._params.ego_compensation else None
         return state if state is not None and state.valid else None
 
-    def _refuse(self, trouble: str, kind: str = "beam") -> None:
+    def _warn_refused(self, trouble: str, kind: str = "beam") -> None:
         self._refused += kind == "beam"
         self.shed.add(kind, "refused")
         if trouble != self._trouble:

@@ -73,7 +73,7 @@ class FrameSource(Protocol):
 
     @property
     def ended(self) -> bool:
-        """Whether no further frame will ever come."""
+        """Return whether no further frame will ever come."""
 
     def stamp_ns(self, now_ns: int) -> int:
         """Return the bus clock's time on the clock of the stamps."""
@@ -143,7 +143,7 @@ class LogSource:
 
     @property
     def ended(self) -> bool:
-        """Whether the last frame was read."""
+        """Return whether the last frame was read."""
         return self._next is None
 
     def stamp_ns(self, now_ns: int) -> int:

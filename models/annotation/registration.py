@@ -161,11 +161,14 @@ def register(
     clouds = _Clouds(source_m, targets)
     if target_from_source is None:
         coarse_m = params.voxels_m[0]
-        tried = [
+        candidates = [
             _judged(clouds, _icp(clouds, pose, (coarse_m,), params.max_iterations), coarse_m, "global")
             for pose in _global_poses(clouds, params, seed)
         ]
-        target_from_source, start = max(tried, key=lambda registration: registration.score).target_from_source, "global"
+        target_from_source, start = (
+            max(candidates, key=lambda registration: registration.score).target_from_source,
+            "global",
+        )
     else:
         start = "given"
     pose = _icp(clouds, target_from_source, params.voxels_m, params.max_iterations)
@@ -284,9 +287,9 @@ def _judged(clouds: _Clouds, pose: np.ndarray, voxel_m: float, start: str) -> Re
 def _conflict(source_m: np.ndarray, pose: np.ndarray, other: PlacedCloud) -> float:
     """Return the share of points that lie where the other sensor looked through, the worse of both directions."""
     source_from_other = np.linalg.inv(pose) @ other.target_from_sensor
-    there = looked_through(moved(np.linalg.inv(source_from_other), source_m), other.points_m)
-    here = looked_through(moved(source_from_other, other.points_m), source_m)
-    return max(float(there.mean()), float(here.mean()))
+    source_conflict = looked_through(moved(np.linalg.inv(source_from_other), source_m), other.points_m)
+    target_conflict = looked_through(moved(source_from_other, other.points_m), source_m)
+    return max(float(source_conflict.mean()), float(target_conflict.mean()))
 
 
 def looked_through(points_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:

@@ -196,8 +196,8 @@ def fit_walls(
     walls_m = np.array(rules.given_m, np.float64).reshape(-1, 2, 2)
     # the ends of a container are shorter than any isolated wall: they count if they turn a wall's corner
     for min_length_m in (rules.min_length_m, min(SHORT_SIDE_M, rules.min_length_m)):
-        left = candidates[_nearest_wall(candidates, walls_m, rules.inlier_m) < 0]
-        pieces = _straight(left, min_length_m, spacing_m, rules, seed)
+        remaining = candidates[_nearest_wall(candidates, walls_m, rules.inlier_m) < 0]
+        pieces = _straight(remaining, min_length_m, spacing_m, rules, seed)
         tall = [_height_m(cloud_m, ends) - ground_z_m >= rules.min_height_m for ends in pieces]
         at_corner = [min_length_m == rules.min_length_m or _turns_corner(ends, walls_m) for ends in pieces]
         walls_m = np.concatenate([walls_m, pieces[np.array(tall, bool) & np.array(at_corner, bool)]])
@@ -229,8 +229,8 @@ def _nearest_wall(points_m: np.ndarray, walls_m: np.ndarray, inlier_m: float) ->
 
 def _turns_corner(ends_m: np.ndarray, walls_m: np.ndarray) -> bool:
     """Return whether an end of a piece [2, 2] meets an end of any wall [W, 2, 2]."""
-    apart = np.linalg.norm(ends_m[:, None] - walls_m.reshape(1, -1, 2), axis=-1)
-    return bool(apart.min(initial=math.inf) <= CORNER_M)
+    distance_m = np.linalg.norm(ends_m[:, None] - walls_m.reshape(1, -1, 2), axis=-1)
+    return bool(distance_m.min(initial=math.inf) <= CORNER_M)
 
 
 def _height_m(cloud_m: np.ndarray, ends_m: np.ndarray) -> float:

@@ -44,15 +44,15 @@ def centre_error_m(report: HiddenObject, truth: TruthObject, scene: SceneTruth) 
 
 
 def object_distances(
-    objects: Sequence[HiddenObject], truth: SceneTruth, wanted: Sequence[TruthObject]
+    objects: Sequence[HiddenObject], truth: SceneTruth, true_objects: Sequence[TruthObject]
 ) -> ObjectDistances:
     """Measure every reported object against every wanted object of the truth."""
-    shape = (len(objects), len(wanted), 3)
-    faces_m = [_visible_faces_m(true_object, truth) for true_object in wanted]
+    shape = (len(objects), len(true_objects), 3)
+    faces_m = [_visible_faces_m(true_object, truth) for true_object in true_objects]
     rows = [
         _distances_m(report, true_object, faces_m[j], truth)
         for report in objects
-        for j, true_object in enumerate(wanted)
+        for j, true_object in enumerate(true_objects)
     ]
     return ObjectDistances(*np.moveaxis(np.array(rows, np.float64).reshape(shape), -1, 0))
 

@@ -87,12 +87,12 @@ def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, ima
 
     Objects that no mirror shows are listed too: they are not to be found, but a report there is not false.
     """
-    wanted = [index for index, image in enumerate(images) if not image.direct]
+    out_of_sight = [index for index, image in enumerate(images) if not image.direct]
     distances = object_distances(objects, truth, truth.objects)
-    error_m, centre_m = distances.error_m[:, wanted], distances.centre_m[:, wanted]
-    shown = np.array([images[index].mirrored for index in wanted], bool)
-    by = {int(column): int(row) for row, column in _matched(error_m, shown)}
-    by_centre = {int(column) for _, column in _matched(centre_m, shown)}
+    error_m, centre_m = distances.error_m[:, out_of_sight], distances.centre_m[:, out_of_sight]
+    mirrored = np.array([images[index].mirrored for index in out_of_sight], bool)
+    by = {int(column): int(row) for row, column in _matched(error_m, mirrored)}
+    by_centre = {int(column) for _, column in _matched(centre_m, mirrored)}
     hidden = [
         HiddenRow(
             object_class=truth.objects[index].object_class,
@@ -101,7 +101,7 @@ def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, ima
             centre_m=float(centre_m[by[column], column]) if column in by else None,
             found_by_centre=column in by_centre,
         )
-        for column, index in enumerate(wanted)
+        for column, index in enumerate(out_of_sight)
     ]
     reports = [
         ReportRow(
@@ -116,10 +116,10 @@ def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, ima
     return ScanRow(place=place, scan=truth.scan_id, hidden=hidden, reports=reports)
 
 
-def _matched(distance_m: np.ndarray, shown: np.ndarray) -> np.ndarray:
+def _matched(distance_m: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
     """Return pairs (report, object) within reach, one to one, of the objects [N] that a mirror shows."""
-    pairs = assign_within(distance_m[:, shown], FOUND_M)
-    return np.stack([pairs[:, 0], np.flatnonzero(shown)[pairs[:, 1]]], axis=1)
+    pairs = assign_within(distance_m[:, mirrored], FOUND_M)
+    return np.stack([pairs[:, 0], np.flatnonzero(mirrored)[pairs[:, 1]]], axis=1)
 
 
 def _least(values: np.ndarray) -> float | None:

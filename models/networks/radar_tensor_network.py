@@ -82,8 +82,8 @@ class RadarTensorNetwork(nn.Module):
             x = stage(x)
             necks.append(neck(x))
         # [batch, stages * neck_width, rows, columns]
-        together = torch.cat(necks, dim=1)
-        return torch.cat((self.classify(together), self.locate(together)), dim=1)
+        features = torch.cat(necks, dim=1)
+        return torch.cat((self.classify(features), self.locate(features)), dim=1)
 
 
 def _upsample(in_width: int, out_width: int, factor: int) -> nn.Sequential:

@@ -83,8 +83,8 @@ def window_covariance(window: str, bins: int) -> np.ndarray:
     """Return the covariance [bins, bins] of neighbouring bins of windowed white noise relative to its power in one."""
     taps = np.array(WINDOW_TAPS[window])
     lags = np.correlate(taps, taps, "full")[len(taps) - 1 :] / np.sum(taps**2)
-    apart = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
-    return np.append(lags, 0.0)[np.minimum(apart, len(lags))]
+    separation = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+    return np.append(lags, 0.0)[np.minimum(separation, len(lags))]
 
 
 def azimuth_response(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:

@@ -50,9 +50,9 @@ def _require_between(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"{name} must be {low:g}..{high:g}, got {value!r}")
 
 
-def _require_value(name: str, value: float, wanted: int, rule: str) -> None:
-    if value != wanted:
-        raise ValueError(f"{name} must be {wanted} ({rule}), got {value!r}")
+def _require_value(name: str, value: float, expected: int, rule: str) -> None:
+    if value != expected:
+        raise ValueError(f"{name} must be {expected} ({rule}), got {value!r}")
 
 
 class ChannelCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -274,9 +274,9 @@ class Dca1000Config(
         if self.lanes == 2 and self.profile.adc_samples % 2:
             raise ValueError(f"profileCfg.adc_samples must be even with two lanes ({self.device}), "
                              f"got {self.profile.adc_samples}")  # fmt: skip
-        wanted = 0 if self.lanes == 4 else 1
-        if self.adcbuf is not None and self.adcbuf.channel_interleave != wanted:
-            raise ValueError(f"adcbufCfg.channel_interleave must be {wanted} on {self.device}, "
+        expected = 0 if self.lanes == 4 else 1
+        if self.adcbuf is not None and self.adcbuf.channel_interleave != expected:
+            raise ValueError(f"adcbufCfg.channel_interleave must be {expected} on {self.device}, "
                              f"got {self.adcbuf.channel_interleave}")  # fmt: skip
 
     def _require_chirps(self) -> None:
@@ -351,9 +351,9 @@ def _add_command(fields: dict[str, Any], command: str, words: list[str], where: 
         return
     values = [_number(word, f"{where}: {command}") for word in words]
     if command in _FIXED:
-        at, wanted, rule = _FIXED[command]
-        if len(values) <= at or values[at] != wanted:
-            raise ValueError(f"{where}: {command} must be {wanted} ({rule}), got {' '.join(words) or 'nothing'}")
+        at, expected, rule = _FIXED[command]
+        if len(values) <= at or values[at] != expected:
+            raise ValueError(f"{where}: {command} must be {expected} ({rule}), got {' '.join(words) or 'nothing'}")
     elif command not in _COMMANDS:
         raise ValueError(f"{where}: command must be one that is known, got {command!r}")
     else:

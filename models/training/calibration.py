@@ -30,9 +30,9 @@ def peak_outcomes(detector: Detector, frames: Iterable[Frame]) -> tuple[np.ndarr
         found_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
         truth_m = xy_from_polar(labels.range_m, labels.azimuth_rad)
         for path_class in PathClass:
-            mine = np.flatnonzero(peaks.path_class == path_class)
-            pairs = match_points(found_m[mine], truth_m[labels.path_class == path_class], GATE_M)
-            hit[mine[pairs[:, 0]]] = True
+            of_class = np.flatnonzero(peaks.path_class == path_class)
+            pairs = match_points(found_m[of_class], truth_m[labels.path_class == path_class], GATE_M)
+            hit[of_class[pairs[:, 0]]] = True
         score.append(peaks.score)
         is_true.append(hit)
     return np.concatenate([np.zeros(0), *score]), np.concatenate([np.zeros(0, bool), *is_true])

@@ -78,11 +78,11 @@ class NetworkChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     @property
     def resolved(self) -> Any:
         """The family's configuration; raises `ValueError` if a field does not fit."""
-        wanted = FAMILIES[self.family].config
+        config_type = FAMILIES[self.family].config
         try:
-            return msgspec.convert(self.config, wanted)
+            return msgspec.convert(self.config, config_type)
         except msgspec.ValidationError as error:
-            raise ValueError(f"network {self.family}: {with_known_names(error, wanted)}") from None
+            raise ValueError(f"network {self.family}: {with_known_names(error, config_type)}") from None
 
     def build(self) -> nn.Module:
         """Return the network with fresh weights."""

@@ -53,7 +53,7 @@ class ScenePositions:
 
     @property
     def is_true(self) -> np.ndarray:
-        """Whether each position lies within reach of a true one; bool [N]."""
+        """Return whether each position lies within reach of a true one; bool [N]."""
         if len(self.points_m) == 0 or len(self.truth_m) == 0:
             return np.zeros(len(self.points_m), bool)
         return np.asarray(cKDTree(self.truth_m).query(self.points_m)[0] < REACH_M)
@@ -165,10 +165,10 @@ def confidence_metrics(
 ) -> dict[str, float]:
     """Return recovered scores with and without a threshold, and the errors of probabilities and peak scores."""
     _, is_true = _joined(scenes)
-    together = np.concatenate([np.zeros(0), *probability])
+    probabilities = np.concatenate([np.zeros(0), *probability])
     score = np.concatenate([np.zeros(0), *(scene.score for scene in scenes)])
     metrics = {
-        "calibration_error": calibration_error(together, is_true),
+        "calibration_error": calibration_error(probabilities, is_true),
         "calibration_error_without": calibration_error(score, is_true),
     }
     for tau_m in (REACH_M, 2.0 * REACH_M):

@@ -17,13 +17,13 @@ Config = TypeVar("Config")
 
 def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
     """Write the resolved configuration, or require that the run's own is the same; only one process `leads`."""
-    path, wanted = run_dir / CONFIG, json_lines(config)
+    path, content = run_dir / CONFIG, json_lines(config)
     if path.exists():
-        if path.read_bytes() != wanted:
+        if path.read_bytes() != content:
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
     elif leads:
         run_dir.mkdir(parents=True, exist_ok=True)
-        write_whole(path, wanted)
+        write_whole(path, content)
 
 
 def load_config(run_dir: Path, kind: type[Config]) -> Config:

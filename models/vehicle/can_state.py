@@ -134,12 +134,12 @@ class CanDecoder:
         watch = self._by_id.get((arbitration_id, extended))
         if watch is None:
             return Judged(Verdict.UNKNOWN_ID)
-        verdict, why = watch.judge(data, stamp_ns)
+        verdict, reason = watch.judge(data, stamp_ns)
         if verdict is Verdict.COUNTED:
             faults = [item.take(stamp_ns) for item in self._sources if item.watch is watch]
-            if why := "; ".join(fault for fault in faults if fault):
+            if reason := "; ".join(fault for fault in faults if fault):
                 verdict = Verdict.OUT_OF_RANGE
-        return Judged(verdict, watch.name, why)
+        return Judged(verdict, watch.name, reason)
 
     def _forget(self) -> None:
         self._newest_ns = 0
@@ -193,12 +193,12 @@ class _Watch:
 
     def judge(self, data: bytes, stamp_ns: int) -> tuple[Verdict, str]:
         """Return the verdict on a frame, and the reason if it is not valid."""
-        verdict, why = self._check(data, stamp_ns)
+        verdict, reason = self._check(data, stamp_ns)
         self.has_frame = True
-        self._refused = why
+        self._refused = reason
         if verdict is Verdict.COUNTED:
             self.stamp_ns = stamp_ns
-        return verdict, why
+        return verdict, reason
 
     def expiry_of(self, stamp_ns: int | None) -> int | None:
         """Return when the values of a frame of this stamp are too old."""
@@ -216,12 +216,12 @@ class _Watch:
         if self._last_ns is not None and stamp_ns < self._last_ns and not self._frames.length_fault(data):
             return Verdict.LATE, f"late: {s_from_ns(self._last_ns - stamp_ns):.3f} s older than the one before"
         silent = self._last_ns is None or stamp_ns - self._last_ns >= self._limit_ns
-        verdict, why, values = self._frames.check(data, silent)
+        verdict, reason, values = self._frames.check(data, silent)
         if values is not None:
             self._last_ns = stamp_ns
             if verdict is Verdict.COUNTED:
                 self.values = values
-        return verdict, why
+        return verdict, reason
 
 
 class _Quantity:
@@ -241,11 +241,11 @@ class _Quantity:
     def trouble(self, now_ns: int) -> str:
         """Return why the value cannot be used at `now_ns`; empty if it can."""
         # the message may continue without this signal (multiplexed), so its own stamp counts too
-        why = self.watch.silence(self.watch.stamp_ns, now_ns) or self._fault
-        why = why or self.watch.silence(self.stamp_ns, now_ns)
-        if not why and self._sign_watch is not None:
-            why = self._sign_watch.silence(self._sign_watch.stamp_ns, now_ns)
-        return f"{self._name}: {why}" if why else ""
+        reason = self.watch.silence(self.watch.stamp_ns, now_ns) or self._fault
+        reason = reason or self.watch.silence(self.stamp_ns, now_ns)
+        if not reason and self._sign_watch is not None:
+            reason = self._sign_watch.silence(self._sign_watch.stamp_ns, now_ns)
+        return f"{self._name}: {reason}" if reason else ""
 
     def expiry_ns(self) -> int | None:
         """Return when the value is too old."""

@@ -373,9 +373,9 @@ def _problem(
     scan_time_s, scan = np.unique(time_s[used], return_inverse=True)
     pivot, normal_rad = np.empty((len(kept), 2)), np.empty(len(kept))
     for index in range(len(kept)):
-        mine = [number for number in range(len(used)) if of_used[number] == index]
-        pivot[index] = np.concatenate([points_in_odom[number] for number in mine]).mean(axis=0)
-        normal_rad[index] = np.arctan2(*_one_side(np.array([normals[number] for number in mine])).sum(axis=0)[::-1])
+        members = [number for number in range(len(used)) if of_used[number] == index]
+        pivot[index] = np.concatenate([points_in_odom[number] for number in members]).mean(axis=0)
+        normal_rad[index] = np.arctan2(*_one_side(np.array([normals[number] for number in members])).sum(axis=0)[::-1])
     return _Problem(
         motion=motion,
         prior=prior,
@@ -494,18 +494,18 @@ def _std(problem: _Problem, unknowns: np.ndarray, held: np.ndarray) -> np.ndarra
     """
     free = np.flatnonzero(~held)
     std_m = problem.std_m(unknowns)
-    here = _residuals(problem, unknowns, std_m)
+    residuals = _residuals(problem, unknowns, std_m)
     jacobian = _residual_jacobian(problem, unknowns, std_m)[:, free]
     count = len(problem.scan)
-    weight = np.ones(len(here))
-    weight[:count] = 1.0 / np.sqrt(1.0 + (here[:count] / 2.0) ** 2)
+    weight = np.ones(len(residuals))
+    weight[:count] = 1.0 / np.sqrt(1.0 + (residuals[:count] / 2.0) ** 2)
     # columns of one size: seconds, metres and radians would make the inverse ill-conditioned
     size = np.sqrt((weight[:, None] * jacobian**2).sum(axis=0))
     scaled = jacobian / size
     inverse = np.linalg.inv((scaled * weight[:, None]).T @ scaled)
-    inflate = max(1.0, float((weight * here**2)[:count].sum() / max(count - len(free), 1)))
+    inflate = max(1.0, float((weight * residuals**2)[:count].sum() / max(count - len(free), 1)))
     pull = np.zeros((int(problem.scan.max()) + 1, len(free)))
-    np.add.at(pull, problem.scan, scaled[:count] * (weight * here)[:count, None])
+    np.add.at(pull, problem.scan, scaled[:count] * (weight * residuals)[:count, None])
     clustered = inverse @ (pull.T @ pull) @ inverse
     variance = np.maximum(inflate * np.diag(inverse), np.diag(clustered))
     result = np.zeros(len(unknowns))
@@ -545,17 +545,17 @@ def _report(
 
 
 def _wall_fit(problem: _Problem, unknowns: np.ndarray, off_m: np.ndarray, wall: int) -> WallFit:
-    mine = problem.wall == wall
+    on_wall = problem.wall == wall
     angle_rad = problem.normal_rad[wall] + unknowns[len(UNKNOWNS) + 2 * wall]
     normal = np.array([math.cos(angle_rad), math.sin(angle_rad)])
     tangent = np.array([-normal[1], normal[0]])
-    reach = (problem.points_in_odom(unknowns)[0][mine] - problem.pivot_m[wall]) @ tangent
+    reach = (problem.points_in_odom(unknowns)[0][on_wall] - problem.pivot_m[wall]) @ tangent
     foot = problem.pivot_m[wall] + unknowns[len(UNKNOWNS) + 2 * wall + 1] * normal
     (ax, ay), (bx, by) = (foot + np.outer([reach.min(), reach.max()], tangent)).tolist()
     return WallFit(
-        sightings=len(np.unique(problem.scan[mine])),
-        points=int(mine.sum()),
-        rms_m=_rms(off_m[mine]),
+        sightings=len(np.unique(problem.scan[on_wall])),
+        points=int(on_wall.sum()),
+        rms_m=_rms(off_m[on_wall]),
         ends_m=((ax, ay), (bx, by)),
     )
 

@@ -167,9 +167,9 @@ def _decode_known(topic: Topic, header: Buffer, arrays: Sequence[Buffer]) -> Rec
 def _convert(message_type: type[StructType], body: object, array_from: Callable[[object], np.ndarray]) -> StructType:
     """Return a strictly typed message made of plain values; unknown fields are refused."""
 
-    def hook(wanted: type, value: object) -> np.ndarray:
-        if wanted is not np.ndarray:
-            raise TypeError(f"{wanted.__name__} cannot travel")
+    def hook(field_type: type, value: object) -> np.ndarray:
+        if field_type is not np.ndarray:
+            raise TypeError(f"{field_type.__name__} cannot travel")
         return array_from(value)
 
     message = msgspec.convert(body, message_type, strict=True, dec_hook=hook)
@@ -194,9 +194,9 @@ def _refuse_unknown(raw: object, accepted: object, path: str) -> None:
                 raise ValueError(f"unknown field - at `{path}.{name}`")
             _refuse_unknown(value, accepted[name], f"{path}.{name}")
     elif isinstance(raw, list) and isinstance(accepted, list | tuple):
-        for value, twin in zip(raw, accepted, strict=True):
+        for value, accepted_value in zip(raw, accepted, strict=True):
             if isinstance(value, dict | list):
-                _refuse_unknown(value, twin, f"{path}[...]")
+                _refuse_unknown(value, accepted_value, f"{path}[...]")
 
 
 def _check_envelope(envelope: Envelope, topic: Topic) -> None:

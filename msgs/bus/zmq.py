@@ -212,15 +212,15 @@ class ZmqBus:
 
     def _bind_again(self) -> None:
         """Bind deleted socket files again: a late subscriber would find no publisher."""
-        gone = [topic for topic in self._publishers if not socket_path(self._dir, topic, self._node).exists()]
-        if not gone:
+        missing = [topic for topic in self._publishers if not socket_path(self._dir, topic, self._node).exists()]
+        if not missing:
             return
         # not unbound before: an old listener unlinks its path when it is closed, which may happen after this
         with contextlib.suppress(OSError, ValueError, zmq.ZMQError):
             make_run_dir(self._dir)
-            for topic in gone:
+            for topic in missing:
                 self._publishers[topic].bind(f"ipc://{socket_path(self._dir, topic, self._node)}")
-            logger.warning("%s: %d socket files were gone; opened again", self._dir, len(gone))
+            logger.warning("%s: %d socket files were gone; opened again", self._dir, len(missing))
 
     def _poll(self, wait_ns: int) -> tuple[list[Received], bool]:
         """Wait once, serve newcomers to latched topics; return messages and whether a watched source is readable."""

@@ -86,8 +86,8 @@ class Monitor:
         events = []
         with contextlib.suppress(zmq.Again):
             for _ in range(MAX_A_TURN):
-                said = recv_monitor_message(self.socket, zmq.NOBLOCK)
-                events.append((int(said["event"]), int(said["value"])))
+                event = recv_monitor_message(self.socket, zmq.NOBLOCK)
+                events.append((int(event["event"]), int(event["value"])))
         return events
 
     def close(self) -> None:

@@ -165,19 +165,19 @@ class Exporter:
         self._complaint.say(self.refused, now_ns, "refused %d connections: wrong key or no peer")
 
     def _answer(self, parts: list[zmq.Frame]) -> None:
-        said = parts[0].bytes
+        request = parts[0].bytes
         if len(parts) > 1:
             self.rejected += 1
-        elif said[:1] == b"\x01":
+        elif request[:1] == b"\x01":
             self._subscriptions[descriptor := int(parts[0].get(zmq.SRCFD))] += 1
             if self._subscriptions[descriptor] <= _MAX_SUBSCRIPTIONS:
-                self._send_latched(said[1:], _name_of(parts[0], self._allowed))
+                self._send_latched(request[1:], _name_of(parts[0], self._allowed))
             else:
                 self._shut_out(parts[0], descriptor)
-        elif said[:1] == b"\x00":
-            self._part(said[1:])
-        elif said[:1] == PING and len(said) == _PING_BYTES:
-            asker, number = said[1 : 1 + ID_BYTES], said[1 + ID_BYTES :]
+        elif request[:1] == b"\x00":
+            self._part(request[1:])
+        elif request[:1] == PING and len(request) == _PING_BYTES:
+            asker, number = request[1 : 1 + ID_BYTES], request[1 + ID_BYTES :]
             self._send([CLOCK + asker, number, STAMP.pack(self._clock_ns())])
         else:
             self.rejected += 1

@@ -221,9 +221,9 @@ class Importer:
     def _report(self, outage: _Outage) -> None:
         """Log how long the peer was away, and what was lost."""
         lost = {topic: total - outage.lost[topic] for topic, total in self.lost().items()}
-        said = ", ".join(f"{count} of {topic}" for topic, count in lost.items() if count) or "nothing"
+        losses = ", ".join(f"{count} of {topic}" for topic, count in lost.items() if count) or "nothing"
         assert outage.back_ns is not None
-        logger.warning("%s: away for %.1f s, lost %s", self.name, s_from_ns(outage.back_ns - outage.heard_ns), said)
+        logger.warning("%s: away for %.1f s, lost %s", self.name, s_from_ns(outage.back_ns - outage.heard_ns), losses)
         self._outage = None
 
     def _ping(self, now_ns: int) -> None:

@@ -788,8 +788,8 @@ def _crc32(file: BinaryIO, start: int, end: int) -> int:
     """Return checksum of a file's bytes from `start` to before `end`."""
     file.seek(start)
     crc = 0
-    while (left := end - file.tell()) > 0:
-        crc = zlib.crc32(file.read(min(left, CHUNK_BYTES)), crc)
+    while (remaining := end - file.tell()) > 0:
+        crc = zlib.crc32(file.read(min(remaining, CHUNK_BYTES)), crc)
     return crc
 
 

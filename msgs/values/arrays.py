@@ -21,8 +21,8 @@ def require_array(name: str, array: np.ndarray, dtype: str, shape: tuple[int | N
         want is None or have == want for have, want in zip(array.shape, shape, strict=True)
     )
     if not fits:
-        wanted = "x".join("?" if length is None else str(length) for length in shape)
-        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+        expected = "x".join("?" if length is None else str(length) for length in shape)
+        raise ValueError(f"{name} must have shape {expected}, got {array.shape}")
 
 
 def require_finite(name: str, *values: float) -> None:

@@ -161,15 +161,15 @@ class CanLink:
             _LOG.info("%s: frames again", self._params.name)
         self.trouble = ""
 
-    def _fail(self, why: str, now_ns: int) -> None:
+    def _fail(self, reason: str, now_ns: int) -> None:
         self.close()
         self._in_a_row = 0
         self._retry_ns = now_ns + ns_from_s(self._retry_s)
         self._retry_s = min(MAX_RETRY_S, 2.0 * self._retry_s)
-        self._say(why)
+        self._say(reason)
 
-    def _say(self, why: str) -> None:
-        text = " ".join(f"{self._params.name}: {why}".split())
+    def _say(self, reason: str) -> None:
+        text = " ".join(f"{self._params.name}: {reason}".split())
         if text != self.trouble:
             _LOG.warning("%s", text)
         self.trouble = text
@@ -256,9 +256,9 @@ def _refuse_long_messages(dbc: str) -> None:
     lengths = [int(match[1]) for match in _DBC_MESSAGE.finditer(plain)]
     spans = [(int(match[1]), int(match[2])) for match in _DBC_SIGNAL.finditer(plain)]
     longest = max([*lengths, *(-(-(start + length) // 8) for start, length in spans)], default=0)
-    least = min([*lengths, *(number for span in spans for number in span)], default=0)
-    if longest > MAX_MESSAGE_BYTES or least < 0:
-        raise ValueError(f"messages must be of 0..{MAX_MESSAGE_BYTES} bytes, got {least if least < 0 else longest}")
+    minimum = min([*lengths, *(number for span in spans for number in span)], default=0)
+    if longest > MAX_MESSAGE_BYTES or minimum < 0:
+        raise ValueError(f"messages must be of 0..{MAX_MESSAGE_BYTES} bytes, got {minimum if minimum < 0 else longest}")
 
 
 def load_mapping(path: Path) -> CanMapping:

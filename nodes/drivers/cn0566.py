@@ -136,8 +136,8 @@ class Cn0566:
         try:
             return opener()
         except Exception as error:
-            said = " ".join(str(error).split()) or type(error).__name__
-            raise ConnectionError(f"cn0566: no {part} at {uri} ({said}): check power, cable and address") from error
+            message = " ".join(str(error).split()) or type(error).__name__
+            raise ConnectionError(f"cn0566: no {part} at {uri} ({message}): check power, cable and address") from error
 
     def _open_converter(self) -> Any:
         # the Pluto class of the library has one channel; with its second opened it is an AD9361

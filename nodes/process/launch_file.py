@@ -254,10 +254,10 @@ def _of_module(launch: LaunchFile, module: str) -> dict[str, NodeEntry]:
 
 def without_viewers(launch: LaunchFile) -> LaunchFile:
     """Return `launch` without the nodes marked `viewer`, also in others' `after`."""
-    left = {name: entry for name, entry in launch.nodes.items() if not entry.viewer}
+    remaining = {name: entry for name, entry in launch.nodes.items() if not entry.viewer}
     nodes = {
-        name: msgspec.structs.replace(entry, after=tuple(other for other in entry.after if other in left))
-        for name, entry in left.items()
+        name: msgspec.structs.replace(entry, after=tuple(other for other in entry.after if other in remaining))
+        for name, entry in remaining.items()
     }
     return msgspec.structs.replace(launch, nodes=nodes)
 

@@ -369,9 +369,9 @@ class Supervisor:
             self._stop_at_s = now_s + self._duration_s
         return self._stop_at_s is not None and now_s >= self._stop_at_s
 
-    def _stop_in_order(self, why: str) -> None:
+    def _stop_in_order(self, reason: str) -> None:
         """Stop one after the other, sources first, so that each can answer its waiting inputs."""
-        self._say("info", f"stopping: {why}")
+        self._say("info", f"stopping: {reason}")
         self._stopping = [[name] for name in stop_order(self._launch)]
 
     def _stop_next(self, now_s: float) -> None:

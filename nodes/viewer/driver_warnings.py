@@ -487,12 +487,14 @@ def blindness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
     area_m2 = cells * facts.frame.grid.cell_m**2
     if area_m2 >= params.blind_until_m2:
         return
-    why = "no wall found to look round with" if not facts.frame.walls else "no wall mirrors what is hidden"
+    reason = "no wall found to look round with" if not facts.frame.walls else "no wall mirrors what is hidden"
     if facts.frame.walls and facts.sensor != "radar":
-        why = "what it would see of an object is not known"
+        reason = "what it would see of an object is not known"
     firm = area_m2 < params.blind_m2
     title = "Cannot see round corners"
-    yield Finding("blind", Level.CAUTION, title, f"{why}; an empty view means nothing", firm, after_s=params.settle_s)
+    yield Finding(
+        "blind", Level.CAUTION, title, f"{reason}; an empty view means nothing", firm, after_s=params.settle_s
+    )
 
 
 def conditions(facts: Facts, params: WarningParams) -> Iterable[Finding]:

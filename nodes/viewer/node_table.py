@@ -46,12 +46,12 @@ class NodeTable:
 
     def add(self, status: NodeStatus, now_ns: int) -> None:
         """Add a heartbeat; a new process under the same name starts afresh."""
-        heard = self._heard.setdefault(status.node, deque(maxlen=MAX_HEARTBEATS))
-        if heard and heard[-1].status.pid != status.pid:
-            heard.clear()
-        heard.append(_Heard(now_ns, status))
-        while len(heard) > 2 and now_ns - heard[0].at_ns > WINDOW_NS:
-            heard.popleft()
+        heartbeats = self._heard.setdefault(status.node, deque(maxlen=MAX_HEARTBEATS))
+        if heartbeats and heartbeats[-1].status.pid != status.pid:
+            heartbeats.clear()
+        heartbeats.append(_Heard(now_ns, status))
+        while len(heartbeats) > 2 and now_ns - heartbeats[0].at_ns > WINDOW_NS:
+            heartbeats.popleft()
         if status.stages:
             self._stages[status.node] = status.stages
         self._forget_oldest()

@@ -361,8 +361,8 @@ class _Gate:
         if name not in _LOOPBACK_NAMES or not (port or "0").isdecimal():
             return "this page is for the machine it runs on"
         # a browser sends it with every websocket
-        said = origins or [""] * (connection.scope["type"] == "websocket")
-        if any(origin != f"http://{host}" for origin in said):
+        claimed_origins = origins or [""] * (connection.scope["type"] == "websocket")
+        if any(origin != f"http://{host}" for origin in claimed_origins):
             return "this comes from another page"
         if not _is_of_this_page(connection.headers):
             return "this was asked for by another page"

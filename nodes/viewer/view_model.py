@@ -145,7 +145,7 @@ def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
     """Return geometry, scale and conditions of a map, and the peaks found in it if they are of this scan."""
     grid = ra_map.grid
     level_db, reference = _level_db(ra_map)
-    mine = peaks if peaks is not None and peaks.scan_id == ra_map.scan_id else None
+    own_peaks = peaks if peaks is not None and peaks.scan_id == ra_map.scan_id else None
     return {
         "type": "map",
         "scan_id": ra_map.scan_id,
@@ -163,7 +163,7 @@ def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
         "incoherent_share": round(float(ra_map.incoherent.mean()), 3),
         "saturated_share": round(ra_map.saturated_share, 4),
         "missing_beams": list(ra_map.missing_beams),
-        "peaks": None if mine is None else _peaks_json(mine),
+        "peaks": None if own_peaks is None else _peaks_json(own_peaks),
     }
 
 

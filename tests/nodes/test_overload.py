@@ -264,7 +264,7 @@ def test_pictures_are_shed_first_while_views_come_late_and_views_never() -> None
     assert posts(board)["map"] + assembly.maps_shed == 30
 
 
-@pytest.mark.parametrize(("late_ms", "gives_way"), [(299.0, True), (301.0, False)], ids=["in time", "played back"])
+@pytest.mark.parametrize(("late_ms", "sheds_maps"), [(299.0, True), (301.0, False)], ids=["in time", "played back"])
 def test_in_time_every_picture_is_posted(late_ms: float, sheds_maps: bool) -> None:
     assembly, board = late_views(late_ms, sheds_maps)
     assert posts(board) == {"view": 30, "warnings": 30, "map": 30}

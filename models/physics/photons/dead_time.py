@@ -62,13 +62,13 @@ def dead_time_grid(spad: SpadParams, cells_per_rms: int) -> DeadTimeGrid:
     periods, rest = divmod(decimal(spad.dead_time_s), 1 / decimal(spad.repetition_rate_hz))
     share = float(rest * decimal(spad.repetition_rate_hz))
     share = share if share >= SHORTEST_SHARE else 0.0
-    least = math.ceil(cells_per_rms * max(spad.period_s / spad.timing_rms_s, 64.0, 0.25 / share if share else 0.0))
-    if least > MAX_CELLS:
+    minimum = math.ceil(cells_per_rms * max(spad.period_s / spad.timing_rms_s, 64.0, 0.25 / share if share else 0.0))
+    if minimum > MAX_CELLS:
         raise ValueError(
-            f"spad.irf_fwhm_s must be wider, {spad.irf_fwhm_s:g} s takes {least} cells a period of at most "
+            f"spad.irf_fwhm_s must be wider, {spad.irf_fwhm_s:g} s takes {minimum} cells a period of at most "
             f"{MAX_CELLS}: count event by event, or choose spad.arming 'gated'"
         )
-    candidates = np.arange(least, least + min(least, 1 << 16))
+    candidates = np.arange(minimum, minimum + min(minimum, 1 << 16))
     cells = int(candidates[np.argmin(np.abs(candidates * share - np.rint(candidates * share)))])
     return DeadTimeGrid(cells, min(int(periods), spad.pulses), round(cells * share))
 
@@ -140,8 +140,8 @@ class _Cells:
             arrays = (np.empty(self.grid.cells) for _ in range(3))
             *laws, armed = _period(self.hit, self.late, armed, detected, detected, shift, False, whole > 0, *arrays)
             # every detector is armed or within a dead time; rounding drifts off that
-            everybody = armed + laws[2][self.grid.cells - shift :].sum()
-            armed, laws = armed / everybody, [part / everybody for part in laws]
+            total_probability = armed + laws[2][self.grid.cells - shift :].sum()
+            armed, laws = armed / total_probability, [part / total_probability for part in laws]
             change, detected = np.abs(laws[2] - detected).max(), laws[2]
             if change <= SETTLED * detected.max():
                 total[:] = laws

@@ -65,8 +65,8 @@ def mean_counts_of(histogram: np.ndarray, periods: int) -> np.ndarray:
     if (histogram < 0).any() or (len(taken) and taken[-1] > periods):
         raise ValueError(f"histogram must be counts of at most {periods} periods, got {histogram.sum()}")
     # whole numbers until here: in floats the difference of 1e12 and its neighbour would be lost
-    left = (periods - taken + histogram).astype(np.float64)
-    share = np.divide(histogram, left, out=np.full(len(left), np.nan), where=left > 0.0)
+    waiting = (periods - taken + histogram).astype(np.float64)
+    share = np.divide(histogram, waiting, out=np.full(len(waiting), np.nan), where=waiting > 0.0)
     full = share == 1.0
     return np.where(full, np.inf, -np.log1p(-np.where(full, 0.0, share)))
 

@@ -256,7 +256,7 @@ def shuffled_batches(
     """
     order = np.random.default_rng(seed).permutation(len(scans))
     for start in range(0, len(order) - batch_size + 1, batch_size):
-        mine = order[start : start + batch_size][rank::ranks]
+        own_batch = order[start : start + batch_size][rank::ranks]
         # each scene has its own draws, whichever rank forms it
-        samples = [former.sample(scans[scene], np.random.default_rng((*seed, int(scene)))) for scene in mine]
-        yield mine, former.encode(samples), [sample.labels for sample in samples]
+        samples = [former.sample(scans[scene], np.random.default_rng((*seed, int(scene)))) for scene in own_batch]
+        yield own_batch, former.encode(samples), [sample.labels for sample in samples]

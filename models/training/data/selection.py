@@ -55,9 +55,9 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def takes(self, facts: SceneFacts) -> bool:
         """Return whether one scene is selected."""
         for criterion, kinds_of in KINDS.items():
-            there = frozenset(kinds_of(facts))
+            kinds = frozenset(kinds_of(facts))
             only = getattr(self, f"only_{criterion}s")
-            if there.intersection(getattr(self, f"without_{criterion}s")) or (only and not there.intersection(only)):
+            if kinds.intersection(getattr(self, f"without_{criterion}s")) or (only and not kinds.intersection(only)):
                 return False
         return True
 

@@ -102,8 +102,8 @@ def find_captures(directory: Path, kind: Kind) -> tuple[list[Capture], list[str]
     """Return all captures below a folder, by name, and the faults of files without one; ValueError without captures."""
     captures, faults = _sim_captures(directory) if kind == "sim" else (_real_captures(directory), [])
     if not captures and not faults:
-        wanted = "NAME.npy with NAME.npz" if kind == "sim" else SPECTRUM
-        raise ValueError(f"{directory} must hold captures ({wanted}), found none")
+        expected = "NAME.npy with NAME.npz" if kind == "sim" else SPECTRUM
+        raise ValueError(f"{directory} must hold captures ({expected}), found none")
     return captures, faults
 
 
@@ -121,8 +121,8 @@ def _sim_captures(directory: Path) -> tuple[list[Capture], list[str]]:
         captures.append(Capture(sequence=name, map_path=same[0], point_paths=(points,)))
     used = {capture.map_path for capture in captures}
     stems = {points.stem for points in directory.rglob("*.npz")}
-    lonely = [path for path in maps if path not in used and path.stem not in stems]
-    return captures, faults + [f"{path} must have points of its name (.npz), found none" for path in lonely]
+    unpaired = [path for path in maps if path not in used and path.stem not in stems]
+    return captures, faults + [f"{path} must have points of its name (.npz), found none" for path in unpaired]
 
 
 def _is_label_map(path: Path) -> bool:
@@ -199,8 +199,8 @@ def _load(path: Path) -> Any:
 
 def _field(path: Path, arrays: Any, key: str) -> np.ndarray:
     if not isinstance(arrays, dict) or key not in arrays:
-        held = ", ".join(sorted(arrays)) if isinstance(arrays, dict) else "a single array"
-        raise ValueError(f"{path}: must hold {key}, holds {held or 'nothing'}")
+        names = ", ".join(sorted(arrays)) if isinstance(arrays, dict) else "a single array"
+        raise ValueError(f"{path}: must hold {key}, holds {names or 'nothing'}")
     return np.asarray(arrays[key])
 
 
@@ -247,11 +247,11 @@ def _points(path: Path, name: str, array: Any, axis: int) -> np.ndarray:
     """Return points [N, 2] in the radar's frame of an array (3, N) (`axis` 1) or (N, 2) (`axis` 0) in the source's."""
     if isinstance(array, dict):
         raise ValueError(f"{path}: {name} must be a single array (.npy), got an archive")
-    coordinates, wanted = (3, "(3, N)") if axis == 1 else (2, "(N, 2)")
+    coordinates, expected = (3, "(3, N)") if axis == 1 else (2, "(N, 2)")
     # without points, writers leave an array without its other axis
     points = array.reshape(coordinates, 0) if array.size == 0 else (array if axis == 1 else array.T)
     if points.ndim != 2 or len(points) != coordinates:
-        raise ValueError(f"{path}: {name} must have shape {wanted}, got {array.shape}")
+        raise ValueError(f"{path}: {name} must have shape {expected}, got {array.shape}")
     _require(path, name, array, "fiu", "real")
     return np.stack([points[1], -points[0]], axis=1).astype(np.float64)
 

@@ -130,9 +130,9 @@ def largest_difference(model: Exported, path: Path, inputs: Iterable[np.ndarray]
     differences = []
     for encoded in inputs:
         with torch.no_grad():
-            wanted = model(torch.from_numpy(encoded[None])).numpy()
+            expected = model(torch.from_numpy(encoded[None])).numpy()
         answer = session.run(None, {session.get_inputs()[0].name: encoded[None]})[0]
-        differences.append(_difference(wanted[0], answer[0], model.head))
+        differences.append(_difference(expected[0], answer[0], model.head))
     # a NaN makes the largest value NaN too
     return float(np.max(differences))
 
@@ -349,10 +349,10 @@ def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
 
 def _provenance(scenes: _Scenes, config: ExportConfig) -> dict[str, str | int]:
     """Return the origin of training and test scenes, and the identity of the latter."""
-    said: dict[str, str | int] = {"training": _command(scenes.data.directory), "test_scenes": len(scenes.tested)}
+    provenance: dict[str, str | int] = {"training": _command(scenes.data.directory), "test_scenes": len(scenes.tested)}
     if config.test_dir is not None:
-        return said | {"test": _command(config.test_dir)}
-    return said | {"test": f"its {config.split} split", "test_sha256": scenes.splits.test_sha256}
+        return provenance | {"test": _command(config.test_dir)}
+    return provenance | {"test": f"its {config.split} split", "test_sha256": scenes.splits.test_sha256}
 
 
 #: Entries of a series that the command takes.
