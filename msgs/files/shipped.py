@@ -1,4 +1,4 @@
-"""Files that come with the project: one place that knows where the checkout is."""
+"""Location of the files that come with the project: the one module that knows where the checkout is."""
 
 from __future__ import annotations
 
