@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from msgs.link.peer_clock import MAX_DRIFT, ClockSample, PeerClock, shifted
+from msgs.link.peer_clock import MAX_DRIFT, ClockSample, PeerClock, shift_stamps
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
 from nodes.process.liveness import LATE_S, Sample, Silence
@@ -113,7 +113,7 @@ def test_first_answer_after_a_restart(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="msgs.link.peer_clock.shifted",
+    where="msgs.link.peer_clock.shift_stamps",
     naive="seconds in float64",
     bound=0.0,
     unit="ns",
@@ -122,7 +122,7 @@ def test_first_answer_after_a_restart(errors: Errors) -> None:
 def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
     """A stamp for each peak, 1.8e18 ns on the peer's clock: moved as seconds they land 256 ns beside."""
     sent = peaks(0, UP_NS + AHEAD_NS)
-    moved = shifted(sent, -AHEAD_NS)
+    moved = shift_stamps(sent, -AHEAD_NS)
     exact = [int(one) - AHEAD_NS for one in sent.peak_stamp_ns]
     naive_ns = np.rint(1e9 * (1e-9 * sent.peak_stamp_ns - 1e-9 * AHEAD_NS))
     errors(
@@ -132,7 +132,7 @@ def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="msgs.link.peer_clock.shifted",
+    where="msgs.link.peer_clock.shift_stamps",
     naive="offset taken off every stamp",
     bound=0.0,
     unit="ns",
@@ -140,7 +140,7 @@ def test_stamps_of_peaks_on_another_host(errors: Errors) -> None:
 )
 def test_a_stamp_that_is_none(errors: Errors) -> None:
     """No motion yet: its stamp is 0, which no clock may turn into a time."""
-    errors(naive=AHEAD_NS, ours=abs(shifted(VehicleState(stamp_ns=0), -AHEAD_NS).stamp_ns))
+    errors(naive=AHEAD_NS, ours=abs(shift_stamps(VehicleState(stamp_ns=0), -AHEAD_NS).stamp_ns))
 
 
 def silent(samples: list[Sample]) -> Silence:
