@@ -21,6 +21,7 @@ from mirrorwave.exit_signals import HUNG_UP
 from mirrorwave.terminal import READER_LEFT
 from msgs.recording.mcap import RecordingReader, info
 from nodes.recording.files import recorded_files
+from tests.mirrorwave.endings import hears_endings
 
 pytestmark = pytest.mark.graph
 
@@ -202,6 +203,7 @@ def test_a_terminal_that_is_closed_costs_no_recording(box: Path) -> None:
 @pytest.mark.parametrize("verb", ["topic echo radar/ra_map", "topic hz radar/ra_map --duration 1000", "top"])
 def test_other_verbs_end_at_once_and_quietly(running: None, verb: str) -> None:
     with started(verb.split()) as process:
+        wait_for(lambda: hears_endings(process))
         # well within its set-up or its work
         time.sleep(1.0)
         code, _, trouble = hang_up(process)
