@@ -16,7 +16,7 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -m venv $(VENV) || { echo "cannot make $(VENV); on Debian: apt-get install python3-venv"; exit 1; }
 	$(BIN)/pip install --quiet --editable .
 	@# compiles the kernels once, so that no node does when it starts
-	$(BIN)/python -c "from models.perception.chain import Chain; from models.perception.detection.detectors import NetworkDetector; from msgs.values.radar import RadarSetup; Chain(RadarSetup(), NetworkDetector(RadarSetup()))"
+	$(BIN)/python -c "from models.perception.chain import Chain; from models.perception.detection.detectors import NetworkDetector; from msgs.values.radar import RadarSetup; Chain.of(RadarSetup(), NetworkDetector(RadarSetup()))"
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
@@ -55,18 +55,21 @@ lint: setup-dev  ## style, types, house laws
 	$(BIN)/mypy
 	$(BIN)/python -m pytest -q tests/test_house.py
 
-# a mirror of the index may answer without advisories: then nothing would be found, whatever there is
-ADVISORIES = import json, urllib.request as r; json.load(r.urlopen("https://pypi.org/pypi/pip/24.0/json", timeout=20))["vulnerabilities"]
-# exit code where no index of advisories answers.
+# pip-audit knows its service. One that answers without advisories would find nothing, whatever is installed: a package
+# with known vulnerabilities is asked for first.
+AUDIT := $(VENV)/audit/bin/pip-audit
+KNOWN_VULNERABLE := pip==24.0
+# exit code where no advisory service answers
 UNREACHED ?= 3
 
-audit: setup-dev  ## known vulnerabilities of all that is installed (needs PyPI's advisories)
-	@$(BIN)/python -c '$(ADVISORIES)' 2>/dev/null || { echo "audit: no index of advisories can be reached; nothing was checked"; exit $(UNREACHED); }; \
-	test -x $(VENV)/audit/bin/pip-audit || { $(PYTHON) -m venv $(VENV)/audit && $(VENV)/audit/bin/pip install --quiet pip-audit; } && \
-	$(VENV)/audit/bin/pip-audit --progress-spinner off --path $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
+audit: setup-dev  ## known vulnerabilities of all that is installed (needs an advisory service)
+	@{ test -x $(AUDIT) || { $(PYTHON) -m venv $(VENV)/audit && $(VENV)/audit/bin/pip install --quiet pip-audit; }; } >/dev/null 2>&1; \
+	echo '$(KNOWN_VULNERABLE)' | $(AUDIT) --no-deps --disable-pip --format json -r /dev/stdin 2>/dev/null | grep -q '"id"' \
+	|| { echo "audit: no advisory service answers; nothing was checked"; exit $(UNREACHED); }; \
+	$(AUDIT) --progress-spinner off --path $$($(BIN)/python -c 'import sysconfig; print(sysconfig.get_path("purelib"))')
 
-stability: setup-dev  ## the hard cases with the errors of the naive form and of ours: docs/numerical-stability.md
-	$(BIN)/python -m pytest -q tests/stability --stability-page docs/numerical-stability.md
+stability: setup-dev  ## the hard cases with the errors of the naive form and of ours: docs/results/numerical-stability.md
+	$(BIN)/python -m pytest -q tests/stability --stability-page docs/results/numerical-stability.md
 
 reference: setup-dev  ## docs/reference, written from the types and the verbs
 	$(BIN)/python -m mirrorwave.reference docs/reference
@@ -75,17 +78,17 @@ bench: setup-dev  ## the committed benchmarks, printed
 	$(BIN)/python -m benchmarks.perception.ra_forming
 	$(BIN)/python -m benchmarks.live.live_graph --duration 60
 
-faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/faults.md (half an hour)
+faults: setup-dev  ## kill, stop, launch and Ctrl-C again and again: the times of docs/results/live.md (half an hour)
 	$(BIN)/python -m benchmarks.live.faults
 
-soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/faults.md
+soak: setup-dev  ## the whole graph at the real rate for an hour, with random kills: docs/results/live.md
 	$(BIN)/python -m benchmarks.live.soak --figure docs/images/soak.png
 
 # examples of each test of a node; seconds that all readers share
 FUZZ_EXAMPLES ?= 2000
 FUZZ_SECONDS ?= 3600
 
-fuzz: setup-dev  ## nodes against messages and parameters, then readers against bytes: docs/fuzz.md (hours)
+fuzz: setup-dev  ## nodes against messages and parameters, then readers against bytes: docs/results/fuzz-and-attacks.md (hours)
 	@$(BIN)/python -c "import atheris" 2>/dev/null || $(BIN)/pip install --quiet --editable '.[fuzz]'
 	@# readers are looked at whatever was found in nodes
 	$(BIN)/python -m fuzz.nodes --examples $(FUZZ_EXAMPLES) --json runs/fuzz/nodes.json; found=$$?; \
@@ -94,14 +97,14 @@ fuzz: setup-dev  ## nodes against messages and parameters, then readers against 
 tables: setup  ## the shipped reflectance table, simulated again (minutes; goes on if stopped)
 	$(BIN)/mirrorwave sim reflectance --rebuild
 
-fdtd-figures: setup  ## the pictures of docs/fdtd.md
+fdtd-figures: setup  ## the pictures of docs/explain/materials.md
 	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 
-compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/three-sensors.md (half an hour; goes on if stopped)
+compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/explain/sensors.md (half an hour; goes on if stopped)
 	$(BIN)/mirrorwave compare --viewpoints 6 --jobs 2 --out runs/compare
 	$(BIN)/mirrorwave compare --scene launch/scenes/hidden_car_xband.yaml --out runs/compare
-	cp runs/compare/compare.md docs/compare.md && cp runs/compare/compare.png docs/images/compare.png
+	cp runs/compare/compare.md docs/results/compare.md && cp runs/compare/compare.png docs/images/compare.png
 	cp runs/compare/hidden_car_xband.png docs/images/three-sensors.png
 
 results: setup-dev  ## every network of the specification and ours, trained and compared on two CPU cores (hours; goes on if stopped)

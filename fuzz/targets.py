@@ -134,7 +134,7 @@ def _foreign(parts: Parts, box: Box) -> None:
 
 
 def _recording(parts: Parts, box: Box) -> None:
-    from mirrorwave.commands.captures.bag import _origin
+    from mirrorwave.commands.captures.bag_info import origin_lines
     from msgs.recording.mcap import RecordingReader
 
     with RecordingReader(box.put("a.mcap", part(parts, 0))) as reader:
@@ -144,7 +144,7 @@ def _recording(parts: Parts, box: Box) -> None:
         assert reader.span_ns is not None
     # `info` counts in file order, `messages` in order of time: both see every message there is
     assert listed == sum(one.messages for one in found.topics), (listed, found.topics)
-    _origin(found.metadata)
+    origin_lines(found.metadata)
     json.dumps(_builtins(found), allow_nan=False)
 
 
@@ -176,7 +176,7 @@ def _told(reader: Any) -> list[tuple[str, int, bytes]]:
 
 
 def _replay(parts: Parts, box: Box) -> None:
-    from mirrorwave.replay.schedule import LatchedMessages, ReplayParams, first_sensed_ns, whole_scans
+    from mirrorwave.replay.schedule import first_sensed_ns, latched_before, whole_scans
     from msgs.bus.topics import TOPICS
     from msgs.recording.mcap import RecordingReader
     from nodes.player import capture_events, moved
@@ -187,8 +187,7 @@ def _replay(parts: Parts, box: Box) -> None:
     with RecordingReader(path) as reader:
         topics = tuple(topic for topic in reader.types if topic in TOPICS)
         first_ns = first_sensed_ns(reader, topics, {})
-        params = ReplayParams(topics=topics, first_ns=first_ns, start_ns=first_ns)
-        LatchedMessages(reader, params).until(first_ns)
+        latched_before(reader, [topic for topic in topics if TOPICS[topic].latched], {}, first_ns)
         is_cut, end_ns = bool(number(parts, 1, 2)), None if number(parts, 1, 4) < 2 else first_ns + 400_000_000
         for recorded in whole_scans(reader.messages(topics, first_ns), is_cut, end_ns):
             moved(recorded.message, 1_000_000_000)
@@ -342,7 +341,7 @@ def _frames(data: bytes) -> Any:
 
 
 def _can_frames(parts: Parts, box: Box) -> None:
-    from mirrorwave.commands.captures.can import LogReport
+    from mirrorwave.diagnose.can_log import LogReport
     from mirrorwave.diagnose.can_signals import SignalReport
     from msgs.bus import codec
     from nodes.can.bus import checkout_path, load_dbc, load_decoder
@@ -574,9 +573,9 @@ def _words(parts: Parts, box: Box) -> None:
 
     from mirrorwave.commands.captures import bag_options
     from mirrorwave.commands.sim import dataset as sim_dataset
-    from mirrorwave.commands.sim import material as sim_material
     from mirrorwave.diagnose import topic_echo
     from mirrorwave.studies.evaluate import methods as evaluate_methods
+    from mirrorwave.studies.walls import curves as wall_curves
     from models.training.data.selection import parse_selection
     from msgs.bus.codec import to_builtins
 
@@ -592,8 +591,8 @@ def _words(parts: Parts, box: Box) -> None:
             for _, message in _messages():
                 topic_echo.field_of(to_builtins(message), word)
         case 2:
-            angles = sim_material.parse_angles(word)
-            assert 0 < len(angles) <= sim_material.MOST_ANGLES
+            angles = wall_curves.parse_angles(word)
+            assert 0 < len(angles) <= wall_curves.MAX_ANGLES
         case 3:
             bag_options.split_topics(word)
         case 4:
@@ -775,7 +774,7 @@ def _dca_seeds() -> list[Parts]:
 def _json_seeds() -> list[Parts]:
     from fuzz import seeds
 
-    report = (seeds.ROOT / "launch/tradeoff.json").read_bytes()
+    report = (seeds.ROOT / "docs/results/tradeoff.json").read_bytes()
     return [
         [b"\0", report if len(report) < 1 << 15 else b"{}"],
         [b"\1", b'{"key": "a", "times_ms": {}}'],

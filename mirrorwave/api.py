@@ -1,4 +1,4 @@
-"""Scan -> bird's-eye view in Python: the graph's own nodes in this process, without a bus, a clock or a socket.
+"""Scan -> bird's-eye view in Python: the perception chain with the nodes' parameters, without a bus or a clock.
 
     from mirrorwave.api import views
 
@@ -11,23 +11,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from os import PathLike
 from pathlib import Path
 
 import msgspec
 import numpy as np
 
+from mirrorwave.pipeline import Pipeline
 from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
-from msgs.bus.interface import Outgoing, Received
-from msgs.bus.local import LocalNetwork
+from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
 from msgs.values.perception import BevFrame, Peaks, SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
-from nodes.node import InProcessGraph, Node, load_node
 from nodes.player import capture_events
 from nodes.process.launch_file import read_launch_file, with_overrides
 
@@ -63,28 +62,16 @@ class Perception:
         self, setup: RadarSetup | None = None, profile: str = "default", overrides: Sequence[str] = ()
     ) -> None:
         launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
-        launch = with_overrides(launch, overrides)
-        nodes = {name: entry for name, entry in launch.nodes.items() if name != "player"}
-        self._network = LocalNetwork()
-        self._nodes = {name: load_node(entry.module, entry.params, name) for name, entry in nodes.items()}
-        self._outlet = _Outlet()
-        self._graph = InProcessGraph(self._network, {**self._nodes, "outlet": self._outlet})
-        self._bus = self._network.bus("api")
-        self._refused = 0
+        self._pipeline = Pipeline(with_overrides(launch, overrides))
         self._scans = 0
         self.setup = setup or RadarSetup()
-        self.feed(Outgoing("radar/setup", self.setup))
+        self.feed(self.setup)
 
     def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[View]:
         """Fold a beam; the last one of a scan brings its view. Raises `ValueError` where the beam does not fit."""
         if state is not None:
-            self.feed(Outgoing("vehicle/state", state))
-        found = self.feed(Outgoing("radar/beam", beam))
-        refused = _refused_beams(self._nodes["ra_former"])
-        if refused > self._refused:
-            self._refused = refused
-            raise ValueError(self._nodes["ra_former"].health()[1])
-        return found
+            self.feed(state)
+        return _as_views(self._pipeline.views(self._pipeline.chain.forming.add(beam)))
 
     def see(self, samples: np.ndarray, stamp_ns: int | None = None, state: VehicleState | None = None) -> View:
         """The view of one whole scan.
@@ -96,17 +83,13 @@ class Perception:
         self._scans += 1
         return [view for beam in beams for view in self.add(beam, state)][-1]
 
-    def feed(self, outgoing: Outgoing, offset_ns: int = 0) -> list[View]:
-        """Take in any message that sensors send, `offset_ns` after the first; what views it brings."""
-        self._network.advance(max(0, offset_ns - self._network.now_ns))
-        self._bus.publish(*outgoing)
-        self._graph.run(until_ns=self._network.now_ns)
-        return self._outlet.drain()
+    def feed(self, message: msgspec.Struct, offset_ns: int = 0) -> list[View]:
+        """Take in anything that sensors and the vehicle say; return the views that it brings (`Pipeline.feed`)."""
+        return _as_views(self._pipeline.feed(message, offset_ns))
 
     def finish(self) -> list[View]:
-        """The view of a scan whose last beams never came, if one was begun."""
-        self._graph.run()
-        return self._outlet.drain()
+        """Return the view of a scan whose last beams never came, if one was begun."""
+        return _as_views(self._pipeline.finish())
 
 
 def views(capture: str | PathLike[str], profile: str = "default", overrides: Sequence[str] = ()) -> Iterator[View]:
@@ -124,7 +107,7 @@ def views(capture: str | PathLike[str], profile: str = "default", overrides: Seq
         if isinstance(message, SceneTruth):
             truth[message.scan_id] = message
             continue
-        found = perception.feed(event.outgoing, event.offset_ns)
+        found = perception.feed(message, event.offset_ns)
         if found:
             yield from _with_truth(waiting, truth)
             waiting = found
@@ -155,40 +138,10 @@ def scan_beams(
     ]
 
 
-class _Outlet(Node):
-    """Gathers the parts of each scan."""
-
-    inputs = ("radar/ra_map", "perception/peaks", "perception/hidden_objects")
-
-    def __init__(self) -> None:
-        super().__init__()
-        self._maps: dict[int, RangeAzimuthMap] = {}
-        self._peaks: dict[int, Peaks] = {}
-        self._views: list[View] = []
-
-    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Keep maps and peaks until their view comes."""
-        for received in sorted(inputs, key=lambda item: item.topic == "perception/hidden_objects"):
-            match received.message:
-                case RangeAzimuthMap() as ra_map:
-                    self._maps[ra_map.scan_id] = ra_map
-                case Peaks() as peaks:
-                    self._peaks[peaks.scan_id] = peaks
-                case BevFrame() as frame:
-                    scan = frame.scan_id
-                    self._views.append(View(frame=frame, ra_map=self._maps.pop(scan), peaks=self._peaks.pop(scan)))
-        return []
-
-    def drain(self) -> list[View]:
-        """Views since the last call."""
-        found, self._views = self._views, []
-        return found
+def _as_views(found: Iterable[ScanView]) -> list[View]:
+    return [View(frame=one.frame, ra_map=one.ra_map, peaks=one.peaks) for one in found]
 
 
 def _with_truth(found: list[View], truth: dict[int, SceneTruth]) -> Iterator[View]:
     for view in found:
         yield msgspec.structs.replace(view, truth=truth.pop(view.scan_id, None))
-
-
-def _refused_beams(former: Node) -> int:
-    return sum(count.count for count in former.shed.counts() if (count.what, count.reason) == ("beam", "refused"))

@@ -103,16 +103,16 @@ def version() -> str:
 
 
 def _register() -> None:
-    for name, place in _VERBS.items():
-        if (found := _load(place)) is not None:
-            app.command(name)(found)
-    for name, place in _GROUPS.items():
-        if (found := _load(place)) is not None:
-            app.add_typer(found, name=name, cls=WholeHelp)
+    for name, target in _VERBS.items():
+        if (loaded := _load(target)) is not None:
+            app.command(name)(loaded)
+    for name, target in _GROUPS.items():
+        if (loaded := _load(target)) is not None:
+            app.add_typer(loaded, name=name, cls=WholeHelp)
 
 
-def _load(place: str) -> Any:
-    module_name, _, attribute = place.partition(":")
+def _load(target: str) -> Any:
+    module_name, _, attribute = target.partition(":")
     if importlib.util.find_spec(module_name) is None:
         return None
     return getattr(importlib.import_module(module_name), attribute)
@@ -121,8 +121,8 @@ def _load(place: str) -> Any:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns its exit code: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss.
 
-    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/tools.md); 141 where the reader
-    of its output has left.
+    Of a verb that a signal ended before it was done: 128 and the signal's number (docs/guides/watch-a-graph.md); 141
+    where the reader of its output has left.
     """
     logging.basicConfig(level=logging.WARNING, format="%(levelname)s: %(message)s")
     code = _run(argv)

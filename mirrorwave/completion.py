@@ -26,9 +26,9 @@ def complete_nodes(ctx: typer.Context, incomplete: str) -> list[str]:
     from mirrorwave.console import DEFAULT_DOMAIN
     from msgs.bus.zmq import run_dir
 
-    named = ctx.params.get("domain") or os.environ.get("MIRRORWAVE_DOMAIN", DEFAULT_DOMAIN)
+    domain = ctx.params.get("domain") or os.environ.get("MIRRORWAVE_DOMAIN", DEFAULT_DOMAIN)
     try:
-        entries = sorted(run_dir(named).iterdir())
+        entries = sorted(run_dir(domain).iterdir())
     except (OSError, ValueError):
         return []
     return _beginning((entry.name.partition("@")[2] for entry in entries if "@" in entry.name), incomplete)
@@ -72,7 +72,7 @@ def _beginning(names: Iterable[str], incomplete: str) -> list[str]:
 def _files(incomplete: str, folder: str) -> list[str]:
     here = Path(incomplete or ".")
     parent = here if incomplete.endswith("/") or not incomplete else here.parent
-    named = (
+    shipped = (
         [f"{folder}/{path.name}" for path in sorted((CHECKOUT / folder).glob("*.yaml"))]
         if Path(folder).is_dir()
         else []
@@ -85,4 +85,4 @@ def _files(incomplete: str, folder: str) -> list[str]:
         ]
     except OSError:
         near = []
-    return _beginning([*named, *near], incomplete)
+    return _beginning([*shipped, *near], incomplete)

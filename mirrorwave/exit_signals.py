@@ -16,7 +16,7 @@ from contextlib import contextmanager
 #: Exit codes as a shell gives them to a program that the signal ended: 128 and its number.
 INTERRUPTED, TERMINATED, HUNG_UP = 128 + signal.SIGINT, 128 + signal.SIGTERM, 128 + signal.SIGHUP
 #: Verbs that have no end of their own, and the options that give them one: told to end, they have done what was asked.
-_UNTIL_TOLD: dict[tuple[str, ...], frozenset[str]] = {
+_UNTIL_STOPPED: dict[tuple[str, ...], frozenset[str]] = {
     ("launch",): frozenset(),
     ("demo",): frozenset(),
     ("view",): frozenset(),
@@ -59,7 +59,7 @@ def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     # an interrupt that passed through code that a library runs from text has marked the process to end by SIGINT,
     # whatever its exit code; the interpreter takes the mark off where it runs such code again, as this does
     namedtuple("Unmarked", ())
-    if is_until_told(words):
+    if runs_until_stopped(words):
         return 0
     code = 128 + (_heard or signal.SIGINT)
     if code in _SAID:
@@ -67,10 +67,10 @@ def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def is_until_told(arguments: Sequence[str]) -> bool:
+def runs_until_stopped(arguments: Sequence[str]) -> bool:
     """Whether a command line is that of a verb that runs until it is told to end."""
     return any(
-        tuple(arguments[: len(verb)]) == verb and not ends & set(arguments) for verb, ends in _UNTIL_TOLD.items()
+        tuple(arguments[: len(verb)]) == verb and not ends & set(arguments) for verb, ends in _UNTIL_STOPPED.items()
     )
 
 
@@ -81,7 +81,7 @@ def keep_code() -> None:
 
 
 @contextmanager
-def told_by_signal(tell: Callable[[], None]) -> Iterator[None]:
+def stopped_by_signal(tell: Callable[[], None]) -> Iterator[None]:
     """While the body runs, a signal to end is passed on to `tell`, and interrupts nothing. For the main thread."""
 
     def pass_on(number: int, frame: object) -> None:

@@ -1,28 +1,28 @@
-"""A capture through the whole graph in one process: what `mirrorwave process` does."""
+"""A capture through the whole pipeline in one process: what `mirrorwave process` does."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
+from mirrorwave.convert.result_lines import bev_to_json, track_to_json
+from mirrorwave.pipeline import Pipeline
 from mirrorwave.plots.bird_eye_view import draw_bev
 from mirrorwave.plots.scoreboard import Scoreboard
 from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
-from models.perception.geometry.objects import bev_to_json
-from models.perception.tracking.tracker import track_to_json
-from msgs.bus.interface import Outgoing, Received
-from msgs.bus.local import LocalNetwork
+from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
 from msgs.files.whole_files import named, whole
 from msgs.recording.mcap import RecordingReader
-from msgs.values.perception import BevFrame, Peaks, SceneTruth
-from msgs.values.radar import RangeAzimuthMap
-from nodes.node import InProcessGraph, Node, load_node
+from msgs.values.perception import SceneTruth
+from nodes.node import StageClock
+from nodes.player import Event, Params, events_of
 from nodes.process.launch_file import LaunchFile, read_launch_file, with_overrides, with_params
+from nodes.process.validation import convert_at
 
 #: What a run writes, and the keys by which the first line of a file tells that it is one.
 LINES = {
@@ -32,52 +32,45 @@ LINES = {
 }
 PICTURE = "bev.png"
 #: The first line of a file of ours is shorter.
-_MOST_LINE_BYTES = 1 << 26
+_MAX_LINE_BYTES = 1 << 26
+#: Node that runs each stage in the live graph, in the order of the graph.
+_NODE_OF_STAGE = {
+    "synthesise": "player",
+    "beam": "ra_former",
+    "last beam": "ra_former",
+    "map": "lidar_former",
+    "detect": "dense_predictor",
+    "geometry": "geometry",
+    "tracking": "geometry",
+}
 
 
-class Results(Node):
+class Results:
     """Writes what comes out, line by line: objects, tracks, times; keeps the last scan for picture and score."""
 
-    inputs = ("radar/ra_map", "perception/peaks", "perception/hidden_objects", "sim/truth")
-
-    def __init__(self, files: Sequence[_LineFile], timed: Mapping[str, Node], on_scan: Callable[[], None]) -> None:
-        super().__init__()
+    def __init__(self, files: Sequence[_LineFile], clock: StageClock, on_scan: Callable[[], None]) -> None:
         self._objects, self._tracks, self._timing = files
-        self._timed, self._on_scan = timed, on_scan
+        self._clock, self._on_scan = clock, on_scan
         self.scoreboard = Scoreboard()
-        self.ra_map: RangeAzimuthMap | None = None
-        self.peaks: Peaks | None = None
-        self.frame: BevFrame | None = None
+        self.last: ScanView | None = None
+        #: Maps, and those that lack beams.
         self.scans = self.scans_with_loss = 0
         #: What the capture itself lacks, None where it is whole.
         self.capture_loss: str | None = None
 
-    def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Take in what came; a view ends its scan."""
-        for received in inputs:
-            match received.message:
-                case RangeAzimuthMap() as ra_map:
-                    self.ra_map = ra_map
-                    self.scans += 1
-                    self.scans_with_loss += bool(ra_map.missing_beams)
-                case Peaks() as peaks:
-                    self.peaks = peaks
-                case SceneTruth() as truth:
-                    self.scoreboard.add_truth(truth)
-                case BevFrame() as frame:
-                    self._end_scan(frame)
-        return []
-
-    def _end_scan(self, frame: BevFrame) -> None:
-        self.frame = frame
+    def add(self, view: ScanView) -> None:
+        """Write the lines of a scan."""
+        self.last = view
+        frame = view.frame
         self.scoreboard.add_frame(frame)
         self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
         scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": "radar"}
         self._tracks.write(json.dumps({**scan, "tracks": [track_to_json(one) for one in frame.tracks]}) + "\n")
+        times = {stage.name: stage for stage in self._clock.drain()}
         stages = {
-            f"{name}.{stage.name}": {"count": stage.count, "mean_ms": stage.mean_ms, "max_ms": stage.max_ms}
-            for name, node in self._timed.items()
-            for stage in node.stages.drain()
+            f"{node}.{name}": {"count": times[name].count, "mean_ms": times[name].mean_ms, "max_ms": times[name].max_ms}
+            for name, node in _NODE_OF_STAGE.items()
+            if name in times
         }
         self._timing.write(json.dumps({"scan_id": frame.scan_id, "stages": stages}) + "\n")
         self._on_scan()
@@ -103,7 +96,9 @@ def run_capture(
     require_own_results(out)
     require_raw(capture)
     launch = launch_for(capture, profile, overrides or [])
-    nodes = {name: load_node(entry.module, entry.params, name) for name, entry in launch.nodes.items()}
+    clock = StageClock()
+    events = events_of(convert_at(launch.nodes["player"].params, Params, "player.params"))
+    pipeline = Pipeline(launch, clock)
     out.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         paths = [out / f"{name}.jsonl" for name in LINES]
@@ -111,19 +106,39 @@ def run_capture(
         parts = [stack.enter_context(whole(path)) for path in paths]
         picture = stack.enter_context(whole(out / PICTURE, ".png"))
         files = [stack.enter_context(_LineFile(path, part)) for path, part in zip(paths, parts, strict=True)]
-        results = Results(files, nodes, on_scan)
-        graph = InProcessGraph(LocalNetwork(), {**nodes, "results": results})
-        try:
-            graph.run()
-        finally:
-            graph.close()
+        results = Results(files, clock, on_scan)
+        _run(_timed(events, clock), pipeline, results)
         results.capture_loss = _loss_of(capture)
-        if results.frame is None:
+        if results.last is None:
             raise ValueError(f"{capture}: holds no complete scan")
-        truth = results.scoreboard.truth_of(results.frame.scan_id)
+        frame, ra_map, _ = results.last
         with named(out / PICTURE):
-            draw_bev(results.frame, picture, truth=truth, ra_map=results.ra_map)
+            draw_bev(frame, picture, truth=results.scoreboard.truth_of(frame.scan_id), ra_map=ra_map)
     return results
+
+
+def _run(events: Iterable[Event], pipeline: Pipeline, results: Results) -> None:
+    """Feed the pipeline with all that sensors said; truth goes to the results alone."""
+    for event in events:
+        message = event.outgoing.message
+        if isinstance(message, SceneTruth):
+            results.scoreboard.add_truth(message)
+            continue
+        for view in pipeline.feed(message, event.offset_ns):
+            results.add(view)
+    for view in pipeline.finish():
+        results.add(view)
+    results.scans, results.scans_with_loss = pipeline.scans, pipeline.scans_with_loss
+
+
+def _timed(events: Iterator[Event], clock: StageClock) -> Iterator[Event]:
+    """Yield events, the time to read or make each one measured."""
+    while True:
+        with clock("synthesise"):
+            event = next(events, None)
+        if event is None:
+            return
+        yield event
 
 
 def require_own_results(out: Path) -> None:
@@ -144,7 +159,7 @@ def _is_ours(path: Path, keys: set[str]) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        line = file.readline(_MOST_LINE_BYTES)
+        line = file.readline(_MAX_LINE_BYTES)
     try:
         found = json.loads(line) if line else dict.fromkeys(keys)
     except (ValueError, RecursionError):

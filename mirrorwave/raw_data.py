@@ -20,13 +20,13 @@ def require_raw(capture: Path) -> None:
     with RecordingReader(capture) as reader:
         held = reader.types
         loss = f" ({reader.loss})" if reader.loss else ""
-        first = next((one.message for one in reader.messages(("radar/setup",))), None)
+        first = next((message.message for message in reader.messages(("radar/setup",))), None)
     for setup, raw in SENSOR_TOPICS:
         if raw in held and setup not in held:
             raise ValueError(f"{capture}: holds no {setup}, which says how to read its {raw}")
     if not any(raw in held for _, raw in SENSOR_TOPICS):
-        what = "holds no radar/beam and no lidar/histograms to process"
-        raise ValueError(f"{capture}: {what}; {_use_of(capture, held)}{loss}")
+        content = "holds no radar/beam and no lidar/histograms to process"
+        raise ValueError(f"{capture}: {content}; {_use_of(capture, held)}{loss}")
     if "radar/beam" in held and isinstance(first, RadarSetup):
         _require_bearings(capture, first)
 
@@ -46,6 +46,6 @@ def _require_capture_name(path: Path) -> None:
 
 def _use_of(recording: Path, held: Iterable[str]) -> str:
     """What a recording without raw data holds, and what can be done with it."""
-    what = ", ".join(sorted(held)) or "nothing"
+    content = ", ".join(sorted(held)) or "nothing"
     use = f": `mirrorwave view {recording}` shows it" if "perception/hidden_objects" in held else ""
-    return f"it holds {what}{use}. Raw data are recorded with --raw"
+    return f"it holds {content}{use}. Raw data are recorded with --raw"

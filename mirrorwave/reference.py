@@ -54,7 +54,7 @@ not here is refused with its name. Parameters that are structures of their own a
 _COMMANDS_HEAD = """\
 Written by `make reference` from the command line itself; a test fails where this page and `--help` differ. Exit codes
 of all: 0 done, 1 failed, 2 wrong usage or bad input, 3 done with loss, above 128 ended by a signal
-([tools](../tools.md#exit-codes)).
+([watch a graph](../guides/watch-a-graph.md#exit-codes)).
 """
 
 
@@ -81,7 +81,7 @@ def messages_page() -> str:
         "## Topics\n",
         _table(("topic", "type", "nominal Hz", "at most", "delivery"), topics),
         "## Types\n",
-        *(_type_section(one) for one in types),
+        *(_type_section(kind) for kind in types),
     ]
     return "\n".join(parts)
 
@@ -123,22 +123,22 @@ def _topic_row(topic: Topic) -> tuple[str, ...]:
 def _type_section(kind: type) -> str:
     head = f"### {kind.__name__}\n\n{_summary(kind)}\n"
     if issubclass(kind, Enum):
-        rows = [(f"`{one.name}`", f"`{one.value!r}`", comment) for one, comment in _members(kind)]
+        rows = [(f"`{member.name}`", f"`{member.value!r}`", comment) for member, comment in _members(kind)]
         return "\n".join([head, _table(("name", "value", ""), rows)])
     return "\n".join([head, _fields_table(kind)])
 
 
 def _fields_table(kind: type) -> str:
-    rows = [(f"`{one.name}`", f"`{one.annotation}`", one.default, one.comment) for one in fields_of(kind)]
+    rows = [(f"`{row.name}`", f"`{row.annotation}`", row.default, row.comment) for row in fields_of(kind)]
     return _table(("field", "type", "default", ""), rows) if rows else "No fields.\n"
 
 
 def _node_section(module_name: str) -> str:
     module = importlib.import_module(module_name)
-    inner = [one for one in _closure([module.Params])[1:] if not issubclass(one, Enum)]
+    inner = [inner_type for inner_type in _closure([module.Params])[1:] if not issubclass(inner_type, Enum)]
     parts = [f"## {module_name}\n", f"{_paragraph(inspect.getdoc(module) or '')}\n", _fields_table(module.Params)]
-    for one in inner:
-        parts += [f"### {module_name}: {one.__name__}\n", f"{_summary(one)}\n", _fields_table(one)]
+    for inner_type in inner:
+        parts += [f"### {module_name}: {inner_type.__name__}\n", f"{_summary(inner_type)}\n", _fields_table(inner_type)]
     return "\n".join(parts)
 
 
@@ -146,8 +146,8 @@ def fields_of(kind: type) -> list[Field]:
     """Fields of a Struct in the order of its definition, those of its bases first."""
     comments = {name: text for base in reversed(kind.__mro__) for name, text in _source_fields(base)}
     return [
-        Field(one.name, _cell(comments[one.name][0]), _default(one), _cell(comments[one.name][1]))
-        for one in msgspec.structs.fields(kind)
+        Field(field.name, _cell(comments[field.name][0]), _default(field), _cell(comments[field.name][1]))
+        for field in msgspec.structs.fields(kind)
     ]
 
 
@@ -173,12 +173,12 @@ def _class_source(kind: type) -> tuple[list[str], ast.ClassDef]:
 
 def _comment(lines: list[str], lineno: int) -> str:
     """The `#:` comment above a line, joined."""
-    found: list[str] = []
+    comments: list[str] = []
     for line in reversed(lines[: lineno - 1]):
         if not line.strip().startswith("#:"):
             break
-        found.insert(0, line.strip()[2:].strip())
-    return " ".join(found)
+        comments.insert(0, line.strip()[2:].strip())
+    return " ".join(comments)
 
 
 def _members(kind: type[Enum]) -> Iterator[tuple[Enum, str]]:
@@ -202,16 +202,16 @@ def _default(field: Any) -> str:
 
 def _closure(roots: list[type]) -> list[type]:
     """`roots` and every Struct and Enum that their fields mention, each once, as they come up."""
-    found: list[type] = []
+    types: list[type] = []
     waiting = list(roots)
     while waiting:
         kind = waiting.pop(0)
-        if kind in found:
+        if kind in types:
             continue
-        found.append(kind)
+        types.append(kind)
         if issubclass(kind, msgspec.Struct):
-            waiting += [one for hint in get_type_hints(kind).values() for one in _mentioned(hint)]
-    return found
+            waiting += [mentioned for hint in get_type_hints(kind).values() for mentioned in _mentioned(hint)]
+    return types
 
 
 def _mentioned(hint: Any) -> Iterator[type]:

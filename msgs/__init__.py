@@ -1,1 +1,1 @@
-"""Floor 1, what is said: values, topics, codec, bus, recording."""
+"""Floor 1, the shared data: values, topics, codec, bus, recording."""

@@ -1,1 +1,1 @@
-"""Floor 4, thin wiring: each process of the graph, the loop they share, their supervisor."""
+"""Floor 4, thin wiring: each process of the graph, their common loop, their supervisor."""

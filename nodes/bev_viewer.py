@@ -1,8 +1,8 @@
-"""The node `bev_viewer`: shows the newest view of the graph in a browser on this machine.
+"""Node `bev_viewer`: shows the newest view of the graph in a browser on this machine.
 
-The server runs in a thread of its own; a step only hands the newest messages over, and nothing is rendered while nobody
-looks. A slow page misses scans; the graph never waits for it. Pictures are the first work to be shed: the process gives
-way to the others, and while views come late most pictures of maps are left out.
+The server runs in a thread of its own; a step only passes the newest messages on, and nothing is rendered without a
+reader. A slow page misses scans; the graph never waits for it. Pictures are the first work to be shed: the process has
+a lower priority than the others, and while views are late most pictures of maps are left out.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ _LOG = logging.getLogger(__name__)
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where to serve the page; the host is always 127.0.0.1 (from elsewhere: `ssh -L 8765:127.0.0.1:8765`)."""
+    """Address of the page; the host is always 127.0.0.1 (from elsewhere: `ssh -L 8765:127.0.0.1:8765`)."""
 
-    #: 0, and a port that is taken: a free one.
+    #: 0, or a port in use: a free one.
     port: int = 8765
     #: Open the page in the default browser of this machine.
     open_browser: bool = False
     max_clients: int = 16
     title: str = "live"
-    #: Keeps the page's token while the node is restarted, so that open pages come back; a launch fills it in.
+    #: Keeps the page's token while the node is restarted, so that open pages reconnect; a launch fills it in.
     token_file: str | None = None
 
     def __post_init__(self) -> None:
@@ -44,16 +44,16 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class BevViewer(Node):
-    """Hands the newest of `TOPICS_SHOWN` to the pages that look."""
+    """Passes the newest of `TOPICS_SHOWN` to the open pages."""
 
     inputs = TOPICS_SHOWN
-    #: Where cores are short it gets a tenth of what another process gets; elsewhere all it asks for.
+    #: On busy cores it gets a tenth of the time of another process; on idle ones all it asks for.
     nice = 10
 
     def __init__(self, params: Params) -> None:
         super().__init__()
         board = Board()
-        self._assembly = Assembly(board, gives_way=True)
+        self._assembly = Assembly(board, sheds_maps=True)
         self.server = ViewerServer(
             board,
             title=params.title,
@@ -61,18 +61,18 @@ class BevViewer(Node):
             max_clients=params.max_clients,
             token_file=None if params.token_file is None else TokenFile(Path(params.token_file)),
         )
-        # who has the address may look: it is for this user's terminal and log file alone
+        # the address grants access: it is for this user's terminal and log file alone
         _LOG.info("open %s", self.server.url, extra={"in_public": f"page at port {self.server.port}"})
-        # of pages that come back by themselves none is opened twice
+        # a page that reconnects by itself is not opened twice
         if params.open_browser and not self.server.is_back and not webbrowser.open(self.server.url):
             _LOG.warning("no browser could be opened here")
 
     def due_ns(self, now_ns: int) -> int | None:
-        """The node table is due twice a second, whether anybody speaks or not: silence is news."""
+        """Return the time of the next node table: twice a second even without messages, so that silence shows."""
         return self._assembly.table_due_ns(now_ns)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """Hand over what came in."""
+        """Pass the received messages on."""
         maps_shed = self._assembly.maps_shed
         for received in inputs:
             self._assembly.take(received.message, now_ns)
@@ -83,14 +83,14 @@ class BevViewer(Node):
         return []
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED once pages are no longer served."""
+        """Return DEGRADED once pages are no longer served."""
         return (NodeState.READY, "") if self.server.alive else (NodeState.DEGRADED, "the page is no longer served")
 
     def close(self) -> None:
-        """End the server."""
+        """Stop the server."""
         self.server.close()
 
 
 def create(params: Params) -> BevViewer:
-    """The node, its page being served; raises `OSError` where no port can be had."""
+    """Return the node with its page being served; raises `OSError` if no port is available."""
     return BevViewer(params)

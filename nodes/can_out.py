@@ -1,7 +1,7 @@
-"""The hidden-object list on a CAN bus: sent at the DBC's cycle time, whether or not a new view has come.
+"""The hidden-object list on a CAN bus: sent at the DBC's cycle time, with or without a new view.
 
-One list is a status and the messages of all its places, spread over the cycle by the delays of the DBC so that no
-queue of the interface overflows. It holds what was known when its status was sent and carries one counter.
+One list is a status and the messages of all its slots, spread over the cycle by the delays of the DBC so that no
+queue of the interface overflows. It holds the state at the time of its status and carries one counter.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ _LOG = logging.getLogger(__name__)
 
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """On which bus the list is sent, and how old its view may be."""
+    """CAN bus of the list, and the maximum age of its view."""
 
     dbc: str = "launch/can/mirrorwave_out.dbc"
-    #: The list says that it is not valid when its view is older than this.
+    #: The list is marked invalid when its view is older than this.
     max_age_s: float = 1.0
-    #: The age of a view counts from its first beam, or from its arrival where stamps are of another clock (a capture).
+    #: The age of a view counts from its first beam, or from its arrival if stamps are of another clock (a capture).
     age_from: Literal["acquisition", "arrival"] = "acquisition"
 
     def __post_init__(self) -> None:
@@ -37,9 +37,9 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Outlet:
-    """Sends frames on a bus that may fail: what it does not take is counted, never kept for later.
+    """Sends frames on a bus that may fail: refused frames are counted, never kept for later.
 
-    After bus-off the interface is closed and stays so for a delay that grows while it happens again.
+    After bus-off the interface is closed for a delay that grows while it happens again.
     """
 
     def __init__(self, link: CanLink) -> None:
@@ -50,7 +50,7 @@ class Outlet:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with the bus; empty while it is well."""
+        """Fault of the bus; empty while it works."""
         return self._link.trouble
 
     def send(self, frames: list[ListFrame], now_ns: int) -> None:
@@ -65,11 +65,11 @@ class Outlet:
                 self.refused += 1
 
     def note_good_list(self) -> None:
-        """A whole list went out: the next bus-off is the first again."""
+        """Note that a whole list was sent: the next bus-off is the first again."""
         self._hold_s = RETRY_S
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         self._link.close()
 
     def _is_held(self, now_ns: int) -> bool:
@@ -78,7 +78,7 @@ class Outlet:
                 return True
             self._resume_ns = None
             return False
-        # the interface says in what it receives that the controller has left the bus
+        # the interface reports in its received frames that the controller has left the bus
         self._link.receive(now_ns)
         if not self._link.trouble.endswith(": bus-off"):
             return False
@@ -106,7 +106,7 @@ class CanOut(Node):
         self._refused_before = 0
 
     def due_ns(self, now_ns: int) -> int:
-        """When the next frame is to be sent."""
+        """Return the time of the next frame."""
         if self._cycle_ns is None:
             return now_ns
         return self._cycle_ns + (self._waiting[0].delay_ns if self._waiting else self._encoder.period_ns)
@@ -123,13 +123,13 @@ class CanOut(Node):
         return []
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while the bus takes no frames."""
+        """Return DEGRADED while the bus takes no frames."""
         if self.outlet.trouble:
             return NodeState.DEGRADED, f"{self.outlet.trouble}; {counted(self.outlet.refused, 'frame')} not sent"
         return NodeState.READY, ""
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         self.outlet.close()
 
     def _advance(self, now_ns: int) -> None:
@@ -144,7 +144,7 @@ class CanOut(Node):
             self.outlet.note_good_list()
 
     def _begin_list(self, now_ns: int) -> None:
-        """The list of the cycle that runs at `now_ns`; what is left of the one before is given up."""
+        """Begin the list of the cycle that runs at `now_ns`; the remainder of the previous one is dropped."""
         period_ns = self._encoder.period_ns
         if self._cycle_ns is None:
             self._cycle_ns = now_ns
@@ -162,7 +162,7 @@ class CanOut(Node):
 
 
 def create(params: Params) -> CanOut:
-    """The node; `ValueError` for a DBC that does not fit. A bus that is not there may come later."""
+    """Return the node; `ValueError` for a DBC that does not fit. An absent bus may appear later."""
     path = checkout_path(params.dbc)
     database = load_dbc(path)
     try:

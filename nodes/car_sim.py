@@ -1,4 +1,4 @@
-"""A simulated car on a real CAN bus: it says how it moves, and nothing else of the graph talks to it."""
+"""A simulated car on a real CAN bus: it sends its motion, and no other node of the graph talks to it."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from sim_player.car import CarShape, SimulatedCar
 
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """On which bus the car is, and how it moves."""
+    """CAN bus of the car, and its motion."""
 
     dbc: str = "launch/can/mirrorwave.dbc"
     mapping: str = "launch/can/mirrorwave.yaml"
     #: The car moves as the ego vehicle of this scene.
     scene: str | None = None
-    #: Motion without a scene; where given, it overrides the scene's.
+    #: Motion without a scene; if given, it overrides the scene's.
     speed_mps: float | None = None
     yaw_rate_rps: float | None = None
     shape: CarShape = CarShape()
@@ -37,7 +37,7 @@ class CarSim(Node):
         self.sent = self.refused = 0
 
     def due_ns(self, now_ns: int) -> int:
-        """When the next frame is to be sent."""
+        """Return the time of the next frame."""
         return self._car.due_ns()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
@@ -50,21 +50,21 @@ class CarSim(Node):
         return []
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while the bus takes no frames."""
+        """Return DEGRADED while the bus takes no frames."""
         if self._link.trouble:
             return NodeState.DEGRADED, f"{self._link.trouble}; {counted(self.refused, 'frame')} not sent"
         return NodeState.READY, ""
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         self._link.close()
 
 
 def motion_of(params: Params) -> VehicleState:
-    """Speed, yaw rate and the steering that goes with them."""
+    """Return speed, yaw rate and the corresponding steering."""
     speed_mps, yaw_rate_rps = params.speed_mps, params.yaw_rate_rps
     if params.scene is not None:
-        # here: a car whose motion is given needs no simulator
+        # imported here: a car whose motion is given needs no simulator
         from sim_player.scene.description import load_scene
 
         ego = load_scene(checkout_path(params.scene)).ego
@@ -79,9 +79,9 @@ def motion_of(params: Params) -> VehicleState:
 
 
 def create(params: Params) -> CarSim:
-    """The node; `ValueError` for files that do not fit or a motion that the DBC's bits cannot hold."""
+    """Return the node; `ValueError` for files that do not fit or a motion that the DBC's bits cannot hold."""
     database, mapping = load_dbc(checkout_path(params.dbc)), load_mapping(checkout_path(params.mapping))
     motion = motion_of(params)
-    # a motion that does not fit is found here, not on the road
+    # an invalid motion is refused here, not while driving
     SimulatedCar(database, mapping).frames(motion)
     return CarSim(CanLink(params), SimulatedCar(database, mapping), motion)

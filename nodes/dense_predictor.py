@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
+from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
 import msgspec
-import numpy as np
 
 from models.perception.cards import learned_path
 from models.perception.detection.cfar import PHOTON_CFAR, CfarParams
@@ -16,18 +17,16 @@ from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.refinement import RefinementParams
 from models.perception.detection.ridge_matching import NamedParams
+from models.perception.detection.stage import DetectionStage
+from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
-from msgs.values.arrays import require_within
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
+from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
 
-#: Squares of it, and sums of them over a map, are numbers that float32 holds.
-MOST_AMPLITUDE = 1e15
-#: Zero, which is not known, or so much.
-NOISE_LIMITS_MW = (1e-60, 1e60)
 #: More would take the machine longer to start than any map to detect in.
 MOST_THREADS = 256
 
@@ -67,11 +66,9 @@ class DensePredictorNode(Node):
 
     def __init__(self, params: Params) -> None:
         super().__init__()
-        self._params = params
         # the default set-up until the radar's own comes: a missing or broken model shows at start, not at the first map
-        self._detector = detector_for(params, RadarSetup())
-        self._photon_detector = PhotonDetector(params.photons)
-        self._trouble = ""
+        self._stage = detection_stage(params, self.stages)
+        self._refusals = Refusals(_LOG, self.shed)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One set of peaks per map; set-ups and maps that do not suit the detector are refused, counted and said."""
@@ -86,41 +83,28 @@ class DensePredictorNode(Node):
 
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while maps are refused."""
-        return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
+        return self._refusals.health()
 
     def _set_up(self, setup: RadarSetup) -> None:
         """Detect by another set-up; one that cannot be used changes nothing."""
         try:
-            self._detector = detector_for(self._params, setup)
+            self._stage.set_up(setup)
         except ValueError as error:
-            self._say(str(error), "setup")
+            self._refusals.refuse("setup", error)
 
     def _detected(self, ra_map: RangeAzimuthMap) -> list[Outgoing]:
-        detector = self._photon_detector if ra_map.mode == "photons" else self._detector
         try:
-            with self.stages("detect"):
-                _require_sound(ra_map)
-                peaks = detector.detect(ra_map)
+            peaks = self._stage.detect(ra_map)
         except ValueError as error:
-            self._say(str(error), "map")
+            self._refusals.refuse("map", error)
             return []
-        self._trouble = ""
+        self._refusals.accept()
         return [Outgoing("perception/peaks", peaks)]
 
-    def _say(self, trouble: str, what: str) -> None:
-        self.shed.add(what, "refused")
-        if trouble != self._trouble:
-            _LOG.warning("%s refused: %s", what, trouble)
-        self._trouble = trouble
 
-
-def _require_sound(ra_map: RangeAzimuthMap) -> None:
-    """Raise `ValueError` for a map with numbers that would spread over all that are near: no power follows of them."""
-    largest = float(np.maximum(np.abs(ra_map.values.real), np.abs(ra_map.values.imag)).max())
-    if not largest <= MOST_AMPLITUDE:
-        raise ValueError(f"map.values must be finite, of at most {MOST_AMPLITUDE:g}, got {largest!r}")
-    if ra_map.noise_power_mw:
-        require_within("map.noise_power_mw", *NOISE_LIMITS_MW, ra_map.noise_power_mw)
+def detection_stage(params: Params, timed: Timed = nullcontext) -> DetectionStage:
+    """Return the stage that parameters name; errors as `detector_for`."""
+    return DetectionStage(partial(detector_for, params), photons=PhotonDetector(params.photons), timed=timed)
 
 
 def model_path(model: str | None) -> Path:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import logging
+from contextlib import nullcontext
 from pathlib import Path
-
-import msgspec
 
 from models.perception.cards import learned_path
 from models.perception.geometry.confidence import DEFAULT_CONFIDENCE, Confidence, FittedConfidences, load_confidence
 from models.perception.geometry.recovery import Residual
-from models.perception.geometry.stage import GeometryParams, recover_bev, warm
-from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from models.perception.geometry.stage import GeometryParams
+from models.perception.timing import Timed
+from models.perception.tracking.scan_state import MemoryParams
+from models.perception.tracking.stage import ViewStage
 from models.perception.tracking.yaw_rate_bias import BiasEstimate, BiasSource
 from msgs.bus.interface import Outgoing, Received
 from msgs.files.shipped import WEIGHTS
 from msgs.values.diagnostics import NodeState
-from msgs.values.perception import BevFrame, Peaks
+from msgs.values.perception import Peaks
 from msgs.values.vehicle import VehicleState
-from nodes.inputs.state_history import StateHistory
+from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
@@ -49,12 +50,9 @@ class GeometryNode(Node):
     def __init__(self, params: Params) -> None:
         super().__init__()
         # loaded here: a missing or broken file shows at start, not at the first scan
-        self._parts = parts_of(params)
-        warm(params)
-        self._states = StateHistory()
-        self._memory = ScanMemory(params.memory)
-        self._trouble = ""
-        self._bias_source: BiasSource | None = None
+        self._stage = view_stage(params, self.stages)
+        self._refusals = Refusals(_LOG, self.shed)
+        self._bias_log = BiasLog()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One view per set of peaks; what the stage cannot take is refused, counted and said."""
@@ -62,43 +60,44 @@ class GeometryNode(Node):
         for received in sorted(inputs, key=lambda item: item.topic == "perception/peaks"):
             match received.message:
                 case VehicleState() as state:
-                    self._states.add(state)
-                    self._memory.add(state)
+                    self._stage.add_state(state)
                 case Peaks() as peaks:
                     out += self._seen(peaks)
         return out
 
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while peaks are refused."""
-        return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
+        return self._refusals.health()
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:
         try:
-            view = self._view(peaks)
+            view = self._stage.view(peaks)
         except ValueError as error:
-            self.shed.add("scan", "refused")
-            if str(error) != self._trouble:
-                _LOG.warning("scan %d refused: %s", peaks.scan_id, error)
-            self._trouble = str(error)
+            self._refusals.refuse("scan", error, f"scan {peaks.scan_id}")
             return []
-        self._trouble = ""
+        self._refusals.accept()
+        self._bias_log.note(self._stage.yaw_rate_bias)
         return [Outgoing("perception/hidden_objects", view)]
 
-    def _view(self, peaks: Peaks) -> BevFrame:
-        with self.stages("geometry"):
-            view = recover_bev(peaks, *self._parts, self._memory.walls_at(peaks))
-        with self.stages("tracking"):
-            view = self._memory.tracked(view, peaks.vehicle_from_radar)
-        self._note(self._memory.yaw_rate_bias)
-        return msgspec.structs.replace(view, ego=self._states.at(peaks.stamp_ns))
 
-    def _note(self, bias: BiasEstimate) -> None:
-        """Log what the bias of the yaw rate is learnt from, whenever that changes."""
+class BiasLog:
+    """Logs what the bias of the yaw rate is learnt from, whenever that changes."""
+
+    def __init__(self) -> None:
+        self._source: BiasSource | None = None
+
+    def note(self, bias: BiasEstimate) -> None:
+        """Take in the bias after a scan."""
         is_unknown = bias.source is BiasSource.NONE
-        if bias.source == self._bias_source or (is_unknown and bias.driven_s < BIAS_OVERDUE_S):
+        if bias.source == self._source or (is_unknown and bias.driven_s < BIAS_OVERDUE_S):
             return
-        self._bias_source = bias.source
+        self._source = bias.source
         _LOG.log(logging.WARNING if is_unknown else logging.INFO, "%s", bias)
+
+
+def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
+    """Return the stage that parameters name; errors as `parts_of`."""
+    return ViewStage(*parts_of(params), params.memory, timed)
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:

@@ -6,11 +6,11 @@ import logging
 
 import msgspec
 
-from models.perception.forming.photon_map import photon_map
+from models.perception.forming.photon_map import PhotonFormer
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import LidarSetup, PhotonHistograms
-from msgs.values.wording import counted
+from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
@@ -28,9 +28,8 @@ class LidarFormerNode(Node):
 
     def __init__(self) -> None:
         super().__init__()
-        self._setup: LidarSetup | None = None
-        self._refused = 0
-        self._trouble = ""
+        self._former = PhotonFormer(self.stages)
+        self._refusals = Refusals(_LOG, self.shed, "scan")
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """One map per scan; what does not fit the set-up is refused, counted and said."""
@@ -38,33 +37,23 @@ class LidarFormerNode(Node):
         for received in sorted(inputs, key=lambda item: item.topic == "lidar/histograms"):
             match received.message:
                 case LidarSetup() as setup:
-                    self._setup = setup
+                    self._former.set_up(setup)
                 case PhotonHistograms() as histograms:
                     out += self._formed(histograms)
         return out
 
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while histograms are refused or no set-up has come."""
-        return (NodeState.DEGRADED, self._trouble) if self._trouble else (NodeState.READY, "")
+        return self._refusals.health()
 
     def _formed(self, histograms: PhotonHistograms) -> list[Outgoing]:
         try:
-            if self._setup is None:
-                raise ValueError(f"histograms of scan {histograms.scan_id} came before lidar/setup")
-            with self.stages("map"):
-                ra_map = photon_map(self._setup, histograms)
+            ra_map = self._former.add(histograms)
         except ValueError as error:
-            self._say(str(error))
+            self._refusals.refuse("scan", error)
             return []
-        self._trouble = ""
+        self._refusals.accept()
         return [Outgoing("radar/ra_map", ra_map)]
-
-    def _say(self, trouble: str) -> None:
-        self._refused += 1
-        self.shed.add("scan", "refused")
-        if trouble != self._trouble:
-            _LOG.warning("%s (%s refused so far)", trouble, counted(self._refused, "scan"))
-        self._trouble = trouble
 
 
 def create(params: Params) -> LidarFormerNode:

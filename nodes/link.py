@@ -1,6 +1,6 @@
-"""The node `link`: carries chosen topics to and from other hosts, each with a graph of its own.
+"""Node `link`: carries selected topics to and from other hosts, each with a graph of its own.
 
-It alone opens TCP beyond this machine, one port where it exports, and encrypts what goes through (`msgs.link.curve`).
+It alone opens TCP beyond this machine, one port for exports, and encrypts all traffic (`msgs.link.curve`).
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ class Peer(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What goes to peers and what comes from them; files as seen from the folder where the graph is launched."""
+    """Topics to and from peers; paths are relative to the folder where the graph is launched."""
 
     #: Name of this host in its log; that of its key file, if not given.
     name: str = ""
     #: File of this host's secret key (`mirrorwave security keygen`).
     key: str = ""
-    #: Folder of the public keys of those who may connect.
+    #: Folder of the public keys of the peers that may connect.
     allowed: str = ""
-    #: Where peers connect, e.g. tcp://*:7100; none: nothing is exported.
+    #: Address for peers to connect to, e.g. tcp://*:7100; none: nothing is exported.
     bind: str = ""
-    #: Topics that peers may have.
+    #: Topics that peers may receive.
     export: tuple[str, ...] = ()
-    #: Peers by the name that is put before their nodes' names.
+    #: Peers by the prefix of their nodes' names.
     connect: dict[str, Peer] = {}
-    #: Open TCP beyond this machine without keys, for all who can reach it.
+    #: Open TCP beyond this machine without keys, to every host that can reach it.
     insecure: bool = False
 
     def __post_init__(self) -> None:
@@ -75,18 +75,18 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"{address}: TCP beyond this machine needs keys (key and allowed, connect.PEER.key)")
 
     def open_addresses(self) -> list[str]:
-        """Addresses beyond this machine that no key protects."""
+        """Return addresses beyond this machine that no key protects."""
         plain = [peer.address for peer in self.connect.values() if not peer.key]
         if self.bind and not self.key:
             plain.append(self.bind)
         return [address for address in plain if not is_loopback(address)]
 
     def chosen_topics(self) -> tuple[str, ...]:
-        """Topics of this graph that it reads."""
+        """Return the topics of this graph that it reads."""
         return self.export
 
     def imported_topics(self) -> tuple[str, ...]:
-        """Topics of peers that it publishes here."""
+        """Return the topics of peers that it publishes here."""
         return tuple(sorted({topic for peer in self.connect.values() for topic in peer.topics}))
 
     @property
@@ -96,9 +96,9 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class Link(Node):
-    """Local topics -> peers, and peers' topics -> local graph; what a peer sent is never sent on to another."""
+    """Local topics -> peers, and peers' topics -> local graph; imported messages are never exported again."""
 
-    #: A peer counts what is left out as lost.
+    #: A peer counts omitted messages as lost.
     wants_all = True
     max_origins = MAX_LATCHED
 
@@ -109,7 +109,7 @@ class Link(Node):
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._exporter: Exporter | None = None
         self._importers: list[Importer] = []
-        self._told: dict[tuple[str, str], int] = {}
+        self._reported: dict[tuple[str, str], int] = {}
         self._open = params.open_addresses()
         try:
             self._connect(params, own, public)
@@ -123,26 +123,26 @@ class Link(Node):
 
     @property
     def address(self) -> str:
-        """Where peers connect, as bound; empty where nothing is exported."""
+        """The bound address for peers; empty if nothing is exported."""
         return self._exporter.address if self._exporter else ""
 
     def watched(self) -> tuple[zmq.Socket[bytes], ...]:
-        """The sockets of all peers."""
+        """Return the sockets of all peers."""
         ends = [importer.sources for importer in self._importers]
         if self._exporter is not None:
             ends.append(self._exporter.sources)
         return tuple(source for sources in ends for source in sources)
 
     def pending(self) -> bool:
-        """Whether a peer has said something."""
+        """Return whether a peer has sent a message."""
         return any(source.poll(0) for source in self.watched())
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When a peer is to be asked for its clock."""
+        """Return when a peer is to be asked for its clock."""
         return min((importer.due_ns for importer in self._importers), default=None)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Forwarded]:
-        """Send on what this graph said, hand over what peers said."""
+        """Send this graph's messages to peers, return the peers' messages."""
         if self._exporter is not None:
             for received in inputs:
                 self._exporter.send(received)
@@ -152,7 +152,7 @@ class Link(Node):
         return imported
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while a peer is silent, nobody judges who may connect, or no key protects an address."""
+        """Return DEGRADED while a peer is silent, no thread judges connections, or no key protects an address."""
         troubles = [trouble for importer in self._importers if (trouble := importer.trouble())]
         if self._exporter is not None and not self._exporter.alive:
             troubles.append("nobody is let in: the authenticator has ended")
@@ -160,7 +160,7 @@ class Link(Node):
         return (NodeState.DEGRADED, "; ".join(troubles)) if troubles else (NodeState.READY, "")
 
     def close(self) -> None:
-        """Leave all peers and close the port."""
+        """Disconnect from all peers and close the port."""
         for importer in self._importers:
             importer.close()
         if self._exporter is not None:
@@ -179,7 +179,7 @@ class Link(Node):
             _LOG.warning("INSECURE: %s has no keys: whoever reaches it reads along or speaks to this graph", address)
 
     def _count(self) -> None:
-        """Losses and refusals so far into the heartbeat, and the round trips beside the stages."""
+        """Report losses and refusals so far in the heartbeat, and the round trips beside the stages."""
         if self._exporter is not None:
             self._shed("handshake", "refused", self._exporter.refused)
             self._shed("message", "rejected", self._exporter.rejected)
@@ -191,19 +191,19 @@ class Link(Node):
             for round_trip_ns in importer.round_trips_ns():
                 self.stages.add(f"{importer.name} round trip", round_trip_ns)
 
-    def _shed(self, what: str, reason: str, total: int) -> None:
-        if more := total - self._told.get((what, reason), 0):
-            self._told[what, reason] = total
-            self.shed.add(what, reason, more)
+    def _shed(self, kind: str, reason: str, total: int) -> None:
+        if more := total - self._reported.get((kind, reason), 0):
+            self._reported[kind, reason] = total
+            self.shed.add(kind, reason, more)
 
 
 def create(params: Params) -> Link:
-    """The node, its port open; raises `ValueError` or `OSError` naming key, folder or address."""
+    """Return the node, its port open; raises `ValueError` or `OSError` naming key, folder or address."""
     return Link(params)
 
 
 def _keys(params: Params) -> tuple[KeyPair | None, dict[str, bytes]]:
-    """The own pair and the public keys of the peers that have one."""
+    """Return the own key pair and the public keys of the peers that have one."""
     own = load_own(Path(params.key)) if params.key else None
     return own, {name: load_public(Path(peer.key)) for name, peer in params.connect.items() if peer.key}
 

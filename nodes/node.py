@@ -2,7 +2,7 @@
 
 A node's module holds `Params` (its parameters, a frozen msgspec Struct that forbids unknown fields) and
 `create(params) -> Node`. This file hosts one of them as a process (`python -m nodes.node MODULE ...`) or several of
-them in one process on a virtual clock (`InProcessGraph`); the node cannot tell which.
+them in one process on a virtual clock (`InProcessGraph`); the node sees no difference.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if __name__ == "__main__":
-    # told to end while the rest is being loaded: nothing has begun that would have to be ended
+    # asked to end while the rest is being loaded: no work has begun that would have to be ended
     for _number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(_number) is not signal.SIG_IGN:
             signal.signal(_number, lambda _number, _frame: os._exit(0))
@@ -50,11 +50,11 @@ HEARTBEAT_S = 1.0 / topic_facts("diagnostics/node").rate_hz
 TURN_S = 0.1
 #: A node that was asked to stop has drained its inputs when nothing came for this long.
 DRAINED_S = 0.15
-#: Where a foreign publisher goes on, what waits would never end; this is enough for a queue of beams.
+#: With a running foreign publisher the queue would never drain; this is enough for a queue of beams.
 DRAIN_LIMIT_S = 2.0
-#: Subscribers look for new publishers several times in this; a source that spoke earlier would not be heard.
+#: Subscribers search for new publishers several times in this; messages of an earlier source would be lost.
 SETTLE_S = 0.25
-#: The bus drops what is still on its way when it is closed; the last answers of a node get this long.
+#: The bus drops messages in transit when it is closed; the last answers of a node get this long.
 FLUSH_S = 0.1
 _REASON_LIMIT = 500
 _PR_SET_PDEATHSIG = 1
@@ -70,7 +70,7 @@ class StageClock:
 
     @contextlib.contextmanager
     def __call__(self, name: str) -> Iterator[None]:
-        """Measure the body; a body that raises is measured too."""
+        """Measure the body, also if it raises."""
         start_ns = time.perf_counter_ns()
         try:
             yield
@@ -82,7 +82,7 @@ class StageClock:
         self._durations_ms.setdefault(name, []).append(1e-6 * duration_ns)
 
     def drain(self) -> tuple[StageTime, ...]:
-        """Stages since the last call, in the order in which they first ran."""
+        """Return stages since the last call, in the order in which they first ran."""
         durations_ms, self._durations_ms = self._durations_ms, {}
         return tuple(_stage_time(name, ms) for name, ms in durations_ms.items())
 
@@ -100,18 +100,18 @@ def _stage_time(name: str, durations_ms: list[float]) -> StageTime:
 
 
 class ShedTally:
-    """What a node left undone so as not to fall behind: `node.shed.add("scan", "behind")`."""
+    """Count of work that a node shed so as not to fall behind: `node.shed.add("scan", "behind")`."""
 
     def __init__(self) -> None:
         self._counts: dict[tuple[str, str], int] = {}
 
-    def add(self, what: str, reason: str, count: int = 1) -> None:
+    def add(self, kind: str, reason: str, count: int = 1) -> None:
         """Count work that was shed."""
-        self._counts[what, reason] = self._counts.get((what, reason), 0) + count
+        self._counts[kind, reason] = self._counts.get((kind, reason), 0) + count
 
     def counts(self) -> tuple[ShedCount, ...]:
-        """Figures since the node started, in the order in which each first came up."""
-        return tuple(ShedCount(what=what, reason=reason, count=count) for (what, reason), count in self._counts.items())
+        """Return counts since the node started, in the order in which each first occurred."""
+        return tuple(ShedCount(what=kind, reason=reason, count=count) for (kind, reason), count in self._counts.items())
 
 
 class Node:
@@ -122,52 +122,52 @@ class Node:
 
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
-    #: Its inputs come complete, also where receivers otherwise want the newest only.
+    #: Its inputs arrive complete, also on topics whose receivers otherwise want the newest message only.
     wants_all: bool = False
-    #: Publishers that it may speak for on one topic.
+    #: Number of publishers that it may send for on one topic.
     max_origins: int = 1
-    #: How far the node's process gives way to the others where cores are short: Unix niceness, 0..19.
+    #: Priority of the node's process on busy cores: Unix niceness, 0..19.
     nice: int = 0
 
     def __init__(self) -> None:
         self.stages = StageClock()
         self.shed = ShedTally()
-        #: What the bus counted of each input so far; nothing before the node stands on one.
+        #: The bus's counts of each input so far; empty before the node is on a bus.
         self.counts: Callable[[], tuple[TopicCount, ...]] = tuple
 
     def step(self, inputs: list[Received], now_ns: int) -> Sequence[Outgoing | Forwarded]:
-        """Answer what came in, in order of arrival; empty when the node is called because it was due."""
+        """Answer the inputs, in order of arrival; empty when the node is called because it was due."""
         raise TypeError(f"{type(self).__name__} must define step(inputs, now_ns)")
 
     def due_ns(self, now_ns: int) -> int | None:
-        """Bus time at which `step` is to be called even without input; None: never."""
+        """Return bus time at which `step` is to be called even without input; None: never."""
         return None
 
     def watched(self) -> tuple[Any, ...]:
-        """Sockets and file descriptors of its own that end a wait for input; `pending` says that they can be read."""
+        """Return own sockets and file descriptors that end a wait for input; `pending` says that they can be read."""
         return ()
 
     def pending(self) -> bool:
-        """True while the last step left work undone that needs no further input: the next step comes at once."""
+        """Return true while the last step left work undone that needs no further input: the next step comes at once."""
         return False
 
     def finished(self) -> bool:
-        """True when the node has nothing left to say, ever: its process then ends with exit code 0."""
+        """Return true when the node will never publish again: its process then ends with exit code 0."""
         return False
 
     def health(self) -> tuple[NodeState, str]:
-        """State for the next heartbeat, and the reason where it is not READY."""
+        """Return the state for the next heartbeat, and the reason if it is not READY."""
         return NodeState.READY, ""
 
     def close(self) -> None:
-        """Let go of files and devices; called once, also after a step that raised."""
+        """Close files and devices; called once, also after a step that raised."""
 
 
 class Stop:
     """A request to end, raised by signal handlers and read by the loop."""
 
     def __init__(self) -> None:
-        #: End once everything that waits has been answered.
+        #: End once all waiting input has been answered.
         self.requested = False
         #: End before the next step.
         self.at_once = False
@@ -213,7 +213,7 @@ def _compile_notice() -> contextlib.AbstractContextManager[None]:
 
 
 class Heartbeat:
-    """Says on `diagnostics/node` that the loop turns, and passes log records on to the topic `log`."""
+    """Publishes on `diagnostics/node` that the loop runs, and passes log records on to the topic `log`."""
 
     def __init__(self, bus: Bus, name: str, log: BusLogHandler | None = None) -> None:
         self._bus, self._name, self._log = bus, name, log
@@ -227,7 +227,7 @@ class Heartbeat:
         stages: tuple[StageTime, ...] = (),
         shed: tuple[ShedCount, ...] = (),
     ) -> None:
-        """Publish a heartbeat and all log records that wait."""
+        """Publish a heartbeat and all waiting log records."""
         self._last_s = time.monotonic()
         received, published = self._bus.counts()
         status = NodeStatus(
@@ -248,14 +248,14 @@ class Heartbeat:
         self._publish_log()
 
     def beat_if_due(self, node: Node) -> None:
-        """The heartbeat of a running node, at most once per `HEARTBEAT_S`."""
+        """Publish the heartbeat of a running node, at most once per `HEARTBEAT_S`."""
         if self.remaining_s() <= 0.0:
             self.beat(*node.health(), stages=node.stages.drain(), shed=node.shed.counts())
         else:
             self._publish_log()
 
     def remaining_s(self) -> float:
-        """Time until the next heartbeat is due."""
+        """Return time until the next heartbeat is due."""
         return self._last_s + HEARTBEAT_S - time.monotonic()
 
     def _publish_log(self) -> None:
@@ -264,9 +264,9 @@ class Heartbeat:
 
 
 def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat) -> None:
-    """Drive one node until it is finished or `stop` asks for the end; what a step raises passes through.
+    """Drive one node until it is finished or `stop` asks for the end; exceptions of a step are passed on.
 
-    The heartbeat comes from between the steps: a step that hangs is a heartbeat that stops.
+    Heartbeats are sent between the steps: a step that hangs stops them.
     """
     for topic in node.inputs:
         bus.subscribe(topic)
@@ -275,7 +275,7 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat) -> N
     node.counts = lambda: bus.counts()[0]
     reason = ""
     try:
-        # through the pipe, because the bus may need a moment to find the supervisor; the heartbeat has it looked at now
+        # through the pipe, because the bus may need a moment to find the supervisor; the heartbeat prompts it
         _LOG.info("ready", extra={"state": NodeState.READY})
         heartbeat.beat(*node.health())
         if node.outputs and not node.inputs:
@@ -295,7 +295,7 @@ def run_loop(node: Node, bus: WaitingBus, stop: Stop, heartbeat: Heartbeat) -> N
 
 
 def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
-    """Answer what still waits, until nothing comes, the time is up or the node is to end at once."""
+    """Answer waiting inputs, until none come, the time is up or the node is to end at once."""
     end_s = time.monotonic() + DRAIN_LIMIT_S
     while not (stop.at_once or node.finished()) and time.monotonic() < end_s:
         inputs = bus.receive(0.0 if node.pending() else DRAINED_S)
@@ -306,7 +306,7 @@ def _drain(node: Node, bus: Bus, stop: Stop, heartbeat: Heartbeat) -> None:
 
 
 def one_line(error: BaseException) -> str:
-    """`ValueError: rule`, on one line."""
+    """Return an exception as `ValueError: rule`, on one line."""
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
@@ -319,7 +319,7 @@ def _wait_s(node: Node, bus: Bus) -> float:
 
 
 def _turn(node: Node, bus: Bus, timeout_s: float) -> bool:
-    """Wait for input, step if there is any or if the node is due; True if it stepped."""
+    """Wait for input, step if there is any or if the node is due; return true if it stepped."""
     inputs = bus.receive(timeout_s)
     now_ns = bus.now_ns()
     due_ns = node.due_ns(now_ns)
@@ -330,19 +330,22 @@ def _turn(node: Node, bus: Bus, timeout_s: float) -> bool:
 
 
 def _step(node: Node, bus: Bus, inputs: list[Received], now_ns: int) -> None:
-    for said in node.step(inputs, now_ns):
-        if said[0] not in node.outputs:
-            raise ValueError(f"{type(node).__name__} published {said[0]!r}; its outputs are {', '.join(node.outputs)}")
-        if isinstance(said, Forwarded):
-            bus.forward(said)
+    for outgoing in node.step(inputs, now_ns):
+        if outgoing[0] not in node.outputs:
+            raise ValueError(
+                f"{type(node).__name__} published {outgoing[0]!r}; its outputs are {', '.join(node.outputs)}"
+            )
+        if isinstance(outgoing, Forwarded):
+            bus.forward(outgoing)
         else:
-            bus.publish(*said)
+            bus.publish(*outgoing)
 
 
 class InProcessGraph:
     """Several nodes on one in-process network: same nodes, same bytes, no processes, a virtual clock.
 
-    Nodes are stepped in the order of `nodes`, each answering all that waits for it, until no node has anything to
+    Nodes are stepped in the order of `nodes`, each answering all its waiting inputs, until no node has any
+    work; then the clock jumps to the next time at which a node is due. `network` and nodes belong to the graph.
     do; then the clock jumps to the next time at which a node is due. `network` and nodes belong to the graph.
     """
 
@@ -383,9 +386,9 @@ class InProcessGraph:
 
 
 def die_with_parent(parent_pid: int) -> None:
-    """Have the kernel kill this process when its parent ends, however it ends; Linux only.
+    """Have the kernel kill this process when its parent ends, for any reason; Linux only.
 
-    Raises `ProcessLookupError` when the parent has gone already, before the kernel could be asked.
+    Raises `ProcessLookupError` if the parent ended before the kernel could be asked.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
@@ -395,13 +398,13 @@ def die_with_parent(parent_pid: int) -> None:
 
 
 def stopping_signals(*numbers: signal.Signals) -> tuple[signal.Signals, ...]:
-    """`numbers`, and SIGHUP, the end of the terminal, unless somebody has asked to outlive it, as `nohup` does."""
+    """Return `numbers`, and SIGHUP, the end of the terminal, unless the process is to outlive it, as under `nohup`."""
     is_ignored = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return numbers if is_ignored else (*numbers, signal.SIGHUP)
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Host one node as a process; returns the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
+    """Host one node as a process; return the exit code: 0 ended, 1 failed, 2 wrong module or parameters."""
     arguments = _arguments(argv)
     if arguments.die_with is not None:
         die_with_parent(arguments.die_with)
@@ -432,7 +435,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
             bus.advertise(topic, node.max_origins)
         if node.wants_all:
             bus.want_all()
-        _give_way(node.nice)
+        _lower_priority(node.nice)
         run_loop(node, bus, stop, heartbeat)
         if not stop.at_once:
             time.sleep(FLUSH_S)
@@ -445,7 +448,7 @@ def _host(arguments: argparse.Namespace, stop: Stop, log: BusLogHandler) -> int:
 
 
 def _has_its_name(heartbeat: Heartbeat) -> bool:
-    """Whether no living process bears the node's name, as the first heartbeat finds out; says which one does."""
+    """Return whether no other process has the node's name, as the first heartbeat shows; logs the one that does."""
     try:
         heartbeat.beat(NodeState.STARTING)
     except ValueError as error:
@@ -454,14 +457,14 @@ def _has_its_name(heartbeat: Heartbeat) -> bool:
     return True
 
 
-def _give_way(nice: int) -> None:
-    """Lower the priority of this process: of each thread, as Linux keeps it, and of those to come."""
+def _lower_priority(nice: int) -> None:
+    """Lower the priority of this process: of each thread, as Linux keeps it, and of later ones."""
     for thread in psutil.Process().threads() if nice else ():
         os.setpriority(os.PRIO_PROCESS, thread.id, min(19, os.getpriority(os.PRIO_PROCESS, thread.id) + nice))
 
 
 def _load_or_say_why(arguments: argparse.Namespace, heartbeat: Heartbeat) -> Node | None:
-    # what is imported stays: to search it for garbage again and again took a tenth of the start
+    # imported modules stay: repeated garbage collection of them took a tenth of the start
     gc.disable()
     try:
         return load_node(arguments.module, json.loads(arguments.params), arguments.name)

@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 
+from models.perception.state_history import MAX_AGE_NS
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.topics import SENSOR_TOPICS
 from msgs.files.shipped import CHECKOUT
 from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.units import ns_from_s
 from msgs.values.vehicle import VehicleState
-from nodes.inputs.state_history import MAX_AGE_NS
 from nodes.node import Node
 from nodes.process.validation import require_clock_offset, require_rest
 
@@ -35,7 +35,6 @@ _LOG = logging.getLogger(__name__)
 SENSED_TOPICS = (*itertools.chain(*SENSOR_TOPICS), "vehicle/state", "sim/truth")
 #: What is said once, before all else.
 SETUP_TOPICS = tuple(setup for setup, _ in SENSOR_TOPICS)
-#: Scenes named in launch files are looked for here when they are not in the working directory.
 #: What must be known before a beam.
 _KNOWN = (*SETUP_TOPICS, "vehicle/state")
 #: A scan of a LiDAR lasts seconds; the vehicle's motion is told this often meanwhile, or at every azimuth.
@@ -340,14 +339,22 @@ def _require_for_lidar(params: Params) -> None:
             raise ValueError(f"player.{name} is for radars, and {params.scene} has preset 'spad': got {value!r}")
 
 
-def create(params: Params) -> Player:
-    """The node with its parameters; the first message is made here, so that compiling is over when it is ready."""
+def events_of(params: Params) -> Iterator[Event]:
+    """What is to be played, scene or capture; its first message is read or made here.
+
+    Raises `ValueError` naming a capture that holds nothing to play.
+    """
     if params.scene is not None:
         events = scene_events(scene_player(params), params.scans)
     else:
         events = _not_empty(capture_events(Path(params.capture or "")), params.capture)
     if not params.publish_vehicle_state:
-        events = (event for event in events if event.outgoing.topic != "vehicle/state")
-    elif params.vehicle_clock_offset_s:
-        events = (_with_offset(event, ns_from_s(params.vehicle_clock_offset_s)) for event in events)
-    return Player(events, params.rate, params.settle_s, restamp=params.scene is not None)
+        return (event for event in events if event.outgoing.topic != "vehicle/state")
+    if params.vehicle_clock_offset_s:
+        return (_with_offset(event, ns_from_s(params.vehicle_clock_offset_s)) for event in events)
+    return events
+
+
+def create(params: Params) -> Player:
+    """The node with its parameters; the first message is made here, so that compiling is over when it is ready."""
+    return Player(events_of(params), params.rate, params.settle_s, restamp=params.scene is not None)

@@ -10,28 +10,26 @@ import logging
 import time
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 
-import msgspec
-
 from models.perception.forming.background import load_background
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.forming.ra_forming import FormingParams
+from models.perception.forming.stage import FormingStage
+from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
-from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
 from msgs.values.wording import counted
 from nodes.inputs.beam_queue import BeamQueue
-from nodes.inputs.state_history import StateHistory
+from nodes.inputs.refusals import Refusals
 from nodes.node import Node
 
 _LOG = logging.getLogger(__name__)
 
 #: A scan whose next beam has not come for this long is given up and published with what is there.
 PATIENCE_NS = 500_000_000
-#: Beams of a scan lie no further apart; stamps that do are of a clock that was set meanwhile.
-LONGEST_SCAN_NS = 2_000_000_000
 
 
 class Params(FormingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -63,24 +61,19 @@ class RaFormerNode(Node):
 
     def __init__(self, params: Params) -> None:
         super().__init__()
-        self._params = params
+        self._missing_limit = params.missing_limit
         # compiles the folding kernel while the graph still waits for this node, not when the first beam does
-        RaFormer(RadarSetup(), params)
-        self._background = None if params.background is None else load_background(Path(params.background))
-        self._former: RaFormer | None = None
-        self._states = StateHistory()
+        FormingStage(params).set_up(RadarSetup())
+        self._stage = forming_stage(params, self.stages)
         self._queue = BeamQueue(params.behind)
         #: Durations of the last folds, about a scan; a test puts another clock in.
         self._folds_ns: deque[int] = deque(maxlen=32)
         self._clock_ns: Callable[[], int] = time.perf_counter_ns
         self._give_up_ns: int | None = None
-        self._refused = 0
-        self._trouble = ""
+        self._refusals = Refusals(_LOG, self.shed, "beam")
         #: Why scans were left out lately; empty once two successive ones came through.
         self._behind = ""
         self._published_scan: int | None = None
-        #: Number and stamp of the scan under way, as its first beam has them.
-        self._scan_begun: tuple[int, int] | None = None
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
         """Fold one beam; the last of a scan brings its map, a long silence that of an unfinished one."""
@@ -90,7 +83,7 @@ class RaFormerNode(Node):
                 case RadarSetup() as setup:
                     self._set_up(setup)
                 case VehicleState() as state:
-                    self._states.add(state)
+                    self._stage.add_state(state)
                 case RadarBeam():
                     self._put(received)
                     self._give_up_ns = now_ns + PATIENCE_NS
@@ -113,21 +106,17 @@ class RaFormerNode(Node):
 
     def health(self) -> tuple[NodeState, str]:
         """DEGRADED while beams are refused, no set-up has come or scans are left out."""
-        reason = self._trouble or self._behind
+        reason = self._refusals.reason or self._behind
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
     def _set_up(self, setup: RadarSetup) -> None:
         """Form by another set-up; one that cannot be used changes nothing, and its beams are refused as they come."""
         try:
-            self._former = RaFormer(self._with_background(setup), self._params)
+            self._stage.set_up(setup)
         except ValueError as error:
-            self._say(str(error), "setup")
+            self._refusals.refuse("setup", error)
             return
         self._queue.at_once = setup.array.digital
-
-    def _with_background(self, setup: RadarSetup) -> RadarSetup:
-        """The set-up with the background of the parameters, where they name one."""
-        return setup if self._background is None else msgspec.structs.replace(setup, background=self._background)
 
     def _put(self, received: Received) -> None:
         scans, beams = self._queue.shed_scans, self._queue.shed_beams
@@ -145,9 +134,9 @@ class RaFormerNode(Node):
         start_ns = self._clock_ns()
         maps += self._fold(self._queue.take())
         self._folds_ns.append(self._clock_ns() - start_ns)
-        if self._former is not None:
+        if self._stage.former is not None:
             # none where more beams are to come than a scan has nanoseconds
-            share_ns = max(self._former.folder.setup.beam_share_ns, 1)
+            share_ns = max(self._stage.former.folder.setup.beam_share_ns, 1)
             self._queue.load = sum(self._folds_ns) / len(self._folds_ns) / share_ns
         return maps
 
@@ -158,10 +147,10 @@ class RaFormerNode(Node):
 
     def _is_sound(self, ra_map: RangeAzimuthMap) -> bool:
         """Whether a map is to be published: not one that the bus tore too many beams out of."""
-        assert self._former is not None
-        used = len(self._former.folder.setup.beams) - len(ra_map.unused_beams)
+        assert self._stage.former is not None
+        used = len(self._stage.former.folder.setup.beams) - len(ra_map.unused_beams)
         is_torn = self._queue.torn(ra_map.scan_id)
-        if is_torn and len(ra_map.missing_beams) > self._params.missing_limit * used:
+        if is_torn and len(ra_map.missing_beams) > self._missing_limit * used:
             self._leave_out("torn")
             return False
         if self._published_scan is not None and ra_map.scan_id == self._published_scan + 1:
@@ -170,58 +159,36 @@ class RaFormerNode(Node):
         return True
 
     def _close_scan(self) -> list[RangeAzimuthMap]:
-        self._scan_begun = None
         try:
-            return [] if self._former is None else self._former.flush()
+            return self._stage.flush()
         except ValueError as error:
-            # its first beam, which never came, would have a stamp that none can have
-            self._say(str(error), "scan")
+            self._refusals.refuse("scan", error)
             return []
 
     def _fold(self, beam: RadarBeam) -> list[RangeAzimuthMap]:
-        if self._former is None:
-            self._say(f"beam {beam.beam_index} of scan {beam.scan_id} came before radar/setup")
-            return []
-        if jump_s := self._clock_jump_s(beam):
-            self._say(f"the radar's clock was set by {jump_s:+.0f} s within scan {beam.scan_id}")
-            return []
-        late, repeated = self._former.late_beams, self._former.repeated_beams
+        former = self._stage.former
+        late, repeated = (0, 0) if former is None else (former.late_beams, former.repeated_beams)
         try:
-            with self.stages("last beam" if beam.beam_index == beam.beam_count - 1 else "beam"):
-                maps = self._former.add(beam, self._state_for(beam))
+            maps = self._stage.add(beam)
         except ValueError as error:
-            self._say(str(error))
+            self._refusals.refuse("beam", error)
             return []
-        self._count("late", self._former.late_beams - late)
-        self._count("repeated", self._former.repeated_beams - repeated)
+        assert former is not None
+        self._count("late", former.late_beams - late)
+        self._count("repeated", former.repeated_beams - repeated)
         if maps:
-            self._trouble = ""
-        if any(ra_map.scan_id == beam.scan_id for ra_map in maps):
-            self._scan_begun = None
+            self._refusals.accept()
         return maps
-
-    def _clock_jump_s(self, beam: RadarBeam) -> float:
-        """How far a beam's stamp is from its scan's where that is further than a scan lasts; else 0."""
-        if self._scan_begun is None or self._scan_begun[0] != beam.scan_id:
-            self._scan_begun = (beam.scan_id, beam.stamp_ns)
-        away_ns = beam.stamp_ns - self._scan_begun[1]
-        return s_from_ns(away_ns) if abs(away_ns) > LONGEST_SCAN_NS else 0.0
 
     def _count(self, reason: str, beams: int) -> None:
         if beams:
             self.shed.add("beam", reason, beams)
 
-    def _state_for(self, beam: RadarBeam) -> VehicleState | None:
-        """The newest valid state not younger than the beam; the former keeps that of a scan's first beam for all."""
-        state = self._states.at(beam.stamp_ns) if self._params.ego_compensation else None
-        return state if state is not None and state.valid else None
 
-    def _say(self, trouble: str, what: str = "beam") -> None:
-        self._refused += what == "beam"
-        self.shed.add(what, "refused")
-        if trouble != self._trouble:
-            _LOG.warning("%s (%s refused so far)", trouble, counted(self._refused, "beam"))
-        self._trouble = trouble
+def forming_stage(params: Params, timed: Timed = nullcontext) -> FormingStage:
+    """Return the stage that parameters name; `ValueError` or `OSError` names a background that cannot be read."""
+    background = None if params.background is None else load_background(Path(params.background))
+    return FormingStage(params, params.ego_compensation, background, timed)
 
 
 def create(params: Params) -> RaFormerNode:

@@ -1,6 +1,6 @@
-"""Drives a radar that one can buy: set-up first, then beam after beam, at the pace of its scans or as fast as it goes.
+"""Node `radar_driver`: drives a real radar: set-up first, then beam after beam, at its scan rate or as fast as it can.
 
-A lost link makes the node DEGRADED and is tried again after a growing delay; the scan it broke is left unfinished and
+A lost link makes the node DEGRADED and is retried after a growing delay; the interrupted scan is left unfinished and
 the next one begins. A burst that is short or not finite is left out, counted, and named.
 """
 
@@ -26,12 +26,12 @@ from nodes.process.validation import require_rest
 _LOG = logging.getLogger(__name__)
 
 RETRY_S, MAX_RETRY_S = 0.5, 10.0
-#: A scan that takes this much longer than its set-up says is worth a word.
+#: A scan that takes this much longer than its set-up says is reported.
 SLOW = 1.2
 
 
 class Device(Protocol):
-    """What a kind of radar must offer; `open`, `steer` and `burst` raise `ConnectionError` where it is gone."""
+    """Interface of a kind of radar; `open`, `steer` and `burst` raise `ConnectionError` if it is lost."""
 
     setup: RadarSetup
 
@@ -39,23 +39,23 @@ class Device(Protocol):
         """Find the device and set it up; again after a loss."""
 
     def steer(self, beam_index: int) -> None:
-        """Turn the beam."""
+        """Steer the beam."""
 
     def burst(self) -> np.ndarray:
-        """Measure: I/Q codes int16 [chirps, samples, 2]; `ValueError` for what is no measurement."""
+        """Return measured I/Q codes int16 [chirps, samples, 2]; `ValueError` for an invalid measurement."""
 
     def close(self) -> None:
-        """Fall silent and let go."""
+        """Stop transmitting and close the connection."""
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which radar, how it scans, and under the kind's own name how it is set."""
+    """Kind of radar, its scans, and its settings under the kind's own name."""
 
     kind: Literal["cn0566"] = "cn0566"
     azimuth_deg: tuple[float, ...] | None = None
     #: Scans to measure; None: without end.
     scans: int | None = None
-    #: Rest before the first beam, in which subscribers get ready, and after the last, in which it gets through.
+    #: Rest before the first beam, in which subscribers get ready, and after the last, for its transmission.
     settle_s: float = 0.3
     cn0566: cn0566.Params = cn0566.Params()
 
@@ -80,26 +80,26 @@ class RadarDriver(Node):
         self._device, self._params = device, params
         self._setup = device.setup
         self._scan_id, self._beam_index = 0, 0
-        #: When the next beam, or the next try, is due; None: the set-up has not gone out.
+        #: When the next beam, or the next attempt, is due; None: the set-up has not been sent.
         self._due_ns: int | None = None
         self._scan_start_ns = 0
         self._lost, self._retry_s = False, RETRY_S
-        #: Why there is less than there should be; empty while all is well.
+        #: Reason for missing beams; empty while all is well.
         self._trouble = self._slow = ""
         self._ended = False
-        #: A test puts another clock in.
+        #: Tests replace the clock.
         self._clock_ns: Callable[[], int] = time.perf_counter_ns
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When the next beam or the next try is due."""
+        """Return when the next beam or the next attempt is due."""
         return now_ns if self._due_ns is None else self._due_ns
 
     def finished(self) -> bool:
-        """True once the last beam has had time to get through."""
+        """Return true once the last beam has had time to arrive."""
         return self._ended
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while the radar is lost, gives no sound bursts or is slower than its set-up says."""
+        """Return DEGRADED while the radar is lost, gives no valid bursts or is slower than its set-up says."""
         reason = self._trouble or self._slow
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
@@ -108,7 +108,7 @@ class RadarDriver(Node):
         self._device.close()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """The set-up, or one beam, or one try to find the radar again."""
+        """Return the set-up, or one beam, or nothing after an attempt to find the radar again."""
         if self._due_ns is None:
             self._due_ns = now_ns + ns_from_s(self._params.settle_s)
             self._setup = msgspec.structs.replace(self._setup, stamp_ns=now_ns)
@@ -135,7 +135,7 @@ class RadarDriver(Node):
         _LOG.info("found again")
 
     def _lose(self, error: Exception, now_ns: int) -> None:
-        """Say so once, and try again after a growing delay; a scan that was begun stays unfinished."""
+        """Report the loss once, and retry after a growing delay; a begun scan stays unfinished."""
         if not self._lost:
             _LOG.warning("%s", error)
         if self._beam_index:
@@ -147,7 +147,7 @@ class RadarDriver(Node):
         self._retry_s = min(2.0 * self._retry_s, MAX_RETRY_S)
 
     def _measure(self, now_ns: int) -> RadarBeam | None:
-        """The next beam, stamped when its chirps began; None where the burst was none."""
+        """Return the next beam, stamped when its chirps began; None if the burst was invalid."""
         start_ns = self._clock_ns()
         with self.stages("steer"):
             self._device.steer(self._beam_index)
@@ -182,7 +182,7 @@ class RadarDriver(Node):
         self._trouble = str(error)
 
     def _advance(self, now_ns: int) -> None:
-        """To the next beam; a radar that is behind is not hurried, its scans just take longer."""
+        """Advance to the next beam; a late radar is not hurried, its scans just take longer."""
         if self._beam_index == 0:
             self._judge_pace(now_ns)
             self._scan_start_ns = now_ns
@@ -202,7 +202,7 @@ class RadarDriver(Node):
 
 
 def create(params: Params) -> RadarDriver:
-    """The node with its parameters; a radar that cannot be found now is bad input, one that is lost later is not."""
+    """Return the node with its parameters; a radar absent now is bad input, one that is lost later is not."""
     device = cn0566.Cn0566(params.cn0566, params.beams)
     try:
         device.open()

@@ -9,9 +9,8 @@ from pathlib import Path
 import msgspec
 
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.topics import TOPICS, topic_facts
 from msgs.files.whole_files import free_bytes
-from msgs.recording.mcap import RAW_TOPIC, Encoded, Losses, RecordingWriter, TopicLoss, encoded
+from msgs.recording.mcap import Encoded, Losses, RecordingWriter, TopicLoss
 from msgs.values.diagnostics import NodeState
 from msgs.values.units import s_from_ns
 from msgs.values.wording import counted
@@ -19,71 +18,26 @@ from nodes.node import Node
 from nodes.recording.files import (
     LatchedMessages,
     about_this_run,
+    as_recorded,
     free_path,
     losses_between,
     next_number,
     numbered_path,
     require_kept_free,
 )
+from nodes.recording.params import RecordingParams
+from nodes.recording.snapshot_recorder import SnapshotRecorder
 
 _LOG = logging.getLogger(__name__)
 
 #: The disk is called short when it is full in less than this at the rate so far.
 _SHORT_S = 60.0
-#: Seconds and bytes are fewer: what is larger would be no time and no size any more.
-_MOST = 1e18
 #: The rate is known after this.
 _RATE_KNOWN_S = 5.0
 
 
-class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Params(RecordingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Where to record to and what; at most one of splitting and snapshots."""
-
-    path: str
-    #: None: all topics but raw beams.
-    topics: tuple[str, ...] | None = None
-    #: Raw beams too.
-    raw: bool = False
-    #: Written into the recording's metadata.
-    metadata: dict[str, str] = {}
-    #: A new file before one grows larger, and when one has lasted so long; path is then name-00001.mcap, ...
-    split_bytes: int | None = None
-    split_s: float | None = None
-    #: The oldest file of this run is deleted when there are more.
-    max_parts: int | None = None
-    #: Hold the last seconds in memory, in at most so many bytes, and write them when SIGUSR1 comes.
-    snapshot_s: float | None = None
-    snapshot_bytes: int = 1 << 30
-    #: The recording ends in good order before the disk has less room than this.
-    min_free_bytes: int = 100_000_000
-    #: Where `mirrorwave bag snapshot` finds the recorder; a launch fills it in.
-    run_dir: str | None = None
-
-    def __post_init__(self) -> None:
-        if not self.path:
-            raise ValueError("path must name a file")
-        for topic in self.topics or ():
-            topic_facts(topic)
-        for name in ("split_bytes", "split_s", "max_parts", "snapshot_s", "snapshot_bytes"):
-            value = getattr(self, name)
-            if value is not None and not 0 < value < _MOST:
-                raise ValueError(f"{name} must be above zero and below {_MOST:g}, got {value!r}")
-        if self.min_free_bytes < 0:
-            raise ValueError(f"min_free_bytes must not be negative, got {self.min_free_bytes!r}")
-        if self.max_parts is not None and not self.splits:
-            raise ValueError(f"max_parts needs split_bytes or split_s, got {self.max_parts!r} without")
-        if self.snapshot_s is not None and self.splits:
-            raise ValueError("snapshot_s must not stand beside split_bytes or split_s: each snapshot is a file already")
-
-    @property
-    def splits(self) -> bool:
-        """Whether the recording goes into several files."""
-        return self.split_bytes is not None or self.split_s is not None
-
-    def chosen_topics(self) -> tuple[str, ...]:
-        """Topics to record, in the order of the topic table."""
-        wanted = set(TOPICS) - {RAW_TOPIC} if self.topics is None else set(self.topics)
-        return tuple(topic for topic in TOPICS if topic in wanted or (self.raw and topic == RAW_TOPIC))
 
 
 class Recorder(Node):
@@ -282,24 +236,10 @@ def _with_missed(losses: Losses, missed: Counter[str], ended: str) -> Losses:
     return Losses(topics=tuple(topics), ended=ended)
 
 
-def as_recorded(received: Received) -> Encoded:
-    """What came in, as it stands in a recording."""
-    envelope = received.envelope
-    return encoded(
-        received.topic,
-        received.message,
-        publisher=envelope.publisher,
-        sequence=envelope.sequence,
-        sent_ns=envelope.sent_ns,
-    )
-
-
 def create(params: Params) -> Node:
     """The node; raises `OSError` where the file cannot be created."""
     if params.snapshot_s is None:
         return Recorder(params)
-    from nodes.recording.snapshot_recorder import SnapshotRecorder
-
     recorder = SnapshotRecorder(params)
     recorder.listen()
     return recorder

@@ -1,7 +1,7 @@
-"""The car's CAN bus, or a log of it, as the vehicle's state.
+"""Node `vehicle_can`: the car's CAN bus, or a log of it, as the vehicle's state.
 
-Stamps: frames of a live bus are mapped from the interface's clock onto the bus clock; those of a log keep their
-distances and start when it starts to play, or at `log_start_ns`. Ages are measured on stamps alone.
+Stamps: frames of a live bus are converted from the interface's clock to the bus clock; those of a log keep their
+distances and start when its replay starts, or at `log_start_ns`. Ages are measured on stamps alone.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ from nodes.process.validation import require_clock_offset
 
 _LOG = logging.getLogger(__name__)
 
-#: How often a live bus is read: a quarter of the shortest period that cars use.
+#: Interval between reads of a live bus: a quarter of the shortest period that cars use.
 POLL_NS = 5_000_000
-#: Stamps of a log that go back further, or leave out more, are of a clock that was set.
+#: Stamps of a log that go back further, or leave out more, mean that its clock was set.
 SET_BACK_NS, SET_AHEAD_NS = 1_000_000_000, 3600 * 1_000_000_000
 
 
 class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which bus or log, and what its frames mean."""
+    """Bus or log, and the meaning of its frames."""
 
     dbc: str = "launch/can/mirrorwave.dbc"
     mapping: str = "launch/can/mirrorwave.yaml"
@@ -52,9 +52,9 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
     log_channel: str | None = None
     #: Speed of play; 1 is real time.
     rate: float = 1.0
-    #: Stamp that the log's first frame is given; None: the time at which it starts to play.
+    #: Stamp of the log's first frame; None: the time at which its replay starts.
     log_start_ns: int | None = None
-    #: Added to the states' stamps: what `mirrorwave calibrate clock` finds.
+    #: Added to the states' stamps: the result of `mirrorwave calibrate clock`.
     clock_offset_s: float = 0.0
 
     def __post_init__(self) -> None:
@@ -65,27 +65,27 @@ class Params(BusParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class FrameSource(Protocol):
-    """Where frames come from: a bus or a log."""
+    """Source of frames: a bus or a log."""
 
     @property
     def trouble(self) -> str:
-        """Why nothing comes; empty while all is well."""
+        """Reason for missing frames; empty while all is well."""
 
     @property
     def ended(self) -> bool:
-        """True when nothing will ever come again."""
+        """Return whether no further frame will ever come."""
 
     def stamp_ns(self, now_ns: int) -> int:
-        """The bus clock's time on the clock of the stamps."""
+        """Return the bus clock's time on the clock of the stamps."""
 
     def due_ns(self, now_ns: int, stamp_ns: int) -> int:
-        """Bus time of the next look for frames, or of `stamp_ns` on the clock of the stamps if that is earlier."""
+        """Return the bus time of the next poll, or of `stamp_ns` on the clock of the stamps if that is earlier."""
 
     def frames(self, now_ns: int) -> list[LogFrame]:
-        """Frames up to now, with their stamps."""
+        """Return the frames up to now, with their stamps."""
 
     def close(self) -> None:
-        """Let go of bus or file."""
+        """Close bus or file."""
 
 
 class LiveSource:
@@ -100,24 +100,24 @@ class LiveSource:
 
     @property
     def trouble(self) -> str:
-        """What is wrong with the bus."""
+        """Fault of the bus."""
         return self._link.trouble
 
     def stamp_ns(self, now_ns: int) -> int:
-        """The same clock."""
+        """Return the time unchanged: there is one clock."""
         return now_ns
 
     def due_ns(self, now_ns: int, stamp_ns: int) -> int:
-        """The next poll, or earlier."""
+        """Return the next poll, or earlier."""
         return min(stamp_ns, now_ns if self._next_ns is None else self._next_ns)
 
     def frames(self, now_ns: int) -> list[LogFrame]:
-        """What waits in the interface."""
+        """Return the frames that wait in the interface."""
         self._next_ns = now_ns + POLL_NS
         return [LogFrame(frame, self._bus_stamp_ns(frame, now_ns)) for frame in self._link.receive(now_ns)]
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         self._link.close()
 
     def _bus_stamp_ns(self, frame: can.Message, now_ns: int) -> int:
@@ -127,9 +127,9 @@ class LiveSource:
 
 
 class LogSource:
-    """Frames of a log, each when its time has come; a log that cannot be read on has ended.
+    """Frames of a log, each when its time has come; an unreadable rest counts as its end.
 
-    Where its clock was set, the frame after that comes right behind the one before.
+    If its clock was set, the frame after that follows immediately.
     """
 
     def __init__(self, frames: Iterator[LogFrame], rate: float = 1.0, start_ns: int | None = None) -> None:
@@ -143,26 +143,26 @@ class LogSource:
 
     @property
     def ended(self) -> bool:
-        """True after the last frame."""
+        """Return whether the last frame was read."""
         return self._next is None
 
     def stamp_ns(self, now_ns: int) -> int:
-        """Time of the log; it starts to play with the first call."""
+        """Return the time of the log; its replay starts with the first call."""
         if self._play_ns is None:
             self._play_ns = now_ns
         start_ns = self._play_ns if self._start_ns is None else self._start_ns
         return start_ns + round((now_ns - self._play_ns) * self._rate)
 
     def due_ns(self, now_ns: int, stamp_ns: int) -> int:
-        """When the next frame is due, or earlier."""
+        """Return when the next frame is due, or earlier."""
         if self._next is not None:
             stamp_ns = min(stamp_ns, self._restamped(self._next).stamp_ns)
         ahead_ns = stamp_ns - self.stamp_ns(now_ns)
-        # rounded up: a step that comes a nanosecond early would find nothing to do
+        # rounded up: a step a nanosecond early would have no work
         return now_ns if ahead_ns <= 0 else now_ns + int(ahead_ns / self._rate) + 1
 
     def frames(self, now_ns: int) -> list[LogFrame]:
-        """Frames whose time has come."""
+        """Return the frames whose time has come."""
         until_ns = self.stamp_ns(now_ns)
         due: list[LogFrame] = []
         while len(due) < BURST and self._next is not None:
@@ -174,7 +174,7 @@ class LogSource:
         return due
 
     def close(self) -> None:
-        """The file is closed with its reader."""
+        """Close the file with its reader."""
         self._next = None
         self._frames.close()
 
@@ -211,17 +211,17 @@ class VehicleCanNode(Node):
         self._last: VehicleState | None = None
 
     def due_ns(self, now_ns: int) -> int:
-        """When frames are to be looked for or a state is due."""
+        """Return when frames are to be polled or a state is due."""
         if self._reporter is None:
             return now_ns
         return self._source.due_ns(now_ns, self._reporter.due_ns(self._source.trouble))
 
     def finished(self) -> bool:
-        """True after the last frame of a log."""
+        """Return true after the last frame of a log."""
         return self._source.ended
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """States of all frames that came, and the one that is due without any."""
+        """Return the states of all received frames, and the one that is due without any."""
         if self._reporter is None:
             self._reporter = StateReporter(self._decoder, self._source.stamp_ns(now_ns))
         states: list[VehicleState | None] = []
@@ -232,13 +232,13 @@ class VehicleCanNode(Node):
         return [Outgoing("vehicle/state", self._on_radar_clock(state)) for state in states if state is not None]
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED with the reason of the last state."""
+        """Return DEGRADED with the reason of the last state."""
         if self._last is not None and not self._last.valid:
             return NodeState.DEGRADED, self._last.reason
         return NodeState.READY, ""
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         self._source.close()
 
     def _on_radar_clock(self, state: VehicleState) -> VehicleState:
@@ -255,7 +255,7 @@ class VehicleCanNode(Node):
 
 
 def create(params: Params) -> VehicleCanNode:
-    """The node; `ValueError` for a DBC, mapping or log that cannot be read. A bus that is not there may come later."""
+    """Return the node; `ValueError` for an unreadable DBC, mapping or log. An absent bus may appear later."""
     decoder = load_decoder(checkout_path(params.dbc), checkout_path(params.mapping))
     if params.log is None:
         return VehicleCanNode(decoder, LiveSource(CanLink(params)), params.clock_offset_s)

@@ -1,4 +1,4 @@
-"""A simulated car: what its CAN bus says while it moves."""
+"""A simulated car: the frames on its CAN bus while it moves."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class CarShape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What turns a yaw rate into an angle of the steering wheel."""
+    """Geometry that maps a yaw rate to an angle of the steering wheel."""
 
     wheelbase_m: float = 2.7
     #: From the left to the right wheels.
@@ -36,7 +36,9 @@ class CarShape(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             require_positive(name, getattr(self, name))
 
     def steering_rad(self, speed_mps: float, yaw_rate_rps: float) -> float:
-        """Angle of the steering wheel of a car that rolls without slip, left positive; straight at standstill."""
+        """Return the angle of the steering wheel of a car that rolls without slip, left positive; straight at
+        standstill.
+        """
         if speed_mps == 0.0:
             return 0.0
         angle_rad = self.steering_ratio * math.atan(self.wheelbase_m * yaw_rate_rps / speed_mps)
@@ -52,9 +54,9 @@ class CarFrame(NamedTuple):
 
 
 class SimulatedCar:
-    """Sends every message of a mapping at its period, counters and checksums as the mapping has them.
+    """Sender of every message of a mapping at its period, with counters and checksums.
 
-    Raises `ValueError` naming the field where mapping and DBC do not meet.
+    Raises `ValueError` naming the field where mapping and DBC do not agree.
     """
 
     def __init__(self, database: Database, mapping: CanMapping, start_ns: int = 0) -> None:
@@ -71,11 +73,11 @@ class SimulatedCar:
         self._senders = [_Sender(by_name[name], rules.get(name, MessageRule()), start_ns) for name in names]
 
     def due_ns(self) -> int:
-        """When the next frame is to be sent."""
+        """Return when the next frame is to be sent."""
         return min(sender.due_ns for sender in self._senders)
 
     def frames(self, state: VehicleState) -> list[CarFrame]:
-        """The frames whose time has come at the state's stamp.
+        """Return the frames whose time has come at the state's stamp.
 
         Raises `ValueError` for a state that the DBC's bits cannot hold.
         """
@@ -84,7 +86,7 @@ class SimulatedCar:
         return [sender.frame(values, state.stamp_ns) for sender in due]
 
     def _values(self, state: VehicleState) -> dict[tuple[str, str], float]:
-        """What each signal of the mapping says, by message and signal."""
+        """Return the value of each signal of the mapping, by message and signal."""
         half_mps = 0.5 * (state.wheel_speed_difference_mps or 0.0)
         si = {
             "speed": state.speed_mps, "yaw rate": state.yaw_rate_rps, "steering": state.steering_rad,
@@ -103,7 +105,7 @@ class SimulatedCar:
 
 
 class _Sender:
-    """One message: when it is due, and its counter."""
+    """Sender of one message: its next time and its counter."""
 
     def __init__(self, message: Message, rule: MessageRule, start_ns: int) -> None:
         self._message, self._rule = message, rule
@@ -112,7 +114,7 @@ class _Sender:
         self.due_ns = start_ns
 
     def frame(self, values: dict[tuple[str, str], float], now_ns: int) -> CarFrame:
-        """The frame at `now_ns`; what was missed before is not made up for."""
+        """Return the frame at `now_ns`; missed frames are not sent later."""
         on_time_ns = self.due_ns + self._period_ns
         self.due_ns = on_time_ns if on_time_ns > now_ns else now_ns + self._period_ns
         return CarFrame(self._message.frame_id, self._data(values), self._message.is_extended_frame)
@@ -139,7 +141,7 @@ class _Sender:
 
 
 def _rules(mapping: CanMapping) -> dict[str, QuantityRule]:
-    """Rules by the name of what they give, the sides of the wheels last."""
+    """Return the rules by the name of what they give, the sides of the wheels last."""
     wheels = mapping.wheel_speeds
     if wheels is None:
         return mapping.quantities
@@ -148,7 +150,7 @@ def _rules(mapping: CanMapping) -> dict[str, QuantityRule]:
 
 
 def _message_names(mapping: CanMapping) -> list[str]:
-    """Messages of a mapping in the order in which it names them."""
+    """Return the messages of a mapping in the order in which it names them."""
     rules = _rules(mapping).values()
     signs = [rule.negative_while.message for rule in rules if rule.negative_while is not None]
     return [rule.message for rule in rules] + signs

@@ -1,7 +1,7 @@
-"""A radar on a vehicle that drives as told: beams and truth from any path and mounting, and what its bus says.
+"""A radar on a vehicle with a prescribed drive: beams and truth from any path and mounting, and vehicle states.
 
 Unlike `sim_player.player`, whose radar moves at constant speed and yaw rate along its own x axis, the vehicle's speed
-and yaw rate change over time and the radar sits somewhere on it, turned. Each beam is traced from its own place.
+and yaw rate change over time and the radar sits somewhere on it, turned. Each beam is traced from its own position.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ class Drive:
     yaw_rate_rps: np.ndarray
 
     def pose(self, time_s: float) -> Pose2:
-        """`start_from_vehicle` at a time: integrated in steps of a millisecond at most."""
+        """Return `start_from_vehicle` at a time: integrated in steps of a millisecond at most."""
         steps = max(int(abs(time_s) / 1e-3), 1)
         at_s = (np.arange(steps) + 0.5) * time_s / steps
         step_s = time_s / steps
         turned_rad = self.yaw_rate_at(at_s) * step_s
         heading_rad = np.cumsum(turned_rad) - 0.5 * turned_rad
-        way_m = self.speed_at(at_s) * step_s
-        x_m, y_m = float(way_m @ np.cos(heading_rad)), float(way_m @ np.sin(heading_rad))
+        step_m = self.speed_at(at_s) * step_s
+        x_m, y_m = float(step_m @ np.cos(heading_rad)), float(step_m @ np.sin(heading_rad))
         return Pose2(x_m, y_m, wrap_angle(float(turned_rad.sum())))
 
     def speed_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Speed at times; held before the first and after the last."""
+        """Return the speed at times; held before the first and after the last."""
         return np.interp(time_s, self.time_s, self.speed_mps)
 
     def yaw_rate_at(self, time_s: np.ndarray) -> np.ndarray:
-        """The same of the yaw rate."""
+        """Return the yaw rate at times; held before the first and after the last."""
         return np.interp(time_s, self.time_s, self.yaw_rate_rps)
 
 
@@ -100,12 +100,12 @@ class DrivePlayer:
         self._traced: tuple[float, Paths] | None = None
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
-        """When a beam starts."""
+        """Return when a beam starts."""
         period_ns = ns_from_s(self.setup.radar.scan_period_s)
         return self._start_ns + scan * period_ns + beam * self.setup.beam_interval_ns
 
     def beam(self, scan: int, index: int) -> RadarBeam:
-        """One steering angle's raw samples from the place and at the speed the radar has there."""
+        """Return one steering angle's raw samples, at the radar's position and speed at that time."""
         setup, front_end = self.setup, self._world.scene.radar.front_end
         seed = [self._seed, 5, scan, index]
         terms = with_electronics(setup, self._echoes(scan, index), self._signal, front_end, seed)
@@ -120,7 +120,7 @@ class DrivePlayer:
         )
 
     def _echoes(self, scan: int, index: int) -> Terms:
-        """Terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
+        """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
         setup = self.setup
         # slow time counts from the middle of the beam
         middle_s = 0.5 * (setup.radar.beam_duration_s - setup.radar.chirp_period_s)
@@ -133,7 +133,7 @@ class DrivePlayer:
         return beats, carrier, basis
 
     def truth(self, scan: int) -> SceneTruth:
-        """What is there when a scan starts, in the radar's frame."""
+        """Return the truth at the start of a scan, in the radar's frame."""
         stamp_ns = self.stamp_ns(scan)
         time_s = s_from_ns(stamp_ns - self._start_ns)
         paths, pose = self.paths(time_s), self._pose(time_s)
@@ -142,9 +142,10 @@ class DrivePlayer:
     def states(
         self, duration_s: float, period_s: float = 0.02, noise: tuple[float, float] = (0.0, 0.0), late_s: float = 0.0
     ) -> list[VehicleState]:
-        """What the bus says of `duration_s`, stamped `late_s` after it was so; noise of speed [m/s], yaw rate [rad/s].
+        """Return the vehicle states over `duration_s`, stamped `late_s` late; noise of speed [m/s] and yaw rate
+        [rad/s].
 
-        It begins and ends two seconds outside, so that shifted stamps still cover the scans.
+        They begin two seconds before and end two seconds after, so that shifted stamps still cover the scans.
         """
         rng = np.random.default_rng([self._seed, 21])
         time_s = np.arange(-2.0, duration_s + 2.0, period_s)
@@ -157,7 +158,9 @@ class DrivePlayer:
         ]
 
     def paths(self, time_s: float) -> Paths:
-        """Return all paths from where the radar is at a time after the start, [s]; those of the last one are kept."""
+        """Return all paths from the radar's position at a time after the start [s]; those of the last time are
+        cached.
+        """
         if self._traced is None or self._traced[0] != time_s:
             self._traced = time_s, self._trace(time_s)
         return self._traced[1]
@@ -178,11 +181,11 @@ class DrivePlayer:
         return as_paths(view, trace_echoes(view, self._used), self._used)
 
     def _pose(self, time_s: float) -> Pose2:
-        """`start_from_radar` at a time."""
+        """Return `start_from_radar` at a time."""
         return self.drive.pose(time_s) @ self.vehicle_from_radar
 
     def _velocity(self, time_s: float) -> np.ndarray:
-        """The radar's velocity in the scene's frame, [2]: that of the vehicle and the turn about it."""
+        """Return the radar's velocity in the scene's frame, [2]: that of the vehicle and the turn about it."""
         lever, at = self.vehicle_from_radar, np.array(time_s)
         speed, yaw_rate = float(self.drive.speed_at(at)), float(self.drive.yaw_rate_at(at))
         in_vehicle = np.array([speed - yaw_rate * lever.y_m, yaw_rate * lever.x_m])

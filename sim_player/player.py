@@ -1,4 +1,4 @@
-"""A scene played as a radar: beams in order of acquisition, truth, and the vehicle's own motion."""
+"""Player of a scene as a radar: beams in order of acquisition, truth, and the vehicle's own motion."""
 
 from __future__ import annotations
 
@@ -28,8 +28,9 @@ class ScenePlayer:
     `start_ns`, beams are spread evenly over the scan period, those of a digital array are of one time. Raises
     ValueError for a scene that cannot be simulated.
 
-    `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where things move), "auto"
-    (what the scene calls for under `budget_db`, asked anew for every scan where things move), "all", or names with
+    `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where objects move), "auto"
+    (the effects that the scene needs under `budget_db`, planned for every scan where objects move), "all", or names
+    with
     commas between them.
     """
 
@@ -63,12 +64,12 @@ class ScenePlayer:
         self._still_beats = None if scene.moves else self._all_beats()
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
-        """When a beam starts."""
+        """Return when a beam starts."""
         period_ns = ns_from_s(self.setup.radar.scan_period_s)
         return self.setup.stamp_ns + scan * period_ns + beam * self.setup.beam_interval_ns
 
     def plan(self, scan: int) -> Plan | None:
-        """The effects of a scan as planned at its start; None: the basic ones, unasked."""
+        """Return the effects of a scan as planned at its start; None: the basic ones, without a plan."""
         scan = scan if self.scene.moves else 0
         if scan not in self._plans:
             time_s = self._elapsed_s(self.stamp_ns(scan))
@@ -77,7 +78,7 @@ class ScenePlayer:
         return self._plans[scan]
 
     def paths(self, time_s: float, scan: int = 0) -> Paths:
-        """All paths at a time after start, under the effects of a scan."""
+        """Return all paths at a time after start, under the effects of a scan."""
         if (time_s, scan) not in self._traced:
             plan = self.plan(scan)
             paths = trace(self._world, time_s) if plan is None else trace(self._world, time_s, plan.used)
@@ -86,7 +87,7 @@ class ScenePlayer:
         return self._traced[time_s, scan]
 
     def beam(self, scan: int, index: int) -> RadarBeam:
-        """One steering angle's raw samples, as measured at its time."""
+        """Return one steering angle's raw samples, as measured at its time."""
         stamp_ns, seed = self.stamp_ns(scan, index), [self._seed, 5, scan, index]
         signal, front_end = self._signal(scan), self.scene.radar.front_end
         beats, carrier, basis = with_electronics(self.setup, self._echoes(scan, index), signal, front_end, seed)
@@ -104,13 +105,13 @@ class ScenePlayer:
         )
 
     def truth(self, scan: int) -> SceneTruth:
-        """What is there when a scan starts."""
+        """Return the truth at the start of a scan."""
         stamp_ns = self.stamp_ns(scan)
         time_s = self._elapsed_s(stamp_ns)
         return scene_truth(self._world, self.setup, self.paths(time_s, scan), time_s, stamp_ns, scan)
 
     def vehicle_state(self, stamp_ns: int) -> VehicleState:
-        """The vehicle's constant motion, as its bus would report it."""
+        """Return the vehicle's constant motion, as its bus would report it."""
         ego = self.scene.ego
         return VehicleState(stamp_ns=stamp_ns, speed_mps=ego.speed_mps, yaw_rate_rps=math.radians(ego.yaw_rate_dps))
 
@@ -118,12 +119,12 @@ class ScenePlayer:
         return s_from_ns(stamp_ns - self.setup.stamp_ns)
 
     def _signal(self, scan: int) -> SignalEffects:
-        """Antenna, waveform and receiver of a scan."""
+        """Return the antenna, waveform and receiver of a scan."""
         plan = self.plan(scan)
         return PLAIN if plan is None else plan.signal
 
     def _all_beats(self) -> np.ndarray:
-        """Echoes of every beam of a scene at rest, complex128 [beams, samples]."""
+        """Return the echoes of every beam of a scene at rest, complex128 [beams, samples]."""
         plan, front_end = self.plan(0), self.scene.radar.front_end
         if plan is None:
             paths = self.paths(0.0)
@@ -131,11 +132,11 @@ class ScenePlayer:
         return np.sum([beam_beats(self.setup, paths, flags, front_end) for paths, flags in plan.groups()], axis=0)
 
     def _echoes(self, scan: int, index: int) -> Terms:
-        """Terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
+        """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
         radar = self.setup.radar
         if self._still_beats is not None:
-            ones = np.ones(radar.chirps_per_beam)
-            return self._still_beats[index : index + 1], ones, ones[None]
+            unit = np.ones(radar.chirps_per_beam)
+            return self._still_beats[index : index + 1], unit, unit[None]
         # slow time counts from the middle of the beam, so the scene is frozen there
         middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
         paths = self.paths(self._elapsed_s(self.stamp_ns(scan, index)) + middle_s, scan)

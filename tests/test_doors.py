@@ -288,7 +288,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
     from nodes import bev_viewer
     from nodes.can import log_file as can_log_file
     from nodes.process import launch_file, logs
-    from nodes.viewer import connection_limiter as door
+    from nodes.viewer import connection_limiter as limiter
     from nodes.viewer import server
     from sim_player.scene import description as scene
     from sim_player.scene import meshes
@@ -306,13 +306,13 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
             f"{curve_exporter._MAX_STRANGERS}, for {curve_link._HANDSHAKE_MS / 1000:g} s"
         ),
         "pages at the viewer": str(bev_viewer.Params().max_clients),
-        "connections to the viewer that are no page": f"{door.MAX_VISITORS}, for {door.VISIT_S:g} s",
+        "connections to the viewer that are no page": f"{limiter.MAX_PENDING}, for {limiter.PENDING_S:g} s",
         "message of a page": f"{_size(server.MAX_CLIENT_MESSAGE_BYTES)}, {server.MAX_CLIENT_MESSAGES_PER_S} a second",
         "launch, parameter, profile, CAN mapping or annotation file": (
             f"{_size(launch_file.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels"
         ),
         "scene": f"{_size(scene.MAX_BYTES)}, {yaml_loader.MAX_DEPTH} levels",
-        "mesh": f"{_size(meshes.MOST_BYTES)}, {meshes.MOST_FACES:,} faces",
+        "mesh": f"{_size(meshes.MAX_BYTES)}, {meshes.MAX_FACES:,} faces",
         "DBC": _size(MAX_DBC_BYTES),
         "line of a CAN log; object of a BLF, packed": (
             f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"

@@ -95,6 +95,58 @@ def test_the_law_catches_a_breach(module: str, source: str) -> None:
     assert violations(module, imported_modules(source))
 
 
+def import_graph(sources: dict[str, str]) -> dict[str, set[str]]:
+    """Which modules of `sources` each one imports: at its top, late in a function, or for its types alone."""
+    graph: dict[str, set[str]] = {module: set() for module in sources}
+    for module, source in sources.items():
+        for name in imported_modules(source):
+            # a name that is no module itself comes out of its module
+            target = name if name in sources else name.rpartition(".")[0]
+            if target in sources and target != module:
+                graph[module].add(target)
+    return graph
+
+
+def import_circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Groups of modules that all reach each other by imports, each group sorted."""
+    reached = {module: _reached_from(module, graph) for module in graph}
+    groups = {frozenset(other for other in found if module in reached[other]) for module, found in reached.items()}
+    return sorted(sorted(group) for group in groups if group)
+
+
+def _reached_from(module: str, graph: dict[str, set[str]]) -> set[str]:
+    """Modules that imports lead to from a module, itself only by way of a circle."""
+    found: set[str] = set()
+    waiting = set(graph[module])
+    while waiting:
+        found.add(name := waiting.pop())
+        waiting |= graph[name] - found
+    return found
+
+
+def test_no_modules_import_each_other() -> None:
+    """A module is read and tested with all that it imports; in a circle that is every one of its modules."""
+    assert import_circles(import_graph({module_name(path): path.read_text() for path in SOURCES})) == []
+
+
+@pytest.mark.parametrize(
+    ("sources", "circle"),
+    [
+        ({"a": "import b", "b": "from a import name"}, ["a", "b"]),
+        ({"a": "import b", "b": "def late():\n    import a"}, ["a", "b"]),
+        ({"a": "from r import b", "r.b": "if TYPE_CHECKING:\n    from a import Name"}, ["a", "r.b"]),
+        ({"a": "import b", "b": "import c", "c": "import a", "d": "import a"}, ["a", "b", "c"]),
+    ],
+)
+def test_the_law_of_circles_catches_a_breach(sources: dict[str, str], circle: list[str]) -> None:
+    assert import_circles(import_graph(sources)) == [circle]
+
+
+def test_the_law_of_circles_lets_pass_what_runs_one_way() -> None:
+    sources = {"a": "import b, c", "b": "import c\nfrom c import b", "c": "import numpy", "r": "from r import a"}
+    assert import_circles(import_graph(sources)) == []
+
+
 def test_supervisor_imports_no_process_of_the_graph() -> None:
     """A launch file names modules; the supervisor must not pull numba, onnxruntime or a scene into its own process."""
     heavy = {"nodes.ra_former", "nodes.player", "nodes.geometry", "nodes.dense_predictor"}
@@ -106,6 +158,72 @@ def test_supervisor_imports_no_process_of_the_graph() -> None:
 def test_no_room_is_a_warehouse(folder: Path) -> None:
     files = [path.name for path in folder.glob("*.py") if path.name != "__init__.py"]
     assert len(files) <= MAX_FILES, sorted(files)
+
+
+#: What a verb needs no import of: it hands options to one call, which computes or draws, and prints the answer.
+COMPUTING = ("numpy", "scipy", "numba", "matplotlib", "onnxruntime", "torch", "mirrorwave.plots.style")
+#: Lines of a module of verbs, lines of a function's body, products and quotients in one.
+MAX_VERB_LINES, MAX_VERB_BODY, MAX_VERB_PRODUCTS = 280, 55, 4
+VERBS = [path for path in SOURCES if module_name(path).startswith("mirrorwave.commands.")]
+
+
+def algorithms(source: str) -> list[str]:
+    """Signs that a module of verbs computes itself."""
+    tree = ast.parse(source)
+    found = [
+        f"imports {name}" for name in _run_time_imports(tree) if f"{name}.".startswith(tuple(map(_dotted, COMPUTING)))
+    ]
+    lines = len(source.splitlines())
+    found += [f"{lines} lines"] if lines > MAX_VERB_LINES else []
+    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+        body = (function.end_lineno or 0) - function.body[0].lineno + 1
+        found += [f"{function.name}: a body of {body} lines"] if body > MAX_VERB_BODY else []
+        operators = [node.op for node in ast.walk(function) if isinstance(node, ast.BinOp)]
+        products = sum(isinstance(one, ast.Mult | ast.Div | ast.Pow | ast.MatMult) for one in operators)
+        found += [f"{function.name}: {products} products"] if products > MAX_VERB_PRODUCTS else []
+    return found
+
+
+def _dotted(name: str) -> str:
+    return f"{name}."
+
+
+def _run_time_imports(tree: ast.Module) -> list[str]:
+    """Every import that is made when the program runs, lazy ones included, those for type checkers not."""
+    typing_only = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+        for inner in ast.walk(node)
+    }
+    left = [
+        node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom) and id(node) not in typing_only
+    ]
+    return [name for node in left for name in imported_modules(ast.unparse(node))]
+
+
+@pytest.mark.parametrize("path", VERBS, ids=module_name)
+def test_verbs_hold_no_algorithm(path: Path) -> None:
+    assert algorithms(path.read_text()) == []
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import numpy as np",
+        "def late():\n    from scipy import signal",
+        "def draw():\n    from mirrorwave.plots.style import new_figure",
+        "x = 1\n" * (MAX_VERB_LINES + 1),
+        "def verb():\n" + "    x = 1\n" * (MAX_VERB_BODY + 1),
+        "def level(a):\n    return a * a * a * a * a * a",
+    ],
+)
+def test_the_law_of_verbs_catches_a_breach(source: str) -> None:
+    assert algorithms(source)
+
+
+def test_the_law_of_verbs_lets_types_pass() -> None:
+    assert algorithms("if TYPE_CHECKING:\n    import numpy as np") == []
 
 
 @pytest.mark.parametrize("path", SOURCES, ids=module_name)

@@ -1,7 +1,7 @@
 """The network of the specification's Table 3, at its size, against what our profiles run: milliseconds a map.
 
 Times do not depend on weights, so Table 3's network (Swin-UNet, 512 x 512, fp32, ONNX Runtime) carries seeded random
-ones; its accuracy can only be told where it has been trained (docs/learned-reconstruction.md holds the size that two
+ones; its accuracy can only be told where it has been trained (docs/results/learned.md holds the size that two
 cores can train). A profile's time is its whole detection: encoding, network as often as it is asked, peaks. Every round
 times every candidate once, in a drawn order, on the same map.
 Usage: python -m benchmarks.accuracy.published_size [--rounds 20] [--threads 1 2] [--seed 11] [--json]

@@ -40,23 +40,17 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy.side_street import GATE_M, Said, as_object, lead_s, switches
 from benchmarks.perception.geometry_switches import machine
-from mirrorwave.studies.tradeoff.runner import params_of
-from mirrorwave.studies.tradeoff.settings import Setting
+from mirrorwave.node_chain import NodeParams
 from models.evaluation.frame_scores import Estimate, bootstrap_weights
 from models.evaluation.metrics import match_objects
 from models.evaluation.object_error import centre_error_m, object_distances
-from models.perception.detection.detectors import Detector
+from models.perception.chain import Chain
 from models.perception.forming.ra_forming import RaFormer
-from models.perception.geometry.confidence import Confidence
-from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from msgs.values.frames import Pose2
-from msgs.values.perception import PathClass, Peaks, SceneTruth, Track
+from msgs.values.perception import PathClass, SceneTruth, Track
 from msgs.values.radar import RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from nodes.dense_predictor import detector_for
-from nodes.geometry import parts_of
 from sim_player.drive import Drive, DrivePlayer
 from sim_player.generate.side_streets import CROSSING, SideStreet, direct_sight, random_side_street
 from sim_player.trace.truth import labelled
@@ -75,7 +69,7 @@ LATER_S = 1.0
 CONFIRMATION_S = 0.6
 DRAWS = 2000
 #: Node parameters of each way, as a launch file gives them.
-WAYS = {
+WAYS: dict[str, dict[str, dict[str, object]]] = {
     "network": {},
     "network, walls kept": {"geometry": {"memory": {"wall_map": True}}},
     "network with confidence, walls kept": {
@@ -132,32 +126,14 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     seed: int
     chirps: int
     effects: str
-    ways: dict[str, dict[str, object]] = msgspec.field(default_factory=lambda: dict(WAYS))
+    ways: dict[str, dict[str, dict[str, object]]] = msgspec.field(default_factory=lambda: dict(WAYS))
 
 
-@dataclass
-class Way:
-    """Detector, geometry and memory of one set of parameters; maps come from elsewhere, the same for all ways."""
-
-    detector: Detector
-    geometry: GeometryParams
-    confidence: Confidence | None
-    memory: ScanMemory
-
-    @classmethod
-    def of(cls, params: dict[str, object], setup: RadarSetup) -> Way:
-        """Build the parts as the nodes do."""
-        row = msgspec.convert({"switch": "way", "value": "way", "params": params}, Setting)
-        geometry = params_of(row, "geometry")
-        placed, _, confidence = parts_of(geometry)
-        memory: MemoryParams = geometry.memory
-        return cls(detector_for(params_of(row, "dense_predictor"), setup), placed, confidence, ScanMemory(memory))
-
-    def tracks(self, peaks: Peaks) -> tuple[Track, ...]:
-        """Confirmed tracks after a scan."""
-        walls = self.memory.walls_at(peaks)
-        view = recover_bev(peaks, self.geometry, confidence=self.confidence, remembered=walls)
-        return self.memory.tracked(view, peaks.vehicle_from_radar).tracks
+def chain_of(params: dict[str, dict[str, object]], setup: RadarSetup) -> Chain:
+    """Return a chain as the nodes have it; maps come from elsewhere, the same for all chains."""
+    chain = NodeParams.of(params).chain()
+    chain.detection.set_up(setup)
+    return chain
 
 
 @dataclass
@@ -264,7 +240,7 @@ def run_drive(settings: Settings, index: int) -> DriveResult:
 
 
 def _driven(settings: Settings, index: int, street: SideStreet, player: DrivePlayer) -> DriveResult:
-    ways = {name: Way.of(params, player.setup) for name, params in settings.ways.items()}
+    ways = {name: chain_of(params, player.setup) for name, params in settings.ways.items()}
     observed = {name: Observed() for name in ways}
     former, waiting = RaFormer(player.setup), states_of(street.drive, [settings.seed, index])
     images_s: list[float] = []
@@ -284,9 +260,9 @@ def _driven(settings: Settings, index: int, street: SideStreet, player: DrivePla
         maps = [one for beam in range(len(player.setup.beams)) for one in former.add(player.beam(number, beam), newest)]
         for name, way in ways.items():
             for state in states:
-                way.memory.add(state)
+                way.add_state(state)
             for ra_map in maps:
-                observed[name].add(way.tracks(way.detector.detect(ra_map)), truth, time_s)
+                observed[name].add(way.view(ra_map).frame.tracks, truth, time_s)
     user = street.scene.objects[CROSSING]
     return DriveResult(
         index=index,

@@ -226,14 +226,14 @@ def _detector(radar_height_m: float) -> NetworkDetector:
 def view_of(radar: Hardware) -> tuple[BevFrame, SceneTruth]:
     """One scan through a chain that holds the radar for what its set-up says."""
     player, stated = radar.player(), radar.scene.setup
-    chain = Chain(stated, _detector(stated.radar_height_m))
+    chain = Chain.of(stated, _detector(stated.radar_height_m))
     count = len(stated.beams)
     # the next scan's first beam closes a scan that lacks its last one
     beams = [player.beam(0, index) for index in range(count)] + [player.beam(1, 0)]
     for beam in beams:
         came = radar.spoil(beam) if beam.scan_id == 0 else beam
-        for frame in [] if came is None else chain.add(came):
-            return frame, player.truth(0)
+        for view in [] if came is None else chain.add(came):
+            return view.frame, player.truth(0)
     raise ValueError(f"{radar.scene.name}: no beam of the scan came")
 
 

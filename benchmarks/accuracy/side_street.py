@@ -118,7 +118,7 @@ def drive(course: Course, seed: int, method: str, chirps: int, most: int = SCANS
     """Every scan until the car is in direct sight, and that one."""
     player = course.player(seed, chirps)
     gathering = MemoryParams(tracking=False, wall_map=True)
-    chain, odometry = Chain(player.setup, detector_of(method, player.setup), memory=gathering), ScanOdometry()
+    chain, odometry = Chain.of(player.setup, detector_of(method, player.setup), memory=gathering), ScanOdometry()
     for state in course.states(seed):
         odometry.add(state)
     scans: list[Scan] = []
@@ -142,8 +142,8 @@ def view(chain: Chain, player: ScenePlayer | DrivePlayer, number: int, place: Pl
     """One scan through the chain, its beams freed from the motion that odometry gives."""
     stamp_ns = player.stamp_ns(number)
     state = VehicleState(stamp_ns=stamp_ns, speed_mps=place.speed_mps, yaw_rate_rps=place.yaw_rate_rps)
-    frames = [one for index in range(len(player.setup.beams)) for one in chain.add(player.beam(number, index), state)]
-    return frames[0]
+    views = [one for index in range(len(player.setup.beams)) for one in chain.add(player.beam(number, index), state)]
+    return views[0].frame
 
 
 def as_object(track: Track) -> HiddenObject:

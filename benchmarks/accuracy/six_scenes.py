@@ -21,8 +21,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mirrorwave.profiles import DEFAULT
-from mirrorwave.studies.tradeoff.profile_chain import ProfileParts, profile_setting
+from mirrorwave.node_chain import SharedParts
+from mirrorwave.profiles import DEFAULT, read_profile
 from models.evaluation.metrics import match_objects
 from models.perception.chain import Chain
 from models.perception.detection.detectors import NetworkDetector
@@ -75,10 +75,10 @@ class Row(msgspec.Struct, kw_only=True):
 def chain_of(way: argparse.Namespace, setup: RadarSetup) -> Chain:
     """The chain as asked for."""
     if not (way.model or way.refine or way.confidence):
-        return ProfileParts.of(profile_setting(way.profile or DEFAULT), setup).chain(setup)
+        return SharedParts.of(read_profile(way.profile or DEFAULT), setup).chain()
     confidence = load_confidence(Path(way.confidence)) if way.confidence else None
     detector = NetworkDetector(setup, Path(way.model or DEFAULT_MODEL), refine=way.refine or True)
-    return Chain(setup, detector, confidence=confidence)
+    return Chain.of(setup, detector, confidence=confidence)
 
 
 def views(player: ScenePlayer, way: argparse.Namespace, scans: int) -> Iterator[tuple[BevFrame, SceneTruth]]:
@@ -86,8 +86,8 @@ def views(player: ScenePlayer, way: argparse.Namespace, scans: int) -> Iterator[
     for scan in range(scans):
         for index in range(len(player.setup.beams)):
             beam = player.beam(scan, index)
-            for frame in chain.add(beam, player.vehicle_state(player.stamp_ns(scan))):
-                yield frame, player.truth(scan)
+            for view in chain.add(beam, player.vehicle_state(player.stamp_ns(scan))):
+                yield view.frame, player.truth(scan)
 
 
 def run(scene: Path, case: str, way: argparse.Namespace) -> Row:

@@ -20,7 +20,7 @@ import time
 from pathlib import Path
 
 from mirrorwave.console import print_json, print_line, print_table
-from models.perception.geometry.objects import bev_to_json
+from mirrorwave.convert.result_lines import bev_to_json
 from msgs.bus.zmq import list_publishers, run_dir
 from msgs.files.shipped import CHECKOUT
 from msgs.recording.mcap import RecordingReader

@@ -95,7 +95,7 @@ def _is_silent(node: ast.AST) -> bool:
     if not isinstance(node, ast.Call):
         return False
     name = ast.unparse(node.func)
-    return name.startswith("_LOG.") or name.endswith((".add_argument", "_say"))
+    return name.startswith("_LOG.") or name.endswith((".add_argument", "_say", "_warn_refused"))
 
 
 def _acting_children(node: ast.AST) -> Iterator[ast.AST]:

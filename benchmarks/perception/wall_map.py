@@ -30,8 +30,9 @@ from benchmarks.accuracy.six_scenes import SCENES
 from benchmarks.perception.geometry_switches import machine
 from models.evaluation.metrics import match_objects
 from models.perception.forming.ra_forming import RaFormer
-from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from models.perception.geometry.stage import GeometryParams
+from models.perception.tracking.scan_state import MemoryParams
+from models.perception.tracking.stage import ViewStage
 from msgs.values.perception import BevFrame, PathClass, Peaks, SceneTruth, TruthSurface, Wall
 from msgs.values.vehicle import VehicleState
 from sim_player.player import ScenePlayer
@@ -176,13 +177,13 @@ def run(row: Row, drives: Sequence[Sequence[Scan]]) -> Row:
     params = GeometryParams()
     for number, scans in enumerate(drives):
         rng = np.random.default_rng([number, 9])
-        memory = ScanMemory(MemoryParams(tracking=False, wall_map=row.way == GATHERED))
+        stage = ViewStage(params, memory=MemoryParams(tracking=False, wall_map=row.way == GATHERED))
         for scan in scans:
             for state in scan.states:
-                memory.add(state)
+                stage.add_state(state)
             peaks = thinned(scan.peaks, row.kept, rng)
             start_s = time.perf_counter()
-            frame = recover_bev(peaks, params, remembered=memory.walls_at(peaks))
+            frame = stage.view(peaks)
             row.times_ms.append(1e3 * (time.perf_counter() - start_s))
             add(row, frame, scan.truth)
     return row

@@ -24,7 +24,7 @@ import numpy as np
 from rich.progress import track
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, chosen, clean_profiles, noisy_profiles, plan_world

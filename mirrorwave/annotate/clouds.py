@@ -31,8 +31,8 @@ LONGEST_LINE = 1000
 _WORD = re.compile(rb"[^ \t\r]+")
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
 #: Largest numbers of a PCD header, and how much LZF can pack at most.
-PCD_MOST = {"SIZE": 8, "COUNT": 1024, "WIDTH": MOST_POINTS, "HEIGHT": MOST_POINTS, "POINTS": MOST_POINTS}
-MOST_LZF = 100
+PCD_MAX = {"SIZE": 8, "COUNT": 1024, "WIDTH": MOST_POINTS, "HEIGHT": MOST_POINTS, "POINTS": MOST_POINTS}
+MAX_LZF_RATIO = 100
 
 
 def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, int]:
@@ -142,18 +142,18 @@ def _refuse_odd_ply(path: Path, rows: list[list[str]]) -> None:
 def _refuse_large_pcd(path: Path, rows: list[list[str]], head: bytes, held: int) -> None:
     """ValueError where a PCD asks for memory that its points cannot need: open3d gives it unasked."""
     fields = {row[0]: row[1:] for row in rows if len(row) > 1}
-    numbers = {name: [int(word) if word.isdecimal() else -1 for word in fields.get(name, [])] for name in PCD_MOST}
+    numbers = {name: [int(word) if word.isdecimal() else -1 for word in fields.get(name, [])] for name in PCD_MAX}
     for name in ("SIZE", "WIDTH", "HEIGHT", "POINTS"):
         # open3d takes by chance what a header does not say
         if not numbers[name]:
             raise ValueError(f"{path}: {name} must be said before DATA, it is not")
-    for name, most in PCD_MOST.items():
-        if not all(0 <= one <= most for one in numbers[name]):
-            raise ValueError(f"{path}: {name} must be whole numbers of at most {most}, got {' '.join(fields[name])}")
+    for name, limit in PCD_MAX.items():
+        if not all(0 <= value <= limit for value in numbers[name]):
+            raise ValueError(f"{path}: {name} must be whole numbers of at most {limit}, got {' '.join(fields[name])}")
     if fields.get("DATA", [""])[0] == "binary_compressed":
         packed, unpacked = (int.from_bytes(head[at : at + 4], "little") for at in (0, 4))
         needed = int(numbers["POINTS"][0]) * sum(_pcd_sizes(fields))
-        if packed > held - 8 or not needed <= unpacked <= min(MOST_LZF * packed, MOST_BYTES):
+        if packed > held - 8 or not needed <= unpacked <= min(MAX_LZF_RATIO * packed, MOST_BYTES):
             raise ValueError(f"{path}: {packed} bytes that unpack to {unpacked} are promised, the file holds {held}")
 
 
@@ -179,12 +179,14 @@ def _pcd_promise(rows: list[list[str]]) -> tuple[int, int, int]:
     count = int(fields["POINTS"][0]) if fields.get("POINTS", [""])[0].isdecimal() else 0
     if kind == "binary_compressed":
         return 0, 0, 0
-    words = sum(int(one) for one in fields.get("COUNT", ["1"] * len(fields.get("SIZE", []))) if one.isdecimal())
+    words = sum(
+        int(number) for number in fields.get("COUNT", ["1"] * len(fields.get("SIZE", []))) if number.isdecimal()
+    )
     return count, sum(_pcd_sizes(fields)) if kind == "binary" else 0, words
 
 
 def _pcd_sizes(fields: dict[str, list[str]]) -> list[int]:
     """Bytes of each field of a PCD point."""
     sizes = [int(size) for size in fields.get("SIZE", []) if size.isdecimal()]
-    counts = [int(one) for one in fields.get("COUNT", ["1"] * len(sizes)) if one.isdecimal()]
-    return [size * one for size, one in zip(sizes, counts, strict=False)]
+    counts = [int(count) for count in fields.get("COUNT", ["1"] * len(sizes)) if count.isdecimal()]
+    return [size * count for size, count in zip(sizes, counts, strict=False)]

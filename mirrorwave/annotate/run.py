@@ -36,7 +36,7 @@ class Clouds:
 
     def merged_m(self) -> np.ndarray:
         """All placed points [N, 3] in the radar's frame."""
-        return np.concatenate([one.points_in_target_m() for one in self.placed])
+        return np.concatenate([cloud.points_in_target_m() for cloud in self.placed])
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +95,11 @@ def _results(labels: SliceLabels, kind: Kind, clouds: Clouds) -> dict[str, Any]:
 
 def _provenance(manifest: Manifest, folder: Path, radar: Path) -> dict[str, Any]:
     """What it was made from: hashes of all files, the manifest with all defaults, versions."""
-    files = {radar.name: file_sha256(radar)} | {one.file: file_sha256(folder / one.file) for one in manifest.clouds}
-    told = {"radar": radar.name, "sha256": files, "manifest": msgspec.to_builtins(manifest), "versions": _versions()}
-    return {"provenance": told}
+    files = {radar.name: file_sha256(radar)} | {
+        cloud.file: file_sha256(folder / cloud.file) for cloud in manifest.clouds
+    }
+    source = {"radar": radar.name, "sha256": files, "manifest": msgspec.to_builtins(manifest), "versions": _versions()}
+    return {"provenance": source}
 
 
 def stages(manifest: Manifest) -> int:
@@ -146,30 +148,34 @@ def _registered(clouds: Clouds, name: str, read: tuple[Cloud, np.ndarray, int], 
     cloud, points_m, dropped = read
     first = None if cloud.radar_from_lidar is None else cloud.radar_from_lidar.transform()
     try:
-        found = register(points_m, clouds.placed, first, manifest.registration, manifest.seed)
-        fault = found.fault(manifest.registration)
+        registration = register(points_m, clouds.placed, first, manifest.registration, manifest.seed)
+        fault = registration.fault(manifest.registration)
     except ValueError as error:
-        found, fault = None, str(error)
-    if found is None or fault is not None:
+        registration, fault = None, str(error)
+    if registration is None or fault is not None:
         hint = "" if first is not None else "; give it a radar_from_lidar to begin from"
         clouds.refused[name] = f"{name}.file {cloud.file}: {fault}{hint}"
         return False
-    _take(clouds, name, cloud, points_m, dropped, found.target_from_source, found)
+    _take(clouds, name, cloud, points_m, dropped, registration.target_from_source, registration)
     return True
 
 
 def _take(
     clouds: Clouds, name: str, cloud: Cloud, points_m: np.ndarray, dropped: int, pose: np.ndarray,
-    found: Registration | None,
+    registration: Registration | None,
 ) -> None:  # fmt: skip
     """Add a cloud at its pose, with its report."""
     clouds.placed.append(PlacedCloud(points_m, pose))
     report: dict[str, Any] = {"file": cloud.file, "points": len(points_m), "not_finite": dropped}
     report |= {"radar_from_lidar": msgspec.to_builtins(Pose.of(pose)), "start": "calibrated"}
-    if found is not None:
-        report |= {"start": found.start, "fitness": round(found.fitness, 6), "rmse_m": round(found.rmse_m, 6)}
-        report |= {"hold": round(found.hold.least, 6), "weakest": found.hold.weakest}
-        report |= {"conflict": round(found.conflict, 6), "pairs": found.pairs}
+    if registration is not None:
+        report |= {
+            "start": registration.start,
+            "fitness": round(registration.fitness, 6),
+            "rmse_m": round(registration.rmse_m, 6),
+        }
+        report |= {"hold": round(registration.hold.least, 6), "weakest": registration.hold.weakest}
+        report |= {"conflict": round(registration.conflict, 6), "pairs": registration.pairs}
     clouds.reports[name] = report
 
 
@@ -205,7 +211,7 @@ def capture_maps(radar: Path, mode: str, advance: Callable[[], None] = lambda: N
                 else:
                     maps += former.add(beam)
     advance()
-    whole = [one for one in maps if not one.missing_beams]
+    whole = [ra_map for ra_map in maps if not ra_map.missing_beams]
     if not whole:
         raise ValueError(f"{radar}: must hold raw beams of a complete scan, holds none")
     return whole
@@ -213,13 +219,13 @@ def capture_maps(radar: Path, mode: str, advance: Callable[[], None] = lambda: N
 
 def _versions() -> dict[str, str]:
     """Of what decides the result."""
-    found = {}
+    versions = {}
     for name in ("mirrorwave", "open3d-cpu", "open3d", "numpy", "scipy"):
         try:
-            found[name] = importlib.metadata.version(name)
+            versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             continue
-    return found
+    return versions
 
 
 def _write(

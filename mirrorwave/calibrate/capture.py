@@ -27,11 +27,11 @@ class Capture:
 
     def beams(self) -> Iterator[RadarBeam]:
         """All beams in order; ValueError where there are none."""
-        found = False
+        any_beam = False
         for beam in self._sigmf.beams() if self._sigmf is not None else self.messages(("radar/beam",)):
-            found = True
+            any_beam = True
             yield beam
-        if not found:
+        if not any_beam:
             raise ValueError(f"{self.path}: holds no raw beams (radar/beam): record with --raw")
 
     def messages(self, topics: tuple[str, ...]) -> Iterator[Any]:

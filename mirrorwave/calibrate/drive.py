@@ -85,7 +85,7 @@ def _solve(capture: Capture, states: list[VehicleState], params: DriveParams, on
     held = (params.clock_offset_s, params.known_pose)
     peaks = [] if _has_beams(capture) else list(capture.messages(("perception/peaks",)))
     if peaks:
-        sightings = [one for found in peaks for one in sightings_of(found, _limit_rad(capture))]
+        sightings = [sighting for scan_peaks in peaks for sighting in sightings_of(scan_peaks, _limit_rad(capture))]
         mounting = solve_mounting(sightings, states, params.prior, *held)
         return Solved(mounting=mounting, sightings=sightings, loss=capture.loss)
     guess = Guess(
@@ -121,20 +121,20 @@ def _formed(capture: Capture, motion: Motion, guess: Guess, on_scan: Callable[[]
     detector, limit_rad = CfarDetector(capture.setup), _limit_rad(capture)
     # one motion holds for a scan: that of its middle ends where the vehicle does, at its end
     ahead_ns = ns_from_s(0.5 * capture.setup.radar.scan_period_s - guess.clock_offset_s)
-    found: list[Sighting] = []
+    sightings: list[Sighting] = []
 
     def take(maps: list[RangeAzimuthMap]) -> None:
         for ra_map in maps:
             # at the ends of the drive no state says how the scan went on: its walls would be smeared
             if ra_map.ego_compensated:
-                found.extend(sightings_of(detector.detect(ra_map), limit_rad))
+                sightings.extend(sightings_of(detector.detect(ra_map), limit_rad))
             on_scan()
 
     for beam in capture.beams():
         state = motion.state_at(beam.stamp_ns + ahead_ns, guess.yaw_rate_bias_rps, guess.speed_scale)
         take(former.add(beam, state))
     take(former.flush())
-    return found
+    return sightings
 
 
 def sightings_of(peaks: Peaks, limit_rad: float) -> list[Sighting]:
@@ -165,17 +165,19 @@ def draw_drive(solved: Solved, states: list[VehicleState], path: Path, title: st
     """The walls' returns and the vehicle's way in the odometry frame, as calibrated."""
     from mirrorwave.plots.style import legend_below, new_figure, save
 
-    one, motion = solved.mounting, Motion(states)
+    mounting, motion = solved.mounting, Motion(states)
     figure = new_figure(9.0, 7.6)
     axes = figure.subplots()
     stamps = np.array([sighting.stamp_ns for sighting in solved.sightings], np.int64)
-    poses = motion.poses(motion.seconds(stamps) - one.solved_clock_s, one.yaw_rate_bias_rps, one.speed_scale)
+    poses = motion.poses(
+        motion.seconds(stamps) - mounting.solved_clock_s, mounting.yaw_rate_bias_rps, mounting.speed_scale
+    )
     axes.plot([], [], ".", color="0.6", label="returns of walls")
     for pose, sighting in zip(poses.tolist(), solved.sightings, strict=True):
-        placed = (Pose2(*pose) @ one.solved_pose).apply(sighting.points_m)
-        axes.plot(*placed.T, ".", color="0.6", markersize=3)
+        points_m = (Pose2(*pose) @ mounting.solved_pose).apply(sighting.points_m)
+        axes.plot(*points_m.T, ".", color="0.6", markersize=3)
     axes.plot(*poses[:, :2].T, "g.-", label="vehicle")
-    for index, wall in enumerate(one.walls):
+    for index, wall in enumerate(mounting.walls):
         axes.plot(*np.array(wall.ends_m).T, "k-", linewidth=1.5, label=None if index else "walls")
     axes.set(xlabel="x [m]", ylabel="y [m]", title=title, aspect="equal")
     legend_below(axes, columns=3)

@@ -18,6 +18,7 @@ from models.perception.forming.background import (
     mean_chirp,
 )
 from models.perception.forming.noise_floor import NoiseFloor, NoiseMeter
+from msgs.files.whole_files import whole
 from msgs.values.units import db_from_ratio
 
 
@@ -30,7 +31,7 @@ def measure_background(
     """
     setup = capture.setup
     shape = setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2
-    found = []
+    beams = []
     for scan in complete_scans(capture.beams(), len(setup.beams), on_scan, scans):
         for beam in scan:
             if beam.samples.shape != shape or beam.full_scale_dbm != setup.full_scale_dbm:
@@ -38,10 +39,10 @@ def measure_background(
                     f"{capture.path}: beam {beam.beam_index} of scan {beam.scan_id} is not of the set-up: "
                     f"samples {beam.samples.shape}, full_scale_dbm {beam.full_scale_dbm!r}"
                 )
-        found.append(np.stack([mean_chirp(beam) for beam in scan]))
-    if len(found) < MIN_SCANS:
-        raise ValueError(f"{capture.path}: a background needs at least {MIN_SCANS} complete scans, got {len(found)}")
-    chirps = np.stack(found)
+        beams.append(np.stack([mean_chirp(beam) for beam in scan]))
+    if len(beams) < MIN_SCANS:
+        raise ValueError(f"{capture.path}: a background needs at least {MIN_SCANS} complete scans, got {len(beams)}")
+    chirps = np.stack(beams)
     background, outlier_share = background_of(chirps)
     try:
         return background, background_quality(chirps, setup, outlier_share)
@@ -52,12 +53,12 @@ def measure_background(
 def measure_noise(capture: Capture, scans: int, on_scan: Callable[[], None] = lambda: None) -> NoiseFloor:
     """Noise floor of up to so many scans; ValueError naming the file."""
     try:
-        meter, seen = NoiseMeter(capture.setup), set[int]()
+        meter, scan_ids = NoiseMeter(capture.setup), set[int]()
         for beam in capture.beams():
-            if beam.scan_id not in seen and len(seen) == scans:
+            if beam.scan_id not in scan_ids and len(scan_ids) == scans:
                 break
             meter.add(beam)
-            seen.add(beam.scan_id)
+            scan_ids.add(beam.scan_id)
             if beam.beam_index == beam.beam_count - 1:
                 on_scan()
         return meter.result()
@@ -91,6 +92,12 @@ def scene_with_receiver(path: Path, floor: NoiseFloor) -> str:
     scene = msgspec.structs.replace(scene, radar=radar)
     check_scene(scene)
     return scene_to_yaml(scene)
+
+
+def save_background(values: np.ndarray, out: Path) -> None:
+    """Write a background [beams, samples] as an array file."""
+    with whole(out) as part, part.open("wb") as file:
+        np.save(file, values)
 
 
 def draw_background(background: np.ndarray, capture: Capture, path: Path) -> None:

@@ -83,7 +83,7 @@ def import_capture(
     config: Dca1000Config,
     out: Path,
     params: ImportParams,
-    found: FileFrames,
+    layout: FileFrames,
     on_frame: Callable[[], None] = lambda: None,
 ) -> dict[str, Any]:
     """Write `maps-NNNNN.npz`, `ra_map.png` and, last, `summary.json`; returns the summary.
@@ -96,20 +96,20 @@ def import_capture(
     out.mkdir(parents=True, exist_ok=True)
     listed: list[dict[str, Any]] = []
     held: list[ImportedFrame] = []
-    for index, frame in enumerate(_frames(capture, config, params, found.whole)):
+    for index, frame in enumerate(_frames(capture, config, params, layout.whole)):
         if index == 0:
             _draw(frame, out / "ra_map.png", capture.name)
         listed.append({"frame": index, "saturated_share": frame.saturated_share, "returns": frame.returns})
         held.append(frame)
-        if len(held) == FRAMES_PER_FILE or index == found.whole - 1:
+        if len(held) == FRAMES_PER_FILE or index == layout.whole - 1:
             _write_maps(out / f"maps-{index // FRAMES_PER_FILE:05d}.npz", held)
             held = []
         on_frame()
     summary = {
-        "frames": found.whole,
-        "frames_wanted": found.wanted,
-        "left_bytes": found.left_bytes,
-        "loss": found.loss,
+        "frames": layout.whole,
+        "frames_wanted": layout.wanted,
+        "left_bytes": layout.left_bytes,
+        "loss": layout.loss,
         **_described(config),
         **vars(params),
         "provenance": provenance,
@@ -139,7 +139,9 @@ def _described(config: Dca1000Config) -> dict[str, Any]:
         "device": config.device,
         "lanes": config.lanes,
         "channels": len(params.channel_y_m),
-        "left_out_transmitters": sorted({one + 1 for one in config.transmitters if one not in used}),
+        "left_out_transmitters": sorted(
+            {transmitter + 1 for transmitter in config.transmitters if transmitter not in used}
+        ),
         "grid": msgspec.to_builtins(map_grid(config)),
         "carrier_hz": params.carrier_hz,
         "speed_bin_mps": 0.5 * params.wavelength_m / (params.repetition_interval_s * config.frame.loops),
@@ -183,11 +185,11 @@ def strongest_returns(formed: DigitalArrayMap, params: ImportParams) -> list[dic
 def _write_maps(path: Path, frames: list[ImportedFrame]) -> None:
     maps = [frame.formed.map for frame in frames]
     arrays = {
-        "values": np.stack([one.values for one in maps]),
+        "values": np.stack([ra_map.values for ra_map in maps]),
         "closing_speed_mps": np.stack([frame.formed.closing_speed_mps for frame in frames]),
-        "noise_power_mw": np.array([one.noise_power_mw for one in maps]),
-        "stamp_ns": np.array([one.stamp_ns for one in maps], np.int64),
-        "scan_id": np.array([one.scan_id for one in maps], np.int64),
+        "noise_power_mw": np.array([ra_map.noise_power_mw for ra_map in maps]),
+        "stamp_ns": np.array([ra_map.stamp_ns for ra_map in maps], np.int64),
+        "scan_id": np.array([ra_map.scan_id for ra_map in maps], np.int64),
         "saturated_share": np.array([frame.saturated_share for frame in frames]),
         "range_m": maps[0].grid.range_m,
         "azimuth_rad": maps[0].grid.azimuth_rad,
@@ -213,7 +215,7 @@ def _draw(frame: ImportedFrame, out_path: Path, name: str) -> None:
     )  # fmt: skip
     figure.colorbar(mesh, ax=axes, label="level over noise [dB]")
     axes.scatter(
-        [one["azimuth_deg"] for one in frame.returns], [one["range_m"] for one in frame.returns],
+        [echo["azimuth_deg"] for echo in frame.returns], [echo["range_m"] for echo in frame.returns],
         s=60, facecolors="none", edgecolors="#D55E00", linewidths=1.6,
     )  # fmt: skip
     # left is positive, as on the road

@@ -55,11 +55,11 @@ class Conversion(msgspec.Struct, frozen=True, kw_only=True):
 
 def format_of(out: Path, wanted: Format | None) -> Format:
     """The format asked for, else what the end of `out`'s name stands for; raises `ValueError` where that is none."""
-    found = wanted or SUFFIXES.get(out.suffix)
-    if found is None:
+    target = wanted or SUFFIXES.get(out.suffix)
+    if target is None:
         names = ", ".join(SUFFIXES)
         raise ValueError(f"{out}: --to must name a format, or the name must end in one of {names}")
-    return found
+    return target
 
 
 def convert(source: Path, out: Path, target: Format, bar: Bar) -> Conversion:

@@ -118,10 +118,10 @@ def _scene(frame: BevFrame) -> dict[str, Any]:
         _sphere(point.x_m, point.y_m, (*POINT_COLOUR[:3], min(max(point.score, 0.2), 1.0))) for point in frame.points
     ]
     tracks = [_arrow(track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps) for track in frame.tracks]
-    scores = [(f"object {one.id} score", f"{one.score:.6g}") for one in frame.objects]
+    scores = [(f"object {hidden.id} score", f"{hidden.score:.6g}") for hidden in frame.objects]
     entities = [
         _entity(frame.stamp_ns, "walls", lines=[_line(wall_line_m(wall), WALL_COLOUR) for wall in frame.walls]),
-        _entity(frame.stamp_ns, "objects", scores, cubes=[_cube(one, OBJECT_COLOUR) for one in frame.objects]),
+        _entity(frame.stamp_ns, "objects", scores, cubes=[_cube(hidden, OBJECT_COLOUR) for hidden in frame.objects]),
         _entity(frame.stamp_ns, "points", spheres=points),
         _entity(frame.stamp_ns, "direct", spheres=[_sphere(x, y, DIRECT_COLOUR) for x, y in frame.los_points_m]),
         _entity(frame.stamp_ns, "tracks", arrows=tracks),
@@ -134,7 +134,7 @@ def _truth_scene(truth: SceneTruth) -> dict[str, Any]:
     spheres = [_sphere(x, y, TRUTH_COLOUR) for x, y, _ in truth.hidden_points_m]
     entities = [
         _entity(truth.stamp_ns, "surfaces", lines=surfaces),
-        _entity(truth.stamp_ns, "objects", cubes=[_cube(one, TRUTH_COLOUR) for one in truth.objects]),
+        _entity(truth.stamp_ns, "objects", cubes=[_cube(true_object, TRUTH_COLOUR) for true_object in truth.objects]),
         _entity(truth.stamp_ns, "points", spheres=spheres),
     ]
     return {"deletions": [], "entities": entities}
@@ -167,10 +167,10 @@ def _line(points_m: Sequence[tuple[float, float]], colour: Colour) -> dict[str, 
     }
 
 
-def _cube(one: HiddenObject | TruthObject, colour: Colour) -> dict[str, Any]:
+def _cube(box: HiddenObject | TruthObject, colour: Colour) -> dict[str, Any]:
     return {
-        "pose": _pose(one.x_m, one.y_m, one.yaw_rad, 0.5 * OBJECT_HEIGHT_M),
-        "size": _vector(one.length_m, one.width_m, OBJECT_HEIGHT_M),
+        "pose": _pose(box.x_m, box.y_m, box.yaw_rad, 0.5 * OBJECT_HEIGHT_M),
+        "size": _vector(box.length_m, box.width_m, OBJECT_HEIGHT_M),
         "color": _colour(colour),
     }
 

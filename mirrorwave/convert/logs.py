@@ -45,24 +45,24 @@ def import_can(source: CanSource, out: Path) -> dict[str, Any]:
 
     decoder = load_decoder(source.dbc, source.mapping)
     frames = _Shifted(read_log(source.log, source.channel), source.start_ns)
-    found = {"states": 0, "valid_states": 0}
+    counts = {"states": 0, "valid_states": 0}
     reason = ""
     with whole_recording(out, _can_provenance(source)) as writer:
         for step in log_states(decoder, frames):
             for state in step.states:
                 writer.write(
-                    "vehicle/state", state, publisher="vehicle_can", sequence=found["states"], sent_ns=state.stamp_ns
+                    "vehicle/state", state, publisher="vehicle_can", sequence=counts["states"], sent_ns=state.stamp_ns
                 )
-                found["states"] += 1
-                found["valid_states"] += state.valid
+                counts["states"] += 1
+                counts["valid_states"] += state.valid
                 reason = state.reason
         if frames.count == 0:
             channel = f" of channel {source.channel}" if source.channel else ""
             raise ValueError(frames.loss or f"{source.log}: holds no frames{channel}")
-        if not found["valid_states"]:
+        if not counts["valid_states"]:
             raise ValueError(f"{source.log}: gives no valid state with {source.dbc} and {source.mapping}: {reason}")
     verdicts = {str(verdict): count for verdict, count in sorted(decoder.counts.items())}
-    return {"frames": frames.count, **found, "frames_by_verdict": verdicts, "loss": frames.loss or None}
+    return {"frames": frames.count, **counts, "frames_by_verdict": verdicts, "loss": frames.loss or None}
 
 
 class _Shifted:
@@ -98,19 +98,19 @@ def import_sigmf(path: Path, out: Path, advance: Callable[[], None]) -> dict[str
 
     capture = SigmfCapture.open(path)
     meta, data = capture_paths(path)
-    found = {"beams": 0, "truth": 0}
+    counts = {"beams": 0, "truth": 0}
     with whole_recording(out, _sigmf_provenance(meta, data)) as writer:
         for beam in capture.beams():
-            if not found["beams"]:
+            if not counts["beams"]:
                 writer.write("radar/setup", capture.setup, publisher="import", sequence=0, sent_ns=beam.stamp_ns)
             # sent when it has been measured, and so after the set-up
             sent_ns = beam.stamp_ns + ns_from_s(capture.setup.radar.beam_duration_s)
-            writer.write("radar/beam", beam, publisher="import", sequence=found["beams"], sent_ns=sent_ns)
-            found["beams"] += 1
+            writer.write("radar/beam", beam, publisher="import", sequence=counts["beams"], sent_ns=sent_ns)
+            counts["beams"] += 1
             advance()
         if (truth := truth_beside(path)).is_file():
-            found["truth"] = _copy_truth(writer, truth)
-    return found
+            counts["truth"] = _copy_truth(writer, truth)
+    return counts
 
 
 def _copy_truth(writer: RecordingWriter, path: Path) -> int:

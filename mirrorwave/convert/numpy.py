@@ -76,10 +76,10 @@ class _Archive:
                 self._columns[name].append(_plain(value))
             else:
                 rest[name] = value
-        places: dict[str, Any] = {
+        columns: dict[str, Any] = {
             key: self._columns[key][row] for key in ("scan_id", "beam_index", "stamp_ns") if key in self._columns
         }
-        self._rows.append({"row": row, **places, "publisher": recorded.publisher, "arrays": arrays, "fields": rest})
+        self._rows.append({"row": row, **columns, "publisher": recorded.publisher, "arrays": arrays, "fields": rest})
 
     def finish(self) -> dict[str, Any]:
         """Write columns and tables; returns the topic's part of the index."""
@@ -131,8 +131,8 @@ class _Table:
 
     def columns(self) -> dict[str, np.ndarray]:
         """Columns of numbers, texts or number tuples; what has no fixed shape becomes its JSON text."""
-        found = {"row": np.array(self._row, np.int64)}
-        return found | {name: _column(values, self._shapes[name]) for name, values in self._values.items()}
+        columns = {"row": np.array(self._row, np.int64)}
+        return columns | {name: _column(values, self._shapes[name]) for name, values in self._values.items()}
 
 
 def _column(values: list[Any], shape: tuple[int, ...] | None) -> np.ndarray:
@@ -172,9 +172,9 @@ def _is_single(kind: Any) -> bool:
 
 def _table_types(message_type: Any) -> dict[str, Any]:
     """Fields that are tuples of structures, and the type of these."""
-    found = {}
+    types = {}
     for field in msgspec.structs.fields(message_type):
         inner = get_args(field.type)[:1] if get_origin(field.type) is tuple else ()
         if inner and isinstance(inner[0], type) and issubclass(inner[0], msgspec.Struct):
-            found[field.name] = inner[0]
-    return found
+            types[field.name] = inner[0]
+    return types

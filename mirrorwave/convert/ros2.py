@@ -128,14 +128,14 @@ class _Builder:
         """All markers of a scan, after one that clears those of the scan before."""
         clear = self._marker(frame.stamp_ns, "", 0, _CUBE, action=_DELETE_ALL)
         walls = [self._wall(frame.stamp_ns, at, wall) for at, wall in enumerate(frame.walls)]
-        objects = [self._object(frame.stamp_ns, one) for one in frame.objects]
+        objects = [self._object(frame.stamp_ns, hidden) for hidden in frame.objects]
         return self._make("visualization_msgs/msg/MarkerArray", markers=[clear, *walls, *objects])
 
     def occupancy(self, frame: BevFrame) -> Any:
         """The observability mask by `OCCUPANCY`; rows run along y in both."""
         values = np.full(1 + max(Visibility), OCCUPANCY[Visibility.UNKNOWN], np.int8)
-        for known, value in OCCUPANCY.items():
-            values[known] = value
+        for visibility, value in OCCUPANCY.items():
+            values[visibility] = value
         grid = frame.grid
         info = self._make(
             "nav_msgs/msg/MapMetaData",
@@ -193,17 +193,17 @@ class _Builder:
             line_m=wall_line_m(wall),
         )
 
-    def _object(self, stamp_ns: int, one: HiddenObject) -> Any:
+    def _object(self, stamp_ns: int, hidden: HiddenObject) -> Any:
         return self._marker(
             stamp_ns,
             "objects",
-            one.id,
+            hidden.id,
             _CUBE,
-            pose=Pose2(one.x_m, one.y_m, one.yaw_rad),
+            pose=Pose2(hidden.x_m, hidden.y_m, hidden.yaw_rad),
             z_m=0.5 * OBJECT_HEIGHT_M,
-            scale_m=(one.length_m, one.width_m, OBJECT_HEIGHT_M),
+            scale_m=(hidden.length_m, hidden.width_m, OBJECT_HEIGHT_M),
             colour=OBJECT_COLOUR,
-            text=f"score {one.score:.6g}",
+            text=f"score {hidden.score:.6g}",
         )
 
     def _marker(

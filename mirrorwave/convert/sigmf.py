@@ -44,9 +44,9 @@ def _beams(
             if account.written[recorded.topic] > 1:
                 account.leave_out(recorded.topic, "a capture holds one, the first")
             continue
-        place = message.scan_id, message.beam_index
-        if last is not None and place <= last:
+        key = message.scan_id, message.beam_index
+        if last is not None and key <= last:
             account.lose(recorded.topic, "late or twice")
             continue
-        last = place
+        last = key
         yield message

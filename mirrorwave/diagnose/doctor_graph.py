@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from mirrorwave.commands.graph.doctor import Finding, Status
 from mirrorwave.commands.graph.nodes import Heartbeats, node_row, shed_text, topic_rows
 from mirrorwave.commands.graph.top import TOPICS_WATCHED, GraphWatch
+from mirrorwave.diagnose.findings import Finding, Status
 from msgs.bus.topics import SENSOR_TOPICS, TOPICS
 from msgs.values.diagnostics import NodeState, NodeStatus
 from nodes.inputs.view_latency import ViewFigures, views_text

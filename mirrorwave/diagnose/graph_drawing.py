@@ -11,7 +11,7 @@ import re
 from typing import NamedTuple
 from xml.sax import saxutils
 
-from mirrorwave.commands.graph.graph import GraphPicture, Link, layers
+from mirrorwave.diagnose.graph_picture import GraphPicture, Link, layers
 
 _COLUMN_GAP, _ROW_GAP, _MARGIN = 56, 20, 28
 _HEIGHT = 46

@@ -17,11 +17,11 @@ from matplotlib.patches import Ellipse, Polygon
 
 from mirrorwave.plots.style import (
     DIRECT_AREA,
-    FOLLOWED,
     MIRROR_AREA,
     MIRROR_IMAGE,
     RECOVERED,
     SEEN_DIRECTLY,
+    TRACKED,
     TRUTH,
     WALL,
     new_figure,
@@ -91,7 +91,7 @@ def _title(frame: BevFrame, truth: SceneTruth | None) -> str:
     count = len(frame.objects)
     line = f"Scan {frame.scan_id} at {frame.stamp_ns * 1e-9:.3f} s: {count} hidden object{'' if count == 1 else 's'}"
     if truth is not None:
-        line += f" found, {sum(one.hidden for one in truth.objects)} really there"
+        line += f" found, {sum(true_object.hidden for true_object in truth.objects)} really there"
     conditions = [FLAG_WORDS[flag][0] if flag in FLAG_WORDS else flag.replace("_", " ") for flag in frame.flags]
     return "\n".join([line, ". ".join(conditions)]) if conditions else line
 
@@ -100,13 +100,13 @@ def _limits(frame: BevFrame, truth: SceneTruth | None) -> Limits:
     """Ends that hold radar, objects and nearly all echoes, images and walls."""
     objects: list[HiddenObject | TruthObject] = list(frame.objects)
     if truth is not None:
-        objects += [one for one in truth.objects if one.hidden]
-    held = [np.zeros((1, 2)), *(box_corners_m(one) for one in objects)]
-    held += [np.array([[one.x_m, one.y_m]]) for one in frame.tracks]
-    others = [np.zeros((1, 2)), np.asarray(frame.los_points_m, np.float64)]
-    others += [np.array([[p.x_m, p.y_m], [p.image_x_m, p.image_y_m]]) for p in frame.points]
-    others += [np.array(wall.ends_m) for wall in frame.walls]
-    every = np.concatenate(others)
+        objects += [item for item in truth.objects if item.hidden]
+    held = [np.zeros((1, 2)), *(box_corners_m(item) for item in objects)]
+    held += [np.array([[item.x_m, item.y_m]]) for item in frame.tracks]
+    points = [np.zeros((1, 2)), np.asarray(frame.los_points_m, np.float64)]
+    points += [np.array([[p.x_m, p.y_m], [p.image_x_m, p.image_y_m]]) for p in frame.points]
+    points += [np.array(wall.ends_m) for wall in frame.walls]
+    every = np.concatenate(points)
     low = np.minimum(np.quantile(every, 1.0 - SHOWN_SHARE, axis=0), np.concatenate(held).min(axis=0)) - MARGIN_M
     high = np.maximum(np.quantile(every, SHOWN_SHARE, axis=0), np.concatenate(held).max(axis=0)) + MARGIN_M
     back, front = max(float(low[0]), -MARGIN_M), max(float(high[0]), LEAST_FORWARD_M)
@@ -167,8 +167,8 @@ def _draw_view(axes: Axes, frame: BevFrame, truth: SceneTruth | None, limits: Li
         linewidths=1.3, zorder=5, label="echo seen directly",
     )  # fmt: skip
     _draw_points(axes, frame)
-    for index, one in enumerate(frame.objects):
-        _draw_object(axes, one, index)
+    for index, hidden in enumerate(frame.objects):
+        _draw_object(axes, hidden, index)
     if truth is not None:
         _draw_truth(axes, truth)
     _draw_tracks(axes, frame)
@@ -190,9 +190,9 @@ def _draw_areas(
     shown = [Visibility.MIRRORED] if segments is not None else [Visibility.DIRECT, Visibility.MIRRORED]
     if segments is not None:
         cells = np.argwhere(mask == Visibility.MIRRORED)
-        seen = mirror_sight(grid.cell_centres_m()[cells[:, 0], cells[:, 1]], frame.walls, *segments)
+        mirrored = mirror_sight(grid.cell_centres_m()[cells[:, 0], cells[:, 1]], frame.walls, *segments)
         mask = mask.copy()
-        mask[tuple(cells[~seen].T)] = Visibility.UNKNOWN
+        mask[tuple(cells[~mirrored].T)] = Visibility.UNKNOWN
         polygon = direct_sight(*segments, reach_m, limit_rad)
         axes.add_patch(Polygon(polygon[:, ::-1], facecolor=DIRECT_AREA, edgecolor="none", zorder=1))
     y = grid.y_min_m + grid.cell_m * np.arange(grid.rows + 1)
@@ -213,17 +213,17 @@ def _draw_points(axes: Axes, frame: BevFrame) -> None:
     """Images behind the wall, and a thin line from each to where it stands."""
     if not frame.points:
         return
-    place = np.array([[point.x_m, point.y_m] for point in frame.points])
+    position_m = np.array([[point.x_m, point.y_m] for point in frame.points])
     image = np.array([[point.image_x_m, point.image_y_m] for point in frame.points])
-    lines = [image[:, 1], place[:, 1]], [image[:, 0], place[:, 0]]
+    lines = [image[:, 1], position_m[:, 1]], [image[:, 0], position_m[:, 0]]
     axes.plot(*lines, color=MIRROR_IMAGE, linewidth=0.9, linestyle=":", zorder=3)
     axes.scatter(
         image[:, 1], image[:, 0], s=34, marker="D", facecolors="white", edgecolors=MIRROR_IMAGE, linewidths=1.4,
         zorder=6, label="mirror image",
     )  # fmt: skip
     axes.scatter(
-        place[:, 1],
-        place[:, 0],
+        position_m[:, 1],
+        position_m[:, 0],
         s=36,
         marker="x",
         color=RECOVERED,
@@ -232,48 +232,49 @@ def _draw_points(axes: Axes, frame: BevFrame) -> None:
     )
 
 
-def box_corners_m(one: HiddenObject | TruthObject) -> np.ndarray:
+def box_corners_m(box: HiddenObject | TruthObject) -> np.ndarray:
     """Corners [4, 2] of an oriented box in metres."""
-    cos, sin = math.cos(one.yaw_rad), math.sin(one.yaw_rad)
-    half = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [one.length_m, one.width_m]
-    return half @ np.array([[cos, sin], [-sin, cos]]) + [one.x_m, one.y_m]
+    cos, sin = math.cos(box.yaw_rad), math.sin(box.yaw_rad)
+    half = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * [box.length_m, box.width_m]
+    return half @ np.array([[cos, sin], [-sin, cos]]) + [box.x_m, box.y_m]
 
 
-def _draw_object(axes: Axes, one: HiddenObject, index: int) -> None:
+def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:
     """Box, two-sigma ellipse of its centre, identity and score."""
-    corners = box_corners_m(one)[:, ::-1]
+    corners = box_corners_m(hidden)[:, ::-1]
     axes.add_patch(Polygon(corners, facecolor=RECOVERED, alpha=0.25, edgecolor="none", zorder=7))
     label = _once("hidden object (recovered)", index)
     axes.add_patch(Polygon(corners, fill=False, edgecolor=RECOVERED, linewidth=2.4, zorder=8, **label))
-    variances, vectors = np.linalg.eigh(np.array(one.cov_m2))
+    variances, vectors = np.linalg.eigh(np.array(hidden.cov_m2))
     width_m, height_m = 2.0 * ELLIPSE_SIGMAS * np.sqrt(np.maximum(variances[::-1], 0.0))
     # the axes show (y, x): the angle of the major axis in that plane
     angle_deg = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))
     axes.add_patch(
         Ellipse(
-            (one.y_m, one.x_m), width_m, height_m, angle=angle_deg, fill=False, edgecolor=RECOVERED, linestyle="--",
-            linewidth=1.3, zorder=9, **_once(f"its centre, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
+            (hidden.y_m, hidden.x_m), width_m, height_m, angle=angle_deg, fill=False, edgecolor=RECOVERED,
+            linestyle="--", linewidth=1.3, zorder=9, **_once(f"its centre, {100.0 * ELLIPSE_SHARE:.0f} % sure", index),
         )
     )  # fmt: skip
     axes.annotate(
-        f"#{one.id}, score {one.score:.2f}", (one.y_m, one.x_m), (14, 14), textcoords="offset points", fontsize=10,
-        zorder=11, bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": RECOVERED, "alpha": 0.9},
+        f"#{hidden.id}, score {hidden.score:.2f}", (hidden.y_m, hidden.x_m), (14, 14), textcoords="offset points",
+        fontsize=10, zorder=11,
+        bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": RECOVERED, "alpha": 0.9},
     )  # fmt: skip
 
 
 def _draw_tracks(axes: Axes, frame: BevFrame) -> None:
     """Where each track is, how far it comes in a second, and when it comes into sight."""
-    for index, one in enumerate(frame.tracks):
+    for index, track in enumerate(frame.tracks):
         label = _once("followed object;\narrow: its way in 1 s", index)
-        axes.plot(one.y_m, one.x_m, "s", markersize=9, fillstyle="none", color=FOLLOWED, zorder=10, **label)
+        axes.plot(track.y_m, track.x_m, "s", markersize=9, fillstyle="none", color=TRACKED, zorder=10, **label)
         axes.annotate(
-            "", (one.y_m + one.velocity_y_mps, one.x_m + one.velocity_x_mps), (one.y_m, one.x_m), zorder=10,
-            arrowprops={"arrowstyle": "->", "linewidth": 1.8, "color": FOLLOWED},
+            "", (track.y_m + track.velocity_y_mps, track.x_m + track.velocity_x_mps), (track.y_m, track.x_m), zorder=10,
+            arrowprops={"arrowstyle": "->", "linewidth": 1.8, "color": TRACKED},
         )  # fmt: skip
-        sight = "" if one.time_to_appear_s is None else f", in sight in {one.time_to_appear_s:.1f} s"
+        sight = "" if track.time_to_appear_s is None else f", in sight in {track.time_to_appear_s:.1f} s"
         axes.annotate(
-            f"track {one.id}{sight}", (one.y_m, one.x_m), (14, -20), textcoords="offset points", fontsize=9, zorder=11,
-            color=FOLLOWED,
+            f"track {track.id}{sight}", (track.y_m, track.x_m), (14, -20), textcoords="offset points", fontsize=9,
+            zorder=11, color=TRACKED,
         )  # fmt: skip
 
 
@@ -283,8 +284,8 @@ def _draw_truth(axes: Axes, truth: SceneTruth) -> None:
         line = np.array(surface.polyline_m)
         axes.plot(line[:, 1], line[:, 0], color=TRUTH, linewidth=1.6, zorder=4.5, **_once("true wall", index))
     for hidden, style, label in ((True, "-", "hidden object (truth)"), (False, ":", "other object (truth)")):
-        for index, one in enumerate(other for other in truth.objects if other.hidden == hidden):
-            corners = box_corners_m(one)[:, ::-1]
+        for index, true_object in enumerate(other for other in truth.objects if other.hidden == hidden):
+            corners = box_corners_m(true_object)[:, ::-1]
             shape = Polygon(corners, fill=False, edgecolor=TRUTH, linewidth=1.8, linestyle=style, zorder=8.5)
             shape.set_label(label if index == 0 else "")
             axes.add_patch(shape)

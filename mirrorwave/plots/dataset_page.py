@@ -55,25 +55,25 @@ svg, img { width: 100%; height: auto; display: block; } svg { color: var(--ink);
 """
 
 
-def write_page(folder: Path, found: Statistics, out: Path) -> None:
+def write_page(folder: Path, statistics: Statistics, out: Path) -> None:
     """Write the page and, beside it with the suffix .png, the contact sheet."""
-    records = chosen_records(folder, found.scenes)
-    write_contact_sheet(records, str(found.series.get("preset", "xband")), out.with_suffix(".png"))
-    out.write_text(page(folder.name, found, out.with_suffix(".png").read_bytes()), encoding="utf-8")
+    records = sampled_records(folder, statistics.scenes)
+    write_contact_sheet(records, str(statistics.series.get("preset", "xband")), out.with_suffix(".png"))
+    out.write_text(page(folder.name, statistics, out.with_suffix(".png").read_bytes()), encoding="utf-8")
 
 
-def page(name: str, found: Statistics, sheet_png: bytes) -> str:
+def page(name: str, statistics: Statistics, sheet_png: bytes) -> str:
     """The whole page as text."""
     title = html.escape(f"Data set {name}")
     panels = "".join(
         f"<figure><figcaption>{html.escape(caption)}</figcaption>{figure}</figure>"
-        for caption, figure in _panels(found)
+        for caption, figure in _panels(statistics)
     )
     picture = base64.b64encode(sheet_png).decode("ascii")
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f'<meta name="viewport" content="width=device-width"><style>{_STYLE}</style></head>\n<body>'
-        f'<h1>{title}</h1><p class="soft">{html.escape(_series_line(found.series))}</p>\n{_facts(found)}\n'
+        f'<h1>{title}</h1><p class="soft">{html.escape(_series_line(statistics.series))}</p>\n{_facts(statistics)}\n'
         f'<div class="panels">{panels}</div>\n<h2>Maps</h2>'
         '<p class="soft">Range-azimuth maps in dB over the noise; circles: seen directly (LOS), '
         "diamonds: seen in a mirror (mNLOS).</p>"
@@ -81,7 +81,7 @@ def page(name: str, found: Statistics, sheet_png: bytes) -> str:
     )
 
 
-def chosen_records(folder: Path, scenes: int) -> list[SceneRecord]:
+def sampled_records(folder: Path, scenes: int) -> list[SceneRecord]:
     """Up to 24 scenes, evenly over the data set."""
     wanted = set(np.unique(np.linspace(0, scenes - 1, min(MAPS, scenes)).astype(int)).tolist())
     return [record for record in read_records(folder) if record.index in wanted]
@@ -163,40 +163,49 @@ def _draw_map(axes: Axes, record: SceneRecord, power: np.ndarray, grid: RangeAzi
     return image
 
 
-def _facts(found: Statistics) -> str:
+def _facts(statistics: Statistics) -> str:
     """The headline numbers."""
-    objects = found.objects.values()
+    objects = statistics.objects.values()
     rows = [
-        (f"{found.scenes:,}", "scenes"),
-        (f"{found.points['LOS']:,}", "LOS points"),
-        (f"{found.points['mNLOS']:,}", "mNLOS points"),
-        (f"{sum(one.direct for one in objects):,}", "objects seen directly"),
-        (f"{sum(one.hidden for one in objects):,}", "objects seen in mirrors alone"),
-        (f"{found.hidden_in_noise:,}", "more in mirrors, lost in noise"),
-        (f"{100.0 * found.nothing_hidden_share:.1f} %", "scenes with nothing hidden"),
-        (f"{found.paths[1]:,.0f}", f"paths a scene (median; {found.paths[0]:,.0f} to {found.paths[2]:,.0f})"),
+        (f"{statistics.scenes:,}", "scenes"),
+        (f"{statistics.points['LOS']:,}", "LOS points"),
+        (f"{statistics.points['mNLOS']:,}", "mNLOS points"),
+        (f"{sum(counts.direct for counts in objects):,}", "objects seen directly"),
+        (f"{sum(counts.hidden for counts in objects):,}", "objects seen in mirrors alone"),
+        (f"{statistics.hidden_in_noise:,}", "more in mirrors, lost in noise"),
+        (f"{100.0 * statistics.nothing_hidden_share:.1f} %", "scenes with nothing hidden"),
+        (
+            f"{statistics.paths[1]:,.0f}",
+            f"paths a scene (median; {statistics.paths[0]:,.0f} to {statistics.paths[2]:,.0f})",
+        ),
     ]
     cells = "".join(f"<div><b>{value}</b><span>{text}</span></div>" for value, text in rows)
     return f'<div class="facts">{cells}</div>'
 
 
-def _panels(found: Statistics) -> list[tuple[str, str]]:
+def _panels(statistics: Statistics) -> list[tuple[str, str]]:
     """All figures with their captions."""
     panels = [
-        ("Types of place, scenes", _bars(found.places)),
-        ("Objects by class", _object_bars(found)),
-        ("Hidden objects a scene that show in a mirror, scenes", _columns(found.hidden_per_scene, "hidden objects")),
-        ("Objects a scene, scenes", _columns(found.objects_per_scene, "objects")),
-        ("Walls as built", _bars(found.relays)),
-        ("Materials of walls", _bars(found.materials)),
-        ("Points by range", _histogram(found.range_m, "range [m]")),
-        ("Points by SNR in their best beam", _histogram(found.snr_db, "SNR [dB]")),
-        ("Points by mirrors on their way", _bars(found.orders)),
-        ("Walls by roughness", _histogram(found.roughness_mm, "rms roughness [mm]", even=True)),
-        ("Effects used, share of scenes", _bars({name: 100.0 * one for name, one in found.effects.items()}, " %")),
+        ("Types of place, scenes", _bars(statistics.places)),
+        ("Objects by class", _object_bars(statistics)),
+        (
+            "Hidden objects a scene that show in a mirror, scenes",
+            _columns(statistics.hidden_per_scene, "hidden objects"),
+        ),
+        ("Objects a scene, scenes", _columns(statistics.objects_per_scene, "objects")),
+        ("Walls as built", _bars(statistics.relays)),
+        ("Materials of walls", _bars(statistics.materials)),
+        ("Points by range", _histogram(statistics.range_m, "range [m]")),
+        ("Points by SNR in their best beam", _histogram(statistics.snr_db, "SNR [dB]")),
+        ("Points by mirrors on their way", _bars(statistics.orders)),
+        ("Walls by roughness", _histogram(statistics.roughness_mm, "rms roughness [mm]", even=True)),
+        (
+            "Effects used, share of scenes",
+            _bars({name: 100.0 * share for name, share in statistics.effects.items()}, " %"),
+        ),
     ]
     # the first series does not know of which kinds its walls are
-    return [panel for panel in panels if found.relays or panel[0] != "Walls as built"]
+    return [panel for panel in panels if statistics.relays or panel[0] != "Walls as built"]
 
 
 def _bars(counts: dict[str, Any], unit: str = "") -> str:
@@ -215,14 +224,14 @@ def _bars(counts: dict[str, Any], unit: str = "") -> str:
     return _svg(draw, 0.6 + 0.24 * max(len(counts), 4))
 
 
-def _object_bars(found: Statistics) -> str:
+def _object_bars(statistics: Statistics) -> str:
     """Objects by class, split by how they are seen."""
 
     def draw(axes: Axes) -> None:
-        names, start = list(found.objects), np.zeros(len(found.objects))
+        names, start = list(statistics.objects), np.zeros(len(statistics.objects))
         parts = (("direct", BLUE, "direct"), ("mirrors alone", ORANGE, "hidden"), ("no points", GREY, "unseen"))
         for label, colour, field in parts:
-            width = np.array([getattr(one, field) for one in found.objects.values()], float)
+            width = np.array([getattr(counts, field) for counts in statistics.objects.values()], float)
             axes.barh(names, width, left=start, color=colour, height=0.7, label=label)
             start += width
         axes.invert_yaxis()
@@ -247,22 +256,22 @@ def _columns(counts: dict[int, int], label: str) -> str:
     return _svg(draw, 2.2)
 
 
-def _histogram(found: Histogram, label: str, even: bool = False) -> str:
+def _histogram(histogram: Histogram, label: str, even: bool = False) -> str:
     """Stacked columns between edges; `even` draws bins of unequal width alike."""
 
     def draw(axes: Axes) -> None:
-        edges = np.arange(len(found.edges), dtype=float) if even else np.array(found.edges)
+        edges = np.arange(len(histogram.edges), dtype=float) if even else np.array(histogram.edges)
         start = np.zeros(len(edges) - 1)
-        for name, counts in found.counts.items():
+        for name, counts in histogram.counts.items():
             width = np.diff(edges) * 0.92
             axes.bar(edges[:-1], counts, width, start, align="edge", color=COLOURS[name], label=name)
             start += counts
         if even:
-            axes.set_xticks(edges, [f"{edge:g}" for edge in found.edges], fontsize=8)
+            axes.set_xticks(edges, [f"{edge:g}" for edge in histogram.edges], fontsize=8)
         axes.set_xlabel(label)
         axes.spines[["top", "right"]].set_visible(False)
-        if len(found.counts) > 1:
-            legend_below(axes, columns=len(found.counts))
+        if len(histogram.counts) > 1:
+            legend_below(axes, columns=len(histogram.counts))
 
     return _svg(draw, 2.5)
 
@@ -283,7 +292,7 @@ def _svg(draw: Callable[[Axes], None], height_inch: float) -> str:
 def _series_line(series: dict[str, Any]) -> str:
     """Which data set this is, in words."""
     effects = series.get("effects", "?")
-    chosen = ", ".join(effects) if isinstance(effects, list) else str(effects)
+    used = ", ".join(effects) if isinstance(effects, list) else str(effects)
     budget = f" under {series['budget_db']:g} dB" if series.get("budget_db") is not None else ""
-    named = [f"{name} {series.get(name, '?')}" for name in ("seed", "places", "preset")]
-    return f"{', '.join(named)}; effects {chosen}{budget}; drawn by {series.get('generator', '?')}"
+    facts = [f"{name} {series.get(name, '?')}" for name in ("seed", "places", "preset")]
+    return f"{', '.join(facts)}; effects {used}{budget}; drawn by {series.get('generator', '?')}"

@@ -57,13 +57,13 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
                 line[:, 1], line[:, 0], color=colour, linewidth=2.5, linestyle=style, solid_capstyle="butt",
                 label=_first(words, labels),
             )  # fmt: skip
-    for thing in scene.objects:
-        corners = thing.corners_m()
+    for item in scene.objects:
+        corners = item.corners_m()
         axes.fill(
             corners[:, 1], corners[:, 0], facecolor="#dddddd", edgecolor=BLACK, linewidth=1.0, zorder=3,
             label=_first("object", labels),
         )  # fmt: skip
-        axes.text(thing.y_m, thing.x_m, thing.object_class, fontsize=7, ha="center", va="center", zorder=4)
+        axes.text(item.y_m, item.x_m, item.object_class, fontsize=7, ha="center", va="center", zorder=4)
     axes.plot(0.0, 0.0, marker="^", color="black", markersize=9, linestyle="", zorder=5, label="radar")
     axes.set_aspect("equal")
     axes.invert_xaxis()
@@ -83,7 +83,7 @@ def path_kinds(paths: Paths) -> tuple[np.ndarray, np.ndarray]:
     return mirrors, np.where(bent, 2, np.where(through, 1, 0))
 
 
-def draw_paths(out: Path, scene: Scene, paths: Paths, ways: list[np.ndarray], power_mw: np.ndarray) -> None:
+def draw_paths(out: Path, scene: Scene, paths: Paths, polylines: list[np.ndarray], power_mw: np.ndarray) -> None:
     """Write the picture of a scene with the outbound vertices of every path, the stronger the darker."""
     figure = new_figure(8.0, 9.0)
     axes = figure.subplots()
@@ -93,9 +93,9 @@ def draw_paths(out: Path, scene: Scene, paths: Paths, ways: list[np.ndarray], po
     mirrors, passages = path_kinds(paths)
     # mirrored paths above the many direct ones, strong ones above weak ones
     for index in np.lexsort((power_mw, mirrors)):
-        way, colour, style = ways[index], MIRRORS[mirrors[index]][1], PASSAGES[passages[index]][1]
+        polyline, colour, style = polylines[index], MIRRORS[mirrors[index]][1], PASSAGES[passages[index]][1]
         axes.plot(
-            way[:, 1], way[:, 0], color=colour, linestyle=style, alpha=float(opacity[index]), linewidth=0.9,
+            polyline[:, 1], polyline[:, 0], color=colour, linestyle=style, alpha=float(opacity[index]), linewidth=0.9,
         )  # fmt: skip
     draw_scene(axes, scene)
     axes.set(xlabel="y, left [m]", ylabel="x, forward [m]")

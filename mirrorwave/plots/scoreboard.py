@@ -113,21 +113,21 @@ def _keep(store: dict[int, Any], key: int, value: Any) -> None:
 
 def _rows(frame: BevFrame, truth: SceneTruth | None) -> list[tuple[object, ...]]:
     """Found objects with the truth they match, then truths that were missed."""
-    found = {one.id: one for one in frame.objects}
+    reported = {item.id: item for item in frame.objects}
     if truth is None:
-        return [(*_found_cells(one), *[None] * 5) for one in frame.objects]
-    real = {one.id: one for one in truth.objects}
+        return [(*_report_cells(item), *[None] * 5) for item in frame.objects]
+    real = {item.id: item for item in truth.objects}
     match = match_objects(frame.objects, truth, GATE_M)
     pairs = zip(match.matched, match.centre_m, strict=True)
-    rows = [(*_found_cells(found[i]), *_truth_cells(real[j]), error_m, to_m) for (i, j, error_m), to_m in pairs]
-    rows += [(*_found_cells(found[i]), "nothing there", *[None] * 4) for i in match.unmatched_objects]
+    rows = [(*_report_cells(reported[i]), *_truth_cells(real[j]), error_m, to_m) for (i, j, error_m), to_m in pairs]
+    rows += [(*_report_cells(reported[i]), "nothing there", *[None] * 4) for i in match.unmatched_objects]
     return rows + [("missed", *[None] * 4, *_truth_cells(real[j]), None, None) for j in match.missed_truths]
 
 
-def _found_cells(one: HiddenObject) -> tuple[object, ...]:
-    std_m = math.sqrt(0.5 * (one.cov_m2[0][0] + one.cov_m2[1][1]))
-    return f"object {one.id}", one.x_m, one.y_m, std_m, one.score
+def _report_cells(hidden: HiddenObject) -> tuple[object, ...]:
+    std_m = math.sqrt(0.5 * (hidden.cov_m2[0][0] + hidden.cov_m2[1][1]))
+    return f"object {hidden.id}", hidden.x_m, hidden.y_m, std_m, hidden.score
 
 
-def _truth_cells(one: TruthObject) -> tuple[object, ...]:
-    return one.object_class, one.x_m, one.y_m
+def _truth_cells(true_object: TruthObject) -> tuple[object, ...]:
+    return true_object.object_class, true_object.x_m, true_object.y_m

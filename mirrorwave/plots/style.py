@@ -19,7 +19,7 @@ from matplotlib.transforms import ScaledTranslation
 BLUE, SKY, GREEN, ORANGE = "#0072B2", "#56B4E9", "#009E73", "#E69F00"
 VERMILION, PURPLE, GREY, BLACK = "#D55E00", "#8A1C66", "#555555", "#222222"
 #: The meanings of a scene, the same in every picture of one.
-SEEN_DIRECTLY, MIRROR_IMAGE, RECOVERED, TRUTH, FOLLOWED, WALL = BLUE, ORANGE, VERMILION, GREEN, PURPLE, BLACK
+SEEN_DIRECTLY, MIRROR_IMAGE, RECOVERED, TRUTH, TRACKED, WALL = BLUE, ORANGE, VERMILION, GREEN, PURPLE, BLACK
 #: Areas in the tint of their meaning, light enough to draw upon.
 DIRECT_AREA, MIRROR_AREA = "#E3F1FA", "#FBE9C6"
 #: Width of a page's text in inches. A wider figure is shrunk to it, and its letters with it.
@@ -39,22 +39,24 @@ def legend_below(axes: Axes, columns: int = 1, **options: Any) -> Legend:
     """Add the legend of an axes below its horizontal label, off the data."""
     assert axes.figure is not None
     shift = ScaledTranslation(0.0, -LEGEND_BELOW_PT / 72.0, axes.figure.dpi_scale_trans)
-    place = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": axes.transAxes + shift}
-    return axes.legend(**{**place, "borderaxespad": 0.0, "ncols": columns, "frameon": False, "fontsize": 9, **options})
+    placement = {"loc": "upper center", "bbox_to_anchor": (0.5, 0.0), "bbox_transform": axes.transAxes + shift}
+    return axes.legend(
+        **{**placement, "borderaxespad": 0.0, "ncols": columns, "frameon": False, "fontsize": 9, **options}
+    )
 
 
 def legend_beside(axes: Axes, **options: Any) -> Legend:
     """Add the legend of an axes to the right of it, off the data."""
-    place = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
-    return axes.legend(**{**place, "frameon": False, "fontsize": 9, **options})
+    placement = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0), "borderaxespad": 0.0}
+    return axes.legend(**{**placement, "frameon": False, "fontsize": 9, **options})
 
 
 def legend_of_figure(figure: Figure, handles: Iterable[Artist], columns: int, **options: Any) -> Legend:
     """Add one legend for all panels at the figure's lower edge; of equal labels the first is taken."""
     once = {str(handle.get_label()): handle for handle in reversed(list(handles))}
     shown = [handle for _, handle in reversed(once.items())]
-    place = {"loc": "outside lower center", "ncols": columns, "frameon": False, "fontsize": 9}
-    return figure.legend(handles=shown, **{**place, **options})
+    placement = {"loc": "outside lower center", "ncols": columns, "frameon": False, "fontsize": 9}
+    return figure.legend(handles=shown, **{**placement, **options})
 
 
 def handles_of(*panels: Axes) -> list[Artist]:

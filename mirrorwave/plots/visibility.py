@@ -48,19 +48,19 @@ def mirror_sight(points_m: np.ndarray, walls: tuple[Wall, ...], a: np.ndarray, b
 
     Crossings within 1 m of the specular point are the mirror's own true wall. An arc is taken as its chord.
     """
-    seen = np.zeros(len(points_m), bool)
+    visible = np.zeros(len(points_m), bool)
     for wall in walls:
         at = specular_points(ORIGIN, points_m, *np.array(wall.ends_m))
-        rows = np.flatnonzero(~np.isnan(at[:, 0]) & ~seen)
+        rows = np.flatnonzero(~np.isnan(at[:, 0]) & ~visible)
         at, target = at[rows], points_m[rows]
-        cut = blocked(np.zeros_like(at), _towards(at, np.zeros_like(at)), a, b)
-        cut |= blocked(_towards(at, target), target, a, b)
-        seen[rows] = ~cut
-    return seen
+        occluded = blocked(np.zeros_like(at), _towards(at, np.zeros_like(at)), a, b)
+        occluded |= blocked(_towards(at, target), target, a, b)
+        visible[rows] = ~occluded
+    return visible
 
 
 def _towards(start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Points [N, 2] the tolerance away from `start` towards `end`, `end` where that is nearer."""
-    way = end - start
-    length_m = np.linalg.norm(way, axis=1, keepdims=True)
-    return start + way * np.minimum(MIRROR_TOLERANCE_M / np.maximum(length_m, 1e-12), 1.0)
+    offset = end - start
+    length_m = np.linalg.norm(offset, axis=1, keepdims=True)
+    return start + offset * np.minimum(MIRROR_TOLERANCE_M / np.maximum(length_m, 1e-12), 1.0)

@@ -38,7 +38,7 @@ SEEK_NS = 5 * NANOSECONDS_PER_SECOND
 _CATCH_UP_NS = NANOSECONDS_PER_SECOND * 3 // 10
 #: A scan begun before the end is played to its end; one that lacks its last beam no longer than this.
 _SCAN_ENDS_NS = NANOSECONDS_PER_SECOND
-#: Older vehicle states say nothing about a scan (`nodes.inputs.state_history`).
+#: Older vehicle states say nothing about a scan (`models.perception.state_history`).
 _STATES_NS = NANOSECONDS_PER_SECOND // 2
 _TURN_S = 0.02
 _STATE = "vehicle/state"
@@ -164,7 +164,8 @@ class Replay:
         self._reader, self._bus, self._graph, self._params = reader, bus, graph, params
         self._stop, self._keyboard, self._show = stop, keyboard, show
         self._schedule = Schedule(params.rate)
-        self._latched = LatchedMessages(reader, params)
+        #: Latched topics, as the recording names them.
+        self._latched = [topic for topic in params.topics if TOPICS[params.renamed.get(topic, topic)].latched]
         self._sent: Counter[str] = Counter()
         self._passes = 0
         self._paused, self._steps = params.paused, 0
@@ -211,7 +212,7 @@ class Replay:
         self._graph.begin_anew()
         self._jump_ns = self._at_ns = None
         self._unconfirmed = True
-        for recorded in self._latched.until(start_ns):
+        for recorded in self._latched_before(start_ns):
             self._send(recorded, None)
         states = [topic for topic in self._params.topics if self._params.renamed.get(topic, topic) == _STATE]
         for recorded in self._read(states, max(0, start_ns - _STATES_NS), start_ns):
@@ -220,9 +221,12 @@ class Replay:
     def _messages(self, start_ns: int) -> Iterator[Recorded]:
         is_cut = start_ns > self._params.first_ns
         messages = self._read(self._params.topics, start_ns, None)
-        if self._latched.topics and not self._latched.until(start_ns):
-            messages = setup_first(next(self._read(self._latched.topics, start_ns, None), None), messages)
+        if self._latched and not self._latched_before(start_ns):
+            messages = setup_first(next(self._read(self._latched, start_ns, None), None), messages)
         return whole_scans(messages, is_cut, self._params.end_ns)
+
+    def _latched_before(self, end_ns: int) -> list[Recorded]:
+        return latched_before(self._reader, self._latched, self._params.renamed, end_ns)
 
     def _read(self, topics: Collection[str], start_ns: int, end_ns: int | None) -> Iterator[Recorded]:
         return self._reader.messages(topics, start_ns, end_ns, self._params.renamed)
@@ -358,22 +362,11 @@ class Replay:
         )
 
 
-class LatchedMessages:
-    """The latched messages of a recording that hold at a time; each part of the file is searched once."""
-
-    def __init__(self, reader: RecordingReader, params: ReplayParams) -> None:
-        self._reader, self._params = reader, params
-        renamed = params.renamed
-        self.topics = [topic for topic in params.topics if TOPICS[renamed.get(topic, topic)].latched]
-        self._found: list[Recorded] = []
-        self._searched_ns = 0
-
-    def until(self, end_ns: int) -> list[Recorded]:
-        """The last message of each latched topic before `end_ns`."""
-        if self.topics and end_ns > self._searched_ns:
-            self._found += self._reader.messages(self.topics, self._searched_ns, end_ns, self._params.renamed)
-            self._searched_ns = end_ns
-        return list({one.topic: one for one in self._found if one.log_time_ns < end_ns}.values())
+def latched_before(
+    reader: RecordingReader, topics: Collection[str], renamed: Mapping[str, str], end_ns: int
+) -> list[Recorded]:
+    """Return the last message before `end_ns` of each latched topic among `topics`, as the recording names them."""
+    return list({one.topic: one for one in reader.messages(topics, 0, end_ns, renamed)}.values()) if topics else []
 
 
 def whole_scans(messages: Iterator[Recorded], is_cut: bool, end_ns: int | None) -> Iterator[Recorded]:

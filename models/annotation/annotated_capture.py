@@ -2,7 +2,7 @@
 
 `real`: a folder a frame with a Welch power spectrum on the release's axis, 4.521 to 43.994 m, and points (N, 2).
 `sim`: a complex map NAME.npy on our default grid and NAME.npz with L, G and T of shape (3, N). Points are in the
-source's axes: x to the right, y ahead. Points that the map does not hold are left out: the import would refuse them.
+source's axes: x to the right, y ahead. Points outside the map are left out: the import would refuse them.
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 @dataclass(frozen=True, eq=False)
 class FramePoints:
-    """Points in the radar's frame: direct [N, 2], images and their true places [M, 2] row by row, walls [W, 2]."""
+    """Points in the radar's frame: direct [N, 2], images and their true positions [M, 2] row by row, walls [W, 2]."""
 
     los_m: np.ndarray
     image_m: np.ndarray
     place_m: np.ndarray
     wall_m: np.ndarray
-    #: Points and images that lie off the map.
+    #: Points and images outside the map.
     off_map: int
 
 
 def frame_points(labels: SliceLabels, kind: Kind) -> FramePoints:
-    """What of the labels the map of a kind can show."""
+    """Return the labels that the map of a kind can show."""
     los, image, wall = (on_map(points, kind) for points in (labels.los_m, labels.image_m, labels.wall_m))
     return FramePoints(
         labels.los_m[los],
@@ -52,7 +52,7 @@ def frame_points(labels: SliceLabels, kind: Kind) -> FramePoints:
 
 
 def on_map(points_m: np.ndarray, kind: Kind) -> np.ndarray:
-    """Which points [N, 2] lie on the map of a kind; bool [N]."""
+    """Return whether points [N, 2] lie on the map of a kind; bool [N]."""
     grid = grid_of(kind)
     range_m, azimuth_rad = polar_from_xy(points_m)
     column = grid.azimuth_index(azimuth_rad)
@@ -62,18 +62,18 @@ def on_map(points_m: np.ndarray, kind: Kind) -> np.ndarray:
 
 
 def mean_map(maps: list[RangeAzimuthMap], kind: Kind) -> np.ndarray:
-    """Scans of a scene at rest as one map [512, 256]: `sim` mean field, `real` mean power on the release's axis.
+    """Return scans of a scene at rest as one map [512, 256]: `sim` mean field, `real` mean power on the release's axis.
 
-    Raises ValueError without maps or where their grid is not the default one.
+    Raises ValueError without maps or if their grid is not the default one.
     """
     if not maps:
         raise ValueError("radar must hold at least one complete scan, holds none")
     grid = maps[0].grid
-    if any(one.grid != RangeAzimuthGrid() for one in maps):
+    if any(map_.grid != RangeAzimuthGrid() for map_ in maps):
         raise ValueError(f"radar maps must be on the default grid of {SHAPE} cells, got {grid.shape}")
     if kind == "sim":
-        return np.asarray(np.mean([one.values for one in maps], axis=0, dtype=np.complex128), np.complex64)
-    power = np.mean([np.abs(one.values).astype(np.float64) ** 2 for one in maps], axis=0)
+        return np.asarray(np.mean([map_.values for map_ in maps], axis=0, dtype=np.complex128), np.complex64)
+    power = np.mean([np.abs(map_.values).astype(np.float64) ** 2 for map_ in maps], axis=0)
     row = np.linspace(*REAL_RANGE_M, SHAPE[0]) / grid.range_bin_m
     below = np.floor(row).astype(int)
     share = (row - below)[:, None]
@@ -99,6 +99,6 @@ def write_frame(folder: Path, name: str, kind: Kind, values: np.ndarray, points:
 
 
 def _in_source(points_m: np.ndarray, coordinates: int) -> np.ndarray:
-    """Points [N, 2] of the radar's frame in the source's axes; a third coordinate is the antenna's height."""
+    """Return points [N, 2] of the radar's frame in the source's axes; a third coordinate is the antenna's height."""
     columns = [-points_m[:, 1], points_m[:, 0], np.zeros(len(points_m))]
     return np.stack(columns[:coordinates], axis=1)

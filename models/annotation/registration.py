@@ -1,8 +1,8 @@
-"""LiDAR clouds laid onto one another: FPFH and RANSAC for a first pose, point-to-plane ICP over voxels for the last.
+"""Registration of LiDAR clouds: FPFH and RANSAC for a first pose, point-to-plane ICP over voxels for the last.
 
-open3d does the search and the least squares; what the pose is worth is judged here. A pose is as good as its weakest
-direction: along a corridor all planes let the cloud slide, and neither fitness nor residual shows it. So the normal
-matrix of the last step is looked at, in metres: rotations count by what they move at the cloud's own radius.
+open3d does the search and the least squares; the quality of the pose is judged here. A pose is as good as its
+weakest direction: along a corridor all planes let the cloud slide, and neither fitness nor residual shows it. So the
+normal matrix of the last step is judged, in metres: rotations count by the motion at the cloud's own radius.
 """
 
 from __future__ import annotations
@@ -19,29 +19,29 @@ from msgs.values.arrays import require_positive
 
 #: The system libraries that open3d loads, as Debian and Ubuntu name them.
 APT_LINE = "apt-get install libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1"
-#: Fewer points than these hold no pose.
+#: Fewer points than these determine no pose.
 MIN_POINTS = 50
-#: Surroundings are a line where their second extent is below this share (of squares) of the first, a plane where the
+#: A neighbourhood is a line if its second extent is below this share (of squares) of the first, a plane if the
 #: third is below this share of the second.
 LINE_SHARE, PLANE_SHARE = 0.05, 0.3
-#: A plane is level where its normal's upright part is above this.
+#: A plane is level if its normal's upright part is above this.
 UPRIGHT_LIMIT = 0.7
-#: A first pose is level where the cosine between the two frames' z axes is above this.
+#: A first pose is level if the cosine between the two frames' z axes is above this.
 LEVEL_LIMIT = 0.94
-#: Searches of the global registration; the best after a coarse ICP counts.
+#: Searches of the global registration; the best after a coarse ICP is used.
 GLOBAL_TRIES = 6
-#: What a share of conflicts takes from the share of firm points when poses are compared.
+#: Weight of the share of conflicts against the share of firm points when poses are compared.
 CONFLICT_WEIGHT = 20.0
-#: Points this near to their partner's plane are on it.
+#: Maximum distance of a firm point from its partner's plane.
 FIRM_M = 0.05
-#: Where else along the weakest slide a pose is looked for, unless it is held better than this.
+#: Offsets along the weakest slide at which the search is repeated, unless the hold is better than this.
 SLIDES_M, WELL_HELD = (-1.0, -0.5, 0.5, 1.0), 0.05
-#: Bins of directions, elevation and azimuth, of what a sensor saw; how much nearer than all of it is in conflict.
+#: Bins of directions, elevation and azimuth, of a sensor's view; margin in range that makes a conflict.
 SIGHT_BINS, SIGHT_MARGIN_M = (90, 180), 0.5
 
 
 class RegistrationParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How clouds are registered and when a registration is refused."""
+    """Parameters of registration and the limits below which it is refused."""
 
     #: Voxels of the ICP, coarse to fine; correspondences reach twice as far.
     voxels_m: tuple[float, ...] = (0.8, 0.4, 0.2)
@@ -49,12 +49,12 @@ class RegistrationParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     global_voxel_m: float = 0.8
     global_rounds: int = 100_000
     max_iterations: int = 60
-    #: Share of a cloud's points that must find a partner, counted where the two could overlap.
+    #: Share of a cloud's points that must find a partner, counted within the possible overlap.
     min_fitness: float = 0.3
     max_rmse_m: float = 0.08
     #: Mean squared share of a unit motion, in the worst direction, that the planes resist.
     min_hold: float = 0.01
-    #: Share of points that stand where another viewpoint looked through.
+    #: Maximum share of points that lie where another viewpoint looked through.
     max_conflict: float = 0.003
 
     def __post_init__(self) -> None:
@@ -69,11 +69,11 @@ class RegistrationParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
 
 @dataclass(frozen=True, eq=False)
 class Hold:
-    """How firmly point-to-plane pairs hold a pose: `least` in 0..1, and the motion they resist least, in words."""
+    """Firmness with which point-to-plane pairs hold a pose: `least` in 0..1, and the least resisted motion in words."""
 
     least: float
     weakest: str
-    #: The slide in that motion [3], zero where it only turns.
+    #: The slide in that motion [3], zero if it only turns.
     slide: np.ndarray
     eigenvalues: tuple[float, ...]
 
@@ -83,19 +83,19 @@ NOTHING_HELD = Hold(0.0, "finds no partners", np.zeros(3), ())
 
 @dataclass(frozen=True, eq=False)
 class PlacedCloud:
-    """Points [N, 3] in the frame of the sensor that saw them from its origin, and where that stands [4, 4]."""
+    """Points [N, 3] in the frame of the sensor that saw them from its origin, and the sensor's pose [4, 4]."""
 
     points_m: np.ndarray
     target_from_sensor: np.ndarray
 
     def points_in_target_m(self) -> np.ndarray:
-        """The points [N, 3] in the common frame."""
+        """Return the points [N, 3] in the common frame."""
         return moved(self.target_from_sensor, self.points_m)
 
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """A pose [4, 4] that takes the source into the target's frame, and what it is worth."""
+    """A pose [4, 4] from the source into the target's frame, and its quality."""
 
     target_from_source: np.ndarray
     #: Share of the source's points with a partner, and share within `FIRM_M` of their partner's plane.
@@ -104,18 +104,18 @@ class Registration:
     rmse_m: float
     pairs: int
     hold: Hold
-    #: Share of points, of the source or of a placed cloud, that stand where the other looked through.
+    #: Share of points, of the source or of a placed cloud, that lie where the other looked through.
     conflict: float
-    #: Where the search began: "given" or "global".
+    #: Origin of the search: "given" or "global".
     start: str
 
     @property
     def score(self) -> float:
-        """What poses are compared by."""
+        """Value by which poses are compared."""
         return self.firm - CONFLICT_WEIGHT * self.conflict
 
     def fault(self, params: RegistrationParams) -> str | None:
-        """The first rule that it breaks, with the value; None where it holds."""
+        """Return the first rule that it breaks, with the value; None if it is valid."""
         if not self.fitness >= params.min_fitness:
             return f"overlap must be at least {params.min_fitness:g} (registration.min_fitness), got {self.fitness:.3f}"
         if not self.rmse_m <= params.max_rmse_m:
@@ -134,88 +134,91 @@ class Registration:
 
 
 def import_open3d() -> Any:
-    """The library, loaded when first needed; ImportError names the package or the line that installs what it lacks."""
+    """Load the library on first use; ImportError names the package or the line that installs what is missing."""
     try:
         import open3d
     except ModuleNotFoundError:
         raise ImportError("open3d (pip install open3d-cpu)") from None
     except (ImportError, OSError) as error:
         raise ImportError(f"a system library that open3d loads ({error}); {APT_LINE}") from None
-    # open3d has a TBB of its own in the process, too old for numba, which would say so at every parallel kernel
+    # open3d has its own TBB in the process, too old for numba, which would warn at every parallel kernel
     numba.config.THREADING_LAYER_PRIORITY = ["omp", "workqueue", "tbb"]
     return open3d
 
 
 def register(
     source_m: np.ndarray,
-    placed: list[PlacedCloud],
+    targets: list[PlacedCloud],
     target_from_source: np.ndarray | None,
     params: RegistrationParams,
     seed: int = 0,
 ) -> Registration:
-    """Lay a source cloud [N, 3] onto placed ones from a first pose [4, 4], or from anywhere on level ground (None).
+    """Register a source cloud [N, 3] to posed ones from a first pose [4, 4], or from any pose on level ground (None).
 
     Points are in the frame of their sensor. The same input gives the same bytes: poses are rounded to 1e-6 (metres,
-    radians), as sums over threads differ in their last bits. Raises ValueError where a cloud has too few planes.
+    radians), as sums over threads differ in their last bits. Raises ValueError if a cloud has too few planes.
     """
-    clouds = _Clouds(source_m, placed)
+    clouds = _Clouds(source_m, targets)
     if target_from_source is None:
         coarse_m = params.voxels_m[0]
-        tried = [
+        candidates = [
             _judged(clouds, _icp(clouds, pose, (coarse_m,), params.max_iterations), coarse_m, "global")
             for pose in _global_poses(clouds, params, seed)
         ]
-        target_from_source, start = max(tried, key=lambda one: one.score).target_from_source, "global"
+        target_from_source, start = (
+            max(candidates, key=lambda registration: registration.score).target_from_source,
+            "global",
+        )
     else:
         start = "given"
     pose = _icp(clouds, target_from_source, params.voxels_m, params.max_iterations)
-    found = _judged(clouds, pose, params.voxels_m[-1], start)
-    return max([found, *_slid(clouds, found, params)], key=lambda one: one.score)
+    result = _judged(clouds, pose, params.voxels_m[-1], start)
+    return max([result, *_searched_along_slide(clouds, result, params)], key=lambda registration: registration.score)
 
 
-def _slid(clouds: _Clouds, found: Registration, params: RegistrationParams) -> list[Registration]:
-    """The same search begun again some way along the slide that is held least: where false minima lie."""
-    others = []
-    for way_m in SLIDES_M if found.hold.slide.any() and found.hold.least < WELL_HELD else ():
-        begun = found.target_from_source.copy()
-        begun[:3, 3] += way_m * found.hold.slide
-        pose = _icp(clouds, begun, params.voxels_m[-2:], params.max_iterations)
-        others.append(_judged(clouds, pose, params.voxels_m[-1], found.start))
-    return others
+def _searched_along_slide(clouds: _Clouds, first: Registration, params: RegistrationParams) -> list[Registration]:
+    """Repeat the search at offsets along the least resisted slide, where false minima lie."""
+    repeated = []
+    for offset_m in SLIDES_M if first.hold.slide.any() and first.hold.least < WELL_HELD else ():
+        start_pose = first.target_from_source.copy()
+        start_pose[:3, 3] += offset_m * first.hold.slide
+        pose = _icp(clouds, start_pose, params.voxels_m[-2:], params.max_iterations)
+        repeated.append(_judged(clouds, pose, params.voxels_m[-1], first.start))
+    return repeated
 
 
 class _Clouds:
-    """A source and what it is laid onto, thinned once for each voxel."""
+    """A source and its targets, thinned once for each voxel."""
 
-    def __init__(self, source_m: np.ndarray, placed: list[PlacedCloud]) -> None:
-        self.source_m, self.placed = source_m, placed
-        self._target_m = np.concatenate([one.points_in_target_m() for one in placed])
+    def __init__(self, source_m: np.ndarray, targets: list[PlacedCloud]) -> None:
+        self.source_m, self.targets = source_m, targets
+        self._target_m = np.concatenate([cloud.points_in_target_m() for cloud in targets])
         self._thinned: dict[float, tuple[Any, Any]] = {}
 
     def planar(self, voxel_m: float) -> tuple[Any, Any]:
-        """`planar_cloud` of source and target."""
+        """Return `planar_cloud` of source and target."""
         if voxel_m not in self._thinned:
             self._thinned[voxel_m] = planar_cloud(self.source_m, voxel_m), planar_cloud(self._target_m, voxel_m)
         return self._thinned[voxel_m]
 
 
 def _icp(clouds: _Clouds, pose: np.ndarray, voxels_m: tuple[float, ...], max_iterations: int) -> np.ndarray:
-    """Point-to-plane ICP from a pose over voxels, coarse to fine."""
+    """Return the point-to-plane ICP from a pose over voxels, coarse to fine."""
     registration = import_open3d().pipelines.registration
     criteria = registration.ICPConvergenceCriteria(1e-7, 1e-7, max_iterations)
     for voxel_m in voxels_m:
-        # clouds of different viewpoints share but a part: what has no partner must not pull
+        # clouds of different viewpoints share only a part: points without a partner must not pull
         loss = registration.TukeyLoss(0.5 * voxel_m)
         estimation = registration.TransformationEstimationPointToPlane(loss)
-        found = registration.registration_icp(*clouds.planar(voxel_m), 2.0 * voxel_m, pose, estimation, criteria)
-        pose = rounded_pose(np.asarray(found.transformation))
+        result = registration.registration_icp(*clouds.planar(voxel_m), 2.0 * voxel_m, pose, estimation, criteria)
+        pose = rounded_pose(np.asarray(result.transformation))
     return pose
 
 
 def planar_cloud(points_m: np.ndarray, voxel_m: float) -> Any:
-    """An open3d cloud of one point a voxel with normals, of the points whose surroundings are a plane.
+    """Return an open3d cloud of one point a voxel with normals, of the points whose surroundings are a plane.
 
-    Rings of far ground are lines: their normals are chance, and chance normals would seem to hold every direction.
+    Rings of far ground are lines: their normals are random, and random normals would seem to hold every direction.
     """
     o3d = import_open3d()
     cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points_m)).voxel_down_sample(voxel_m)
@@ -231,7 +234,7 @@ def planar_cloud(points_m: np.ndarray, voxel_m: float) -> Any:
 
 
 def _global_poses(clouds: _Clouds, params: RegistrationParams, seed: int) -> list[np.ndarray]:
-    """Poses by RANSAC over FPFH features of what stands upright: ground is alike everywhere and decides none."""
+    """Return poses by RANSAC over FPFH features of upright structures: ground looks alike everywhere."""
     o3d = import_open3d()
     o3d.utility.random.seed(seed)
     registration, voxel_m = o3d.pipelines.registration, params.global_voxel_m
@@ -244,19 +247,19 @@ def _global_poses(clouds: _Clouds, params: RegistrationParams, seed: int) -> lis
     ]
     estimation = registration.TransformationEstimationPointToPoint(False)
     criteria = registration.RANSACConvergenceCriteria(params.global_rounds, 0.999)
-    found = [
+    transforms = [
         registration.registration_ransac_based_on_feature_matching(
             source, target, *features, False, 1.5 * voxel_m, estimation, 3, checks, criteria
         ).transformation
         for _ in range(GLOBAL_TRIES)
     ]
-    poses = [rounded_pose(np.asarray(pose)) for pose in found]
+    poses = [rounded_pose(np.asarray(pose)) for pose in transforms]
     # a box upside down is the same box, a street is not
     return [pose for pose in poses if pose[2, 2] > LEVEL_LIMIT] or poses
 
 
 def _upright(cloud: Any) -> Any:
-    """The points of a levelled cloud with normals that lie on no level plane."""
+    """Return the points of a levelled cloud whose normals are not on a level plane."""
     upright = cloud.select_by_index(np.flatnonzero(np.abs(np.asarray(cloud.normals)[:, 2]) < UPRIGHT_LIMIT))
     if len(upright.points) < MIN_POINTS:
         raise ValueError(f"cloud must hold at least {MIN_POINTS} upright points, got {len(upright.points)}")
@@ -264,50 +267,50 @@ def _upright(cloud: Any) -> Any:
 
 
 def _judged(clouds: _Clouds, pose: np.ndarray, voxel_m: float, start: str) -> Registration:
-    """What a pose is worth: overlap, residual across the planes, hold, conflicts of sight."""
+    """Return a pose with its quality: overlap, residual across the planes, hold, conflicts of sight."""
     source, target = clouds.planar(voxel_m)
     evaluate = import_open3d().pipelines.registration.evaluate_registration
-    found = evaluate(source, target, 2.0 * voxel_m, pose)
-    pairs = np.asarray(found.correspondence_set)
+    result = evaluate(source, target, 2.0 * voxel_m, pose)
+    pairs = np.asarray(result.correspondence_set)
     if len(pairs) < MIN_POINTS:
-        return Registration(pose, float(found.fitness), 0.0, math.inf, len(pairs), NOTHING_HELD, 1.0, start)
+        return Registration(pose, float(result.fitness), 0.0, math.inf, len(pairs), NOTHING_HELD, 1.0, start)
     points = moved(pose, np.asarray(source.points)[pairs[:, 0]])
     normals = np.asarray(target.normals)[pairs[:, 1]]
     across_m = np.sum((points - np.asarray(target.points)[pairs[:, 1]]) * normals, axis=1)
     return Registration(
-        pose, float(found.fitness), float(np.count_nonzero(np.abs(across_m) <= FIRM_M) / len(source.points)),
+        pose, float(result.fitness), float(np.count_nonzero(np.abs(across_m) <= FIRM_M) / len(source.points)),
         float(np.sqrt(np.mean(across_m**2))), len(pairs), plane_hold(points, normals),
-        max(_conflict(clouds.source_m, pose, one) for one in clouds.placed), start,
+        max(_conflict(clouds.source_m, pose, cloud) for cloud in clouds.targets), start,
     )  # fmt: skip
 
 
 def _conflict(source_m: np.ndarray, pose: np.ndarray, other: PlacedCloud) -> float:
-    """Share of points that stand where the other sensor looked through, the worse of both ways."""
+    """Return the share of points that lie where the other sensor looked through, the worse of both directions."""
     source_from_other = np.linalg.inv(pose) @ other.target_from_sensor
-    there = looked_through(moved(np.linalg.inv(source_from_other), source_m), other.points_m)
-    here = looked_through(moved(source_from_other, other.points_m), source_m)
-    return max(float(there.mean()), float(here.mean()))
+    source_conflict = looked_through(moved(np.linalg.inv(source_from_other), source_m), other.points_m)
+    target_conflict = looked_through(moved(source_from_other, other.points_m), source_m)
+    return max(float(source_conflict.mean()), float(target_conflict.mean()))
 
 
 def looked_through(points_m: np.ndarray, seen_m: np.ndarray) -> np.ndarray:
-    """Which points [N, 3] a sensor at the origin, which saw [M, 3], looked through: all it saw around lies farther.
+    """Return whether a sensor at the origin that saw [M, 3] looked through points [N, 3]; bool [N].
 
-    Bool [N]. Directions in which nothing was seen tell nothing.
+    It did if all it saw around lies farther. Directions without a seen point do not decide.
     """
     nearest = np.full(SIGHT_BINS, np.inf)
     row, column, range_m = _sight_bins(seen_m)
     np.minimum.at(nearest, (row, column), range_m)
-    # a bin beside an edge may hold either side: the nearest of all neighbours counts
+    # a bin beside an edge may hold either side: the nearest of all neighbours is used
     padded = np.pad(np.pad(nearest, ((1, 1), (0, 0)), constant_values=np.inf), ((0, 0), (1, 1)), mode="wrap")
-    shifted = [padded[i : i + SIGHT_BINS[0], j : j + SIGHT_BINS[1]] for i in range(3) for j in range(3)]
-    around = np.min(shifted, axis=0)
+    neighbours = [padded[i : i + SIGHT_BINS[0], j : j + SIGHT_BINS[1]] for i in range(3) for j in range(3)]
+    around = np.min(neighbours, axis=0)
     row, column, range_m = _sight_bins(points_m)
     limit_m = np.where(np.isfinite(nearest[row, column]), around[row, column], 0.0)
     return np.asarray(range_m < 0.95 * limit_m - SIGHT_MARGIN_M)
 
 
 def _sight_bins(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Elevation and azimuth bins [N] and ranges [N] of points seen from the origin."""
+    """Return elevation and azimuth bins [N] and ranges [N] of points seen from the origin."""
     flat_m = np.hypot(points_m[:, 0], points_m[:, 1])
     elevation = np.arctan2(points_m[:, 2], flat_m) / np.pi + 0.5
     azimuth = np.arctan2(points_m[:, 1], points_m[:, 0]) / (2.0 * np.pi) + 0.5
@@ -319,15 +322,15 @@ def _sight_bins(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 def moved(target_from_source: np.ndarray, points_m: np.ndarray) -> np.ndarray:
-    """Points [N, 3] through a rigid transform [4, 4]."""
+    """Return points [N, 3] through a rigid transform [4, 4]."""
     return np.asarray(points_m @ target_from_source[:3, :3].T + target_from_source[:3, 3])
 
 
 def plane_hold(points_m: np.ndarray, normals: np.ndarray) -> Hold:
-    """How firmly planes at points [N, 3] with unit normals [N, 3] hold a rigid body.
+    """Return how firmly planes at points [N, 3] with unit normals [N, 3] hold a rigid body.
 
     Eigenvalues of mean(j j') with j = (n, (p - centre) x n / radius): the mean squared motion across the planes of a
-    unit motion, where a turn counts by what it moves at the cloud's rms radius.
+    unit motion, where a turn counts by the motion at the cloud's rms radius.
     """
     arms = points_m - points_m.mean(axis=0)
     radius_m = max(float(np.sqrt(np.mean(np.sum(arms**2, axis=1)))), 1e-9)
@@ -344,7 +347,7 @@ def plane_hold(points_m: np.ndarray, normals: np.ndarray) -> Hold:
 
 
 def rounded_pose(pose: np.ndarray) -> np.ndarray:
-    """A rigid transform [4, 4] to six decimals of its rotation vector and its place."""
+    """Return a rigid transform [4, 4] rounded to six decimals of its rotation vector and its position."""
     from scipy.spatial.transform import Rotation
 
     out = np.eye(4)
@@ -355,7 +358,7 @@ def rounded_pose(pose: np.ndarray) -> np.ndarray:
 
 
 def pose_error(a_from_b: np.ndarray, a_from_c: np.ndarray) -> tuple[float, float]:
-    """Distance [m] and angle [rad] between two rigid transforms [4, 4]."""
+    """Return distance [m] and angle [rad] between two rigid transforms [4, 4]."""
     difference = np.linalg.inv(a_from_b) @ a_from_c
     turned = 0.5 * np.linalg.norm(difference[:3, :3] - difference[:3, :3].T) / math.sqrt(2.0)
     angle_rad = math.atan2(turned, 0.5 * (np.trace(difference[:3, :3]) - 1.0))

@@ -1,7 +1,7 @@
-"""Ground truth from a LiDAR slice: what of it the radar sees directly, what only in a wall, and where it appears there.
+"""Ground truth from a LiDAR slice: direct points, points seen only in a wall, and the positions of their images.
 
-Everything happens in the plane, in the radar's frame with the radar at the origin. Walls are straight segments fitted
-to the slice; whatever else stands in it is an object, which hides what is behind the hull of its points.
+Everything is in the plane, in the radar's frame with the radar at the origin. Walls are straight segments fitted
+to the slice; everything else in it is an object, which hides all behind the hull of its points.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ from msgs.values.arrays import require_positive
 
 Segment = tuple[tuple[float, float], tuple[float, float]]
 ORIGIN = np.zeros(2)
-#: Points of one object lie no farther apart; no object is longer; a longer cluster is hulled in pieces.
+#: Maximum gap between points of one object, and maximum length of one; a longer cluster is hulled in pieces.
 OBJECT_GAP_M, LONGEST_OBJECT_M, PIECE_M = 0.6, 15.0, 3.0
-#: Before a point, sight is not blocked within this distance.
+#: Within this distance before a point, sight is not blocked.
 CLEARANCE_M = 0.3
-#: Walls whose ends come this near make a corner.
+#: Walls whose ends come this near form a corner.
 CORNER_M = 0.6
-#: The shortest side that counts as a wall where it turns the corner of one.
+#: The shortest side that counts as a wall if it turns the corner of one.
 SHORT_SIDE_M = 1.2
 #: Hypotheses of each search for a wall, and the share of a shortest wall's squares that must be filled.
 WALL_ROUNDS, WALL_FILL = 600, 0.5
 
 
 class SliceParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which part of the cloud is labelled, and how finely."""
+    """Labelled part of the cloud, and its resolution."""
 
     #: Height of the slice, half above the antenna and half below.
     thickness_m: float = 0.3
-    #: One labelled point in a square of this size, the mean of what lies in it.
+    #: One labelled point in a square of this size, the mean of its points.
     spacing_m: float = 0.2
     #: Points with fewer others within reach are stray.
     min_neighbours: int = 3
@@ -54,7 +54,7 @@ class SliceParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 class Disc(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A place in the plane and what is around it."""
+    """A position in the plane and its surroundings."""
 
     x_m: float
     y_m: float
@@ -65,8 +65,8 @@ class Disc(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class WallRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What of a slice is a wall: straight, long and tall. `given_m` adds walls by hand; what stands in `objects` is an
-    object, however straight."""
+    """Criteria of a wall in a slice: straight, long and tall. `given_m` adds walls by hand; points in `objects` are of
+    an object, however straight."""
 
     min_length_m: float = 3.0
     #: Over the ground: above cars and vans, below most walls.
@@ -87,7 +87,7 @@ class WallRules(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class PointLabel(IntEnum):
-    """What a point of the slice is; a wall's point says besides whether it is visible."""
+    """Class of a point of the slice; a wall's point also says whether it is visible."""
 
     LOS = 0
     HIDDEN = 1
@@ -99,7 +99,7 @@ class SliceLabels:
     """N labelled points, W walls and K images, all in the radar's frame in the plane.
 
     `wall_of_point` [N] is -1 off walls. `image_m` [K, 2] is the mirror image of point `image_point` [K] in wall
-    `image_wall` [K], seen by a way free of everything else.
+    `image_wall` [K], seen on a path free of everything else.
     """
 
     points_m: np.ndarray
@@ -109,7 +109,7 @@ class SliceLabels:
     image_m: np.ndarray
     image_point: np.ndarray
     image_wall: np.ndarray
-    #: Points left out because they stand alone.
+    #: Isolated points that were left out.
     stray: int = 0
 
     @property
@@ -120,7 +120,7 @@ class SliceLabels:
 
     @property
     def los_m(self) -> np.ndarray:
-        """All that is directly visible, walls and objects."""
+        """All directly visible points, of walls and objects."""
         return self.points_m[self.visible]
 
     @property
@@ -135,9 +135,9 @@ class SliceLabels:
 
 
 def cut_slice(cloud_m: np.ndarray, params: SliceParams) -> tuple[np.ndarray, int]:
-    """Points [M, 2] of a cloud [N, 3] about the antenna's height, one a square of the spacing, and how many were stray.
+    """Return points [M, 2] of a cloud [N, 3] about the antenna's height, one a square, and the number of stray ones.
 
-    Raises ValueError where nothing is left.
+    Raises ValueError if no point is left.
     """
     within = (np.abs(cloud_m[:, 2]) <= 0.5 * params.thickness_m) & (
         np.hypot(cloud_m[:, 0], cloud_m[:, 1]) <= params.max_range_m
@@ -157,7 +157,7 @@ def cut_slice(cloud_m: np.ndarray, params: SliceParams) -> tuple[np.ndarray, int
 
 
 def thinned(points_m: np.ndarray, spacing_m: float) -> np.ndarray:
-    """The mean of the points [N, 2] in each square of a grid, [M, 2], in the order of the grid."""
+    """Return the mean of the points [N, 2] in each square of a grid, [M, 2], in the order of the grid."""
     _, owner, count = np.unique(
         np.floor(points_m / spacing_m).astype(np.int64), axis=0, return_inverse=True, return_counts=True
     )
@@ -168,7 +168,7 @@ def thinned(points_m: np.ndarray, spacing_m: float) -> np.ndarray:
 def label_slice(
     cloud_m: np.ndarray, ground_z_m: float, slice_params: SliceParams, rules: WallRules, seed: int = 0
 ) -> SliceLabels:
-    """Labels of the slice of a cloud [N, 3] in the radar's frame, with the ground at a height (the antenna's is 0)."""
+    """Return labels of the slice of a cloud [N, 3] in the radar's frame; `ground_z_m` is relative to the antenna."""
     points_m, stray = cut_slice(cloud_m, slice_params)
     walls_m, wall_of_point = fit_walls(points_m, cloud_m, ground_z_m, slice_params.spacing_m, rules, seed)
     free = np.flatnonzero(wall_of_point < 0)
@@ -188,19 +188,19 @@ def label_slice(
 def fit_walls(
     points_m: np.ndarray, cloud_m: np.ndarray, ground_z_m: float, spacing_m: float, rules: WallRules, seed: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ends [W, 2, 2] of the walls in a slice [N, 2], corners closed, and the wall of each point (-1: none) [N]."""
+    """Return ends [W, 2, 2] of the walls in a slice [N, 2], corners closed, and each point's wall [N] (-1: none)."""
     free = np.ones(len(points_m), bool)
     for disc in rules.objects:
         free &= np.hypot(*(points_m - [disc.x_m, disc.y_m]).T) > disc.radius_m
     candidates = points_m[free]
     walls_m = np.array(rules.given_m, np.float64).reshape(-1, 2, 2)
-    # the ends of a container are shorter than any wall that stands alone: they count where they turn a wall's corner
+    # the ends of a container are shorter than any isolated wall: they count if they turn a wall's corner
     for min_length_m in (rules.min_length_m, min(SHORT_SIDE_M, rules.min_length_m)):
-        left = candidates[_nearest_wall(candidates, walls_m, rules.inlier_m) < 0]
-        found = _straight(left, min_length_m, spacing_m, rules, seed)
-        tall = [_height_m(cloud_m, ends) - ground_z_m >= rules.min_height_m for ends in found]
-        at_corner = [min_length_m == rules.min_length_m or _turns_corner(ends, walls_m) for ends in found]
-        walls_m = np.concatenate([walls_m, found[np.array(tall, bool) & np.array(at_corner, bool)]])
+        remaining = candidates[_nearest_wall(candidates, walls_m, rules.inlier_m) < 0]
+        pieces = _straight(remaining, min_length_m, spacing_m, rules, seed)
+        tall = [_height_m(cloud_m, ends) - ground_z_m >= rules.min_height_m for ends in pieces]
+        at_corner = [min_length_m == rules.min_length_m or _turns_corner(ends, walls_m) for ends in pieces]
+        walls_m = np.concatenate([walls_m, pieces[np.array(tall, bool) & np.array(at_corner, bool)]])
     walls_m = _corners_closed(walls_m)
     wall_of_point = np.full(len(points_m), -1, np.int64)
     wall_of_point[free] = _nearest_wall(candidates, walls_m, rules.inlier_m)
@@ -208,18 +208,18 @@ def fit_walls(
 
 
 def _straight(points_m: np.ndarray, min_length_m: float, spacing_m: float, rules: WallRules, seed: int) -> np.ndarray:
-    """Ends [F, 2, 2] of the straight runs of points [N, 2] in the slice."""
+    """Return ends [F, 2, 2] of the straight runs of points [N, 2] in the slice."""
     params = WallParams(
         error_model="euclidean", inlier_m=rules.inlier_m, min_length_m=min_length_m, max_gap_m=rules.max_gap_m,
         min_inliers=max(int(WALL_FILL * min_length_m / spacing_m), 4), min_offset_m=0.05, max_walls=1000,
         rounds=WALL_ROUNDS, joined=False, curved=False, seed=seed,
     )  # fmt: skip
-    found, _ = find_walls(points_m, np.zeros((len(points_m), 2, 2)), np.zeros(len(points_m), np.int64), params)
-    return np.array([wall.ends_m for wall in found], np.float64).reshape(-1, 2, 2)
+    walls, _ = find_walls(points_m, np.zeros((len(points_m), 2, 2)), np.zeros(len(points_m), np.int64), params)
+    return np.array([wall.ends_m for wall in walls], np.float64).reshape(-1, 2, 2)
 
 
 def _nearest_wall(points_m: np.ndarray, walls_m: np.ndarray, inlier_m: float) -> np.ndarray:
-    """Index of the wall each point [N, 2] lies on, -1 where none."""
+    """Return the index of the wall that each point [N, 2] lies on, -1 if none."""
     if not len(walls_m) or not len(points_m):
         return np.full(len(points_m), -1)
     distance_m = segment_distance_m(points_m, walls_m[:, 0], walls_m[:, 1])
@@ -228,13 +228,13 @@ def _nearest_wall(points_m: np.ndarray, walls_m: np.ndarray, inlier_m: float) ->
 
 
 def _turns_corner(ends_m: np.ndarray, walls_m: np.ndarray) -> bool:
-    """Whether an end of a piece [2, 2] meets an end of some wall [W, 2, 2]."""
-    apart = np.linalg.norm(ends_m[:, None] - walls_m.reshape(1, -1, 2), axis=-1)
-    return bool(apart.min(initial=math.inf) <= CORNER_M)
+    """Return whether an end of a piece [2, 2] meets an end of any wall [W, 2, 2]."""
+    distance_m = np.linalg.norm(ends_m[:, None] - walls_m.reshape(1, -1, 2), axis=-1)
+    return bool(distance_m.min(initial=math.inf) <= CORNER_M)
 
 
 def _height_m(cloud_m: np.ndarray, ends_m: np.ndarray) -> float:
-    """How high the cloud reaches over a wall's foot."""
+    """Return the height of the cloud over a wall's foot."""
     low, high = ends_m.min(axis=0) - 0.25, ends_m.max(axis=0) + 0.25
     near = cloud_m[((cloud_m[:, :2] >= low) & (cloud_m[:, :2] <= high)).all(axis=1)]
     on = segment_distance_m(near[:, :2], ends_m[:1], ends_m[1:])[:, 0] <= 0.25
@@ -242,7 +242,7 @@ def _height_m(cloud_m: np.ndarray, ends_m: np.ndarray) -> float:
 
 
 def _corners_closed(walls_m: np.ndarray) -> np.ndarray:
-    """Walls drawn on to the corners that they nearly make: through a slit of a hand's breadth nothing is seen."""
+    """Return walls extended to the corners that they nearly form: no sight passes a slit of a hand's breadth."""
     closed = walls_m.copy()
     for index, (a, b) in enumerate(walls_m):
         normal, offset_m = wall_from_ends(a, b, ORIGIN)
@@ -260,7 +260,7 @@ def _corners_closed(walls_m: np.ndarray) -> np.ndarray:
 
 
 def _hull_edges(points_m: np.ndarray, cluster: np.ndarray) -> np.ndarray:
-    """Edges [E, 2, 2] of the hulls of all clusters; what is too large for one object is hulled piece by piece."""
+    """Return edges [E, 2, 2] of the hulls of all clusters; a cluster too large for one object is hulled in pieces."""
     edges = [np.zeros((0, 2, 2))]
     for label in range(int(cluster.max(initial=NOISE)) + 1):
         members = points_m[cluster == label]
@@ -271,7 +271,7 @@ def _hull_edges(points_m: np.ndarray, cluster: np.ndarray) -> np.ndarray:
 
 
 def _parts(points_m: np.ndarray) -> list[np.ndarray]:
-    """A cluster, or its pieces where it is longer than any object."""
+    """Return a cluster, or its pieces if it is longer than any object."""
     if np.ptp(points_m, axis=0).max() <= LONGEST_OBJECT_M:
         return [points_m]
     _, owner = np.unique(np.floor(points_m / PIECE_M).astype(int), axis=0, return_inverse=True)
@@ -279,7 +279,7 @@ def _parts(points_m: np.ndarray) -> list[np.ndarray]:
 
 
 def convex_hull(points_m: np.ndarray) -> np.ndarray:
-    """Corners [H, 2] of the convex hull, counter-clockwise (monotone chain); of points on a line its two ends."""
+    """Return corners [H, 2] of the convex hull, counter-clockwise (monotone chain); two ends for points on a line."""
     ordered = np.unique(points_m, axis=0)
     if len(ordered) < 3:
         return ordered
@@ -301,41 +301,41 @@ def convex_hull(points_m: np.ndarray) -> np.ndarray:
 def in_sight(
     origin_m: np.ndarray, targets_m: np.ndarray, own_wall: np.ndarray, walls_m: np.ndarray, edges_m: np.ndarray
 ) -> np.ndarray:
-    """Which targets [N, 2] see their origins [N, 2] past walls [W, 2, 2] and hulls' edges [E, 2, 2]; bool [N].
+    """Return whether targets [N, 2] see their origins [N, 2] past walls [W, 2, 2] and hulls' edges [E, 2, 2]; bool [N].
 
-    A point's own wall (-1: none) is never in its way, nor is what lies within `CLEARANCE_M` before it: fits and hulls
+    A point's own wall (-1: none) never blocks it, nor does anything within `CLEARANCE_M` before it: fits and hulls
     are that uncertain.
     """
     away = targets_m - origin_m
     length_m = np.maximum(np.hypot(away[:, 0], away[:, 1]), 1e-9)
     short_m = origin_m + away * np.maximum(1.0 - CLEARANCE_M / length_m, 0.0)[:, None]
-    cut = crosses(origin_m, short_m, walls_m[:, 0], walls_m[:, 1])
-    cut[own_wall[:, None] == np.arange(len(walls_m))] = False
-    return np.asarray(~cut.any(axis=1) & ~crosses(origin_m, short_m, edges_m[:, 0], edges_m[:, 1]).any(axis=1))
+    blocked = crosses(origin_m, short_m, walls_m[:, 0], walls_m[:, 1])
+    blocked[own_wall[:, None] == np.arange(len(walls_m))] = False
+    return np.asarray(~blocked.any(axis=1) & ~crosses(origin_m, short_m, edges_m[:, 0], edges_m[:, 1]).any(axis=1))
 
 
 def _with_images(labels: SliceLabels, edges_m: np.ndarray) -> SliceLabels:
-    """The labels with the images of hidden points in every wall that shows them."""
+    """Return the labels with the images of hidden points in every wall that shows them."""
     hidden = np.flatnonzero(labels.label == PointLabel.HIDDEN)
     points_m = labels.points_m[hidden]
-    found: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+    images: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     for index, (a, b) in enumerate(labels.walls_m):
         normal, offset_m = wall_from_ends(a, b, ORIGIN)
         at_m = specular_points(ORIGIN, points_m, a, b)
         shown = np.flatnonzero(np.isfinite(at_m[:, 0]))
-        shown = shown[_both_legs_free(at_m[shown], points_m[shown], index, labels.walls_m, edges_m)]
+        shown = shown[_both_segments_free(at_m[shown], points_m[shown], index, labels.walls_m, edges_m)]
         image_m = reflect(points_m[shown], normal, offset_m)
-        found.append((image_m, hidden[shown], np.full(len(shown), index)))
-    if not found:
+        images.append((image_m, hidden[shown], np.full(len(shown), index)))
+    if not images:
         return labels
-    image_m, image_point, image_wall = (np.concatenate(column) for column in zip(*found, strict=True))
+    image_m, image_point, image_wall = (np.concatenate(column) for column in zip(*images, strict=True))
     return replace(labels, image_m=image_m, image_point=image_point, image_wall=image_wall)
 
 
-def _both_legs_free(
+def _both_segments_free(
     at_m: np.ndarray, points_m: np.ndarray, wall: int, walls_m: np.ndarray, edges_m: np.ndarray
 ) -> np.ndarray:
-    """Which points [N, 2] are seen by way of their specular points [N, 2] on a wall; bool [N]."""
+    """Return whether points [N, 2] are seen via their specular points [N, 2] on a wall; bool [N]."""
     own = np.full(len(at_m), wall)
     out = in_sight(np.zeros_like(at_m), at_m, own, walls_m, edges_m)
     return out & in_sight(at_m, points_m, own, walls_m, edges_m)

@@ -47,7 +47,7 @@ class Counts:
 
     @property
     def f1(self) -> float:
-        """2 TP / (2 TP + FP + FN); one where there was nothing to find and nothing was claimed."""
+        """2 TP / (2 TP + FP + FN); one if there is neither truth nor prediction."""
         wrong = self.false_positives + self.false_negatives
         return 1.0 if wrong == 0 else 2.0 * self.true_positives / (2.0 * self.true_positives + wrong)
 
@@ -57,7 +57,7 @@ def _share(part: int, whole: int) -> float:
 
 
 def match_points(predicted_m: np.ndarray, truth_m: np.ndarray, gate_m: float) -> np.ndarray:
-    """One-to-one pairs (predicted, truth) [K, 2] within `gate_m`: as many as possible, then the nearest."""
+    """Return one-to-one pairs (predicted, truth) [K, 2] within `gate_m`: as many as possible, then the nearest."""
     if len(predicted_m) == 0 or len(truth_m) == 0:
         return np.zeros((0, 2), np.int64)
     distance_m = np.linalg.norm(predicted_m[:, None] - truth_m, axis=-1)
@@ -80,7 +80,7 @@ def dense_counts(
     truth_class: np.ndarray,
     gate_m: float = 2.0,
 ) -> dict[PathClass, Counts]:
-    """Stage-1 counts of one frame for each class: Hungarian one-to-one matching in metres."""
+    """Return the Stage-1 counts of one frame for each class: Hungarian one-to-one matching in metres."""
     counts = {}
     for path_class in PathClass:
         predicted, truth = predicted_m[predicted_class == path_class], truth_m[truth_class == path_class]
@@ -90,7 +90,7 @@ def dense_counts(
 
 
 def macro_f1(frames: Iterable[dict[PathClass, Counts]]) -> float:
-    """Mean over the classes of the F1 of their counts summed over frames."""
+    """Return the mean over the classes of the F1 of their counts summed over frames."""
     total = {path_class: Counts() for path_class in PathClass}
     for frame in frames:
         for path_class in PathClass:
@@ -99,14 +99,14 @@ def macro_f1(frames: Iterable[dict[PathClass, Counts]]) -> float:
 
 
 def recovered_counts(predicted_m: np.ndarray, truth_m: np.ndarray, tau_m: float = 1.0) -> Counts:
-    """Stage-2 counts of one frame, not one-to-one: truth points with a prediction nearer than `tau_m` are found,
-    predictions with no truth that near are false."""
+    """Return the Stage-2 counts of one frame, not one-to-one: truth points with a prediction nearer than `tau_m` are
+    found, predictions with no truth that near are false."""
     if len(predicted_m) == 0 or len(truth_m) == 0:
         return Counts(0, len(predicted_m), len(truth_m))
     to_truth, _ = cKDTree(truth_m).query(predicted_m)
     to_predicted, _ = cKDTree(predicted_m).query(truth_m)
-    found = int(np.count_nonzero(to_predicted < tau_m))
-    return Counts(found, int(np.count_nonzero(to_truth >= tau_m)), len(truth_m) - found)
+    true_positives = int(np.count_nonzero(to_predicted < tau_m))
+    return Counts(true_positives, int(np.count_nonzero(to_truth >= tau_m)), len(truth_m) - true_positives)
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Chamfer:
 
 
 def chamfer(predicted_m: np.ndarray, truth_m: np.ndarray) -> Chamfer:
-    """Both variants for point sets [N, 2] and [M, 2]; zero where both are empty, infinite where one is."""
+    """Return both variants for point sets [N, 2] and [M, 2]; zero if both are empty, infinite if one is."""
     if len(predicted_m) == 0 and len(truth_m) == 0:
         return Chamfer(0.0, 0.0)
     if len(predicted_m) == 0 or len(truth_m) == 0:
@@ -130,7 +130,7 @@ def chamfer(predicted_m: np.ndarray, truth_m: np.ndarray) -> Chamfer:
 
 @dataclass(frozen=True)
 class ObjectMatch:
-    """Hidden objects held against truth: pairs with errors, objects that are nothing, hidden truths not found."""
+    """Hidden objects compared with truth: pairs with errors, false objects, missed hidden truths."""
 
     #: (id of the object, id of the truth, face error in metres: `models.evaluation.object_error`).
     matched: tuple[tuple[int, int, float], ...]
@@ -143,15 +143,15 @@ class ObjectMatch:
 def match_objects(objects: Sequence[HiddenObject], truth: SceneTruth, gate_m: float = 1.0) -> ObjectMatch:
     """Match one to one by the face error.
 
-    The truth is moved with its velocity to the time the object was measured. Only hidden truths are asked for; an
-    object at a truth in plain sight is unmatched.
+    The truth is moved with its velocity to the time the object was measured. Only hidden truths are to be found; an
+    object at a truth in direct sight is unmatched.
     """
-    hidden = [one for one in truth.objects if one.hidden]
+    hidden = [item for item in truth.objects if item.hidden]
     distances = object_distances(objects, truth, hidden)
     pairs = assign_within(distances.error_m, gate_m)
     return ObjectMatch(
         matched=tuple((objects[i].id, hidden[j].id, float(distances.error_m[i, j])) for i, j in pairs),
         centre_m=tuple(float(distances.centre_m[i, j]) for i, j in pairs),
-        unmatched_objects=tuple(one.id for i, one in enumerate(objects) if i not in pairs[:, 0]),
-        missed_truths=tuple(one.id for j, one in enumerate(hidden) if j not in pairs[:, 1]),
+        unmatched_objects=tuple(item.id for i, item in enumerate(objects) if i not in pairs[:, 0]),
+        missed_truths=tuple(item.id for j, item in enumerate(hidden) if j not in pairs[:, 1]),
     )

@@ -1,7 +1,7 @@
 """Position errors of a reported object, at the time it was measured: one definition for all figures.
 
 - Face error: from the reported centre to the nearest visible face of the true box, to a visible scattering centre, or
-  to the box's centre, whichever is nearest. Objects are matched by it: what a radar sees of a vehicle is a face.
+  to the box's centre, whichever is nearest. Objects are matched by it: a radar sees a face of a vehicle.
 - Centre error: from the reported centre to the centre of the true box. Never less than the face error.
 """
 
@@ -33,45 +33,49 @@ class ObjectDistances:
     box_m: np.ndarray
 
 
-def face_error_m(found: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
+def face_error_m(report: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
     """Return the distance [m] of a reported centre to the nearest visible face or the centre of a true object."""
-    return float(object_distances([found], scene, [truth]).error_m[0, 0])
+    return float(object_distances([report], scene, [truth]).error_m[0, 0])
 
 
-def centre_error_m(found: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
+def centre_error_m(report: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
     """Return the distance [m] of a reported centre to the centre of a true object."""
-    return float(object_distances([found], scene, [truth]).centre_m[0, 0])
+    return float(object_distances([report], scene, [truth]).centre_m[0, 0])
 
 
 def object_distances(
-    objects: Sequence[HiddenObject], truth: SceneTruth, wanted: Sequence[TruthObject]
+    objects: Sequence[HiddenObject], truth: SceneTruth, true_objects: Sequence[TruthObject]
 ) -> ObjectDistances:
     """Measure every reported object against every wanted object of the truth."""
-    shape = (len(objects), len(wanted), 3)
-    faces_m = [_visible_faces_m(one, truth) for one in wanted]
-    rows = [_distances_m(one, other, faces_m[j], truth) for one in objects for j, other in enumerate(wanted)]
+    shape = (len(objects), len(true_objects), 3)
+    faces_m = [_visible_faces_m(true_object, truth) for true_object in true_objects]
+    rows = [
+        _distances_m(report, true_object, faces_m[j], truth)
+        for report in objects
+        for j, true_object in enumerate(true_objects)
+    ]
     return ObjectDistances(*np.moveaxis(np.array(rows, np.float64).reshape(shape), -1, 0))
 
 
 def _visible_faces_m(truth: TruthObject, scene: SceneTruth) -> np.ndarray:
-    """Sides [N, 2 ends, 2] of the box on which visible points lie, those points themselves as sides of no length."""
+    """Return sides [N, 2 ends, 2] of the box with visible points, and those points as sides of no length."""
     points_m = scene.hidden_points_m[scene.hidden_object == scene.objects.index(truth), :2].astype(np.float64)
     half = 0.5 * np.array([truth.length_m, truth.width_m])
     corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
     corners_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).apply(corners)
     sides_m = np.stack([corners_m, np.roll(corners_m, -1, axis=0)], axis=1)
-    seen = (segment_distance_m(points_m, sides_m[:, 0], sides_m[:, 1]) <= ON_FACE_M).any(axis=0)
-    return np.concatenate([sides_m[seen], np.repeat(points_m[:, None], 2, axis=1)])
+    visible = (segment_distance_m(points_m, sides_m[:, 0], sides_m[:, 1]) <= ON_FACE_M).any(axis=0)
+    return np.concatenate([sides_m[visible], np.repeat(points_m[:, None], 2, axis=1)])
 
 
 def _distances_m(
-    found: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth
+    report: HiddenObject, truth: TruthObject, faces_m: np.ndarray, scene: SceneTruth
 ) -> tuple[float, float, float]:
-    """Face error, centre error and distance to the box, at the found object's time."""
+    """Return face error, centre error and distance to the box, at the reported object's time."""
     # an object without a stamp of its own was measured at the scene's
-    elapsed_s = s_from_ns(found.stamp_ns - scene.stamp_ns) if found.stamp_ns else 0.0
+    elapsed_s = s_from_ns(report.stamp_ns - scene.stamp_ns) if report.stamp_ns else 0.0
     moved_m = elapsed_s * np.array([truth.velocity_x_mps, truth.velocity_y_mps])
-    at_m = np.array([[found.x_m, found.y_m]]) - moved_m
+    at_m = np.array([[report.x_m, report.y_m]]) - moved_m
     in_box_m = Pose2(truth.x_m, truth.y_m, truth.yaw_rad).inverse().apply(at_m)[0]
     outside_m = np.maximum(np.abs(in_box_m) - 0.5 * np.array([truth.length_m, truth.width_m]), 0.0)
     centre_m = float(np.linalg.norm(in_box_m))

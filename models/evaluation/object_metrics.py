@@ -1,11 +1,11 @@
-"""How good reports of hidden objects are, object by object: what is found, what is made up, where, and how sure.
+"""Quality of reports of hidden objects, object by object: found objects, false reports, errors, confidence.
 
-Every scan is reduced to a row of its hidden objects and of what was reported; all measures are weighted sums over the
+Every scan is reduced to a row of its hidden objects and of its reports; all measures are weighted sums over the
 rows of places, so that bootstrap draws of places cost no more than their sums. No scan is skipped.
 
 The position error of a report is the distance of its centre to the nearest visible face of the true box or to that
-box's centre, whichever is nearer, with the truth moved to the time of the report; the distance of centres stands beside
-it. A hidden object is found when a report of its own (one to one) errs by `FOUND_M` at most.
+box's centre, whichever is nearer, with the truth moved to the time of the report; the distance of centres is reported
+too. A hidden object is found when a report of its own (one to one) errs by `FOUND_M` at most.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from models.evaluation.metrics import assign_within
 from models.evaluation.object_error import object_distances
 from msgs.values.perception import HiddenObject, SceneTruth
 
-#: Position error of a found object at most.
+#: Maximum position error of a found object.
 FOUND_M = 1.0
 #: A report further than this from every object out of sight is false; one further than that from the box of every
-#: object, in sight or out of it, stands where nothing is.
+#: object, in sight or out of it, has no object near.
 FALSE_M, NOTHING_M = 2.0, 2.5
 #: Edges of the bands of image SNR, dB.
 BAND_EDGES_DB = (15.0, 25.0, 40.0)
@@ -38,7 +38,7 @@ QUANTILES = (0.5, 0.75, 0.9, 0.95)
 
 
 class ImageTruth(msgspec.Struct, frozen=True, kw_only=True):
-    """What could be seen of one object before any detection; SNR None: no image lies in the map."""
+    """Visibility of one object before any detection; SNR None: no image lies in the map."""
 
     direct: bool
     #: Some mirror shows a part of it, wherever the image lies.
@@ -49,14 +49,14 @@ class ImageTruth(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class HiddenRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One object out of direct sight and what became of it."""
+    """One object out of direct sight and its result."""
 
     object_class: str
     image: ImageTruth
-    #: Of the report that found it, None where none did: position error, distance of centres.
+    #: Of the report that found it, None without one: position error, distance of centres.
     error_m: float | None
     centre_m: float | None
-    #: Found one to one where the distance of centres alone counts.
+    #: Found one to one if the distance of centres alone counts.
     found_by_centre: bool
 
 
@@ -66,7 +66,7 @@ class ReportRow(msgspec.Struct, frozen=True, kw_only=True):
     score: float
     #: Whether it found a hidden object.
     found: bool
-    #: Position error, and distance of centres, against the nearest object out of sight; None: there is none.
+    #: Position error, and distance of centres, to the nearest object out of sight; None: there is none.
     error_m: float | None
     centre_m: float | None
     #: Distance to the nearest box of any object; None: there is none.
@@ -85,14 +85,14 @@ class ScanRow(msgspec.Struct, frozen=True, kw_only=True):
 def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, images: Sequence[ImageTruth]) -> ScanRow:
     """Reduce a scan's reports and truth to a row; `images` are those of `truth.objects`, in order.
 
-    Objects that no mirror shows are listed too: they are asked for by nobody, but a report there is not false.
+    Objects that no mirror shows are listed too: they are not to be found, but a report there is not false.
     """
-    wanted = [index for index, image in enumerate(images) if not image.direct]
+    out_of_sight = [index for index, image in enumerate(images) if not image.direct]
     distances = object_distances(objects, truth, truth.objects)
-    error_m, centre_m = distances.error_m[:, wanted], distances.centre_m[:, wanted]
-    shown = np.array([images[index].mirrored for index in wanted], bool)
-    by = {int(column): int(row) for row, column in _matched(error_m, shown)}
-    by_centre = {int(column) for _, column in _matched(centre_m, shown)}
+    error_m, centre_m = distances.error_m[:, out_of_sight], distances.centre_m[:, out_of_sight]
+    mirrored = np.array([images[index].mirrored for index in out_of_sight], bool)
+    by = {int(column): int(row) for row, column in _matched(error_m, mirrored)}
+    by_centre = {int(column) for _, column in _matched(centre_m, mirrored)}
     hidden = [
         HiddenRow(
             object_class=truth.objects[index].object_class,
@@ -101,25 +101,25 @@ def scan_row(place: int, objects: Sequence[HiddenObject], truth: SceneTruth, ima
             centre_m=float(centre_m[by[column], column]) if column in by else None,
             found_by_centre=column in by_centre,
         )
-        for column, index in enumerate(wanted)
+        for column, index in enumerate(out_of_sight)
     ]
     reports = [
         ReportRow(
-            score=one.score,
+            score=report.score,
             found=row in by.values(),
             error_m=_least(error_m[row]),
             centre_m=_least(centre_m[row]),
             box_m=_least(distances.box_m[row]),
         )
-        for row, one in enumerate(objects)
+        for row, report in enumerate(objects)
     ]
     return ScanRow(place=place, scan=truth.scan_id, hidden=hidden, reports=reports)
 
 
-def _matched(distance_m: np.ndarray, shown: np.ndarray) -> np.ndarray:
-    """Pairs (report, object) within reach, one to one, of the objects [N] that a mirror shows."""
-    pairs = assign_within(distance_m[:, shown], FOUND_M)
-    return np.stack([pairs[:, 0], np.flatnonzero(shown)[pairs[:, 1]]], axis=1)
+def _matched(distance_m: np.ndarray, mirrored: np.ndarray) -> np.ndarray:
+    """Return pairs (report, object) within reach, one to one, of the objects [N] that a mirror shows."""
+    pairs = assign_within(distance_m[:, mirrored], FOUND_M)
+    return np.stack([pairs[:, 0], np.flatnonzero(mirrored)[pairs[:, 1]]], axis=1)
 
 
 def _least(values: np.ndarray) -> float | None:
@@ -127,19 +127,19 @@ def _least(values: np.ndarray) -> float | None:
 
 
 def band(image: ImageTruth) -> str:
-    """Name of the SNR band of an object's strongest image; a band holds its lower edge."""
+    """Return the name of the SNR band of an object's strongest image; a band holds its lower edge."""
     if image.snr_db is None:
         return BANDS[0]
     return BANDS[1 + sum(image.snr_db >= edge for edge in BAND_EDGES_DB)]
 
 
 def is_false(report: ReportRow) -> bool:
-    """Whether a report stands further than `FALSE_M` from every object out of sight."""
+    """Return whether a report lies further than `FALSE_M` from every object out of sight."""
     return report.error_m is None or report.error_m > FALSE_M
 
 
 def is_nothing(report: ReportRow) -> bool:
-    """Whether a report stands further than `NOTHING_M` from every object whatever."""
+    """Return whether a report lies further than `NOTHING_M` from every object whatever."""
     return report.box_m is None or report.box_m > NOTHING_M
 
 
@@ -154,25 +154,25 @@ class ObjectScores:
     @cached_property
     def asked(self) -> list[tuple[int, HiddenRow]]:
         """Row of the place and every hidden object that a mirror shows."""
-        return [(self._row[scan.place], one) for scan in self.scans for one in scan.hidden if one.image.mirrored]
+        return [(self._row[scan.place], row) for scan in self.scans for row in scan.hidden if row.image.mirrored]
 
     @cached_property
     def unseen(self) -> int:
         """Objects out of sight that no mirror shows."""
-        return sum(not one.image.mirrored for scan in self.scans for one in scan.hidden)
+        return sum(not row.image.mirrored for scan in self.scans for row in scan.hidden)
 
     @cached_property
     def reports(self) -> list[tuple[int, ReportRow]]:
         """Row of the place and every report."""
-        return [(self._row[scan.place], one) for scan in self.scans for one in scan.reports]
+        return [(self._row[scan.place], row) for scan in self.scans for row in scan.reports]
 
     def of_objects(self, holds: Callable[[HiddenRow], bool]) -> np.ndarray:
-        """Number of asked objects for which a condition holds, by place [P]."""
-        return self._count([row for row, one in self.asked if holds(one)])
+        """Return the number of askable objects for which a condition holds, by place [P]."""
+        return self._count([row for row, item in self.asked if holds(item)])
 
     def of_reports(self, value: Callable[[ReportRow], float]) -> np.ndarray:
-        """Sum of a value over the reports, by place [P]."""
-        return self._count([row for row, _ in self.reports], [float(value(one)) for _, one in self.reports])
+        """Return the sum of a value over the reports, by place [P]."""
+        return self._count([row for row, _ in self.reports], [float(value(report)) for _, report in self.reports])
 
     @cached_property
     def scans_by_place(self) -> np.ndarray:
@@ -205,13 +205,13 @@ class ScoreBin(msgspec.Struct, frozen=True, kw_only=True):
     low: float
     high: float
     mean_score: float | None
-    #: Share that found a hidden object, and share that stands within `FALSE_M` of one.
+    #: Share that found a hidden object, and share that lies within `FALSE_M` of one.
     found: Ratio
     near: Ratio
 
 
 class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that is said of one profile on one set."""
+    """All measures of one profile on one set."""
 
     scans: int
     places: int
@@ -222,7 +222,7 @@ class ObjectReport(msgspec.Struct, frozen=True, kw_only=True):
     recall_by_band: dict[str, Ratio]
     #: Of objects that one mirror alone shows at 25 dB or more.
     recall_single_25_db: Ratio
-    #: Objects out of sight that no mirror shows; nobody asks for them.
+    #: Objects out of sight that no mirror shows; they are not to be found.
     not_mirrored: int
     reports: int
     precision: Ratio
@@ -252,46 +252,46 @@ def object_report(scores: ObjectScores, weights: np.ndarray, false_cost: float) 
     if not scores.scans or weights.shape[1:] != (len(scores.places),):
         raise ValueError(f"weights must have shape [draws, {len(scores.places)}] for places, got {weights.shape}")
     draw = _Draws(scores, weights)
-    asked, found = scores.of_objects(lambda one: True), scores.of_objects(_found)
-    reports = scores.of_reports(lambda one: 1.0)
+    asked, found_count = scores.of_objects(lambda item: True), scores.of_objects(_is_found)
+    reports = scores.of_reports(lambda item: 1.0)
     false, nothing = scores.of_reports(is_false), scores.of_reports(is_nothing)
     scans = scores.scans_by_place
     bins = [_score_bin(draw, low, high) for low, high in pairwise(SCORE_EDGES)]
     return ObjectReport(
         scans=len(scores.scans),
         places=len(scores.places),
-        recall=draw.ratio(found, asked),
-        recall_by_centre=draw.ratio(scores.of_objects(lambda one: one.found_by_centre), asked),
+        recall=draw.ratio(found_count, asked),
+        recall_by_centre=draw.ratio(scores.of_objects(lambda item: item.found_by_centre), asked),
         recall_by_class=draw.recalls(
-            lambda one: one.object_class, sorted({one.object_class for _, one in scores.asked})
+            lambda item: item.object_class, sorted({item.object_class for _, item in scores.asked})
         ),
-        recall_vehicles=draw.recall(lambda one: one.object_class in VEHICLES),
-        recall_by_band=draw.recalls(lambda one: band(one.image), BANDS),
+        recall_vehicles=draw.recall(lambda item: item.object_class in VEHICLES),
+        recall_by_band=draw.recalls(lambda item: band(item.image), BANDS),
         recall_single_25_db=draw.recall(_strong_single),
         not_mirrored=scores.unseen,
         reports=len(scores.reports),
-        precision=draw.ratio(scores.of_reports(lambda one: one.found), reports),
+        precision=draw.ratio(scores.of_reports(lambda item: item.found), reports),
         false=draw.ratio(false, reports),
         false_per_scan=draw.ratio(false, scans),
         nothing=draw.ratio(nothing, reports),
         nothing_per_scan=draw.ratio(nothing, scans),
-        error_found_m=draw.quantiles([(row, one.error_m) for row, one in scores.asked]),
-        centre_found_m=draw.quantiles([(row, one.centre_m) for row, one in scores.asked]),
-        error_ungated_m=draw.quantiles([(row, one.error_m) for row, one in scores.reports]),
-        centre_ungated_m=draw.quantiles([(row, one.centre_m) for row, one in scores.reports]),
+        error_found_m=draw.quantiles([(place, row.error_m) for place, row in scores.asked]),
+        centre_found_m=draw.quantiles([(place, row.centre_m) for place, row in scores.asked]),
+        error_ungated_m=draw.quantiles([(place, row.error_m) for place, row in scores.reports]),
+        centre_ungated_m=draw.quantiles([(place, row.centre_m) for place, row in scores.reports]),
         scores=bins,
         calibration_error=_calibration_error(bins),
         false_cost=false_cost,
-        loss=draw.ratio(asked - found + false_cost * false, scans),
+        loss=draw.ratio(asked - found_count + false_cost * false, scans),
     )
 
 
-def _found(one: HiddenRow) -> bool:
-    return one.error_m is not None
+def _is_found(row: HiddenRow) -> bool:
+    return row.error_m is not None
 
 
-def _strong_single(one: HiddenRow) -> bool:
-    return one.image.single_snr_db is not None and one.image.single_snr_db >= BAND_EDGES_DB[1]
+def _strong_single(row: HiddenRow) -> bool:
+    return row.image.single_snr_db is not None and row.image.single_snr_db >= BAND_EDGES_DB[1]
 
 
 class _Draws:
@@ -301,38 +301,38 @@ class _Draws:
         self._scores, self._weights = scores, np.asarray(weights, np.float64)
 
     def ratio(self, part: np.ndarray, whole: np.ndarray) -> Ratio:
-        """Quotient of sums over places [P]."""
+        """Return the quotient of sums over places [P]."""
         total = float(whole.sum())
         drawn = self._weights @ whole
-        known = drawn > 0.0
+        positive = drawn > 0.0
         value = float(part.sum()) / total if total else None
-        low, high = _interval((self._weights @ part)[known] / drawn[known])
+        low, high = _interval((self._weights @ part)[positive] / drawn[positive])
         return Ratio(part=float(part.sum()), whole=total, value=value, low=low, high=high)
 
     def recall(self, holds: Callable[[HiddenRow], bool]) -> Ratio:
-        """Share found of the objects for which a condition holds."""
-        found = self._scores.of_objects(lambda one: holds(one) and _found(one))
-        return self.ratio(found, self._scores.of_objects(holds))
+        """Return the found share of the objects for which a condition holds."""
+        found_count = self._scores.of_objects(lambda row: holds(row) and _is_found(row))
+        return self.ratio(found_count, self._scores.of_objects(holds))
 
     def recalls(self, name: Callable[[HiddenRow], str], names: Sequence[str]) -> dict[str, Ratio]:
-        """Share found of each group."""
-        return {group: self.recall(lambda one, group=group: name(one) == group) for group in names}  # type: ignore[misc]
+        """Return the found share of each group."""
+        return {group: self.recall(lambda row, group=group: name(row) == group) for group in names}  # type: ignore[misc]
 
     def quantiles(self, values: Sequence[tuple[int, float | None]]) -> dict[str, Estimate]:
-        """Quantiles of the values that are known, with intervals: the smallest value that so large a share reaches."""
-        known = sorted((value, row) for row, value in values if value is not None)
-        if not known:
+        """Return quantiles of the known values, with intervals: the smallest value that so large a share reaches."""
+        pairs = sorted((value, row) for row, value in values if value is not None)
+        if not pairs:
             return {}
-        at, rows = np.array([value for value, _ in known]), np.array([row for _, row in known])
+        at, rows = np.array([value for value, _ in pairs]), np.array([row for _, row in pairs])
         weights = np.concatenate([np.ones((1, len(at))), self._weights[:, rows]])
         reached = np.cumsum(weights, axis=1)
-        found: dict[str, Estimate] = {}
+        estimates: dict[str, Estimate] = {}
         for share in QUANTILES:
             first = np.argmax(reached >= share * reached[:, -1:] * (1.0 - 1e-12), axis=1)
             low, high = _interval(at[first[1:]][reached[1:, -1] > 0.0])
             ends = (math.nan if low is None else low, math.nan if high is None else high)
-            found[f"p{100.0 * share:g}"] = Estimate(float(at[first[0]]), *ends)
-        return found
+            estimates[f"p{100.0 * share:g}"] = Estimate(float(at[first[0]]), *ends)
+        return estimates
 
 
 def _interval(draws: np.ndarray) -> tuple[float | None, float | None]:
@@ -343,36 +343,36 @@ def _interval(draws: np.ndarray) -> tuple[float | None, float | None]:
 
 
 def _score_bin(draw: _Draws, low: float, high: float) -> ScoreBin:
-    """Reports of one bin of scores."""
+    """Return the reports of one bin of scores."""
     scores = draw._scores
 
-    def inside(one: ReportRow) -> bool:
-        return low <= one.score < high or (high == SCORE_EDGES[-1] and one.score >= high)
+    def inside(report: ReportRow) -> bool:
+        return low <= report.score < high or (high == SCORE_EDGES[-1] and report.score >= high)
 
     whole = scores.of_reports(inside)
     total = float(whole.sum())
-    summed = float(scores.of_reports(lambda one: one.score if inside(one) else 0.0).sum())
+    summed = float(scores.of_reports(lambda item: item.score if inside(item) else 0.0).sum())
     return ScoreBin(
         low=low,
         high=high,
         mean_score=summed / total if total else None,
-        found=draw.ratio(scores.of_reports(lambda one: inside(one) and one.found), whole),
-        near=draw.ratio(scores.of_reports(lambda one: inside(one) and not is_false(one)), whole),
+        found=draw.ratio(scores.of_reports(lambda item: inside(item) and item.found), whole),
+        near=draw.ratio(scores.of_reports(lambda item: inside(item) and not is_false(item)), whole),
     )
 
 
 def _calibration_error(bins: Sequence[ScoreBin]) -> float | None:
-    """Expected calibration error over the bins; None without a report."""
+    """Return the expected calibration error over the bins; None without a report."""
     parts = [
-        (one.found.whole, abs(one.mean_score - one.found.value))
-        for one in bins
-        if one.mean_score is not None and one.found.value is not None
+        (score_bin.found.whole, abs(score_bin.mean_score - score_bin.found.value))
+        for score_bin in bins
+        if score_bin.mean_score is not None and score_bin.found.value is not None
     ]
     total = sum(count for count, _ in parts)
     return sum(count * error for count, error in parts) / total if total else None
 
 
 def mean_loss(reports: Mapping[str, ObjectReport]) -> float:
-    """Mean loss over sets with equal weight."""
+    """Return the mean loss over sets with equal weight."""
     values = [report.loss.value for report in reports.values() if report.loss.value is not None]
     return sum(values) / len(values)

@@ -1,7 +1,7 @@
 """CompactUNet: dense LOS / mirrored prediction for a CPU, 0.96 M parameters.
 
-A U-Net on folded range pairs. The class of a return depends on the whole scene (which wall stands in front of it, and
-how that wall lies), so the bottleneck attends globally. The head upsamples azimuth eightfold by pixel shuffle: no
+A U-Net on folded range pairs. The class of a return depends on the whole scene (the wall in front of it, and that
+wall's orientation), so the bottleneck attends globally. The head upsamples azimuth eightfold by pixel shuffle: no
 convolution runs on an input that was only interpolated.
 """
 
@@ -30,7 +30,7 @@ class CompactUNetConfig:
     widths: tuple[int, ...] = (24, 48, 96, 128)
     attention_blocks: int = 2
     attention_heads: int = 4
-    #: Initial logit of every cell: sigmoid(-2.19) = 0.1, what sparse targets need.
+    #: Initial logit of every cell: sigmoid(-2.19) = 0.1, for sparse targets.
     head_bias: float = -2.19
 
     def __post_init__(self) -> None:
@@ -75,7 +75,7 @@ class ResidualBlock(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, width, range, azimuth] to the same."""
+        """Map [batch, width, range, azimuth] to the same."""
         return functional.relu(x + self.convolve(x))
 
 
@@ -92,7 +92,7 @@ class AttentionBlock(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(width, 2 * width), nn.ReLU(inplace=True), nn.Linear(2 * width, width))
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, cells, width] to the same."""
+        """Map [batch, cells, width] to the same."""
         x = x + self.project(self._attend(self.norm_attention(x)))
         return x + self.mlp(self.norm_mlp(x))
 
@@ -119,7 +119,7 @@ class GlobalContext(nn.Module):
         )
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, width, range, azimuth] to the same."""
+        """Map [batch, width, range, azimuth] to the same."""
         # [batch, cells, width]
         tokens = x.flatten(2).transpose(1, 2) + self.position
         return self.blocks(tokens).transpose(1, 2).reshape(x.shape)
@@ -148,9 +148,9 @@ class CompactUNet(nn.Module):
         nn.init.constant_(self.head.bias, config.head_bias)
 
     def cropped(self, range_bins: int) -> CompactUNet:
-        """The same network for the nearest `range_bins` alone: cost falls with them, what stands beyond is not seen.
+        """Return the same network for the nearest `range_bins` alone: its cost falls, but farther returns are not seen.
 
-        Raises `ValueError` where the network was not made for so many, or cannot fold them.
+        Raises `ValueError` if the network was not made for so many, or cannot fold them.
         """
         if range_bins > self.config.range_bins:
             raise ValueError(f"range_bins must be at most the network's {self.config.range_bins}, got {range_bins}")
@@ -161,7 +161,7 @@ class CompactUNet(nn.Module):
         return near
 
     def forward(self, x: Tensor) -> Tensor:
-        """Logits of every cell of the output grid."""
+        """Return logits of every cell of the output grid."""
         x = self.stem(_fold_range(x))
         skips = []
         for encode, down in zip(self.encode, self.down, strict=True):
@@ -181,14 +181,14 @@ def _down(fine: int, coarse: int) -> nn.Sequential:
 
 
 def _fold_range(x: Tensor) -> Tensor:
-    """[batch, channels, range, columns] to [batch, 2 * channels, range / 2, columns]: pairs of bins side by side."""
+    """Map [batch, channels, range, columns] to [batch, 2 * channels, range / 2, columns]: bins in pairs."""
     batch, channels, rows, columns = x.shape
     pairs = x.reshape(batch, channels, rows // 2, 2, columns).transpose(2, 3)
     return pairs.reshape(batch, 2 * channels, rows // 2, columns)
 
 
 def _shuffle(x: Tensor, classes: int, factor: int) -> Tensor:
-    """[batch, classes * 2 * factor, rows, columns] to [batch, classes, 2 * rows, factor * columns]."""
+    """Map [batch, classes * 2 * factor, rows, columns] to [batch, classes, 2 * rows, factor * columns]."""
     batch, _, rows, columns = x.shape
     # [batch, classes, rows, 2, columns, factor]
     cells = x.reshape(batch, classes, 2, factor, rows, columns).permute(0, 1, 4, 2, 5, 3)

@@ -1,7 +1,7 @@
 """Further than CFAR: feature pyramid segmentation on a ResNet-18 (arXiv 2402.12970), 13 M parameters.
 
-Its variant without Doppler, with our channels in and one logit each for LOS and mirrored returns out. It sees and
-answers at a quarter of the resolution and interpolates to the map.
+Its variant without Doppler, with our channels in and one logit each for LOS and mirrored returns out. It works
+at a quarter of the resolution and interpolates to the map.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class ResNet(nn.Module):
         )
 
     def forward(self, x: Tensor) -> list[Tensor]:
-        """[batch, channels, range, columns] to four of [batch, width, range / step, columns / step]."""
+        """Map [batch, channels, range, columns] to four of [batch, width, range / step, columns / step]."""
         x = self.stem(x)
         features = []
         for stage in self.stages:
@@ -89,13 +89,13 @@ class FurtherThanCfar(nn.Module):
         self.head = nn.Conv2d(config.segmentation_width, config.classes, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Logits of every cell."""
+        """Return logits of every cell."""
         pyramid = self._pyramid(self.backbone(x))
         merged = sum(segment(level) for segment, level in zip(self.segment, pyramid, strict=True))
         return functional.interpolate(self.head(self.dropout(merged)), scale_factor=4.0, mode="bilinear")
 
     def _pyramid(self, features: list[Tensor]) -> list[Tensor]:
-        """Features of equal width, finest first; what is coarse is added to what is fine."""
+        """Return features of equal width, finest first; coarse features are added to fine ones."""
         levels = [lateral(feature) for lateral, feature in zip(self.lateral, features, strict=True)]
         for fine in reversed(range(len(levels) - 1)):
             levels[fine] = levels[fine] + functional.interpolate(levels[fine + 1], scale_factor=2.0, mode="nearest")
@@ -103,7 +103,7 @@ class FurtherThanCfar(nn.Module):
 
 
 def _segmentation(in_width: int, out_width: int, doublings: int) -> nn.Sequential:
-    """One convolution at the finest level; below it, one and an upsampling by two for each level."""
+    """Return one convolution at the finest level; below it, one and an upsampling by two for each level."""
     layers = _convolution(in_width, out_width)
     for step in range(doublings):
         layers += _convolution(out_width, out_width) if step else []

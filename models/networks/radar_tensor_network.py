@@ -75,19 +75,19 @@ class RadarTensorNetwork(nn.Module):
         self.locate = nn.Conv2d(len(widths) * config.neck_width, 2, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Class logits and offsets of every anchor."""
+        """Return class logits and offsets of every anchor."""
         x = self.stem(x)
         necks = []
         for stage, neck in zip(self.stages, self.neck, strict=True):
             x = stage(x)
             necks.append(neck(x))
         # [batch, stages * neck_width, rows, columns]
-        together = torch.cat(necks, dim=1)
-        return torch.cat((self.classify(together), self.locate(together)), dim=1)
+        features = torch.cat(necks, dim=1)
+        return torch.cat((self.classify(features), self.locate(features)), dim=1)
 
 
 def _upsample(in_width: int, out_width: int, factor: int) -> nn.Sequential:
-    """Transposed convolution whose kernel covers each fine cell once."""
+    """Return a transposed convolution whose kernel covers each fine cell once."""
     return nn.Sequential(
         nn.ConvTranspose2d(in_width, out_width, factor, stride=factor, bias=False),
         nn.BatchNorm2d(out_width),

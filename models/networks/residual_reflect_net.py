@@ -1,4 +1,4 @@
-"""ResidualReflectNet: what the mirror law of a fitted wall leaves over, Table 4, 120,706 parameters."""
+"""ResidualReflectNet: residual of the mirror law of a fitted wall, Table 4, 120,706 parameters."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class ResidualReflectNet(nn.Module):
         self.decoder = _perceptron(192, 256, 128, 2)
 
     def forward(self, images: Tensor, patch: Tensor, state: Tensor) -> Tensor:
-        """Residuals [batch, 2] in metres of images [batch, 2], patches [batch, neighbours, 2] and states [batch, 6].
+        """Return residuals [batch, 2] in metres; images [batch, 2], patches [batch, neighbours, 2], states [batch, 6].
 
         Images and patch are in metres in the radar frame. A state is the image, the wall's normal and offset_m, and 1
         where the image had no wall of its own, else 0.
@@ -46,7 +46,7 @@ class ResidualReflectNet(nn.Module):
         # [batch, neighbours, 128]
         points = self.patch_encoder(patch - images[:, None])
         query = self.query_encoder(images)
-        # Eq. (20); softmax subtracts the largest score, so no score is too large for it. [batch, neighbours, 1]
+        # Eq. (20); softmax subtracts the largest score, so it never overflows. [batch, neighbours, 1]
         attention = torch.softmax(points @ query[:, :, None], dim=1)
         # [batch, 128]
         patch_feature = (attention * points).sum(dim=1)
@@ -54,7 +54,7 @@ class ResidualReflectNet(nn.Module):
 
 
 def _perceptron(*widths: int) -> nn.Sequential:
-    """Linear layers with a ReLU between."""
+    """Return linear layers with a ReLU between."""
     layers: list[nn.Module] = []
     for into, out in pairwise(widths):
         layers += [nn.Linear(into, out), nn.ReLU()]

@@ -1,4 +1,4 @@
-"""Residual blocks and stages of a ResNet, shared by the two baselines that stand on one."""
+"""Residual blocks and stages of a ResNet, shared by the two baselines built on one."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ class BasicBlock(nn.Module):
             )
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, in_width, rows, columns] to [batch, out_width, rows / stride, columns / stride]."""
+        """Map [batch, in_width, rows, columns] to [batch, out_width, rows / stride, columns / stride]."""
         return functional.relu(self.shortcut(x) + self.convolve(x))
 
 
 def residual_stage(in_width: int, out_width: int, blocks: int, stride: int) -> nn.Sequential:
-    """`blocks` residual blocks, of which the first strides."""
+    """Return `blocks` residual blocks, of which the first strides."""
     rest = (BasicBlock(out_width, out_width) for _ in range(blocks - 1))
     return nn.Sequential(BasicBlock(in_width, out_width, stride), *rest)
 
 
 def stem(in_channels: int, width: int, stride: int) -> nn.Sequential:
-    """The 7x7 convolution in front of the stages."""
+    """Return the 7x7 convolution in front of the stages."""
     return nn.Sequential(
         nn.Conv2d(in_channels, width, 7, stride=stride, padding=3, bias=False),
         nn.BatchNorm2d(width),

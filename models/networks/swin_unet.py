@@ -42,7 +42,7 @@ class SwinUNetConfig:
     head_hidden: int = 0
     #: The published output convolution has no bias.
     output_bias: bool = False
-    #: Mean logit of a fresh network: sigmoid(-2.19) = 0.1, what sparse targets need.
+    #: Mean logit of a fresh network: sigmoid(-2.19) = 0.1, for sparse targets.
     initial_logit: float = -2.19
 
     def __post_init__(self) -> None:
@@ -78,15 +78,15 @@ class SwinUNetConfig:
         return self.classes, self.range_bins, self.columns - 2 * self.crop_columns
 
     def width_at(self, stage: int) -> int:
-        """Channels of the blocks at a stage, 0 (finest) to 3 (bottleneck)."""
+        """Return channels of the blocks at a stage, 0 (finest) to 3 (bottleneck)."""
         return self.embed * 2**stage
 
     def size_at(self, stage: int) -> tuple[int, int]:
-        """(rows, columns) of the features at a stage."""
+        """Return (rows, columns) of the features at a stage."""
         return self.range_bins // (self.patch[0] * 2**stage), self.columns // (self.patch[1] * 2**stage)
 
     def window_at(self, stage: int) -> tuple[int, int]:
-        """(rows, columns) of the windows at a stage: the largest that tile its features and are within `window`.
+        """Return (rows, columns) of the windows at a stage: the largest that tile its features and are within `window`.
 
         Along an axis that one window covers, nothing is shifted.
         """
@@ -94,7 +94,7 @@ class SwinUNetConfig:
         return _largest_divisor(rows, self.window[0]), _largest_divisor(columns, self.window[1])
 
     def drop_paths(self, stage: int) -> tuple[float, ...]:
-        """Drop chance of each block of a stage, 0 in the first block of the network to `drop_path` in the deepest."""
+        """Return the drop chance of each blockof a stage, from 0 in the network's first block to `drop_path`."""
         start, last = sum(self.depths[:stage]), max(sum(self.depths) - 1, 1)
         return tuple(self.drop_path * block / last for block in range(start, start + self.depths[stage]))
 
@@ -105,7 +105,7 @@ def _largest_divisor(size: int, limit: int) -> int:
 
 #: The specification's network, on maps padded by 128 columns on each side.
 TABLE_3 = SwinUNetConfig()
-#: The same parameters on the map itself: half the work.
+#: The same parameters on the unpadded map: half the work.
 NATIVE = SwinUNetConfig(columns=256, crop_columns=0)
 #: 0.94 M parameters for one CPU core, on the range that streets need. Patches of 8 columns: the azimuth carries only 15
 #: degrees of freedom, so 32 columns of tokens keep them all. The bottleneck is one window over the whole scene.
@@ -126,7 +126,7 @@ COMPACT = SwinUNetConfig(
 
 
 def relative_position_index(window: tuple[int, int]) -> Tensor:
-    """Row of the bias table for each query and key of a window, int64 [cells, cells]."""
+    """Return the row of the bias table for each query and key of a window, int64 [cells, cells]."""
     rows, columns = torch.meshgrid(torch.arange(window[0]), torch.arange(window[1]), indexing="ij")
     row_offset = rows.reshape(-1, 1) - rows.reshape(1, -1) + window[0] - 1
     column_offset = columns.reshape(-1, 1) - columns.reshape(1, -1) + window[1] - 1
@@ -134,7 +134,7 @@ def relative_position_index(window: tuple[int, int]) -> Tensor:
 
 
 def shift_mask(size: tuple[int, int], window: tuple[int, int], shift: tuple[int, int]) -> Tensor:
-    """Pairs that must not attend to each other in shifted windows, bool [windows, cells, cells].
+    """Return a mask of pairs that must not attend to each other in shifted windows, bool [windows, cells, cells].
 
     A shift rolls the first rows and columns behind the last: cells on either side of that seam are no neighbours.
     """
@@ -147,14 +147,14 @@ def shift_mask(size: tuple[int, int], window: tuple[int, int], shift: tuple[int,
 
 
 def to_windows(x: Tensor, window: tuple[int, int]) -> Tensor:
-    """[batch, rows, columns, channels] to [batch, windows, cells, channels]."""
+    """Map [batch, rows, columns, channels] to [batch, windows, cells, channels]."""
     batch, rows, columns, channels = x.shape
     tiles = x.reshape(batch, rows // window[0], window[0], columns // window[1], window[1], channels)
     return tiles.transpose(2, 3).reshape(batch, -1, window[0] * window[1], channels)
 
 
 def from_windows(x: Tensor, size: tuple[int, int], window: tuple[int, int]) -> Tensor:
-    """[batch, windows, cells, channels] back to [batch, rows, columns, channels]."""
+    """Map [batch, windows, cells, channels] back to [batch, rows, columns, channels]."""
     batch, _, _, channels = x.shape
     tiles = x.reshape(batch, size[0] // window[0], size[1] // window[1], window[0], window[1], channels)
     return tiles.transpose(2, 3).reshape(batch, *size, channels)
@@ -174,18 +174,18 @@ class WindowAttention(nn.Module):
         self.register_buffer("mask", mask, persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, windows, cells, width] to the same."""
+        """Map [batch, windows, cells, width] to the same."""
         batch, windows, cells, width = x.shape
         # [3, batch, windows, heads, cells, width / heads]
         split = self.qkv(x).reshape(batch, windows, cells, 3, self.heads, -1).permute(3, 0, 1, 4, 2, 5)
-        # windows and heads are alike to the product: [batch, windows * heads, cells, width / heads]
+        # windows and heads are one axis to the product: [batch, windows * heads, cells, width / heads]
         query, key, value = split.flatten(2, 3).unbind(0)
         logits = (query * query.shape[-1] ** -0.5) @ key.transpose(-2, -1) + self._bias().to(query.dtype)
         attended = (torch.softmax(logits, dim=-1) @ value).reshape(batch, windows, self.heads, cells, -1)
         return self.proj(attended.transpose(2, 3).reshape(batch, windows, cells, width))
 
     def _bias(self) -> Tensor:
-        """What is added to the logits, [windows * heads, cells, cells]: a masked pair has no weight at all."""
+        """Return the bias of the logits, [windows * heads, cells, cells]: a masked pair has no weight at all."""
         cells = self.window[0] * self.window[1]
         bias = self.relative_position_bias_table[self.relative_position_index.reshape(-1)]
         bias = bias.reshape(cells, cells, self.heads).permute(2, 0, 1)
@@ -202,7 +202,7 @@ class Mlp(nn.Module):
         self.fc2 = nn.Linear(hidden, out_width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[..., width] to [..., out_width]."""
+        """Map [..., width] to [..., out_width]."""
         return self.fc2(functional.gelu(self.fc1(x)))
 
 
@@ -222,7 +222,7 @@ class SwinBlock(nn.Module):
         self.mlp = Mlp(width, config.mlp_ratio * width, width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, rows, columns, width] to the same."""
+        """Map [batch, rows, columns, width] to the same."""
         x = x + self._drop(self._attend(self.norm1(x)))
         return x + self._drop(self.mlp(self.norm2(x)))
 
@@ -234,7 +234,7 @@ class SwinBlock(nn.Module):
         return torch.roll(x, self.shift, dims=(1, 2)) if rows or columns else x
 
     def _drop(self, branch: Tensor) -> Tensor:
-        """Stochastic depth: in training a sample loses the branch by chance, the others make up for it."""
+        """Apply stochastic depth: in training a sample loses the branch by chance, the others compensate."""
         if not self.training or self.drop_path == 0.0:
             return branch
         kept = torch.rand(len(branch), 1, 1, 1, device=branch.device) >= self.drop_path
@@ -242,7 +242,7 @@ class SwinBlock(nn.Module):
 
 
 def _shift(size: tuple[int, int], window: tuple[int, int]) -> tuple[int, int]:
-    """Half a window, none along an axis that one window covers."""
+    """Return half a window, none along an axis that one window covers."""
     return (window[0] // 2 if window[0] < size[0] else 0), (window[1] // 2 if window[1] < size[1] else 0)
 
 
@@ -255,7 +255,7 @@ class PatchEmbed(nn.Module):
         self.norm = nn.LayerNorm(config.embed)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, in_channels, range, columns] to [batch, rows, columns, embed]."""
+        """Map [batch, in_channels, range, columns] to [batch, rows, columns, embed]."""
         return self.norm(self.proj(x).permute(0, 2, 3, 1))
 
 
@@ -268,7 +268,7 @@ class PatchMerging(nn.Module):
         self.reduction = nn.Linear(4 * width, 2 * width, bias=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, rows, columns, width] to [batch, rows / 2, columns / 2, 2 * width]."""
+        """Map [batch, rows, columns, width] to [batch, rows / 2, columns / 2, 2 * width]."""
         batch, rows, columns, width = x.shape
         # the four cells of a patch in the order (row, column) = (0, 0), (1, 0), (0, 1), (1, 1)
         patches = x.reshape(batch, rows // 2, 2, columns // 2, 2, width).permute(0, 1, 3, 4, 2, 5)
@@ -285,16 +285,16 @@ class PatchExpand(nn.Module):
         self.norm = nn.LayerNorm(out_width)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, rows, columns, width] to [batch, rows * factor, columns * factor, out_width]."""
+        """Map [batch, rows, columns, width] to [batch, rows * factor, columns * factor, out_width]."""
         return spread(self.tiles(x))
 
     def tiles(self, x: Tensor) -> Tensor:
-        """The tokens before they are spread, [batch, rows, columns, *factor, out_width]."""
+        """Return the tokens before they are spread, [batch, rows, columns, *factor, out_width]."""
         return self.norm(self.expand(x).unflatten(-1, (*self.factor, -1)))
 
 
 def spread(tiles: Tensor) -> Tensor:
-    """[batch, rows, columns, tile rows, tile columns, width] to [batch, all rows, all columns, width]."""
+    """Map [batch, rows, columns, tile rows, tile columns, width] to [batch, all rows, all columns, width]."""
     batch, rows, columns, tile_rows, tile_columns, width = tiles.shape
     return tiles.transpose(2, 3).reshape(batch, rows * tile_rows, columns * tile_columns, width)
 
@@ -307,7 +307,7 @@ class TileMlp(Mlp):
         self.tile = (*config.patch, config.classes)
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, rows, columns, embed] to [batch, rows, columns, *patch, classes]."""
+        """Map [batch, rows, columns, embed] to [batch, rows, columns, *patch, classes]."""
         return super().forward(x).unflatten(-1, self.tile)
 
 
@@ -320,7 +320,7 @@ class EncoderStage(nn.Module):
         self.downsample = PatchMerging(config.width_at(stage)) if stage < STAGES - 1 else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, rows, columns, width] to [batch, rows / 2, columns / 2, 2 * width]."""
+        """Map [batch, rows, columns, width] to [batch, rows / 2, columns / 2, 2 * width]."""
         return self.downsample(self.blocks(x))
 
 
@@ -334,7 +334,7 @@ class DecoderStage(nn.Module):
         self.upsample = PatchExpand(width, width // 2) if stage else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
-        """[batch, rows, columns, width] to [batch, 2 * rows, 2 * columns, width / 2]."""
+        """Map [batch, rows, columns, width] to [batch, 2 * rows, 2 * columns, width / 2]."""
         return self.upsample(self.blocks(x))
 
 
@@ -364,7 +364,7 @@ class SwinUNet(nn.Module):
         self._start_sparse()
 
     def forward(self, x: Tensor) -> Tensor:
-        """Logits of every cell of the output grid; the sizes beside the rows are those of Table 3."""
+        """Return logits of every cell of the output grid; the sizes beside the rows are those of Table 3."""
         # Input                                                        512 x 512 x 3
         embedded = self.patch_embed(x)  # Patch embed                  128 x 128 x 96
         enc_1 = self.layers[0](embedded)  # Enc-1                       64 x 64 x 192
@@ -378,11 +378,11 @@ class SwinUNet(nn.Module):
         return self._project(self.norm_up(x))  # Output                512 x 512 x 2, less the padding
 
     def _join(self, level: int, x: Tensor, skip: Tensor) -> Tensor:
-        """Features and skip connection side by side, brought back to the width of one."""
+        """Return features and skip connection side by side, brought back to the width of one."""
         return self.concat_back_dim[level](torch.cat((x, skip), dim=-1))
 
     def _project(self, x: Tensor) -> Tensor:
-        """Final expansion and 1x1 convolution, [batch, rows, columns, embed] to the logits.
+        """Return final expansion and 1x1 convolution, [batch, rows, columns, embed] to the logits.
 
         Both act on each token alone: the padding is cut before them, and only the logits are spread.
         """
@@ -392,13 +392,13 @@ class SwinUNet(nn.Module):
         return spread(logits).permute(0, 3, 1, 2)
 
     def _convolve(self, cells: Tensor) -> Tensor:
-        """The 1x1 output convolution on [..., embed]."""
+        """Return the 1x1 output convolution on [..., embed]."""
         return functional.linear(cells, self.output.weight.flatten(1), self.output.bias)
 
     def _start_sparse(self) -> None:
         """Let the mean logit start at `initial_logit`.
 
-        Without an output bias the shift of the last normalisation takes its part: the shortest vector that the output
+        Without an output bias the shift of the last normalisation replaces it: the shortest vector that the output
         weights map to that logit in every class.
         """
         logit = self.config.initial_logit
@@ -413,7 +413,7 @@ class SwinUNet(nn.Module):
 
 
 def _initialise(module: nn.Module) -> None:
-    """Linear layers start small and without bias, as in the published Swin transformers."""
+    """Initialise linear layers small and without bias, as in the published Swin transformers."""
     if isinstance(module, nn.Linear):
         nn.init.trunc_normal_(module.weight, std=0.02)
         if module.bias is not None:

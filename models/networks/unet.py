@@ -1,8 +1,8 @@
 """UNet: the convolutional baseline of Table 5, 31 M parameters at its published widths.
 
 Two 3x3 convolutions a resolution, each with batch normalisation; max-pooling down, transposed convolution up, and the
-features of the way down concatenated on the way up. With `patch` 2 it works on squares of 2 x 2 cells side by side as
-channels, at a quarter of the cost: full resolution is what a CPU cannot pay for.
+encoder's features concatenated in the decoder. With `patch` 2 it works on squares of 2 x 2 cells side by side as
+channels, at a quarter of the cost: full resolution is too expensive on a CPU.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class UNetConfig:
     patch: int = 1
     #: Channels at each resolution; each step halves range and azimuth.
     widths: tuple[int, ...] = (64, 128, 256, 512, 1024)
-    #: Initial logit of every cell: sigmoid(-2.19) = 0.1, what sparse targets need.
+    #: Initial logit of every cell: sigmoid(-2.19) = 0.1, for sparse targets.
     head_bias: float = -2.19
 
     def __post_init__(self) -> None:
@@ -66,7 +66,7 @@ class UNet(nn.Module):
         nn.init.constant_(self.head.bias, config.head_bias)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Logits of every cell."""
+        """Return logits of every cell."""
         x = self.stem(functional.pixel_unshuffle(x, self.config.patch))
         skips = []
         for down in self.down:

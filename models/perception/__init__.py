@@ -1,1 +1,1 @@
-"""From raw beams to hidden objects: pure functions on arrays."""
+"""Perception from raw beams to hidden objects: pure functions on arrays."""

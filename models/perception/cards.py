@@ -1,4 +1,4 @@
-"""Cards: JSON files that say what a learned file is and how it was made."""
+"""Cards: JSON files that describe a learned file and how it was made."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ MAX_CARD_BYTES = 1 << 24
 
 
 def learned_path(name: str | Path, ending: str) -> Path:
-    """A learned file by its path; a name without the ending is that of one in `WEIGHTS`."""
+    """Return a learned file by its path; a name without the ending is that of one in `WEIGHTS`."""
     return Path(name) if str(name).endswith(ending) else WEIGHTS / f"{name}{ending}"
 
 
 def card_path(model_path: Path) -> Path:
-    """Where the card of a network file lies."""
+    """Return where the card of a network file lies."""
     return model_path.with_suffix(".json")
 
 
 def read_card(path: Path, kind: type[Card]) -> Card:
-    """A card of a type; raises `ValueError` naming the file and all fields that are missing or wrong."""
+    """Return a card of a type; raises `ValueError` naming the file and all fields that are missing or wrong."""
     text = read_learned(path, MAX_CARD_BYTES)
     try:
         return msgspec.json.decode(text, type=kind)
@@ -39,7 +39,7 @@ def read_card(path: Path, kind: type[Card]) -> Card:
 
 
 def _wrong_fields(text: bytes, kind: Any) -> list[str]:
-    """What is wrong with a card, field by field: msgspec ends with the first."""
+    """Return all errors of a card, field by field: msgspec stops at the first."""
     values = msgspec.json.decode(text)
     if not isinstance(values, dict):
         return []
@@ -55,13 +55,15 @@ def _wrong_fields(text: bytes, kind: Any) -> list[str]:
 
 
 def read_learned(path: Path, limit_bytes: int) -> bytes:
-    """A whole learned file; raises `ValueError` naming one that cannot be read, is no file or larger than the limit."""
+    """Return a whole learned file; raises `ValueError` naming one that cannot be read, is no file or larger than the
+    limit.
+    """
     try:
         size, is_file = path.stat().st_size, path.is_file()
-        # before it is read: it would take the memory of all other nodes
+        # check before reading: a larger file would take the memory of other nodes
         if is_file and size <= limit_bytes:
             return path.read_bytes()
     except OSError as error:
         raise ValueError(f"{path}: {error.strerror or error}") from None
-    found = f"{size} bytes" if is_file else "none"
-    raise ValueError(f"{path} must be a file of at most {limit_bytes} bytes, got {found}")
+    actual = f"{size} bytes" if is_file else "none"
+    raise ValueError(f"{path} must be a file of at most {limit_bytes} bytes, got {actual}")

@@ -1,44 +1,74 @@
-"""The whole algorithm as one sentence: raw beams in, hidden objects out."""
+"""The whole algorithm as one sentence: raw beams in, hidden objects out.
+
+Beams become a map (`FormingStage`), the map becomes peaks (`DetectionStage`), the peaks become a view of what is hidden
+(`ViewStage`). The chain runs the three one after the other; each node of the graph runs one of them.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from models.perception.detection.detectors import Detector
-from models.perception.forming.ra_forming import FormingParams, RaFormer
+from models.perception.detection.stage import DetectionStage
+from models.perception.forming.ra_forming import FormingParams
+from models.perception.forming.stage import FormingStage
 from models.perception.geometry.confidence import Confidence
-from models.perception.geometry.stage import GeometryParams, recover_bev, warm
-from models.perception.tracking.scan_state import MemoryParams, ScanMemory
+from models.perception.geometry.recovery import Residual
+from models.perception.geometry.stage import GeometryParams
+from models.perception.tracking.scan_state import MemoryParams
+from models.perception.tracking.stage import ViewStage
 from msgs.values.perception import BevFrame, Peaks
-from msgs.values.radar import RadarBeam, RadarSetup
+from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
+
+
+class ScanView(NamedTuple):
+    """One scan: what is hidden, and the map and the peaks it was found in."""
+
+    frame: BevFrame
+    ra_map: RangeAzimuthMap
+    peaks: Peaks
 
 
 class Chain:
     """Scan -> bird's-eye view. The nodes are this sentence cut at the topics; both give the same bytes."""
 
-    def __init__(
-        self,
+    def __init__(self, forming: FormingStage, detection: DetectionStage, views: ViewStage) -> None:
+        self.forming, self.detection, self.views = forming, detection, views
+
+    @classmethod
+    def of(
+        cls,
         setup: RadarSetup,
         detector: Detector,
         forming: FormingParams | None = None,
         geometry: GeometryParams | None = None,
+        residual: Residual | None = None,
         confidence: Confidence | None = None,
         memory: MemoryParams | None = None,
-    ) -> None:
-        self._former = RaFormer(setup, forming or FormingParams())
-        self._detector = detector
-        self._geometry, self._confidence = geometry or GeometryParams(), confidence
-        self._memory = ScanMemory(memory or MemoryParams())
-        warm(self._geometry)
+    ) -> Chain:
+        """Return a chain of ready parts for one radar; None: default parameters, no learned residual or confidence."""
+        views = ViewStage(geometry, residual, confidence, memory)
+        chain = cls(FormingStage(forming), DetectionStage(lambda _: detector), views)
+        chain.forming.set_up(setup)
+        return chain
 
-    def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[BevFrame]:
-        """Fold a beam; the last one of a scan brings its view."""
+    def add_state(self, state: VehicleState) -> None:
+        """Take in a state of the vehicle: its stamp says which beams and scans it counts for."""
+        self.forming.add_state(state)
+        self.views.add_state(state)
+
+    def add(self, beam: RadarBeam, state: VehicleState | None = None) -> list[ScanView]:
+        """Fold a beam; the last one of a scan brings its view. Raises `ValueError` for what a stage cannot take."""
         if state is not None:
-            self._memory.add(state)
-        # beams become a map, the map becomes peaks
-        return [self._view(self._detector.detect(one)) for one in self._former.add(beam, state)]
+            self.add_state(state)
+        return [self.view(ra_map) for ra_map in self.forming.add(beam)]
 
-    def _view(self, peaks: Peaks) -> BevFrame:
-        # peaks are folded back through the walls they and those before them show, objects followed over scans
-        remembered = self._memory.walls_at(peaks)
-        view = recover_bev(peaks, self._geometry, confidence=self._confidence, remembered=remembered)
-        return self._memory.tracked(view, peaks.vehicle_from_radar)
+    def flush(self) -> list[ScanView]:
+        """Return the view of the scan under way, whatever beams it lacks."""
+        return [self.view(ra_map) for ra_map in self.forming.flush()]
+
+    def view(self, ra_map: RangeAzimuthMap) -> ScanView:
+        """Return the view of a map, of this radar or of another sensor; maps come in the order of their stamps."""
+        peaks = self.detection.detect(ra_map)
+        return ScanView(self.views.view(peaks), ra_map, peaks)

@@ -13,7 +13,7 @@ from msgs.values.radar import ArrayParams, ElementPattern, RadarSetup
 
 
 def element_field(element: ElementPattern, azimuth_rad: np.ndarray, elevation_rad: np.ndarray) -> np.ndarray:
-    """Field pattern (square root of the gain) of one element; zero in the backward hemisphere (section 2.1.1)."""
+    """Return the field pattern (root of the gain) of one element; zero in the backward hemisphere (section 2.1.1)."""
     azimuth_deg, elevation_deg = np.degrees(azimuth_rad), np.degrees(elevation_rad)
     level_db = -12.0 * (
         (azimuth_deg / element.azimuth_hpbw_deg) ** 2 + (elevation_deg / element.elevation_hpbw_deg) ** 2
@@ -23,7 +23,7 @@ def element_field(element: ElementPattern, azimuth_rad: np.ndarray, elevation_ra
 
 
 def steering_weights(array: ArrayParams, wavelength_m: float, steer_azimuth_rad: np.ndarray) -> np.ndarray:
-    """Column weights of unit modulus, phases rounded to `phase_bits`; complex128 [beams, columns]."""
+    """Return column weights of unit modulus, phases rounded to `phase_bits`; complex128 [beams, columns]."""
     step = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m)
     phase_rad = step * np.multiply.outer(np.sin(steer_azimuth_rad), np.arange(array.columns))
     if array.phase_bits:
@@ -41,7 +41,7 @@ def column_response(
     elevation_rad: np.ndarray,
     frequency_ratio: float | np.ndarray = 1.0,
 ) -> np.ndarray:
-    """Phase of each column for plane waves from given directions; complex128 [directions, columns].
+    """Return the phase of each column for plane waves from given directions; complex128 [directions, columns].
 
     `frequency_ratio` f / f_c, one or one per direction: spacings in metres stay, so phases scale with the frequency.
     """
@@ -54,7 +54,7 @@ def column_response(
 def row_field(
     array: ArrayParams, wavelength_m: float, elevation_rad: np.ndarray, frequency_ratio: float | np.ndarray = 1.0
 ) -> np.ndarray:
-    """Field factor of the rows, steered to the horizon, power normalised; float64 [directions]."""
+    """Return the field factor of the rows, steered to the horizon, power normalised; float64 [directions]."""
     step = 2.0 * np.pi / wavelength_m * array.row_spacing(wavelength_m)
     position = np.arange(array.rows) - (array.rows - 1) / 2.0
     phases = step * np.multiply.outer(frequency_ratio * np.sin(elevation_rad), position)
@@ -62,7 +62,7 @@ def row_field(
 
 
 def coupling_matrix(columns: int, coupling_db: float, coupling_phase_rad: float = 0.0) -> np.ndarray:
-    """Mutual coupling of the columns, Toeplitz and symmetric; complex128 [columns, columns].
+    """Return the mutual coupling of the columns, Toeplitz and symmetric; complex128 [columns, columns].
 
     Column m passes (10^(dB/20) e^{j phase})^|m - n| of its field to column n; its own stays 1. Reciprocal: transmit
     and receive share it.
@@ -80,7 +80,7 @@ def one_way_pattern(
     frequency_ratio: float | np.ndarray = 1.0,
     coupling: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Field pattern of the whole array one way, element gain included; complex128 [beams, directions].
+    """Return the one-way field pattern of the whole array, element gain included; complex128 [beams, directions].
 
     At f = `frequency_ratio` f_c (one, or one per direction) the physical phases of columns and rows scale while the
     phase shifters' do not: the beam squints to sin(a) = sin(a_s) / ratio. `coupling` [columns, columns] mixes the
@@ -89,11 +89,11 @@ def one_way_pattern(
     radar, array = setup.radar, setup.array
     response = column_response(array, radar.wavelength_m, azimuth_rad, elevation_rad, frequency_ratio)
     excitation = weights if coupling is None else weights @ coupling
-    one_way = excitation @ response.T / np.sqrt(array.columns)
+    pattern = excitation @ response.T / np.sqrt(array.columns)
     directional = element_field(setup.element, azimuth_rad, elevation_rad) * row_field(
         array, radar.wavelength_m, elevation_rad, frequency_ratio
     )
-    return one_way * directional
+    return pattern * directional
 
 
 def two_way_pattern(
@@ -106,7 +106,7 @@ def two_way_pattern(
     frequency_ratio: float | np.ndarray = 1.0,
     coupling: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Physical B_t B_r of Eq. (1) with element gain, power normalised; complex128 [beams, directions].
+    """Return the physical B_t B_r of Eq. (1) with element gain, power normalised; complex128 [beams, directions].
 
     `weights` [beams, columns] steer transmit and receive alike, or receive alone where the array's `steered_ways` is 1:
     one element that is not steered then transmits. Directions are those of arrival; those of departure
@@ -125,12 +125,12 @@ def two_way_pattern(
 
 
 def setup_weights(setup: RadarSetup) -> np.ndarray:
-    """Steering weights of a set-up: those it brings, else computed; complex128 [beams, columns]."""
+    """Return the steering weights of a set-up: its own if given, else computed; complex128 [beams, columns]."""
     if setup.steering_weights is not None:
         return setup.steering_weights.astype(np.complex128)
     return steering_weights(setup.array, setup.radar.wavelength_m, setup.beams.azimuth_rad)
 
 
 def coarray_weights(weights: np.ndarray) -> np.ndarray:
-    """Two-way weights on the 2N-1 virtual columns: each beam's weights convolved with themselves; [beams, 2N-1]."""
+    """Return two-way weights on the 2N-1 virtual columns: each beam's weights self-convolved; [beams, 2N-1]."""
     return np.stack([np.convolve(row, row) for row in weights])

@@ -1,6 +1,6 @@
-"""What air, rain and foliage take from a wave on its way, one way.
+"""Attenuation of a wave by air, rain and foliage, one way.
 
-Power loss only: the phase that air, rain and leaves add (refractivity) is not modelled. Over 100 m, there and back, air
+Power loss only: the phase shift of air, rain and leaves (refractivity) is not modelled. Over 100 m, round trip, air
 costs 0.003 dB at 10 GHz and 0.07 dB at 77 GHz; a rain of 25 mm/h costs 0.1 dB and 2.2 dB.
 """
 
@@ -151,9 +151,9 @@ RAIN_ALPHA: dict[str, _RainFit] = {
 }
 
 #: Foliage, both times f^0.284 with f in GHz: loss of a short path [dB/m] (Weissberger's law below 14 m, in leaf, as
-#: quoted in textbooks) and the most a long one can lose [dB] (fitted here, see `vegetation_db`).
+#: quoted in textbooks) and the maximum loss of a long one [dB] (fitted here, see `vegetation_db`).
 FOLIAGE_DB_PER_M = 0.45
-FOLIAGE_MOST_DB = 20.0
+FOLIAGE_MAX_DB = 20.0
 FOLIAGE_EXPONENT = 0.284
 
 
@@ -163,9 +163,9 @@ def gas_db_per_m(
     pressure_hpa: float = 1013.25,
     water_vapour_g_per_m3: float = 7.5,
 ) -> float:
-    """Loss in air [dB/m]: oxygen and water vapour line by line, ITU-R P.676-13 Annex 1.
+    """Return the loss in air [dB/m]: oxygen and water vapour line by line, ITU-R P.676-13 Annex 1.
 
-    `pressure_hpa` is what a barometer shows (dry air and vapour). Raises ValueError outside 1..1000 GHz, -60..60 deg C,
+    `pressure_hpa` is the barometric pressure (air and vapour). Raises ValueError outside 1..1000 GHz, -60..60 deg C,
     300..1100 hPa and 0..100 g/m3.
     """
     frequency_ghz = _within("frequency_hz", frequency_hz, 1e9, 1000e9) / 1e9
@@ -182,7 +182,7 @@ def gas_db_per_m(
 
 
 def rain_db_per_m(frequency_hz: float, rain_mm_per_h: float, polarisation: str = "te") -> float:
-    """Loss in rain on a level path [dB/m]: k R^alpha, ITU-R P.838-3; "te" is vertical polarisation.
+    """Return the loss in rain on a level path [dB/m]: k R^alpha, ITU-R P.838-3; "te" is vertical polarisation.
 
     Raises ValueError outside 1..1000 GHz and 0..300 mm/h, and for another polarisation.
     """
@@ -195,7 +195,7 @@ def rain_db_per_m(frequency_hz: float, rain_mm_per_h: float, polarisation: str =
 
 
 def vegetation_db(frequency_hz: float, depth_m: np.ndarray) -> np.ndarray:
-    """Loss through foliage in leaf [dB], one way, of the shape of `depth_m`: Am (1 - exp(-d gamma / Am)), ITU-R P.833.
+    """Return the one-way loss in foliage in leaf [dB], shaped as `depth_m`: Am (1 - exp(-d gamma / Am)), ITU-R P.833.
 
     P.833 measured gamma and Am for woods at up to 2 GHz only. Here gamma is Weissberger's law for short paths
     (0.23..95 GHz: 0.87 dB/m at 10 GHz, 1.5 dB/m at 77 GHz), and Am (38 dB, 69 dB) is chosen to follow his law of long
@@ -207,18 +207,18 @@ def vegetation_db(frequency_hz: float, depth_m: np.ndarray) -> np.ndarray:
     if not np.all((depth_m >= 0.0) & (depth_m <= 100.0)):
         raise ValueError(f"depth_m must lie in 0..100, got {depth_m!r}")
     scale = frequency_ghz**FOLIAGE_EXPONENT
-    return -FOLIAGE_MOST_DB * scale * np.expm1(-depth_m * FOLIAGE_DB_PER_M / FOLIAGE_MOST_DB)
+    return -FOLIAGE_MAX_DB * scale * np.expm1(-depth_m * FOLIAGE_DB_PER_M / FOLIAGE_MAX_DB)
 
 
-def _within(name: str, value: float, least: float, most: float) -> float:
-    """The value; ValueError unless it lies in least..most."""
-    if not least <= value <= most:
-        raise ValueError(f"{name} must lie in {least:g}..{most:g}, got {value!r}")
+def _within(name: str, value: float, minimum: float, maximum: float) -> float:
+    """Return the value; ValueError unless it lies in minimum..maximum."""
+    if not minimum <= value <= maximum:
+        raise ValueError(f"{name} must lie in {minimum:g}..{maximum:g}, got {value!r}")
     return float(value)
 
 
 def _oxygen(frequency_ghz: float, dry_hpa: float, vapour_hpa: float, theta: float) -> float:
-    """Imaginary refractivity of the oxygen lines, P.676-13 Eqs. (2) to (7); Zeeman splitting and line mixing in."""
+    """Return the imaginary refractivity of oxygen, P.676-13 Eqs. (2) to (7); Zeeman splitting and line mixing in."""
     line, a1, a2, a3, a4, a5, a6 = OXYGEN_LINES.T
     strength = 1e-7 * a1 * dry_hpa * theta**3 * np.exp(a2 * (1.0 - theta))
     width = 1e-4 * a3 * (dry_hpa * theta ** (0.8 - a4) + 1.1 * vapour_hpa * theta)
@@ -228,7 +228,7 @@ def _oxygen(frequency_ghz: float, dry_hpa: float, vapour_hpa: float, theta: floa
 
 
 def _water(frequency_ghz: float, dry_hpa: float, vapour_hpa: float, theta: float) -> float:
-    """Imaginary refractivity of the water vapour lines, P.676-13 Eqs. (2) to (7); Doppler broadening in."""
+    """Return the imaginary refractivity of water vapour, P.676-13 Eqs. (2) to (7); Doppler broadening in."""
     line, b1, b2, b3, b4, b5, b6 = WATER_LINES.T
     strength = 1e-1 * b1 * vapour_hpa * theta**3.5 * np.exp(b2 * (1.0 - theta))
     width = 1e-4 * b3 * (dry_hpa * theta**b4 + b5 * vapour_hpa * theta**b6)
@@ -237,7 +237,7 @@ def _water(frequency_ghz: float, dry_hpa: float, vapour_hpa: float, theta: float
 
 
 def _line_shape(frequency_ghz: float, line: np.ndarray, width: np.ndarray, mixing: np.ndarray) -> np.ndarray:
-    """Shape of a line at its own and at its mirrored frequency, P.676-13 Eq. (5)."""
+    """Return the shape of a line at its own and at its mirrored frequency, P.676-13 Eq. (5)."""
     below, above = line - frequency_ghz, line + frequency_ghz
     near = (width - mixing * below) / (below**2 + width**2)
     far = (width - mixing * above) / (above**2 + width**2)
@@ -245,7 +245,7 @@ def _line_shape(frequency_ghz: float, line: np.ndarray, width: np.ndarray, mixin
 
 
 def _continuum(frequency_ghz: float, dry_hpa: float, vapour_hpa: float, theta: float) -> float:
-    """Debye spectrum of oxygen and pressure-induced nitrogen, P.676-13 Eqs. (8) and (9)."""
+    """Return the Debye spectrum of oxygen and pressure-induced nitrogen, P.676-13 Eqs. (8) and (9)."""
     debye = 5.6e-4 * (dry_hpa + vapour_hpa) * theta**0.8
     oxygen = 6.14e-5 / (debye * (1.0 + (frequency_ghz / debye) ** 2))
     nitrogen = 1.4e-12 * dry_hpa * theta**1.5 / (1.0 + 1.9e-5 * frequency_ghz**1.5)
@@ -253,7 +253,7 @@ def _continuum(frequency_ghz: float, dry_hpa: float, vapour_hpa: float, theta: f
 
 
 def _rain_fit(fit: _RainFit, frequency_ghz: float) -> float:
-    """Sum of the fit's Gaussian peaks and its straight line over log10 of the frequency, P.838-3 Eqs. (2) and (3)."""
+    """Return the fit's Gaussian peaks plus its straight line over log10 of the frequency, P.838-3 Eqs. (2) and (3)."""
     peaks, slope, offset = fit
     x = math.log10(frequency_ghz)
     return sum(a * math.exp(-(((x - b) / c) ** 2)) for a, b, c in peaks) + slope * x + offset

@@ -1,13 +1,12 @@
-"""Cramer-Rao bounds of range and azimuth: what no unbiased estimate from one scan of beams can beat.
+"""Cramer-Rao bounds of range and azimuth for any unbiased estimate from one scan of beams.
 
 An echo of complex amplitude a at fractional range bin q and azimuth A puts a s_n(q) g_k(A) into sample n of beam k,
 noise white and equal in all of them. Data is a product of range and azimuth, so the Fisher information of any number
 of echoes is made of products of small Gram matrices. Unknown are amplitude (two parts), range and azimuth of each
-echo; the phase of the amplitude is free, so the carrier says nothing about range.
+echo; the phase of the amplitude is free, so the carrier carries no information about range.
 
 The amplitude is that of an ideal beam steered at the echo, on its bin, at the start of the chirp; element gain is
-part of it. Noise is a beam's
-per bin of the windowed profile. A cell of the default map has 0.58 of that noise.
+part of it. Noise is a beam's per bin of the windowed profile. A cell of the default map has 0.58 of that noise.
 """
 
 from __future__ import annotations
@@ -23,23 +22,23 @@ from msgs.values.radar import RadarSetup
 _STEP = 1e-4
 #: Least singular value of the information's root, tangents of length one: smaller ones are rounding.
 _LEAST_SIZE = 1e-16
-#: Value and slope, in order: what stands for (Re a, Im a, range, azimuth), and with which factor.
+#: Value (0) or slope (1), in order, for (Re a, Im a, range, azimuth), and its factor.
 _TANGENTS = ((0, 0, 1.0), (0, 0, 1.0j), (1, 0, 1.0), (0, 1, 1.0))
 
 
 def raw_bound(
     setup: RadarSetup, range_bin: np.ndarray, azimuth_rad: np.ndarray, amplitude: np.ndarray, noise_power_mw: float
 ) -> np.ndarray:
-    """Covariance bound [P, 2, 2] of (range [m], azimuth [rad]) of P echoes seen together, from the raw samples.
+    """Return the covariance bound [P, 2, 2] of (range [m], azimuth [rad]) of P echoes seen together, from raw samples.
 
     No window, every sample: nothing that the receiver delivers is lost. `amplitude` complex [P] in sqrt(mW);
     `noise_power_mw` that of a Hann bin, 1.5 times what the samples put in a bin. Raises ValueError where that is not
-    positive. Variances of what the samples do not tell are huge or infinite.
+    positive. Variances of parameters that the samples do not determine are huge or infinite.
     """
     count = setup.radar.samples_per_chirp
     turns = np.arange(count) / count
     tone = np.exp(2j * np.pi * np.multiply.outer(np.asarray(range_bin, np.float64), turns)) / np.sqrt(count)
-    # a slope about the middle of the chirp: there range and phase do not mix
+    # a slope about the middle of the chirp: there range and phase are uncorrelated
     slope = 2j * np.pi * (turns - turns.mean()) * tone
     white = noise_power_mw / window_noise_gain("hann")
     return _bound(setup, np.stack([tone, slope]), azimuth_rad, amplitude, white)
@@ -54,9 +53,9 @@ def windowed_bound(
     bins: np.ndarray,
     window: str = "hann",
 ) -> np.ndarray:
-    """The same from some consecutive `bins` of the windowed range profiles, noise as the window correlates it.
+    """Return the same from some consecutive `bins` of the windowed range profiles, noise as the window correlates it.
 
-    Many bins undo the window and come to the raw bound; few cannot.
+    Many bins undo the window and approach the raw bound; few cannot.
     """
     at = np.asarray(range_bin, np.float64)
     count, first = setup.radar.samples_per_chirp, int(bins[0])
@@ -67,9 +66,9 @@ def windowed_bound(
 
 
 def periodogram_range_loss(window: str = "hann", samples: int = 4096) -> float:
-    """Standard deviation of the peak of a windowed periodogram relative to the raw bound (Hann: 1.531).
+    """Return the standard deviation of the peak of a windowed periodogram relative to the raw bound (Hann: 1.531).
 
-    The usual way, window and all: sqrt(sum w^2 t^2 sum t^2) / sum w t^2 over the chirp.
+    The usual estimator, window included: sqrt(sum w^2 t^2 sum t^2) / sum w t^2 over the chirp.
     """
     t = (np.arange(samples) + 0.5) / samples - 0.5
     reach = len(WINDOW_TAPS[window]) // 2
@@ -81,15 +80,15 @@ def periodogram_range_loss(window: str = "hann", samples: int = 4096) -> float:
 
 
 def window_covariance(window: str, bins: int) -> np.ndarray:
-    """Covariance [bins, bins] of neighbouring bins of white noise after a window, relative to its power in a bin."""
+    """Return the covariance [bins, bins] of neighbouring bins of windowed white noise relative to its power in one."""
     taps = np.array(WINDOW_TAPS[window])
     lags = np.correlate(taps, taps, "full")[len(taps) - 1 :] / np.sum(taps**2)
-    apart = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
-    return np.append(lags, 0.0)[np.minimum(apart, len(lags))]
+    separation = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+    return np.append(lags, 0.0)[np.minimum(separation, len(lags))]
 
 
 def azimuth_response(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Recorded field of unit echoes in all beams, as set, without element gain; complex128 [echoes, beams].
+    """Return the recorded field of unit echoes in all beams, as set, without element gain; complex128 [echoes, beams].
 
     An ideal beam steered at the echo would hold 1.
     """
@@ -99,7 +98,7 @@ def azimuth_response(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
 
 
 def fisher_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
-    """Information [4P, 4P] at unit noise, ordered Re a, Im a, range, azimuth of all P echoes each.
+    """Return the information [4P, 4P] at unit noise, ordered Re a, Im a, range, azimuth of all P echoes each.
 
     Parts are value and slope, complex [2, P, rows] and [2, P, beams].
     """
@@ -128,16 +127,16 @@ def _bound(
     count = len(scaled)
     own = np.arange(count)
     blocks = covariance.reshape(4, count, 4, count)
-    place = np.stack([[blocks[row, own, column, own] for column in (2, 3)] for row in (2, 3)])
+    covariances = np.stack([[blocks[row, own, column, own] for column in (2, 3)] for row in (2, 3)])
     metres = np.array([setup.radar.range_bin_m, 1.0])
-    return np.moveaxis(place, -1, 0) * np.multiply.outer(metres, metres)
+    return np.moveaxis(covariances, -1, 0) * np.multiply.outer(metres, metres)
 
 
 def _inverse_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
-    """Inverse of `fisher_information` from the singular values of its root, [4P, 4P].
+    """Return the inverse of `fisher_information` from the singular values of its root, [4P, 4P].
 
-    Echoes 1e-3 deg apart leave nothing of their difference in a matrix of squares: its own inverse has negative
-    variances. What changes no sample at all (azimuth at endfire) has infinite variance.
+    In a matrix of squares the difference of echoes 1e-3 deg apart is lost: its own inverse has negative
+    variances. A parameter that changes no sample (azimuth at endfire) has infinite variance.
     """
     left, right = _coordinates(range_parts), _coordinates(azimuth_parts)
     rows = [
@@ -146,19 +145,19 @@ def _inverse_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amp
         for k, (q, a, f) in enumerate(_TANGENTS)
     ]  # fmt: skip
     root = np.concatenate(rows) * np.sqrt(2.0)
-    # zeros: at least as many columns as unknowns, or those that nothing tells would go missing
+    # zeros: at least as many columns as unknowns, or undetermined ones would be missing
     root = np.concatenate([root.real, root.imag, np.zeros((len(root), len(root)))], axis=1)
-    # tangents of one length: amplitudes, bins and radians are no units of one another
+    # tangents of one length: amplitudes, bins and radians have different units
     length = np.linalg.norm(root, axis=1)
-    known = length > 0.0
-    directions, size, _ = np.linalg.svd(root[known] / length[known, None], full_matrices=False)
-    spread = directions / np.maximum(size, _LEAST_SIZE) / length[known, None]
-    covariance = np.diag(np.where(known, 0.0, np.inf))
-    covariance[np.ix_(known, known)] = spread @ spread.T
+    determined = length > 0.0
+    directions, size, _ = np.linalg.svd(root[determined] / length[determined, None], full_matrices=False)
+    spread = directions / np.maximum(size, _LEAST_SIZE) / length[determined, None]
+    covariance = np.diag(np.where(determined, 0.0, np.inf))
+    covariance[np.ix_(determined, determined)] = spread @ spread.T
     return covariance
 
 
 def _coordinates(parts: np.ndarray) -> np.ndarray:
-    """Parts [2, P, rows] in an orthonormal basis of their own, [2, P, at most 2P]: inner products stay."""
+    """Return parts [2, P, rows] in an orthonormal basis of their own, [2, P, at most 2P]: inner products stay."""
     flat = parts.reshape(-1, parts.shape[-1])
     return np.linalg.qr(flat.T).R.T.reshape(*parts.shape[:2], -1)

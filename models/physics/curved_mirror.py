@@ -1,15 +1,15 @@
 """Curved upright walls as mirrors: every Fermat point of an arc, how it focuses, and its field near the caustic.
 
 A wall is an upright cylinder. In plan it is an arc from `a` to `b` of signed curvature [1/m]: positive where its
-centre lies to the left of the way a -> b runs; always less than a half circle, so |curvature| times the chord is
-below 2. A point of it is named by its `share` of the arc's length, 0 at `a` and 1 at `b`.
+centre lies to the left of the path a -> b; always less than a half circle, so |curvature| times the chord is
+below 2. A point of it is given by its `share` of the arc's length, 0 at `a` and 1 at `b`.
 
-Heights unfold. For a fixed point of the arc the shortest way p -> w -> q over all heights of w runs at one slope, is
-sqrt((l1 + l2)^2 + dz^2) long (l1 and l2 the legs in plan, dz the height between p and q) and meets the wall at
+Heights unfold. For a fixed point of the arc the shortest path p -> w -> q over all heights of w has one slope, is
+sqrt((l1 + l2)^2 + dz^2) long (l1 and l2 the segments in plan, dz the height between p and q) and meets the wall at
 z_p + dz l1 / (l1 + l2). It grows with l1 + l2, so the Fermat points of the plan are those of space.
 
 Stationary phase over wall height and arc gives the field of one bounce, e^{-jkL} / L times `focusing`; the divergence
-it has where Fermat points merge is replaced by the integral along the arc itself, `bounces`. Time runs as e^{+jwt}.
+it has where Fermat points merge is replaced by the integral along the arc itself, `bounces`. Time convention e^{+jwt}.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numba import njit
 
 from models.physics.mirror import SHORTEST_WALL_M
 
-#: A Fermat point; one near its caustic or several merged; none any more, but the caustic's field reaches here.
+#: A Fermat point; one near its caustic or several merged; none, but within reach of the caustic's field.
 RAY, CAUSTIC, FADING = 0, 1, 2
 #: First correction of the ray's field (relative) above which the arc is integrated instead.
 RAY_ERROR = 0.01
@@ -31,10 +31,10 @@ MERGE_RAD = 3.0 * np.pi
 #: Airy argument at which the field beyond a caustic is dropped: 38 dB below its maximum one way.
 FADED_AIRY = 3.0
 
-_MOST_POINTS = 16
-_MOST_INTERVALS = 20000
-#: Legs of the integration path leave the real axis at this angle: phases of second to fourth order all decay on it.
-_LEG = np.exp(1j * np.pi / 6.0)
+_MAX_POINTS = 16
+_MAX_INTERVALS = 20000
+#: Outer pieces of the integration path leave the real axis at this angle: phases of second to fourth order decay on it.
+_DESCENT_DIRECTION = np.exp(1j * np.pi / 6.0)
 _DECAY_NEPER = 10.0
 _LEAST_DECAY_NEPER = 4.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
@@ -42,16 +42,16 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(12)
 
 @dataclass(frozen=True)
 class CurvedBounces:
-    """M bounces at one arc, one way; field at the target = `gain` e^{-jkL} / L times the wall's reflection."""
+    """M one-way bounces at one arc; field at the target = `gain` e^{-jkL} / L times the wall's reflection."""
 
-    #: Which target, share of the arc, and RAY, CAUSTIC or FADING; int64, float64, uint8 [M].
+    #: Target index, share of the arc, and RAY, CAUSTIC or FADING; int64, float64, uint8 [M].
     target: np.ndarray
     share: np.ndarray
     kind: np.ndarray
-    #: Point of the wall in plan, and its unit normal towards both legs; [M, 2].
+    #: Point of the wall in plan, and its unit normal towards both segments; [M, 2].
     point_m: np.ndarray
     normal: np.ndarray
-    #: Legs in plan: origin to wall, wall to target.
+    #: Segments in plan: origin to wall, wall to target.
     out_m: np.ndarray
     on_m: np.ndarray
     #: Whole length in space, one way.
@@ -66,7 +66,7 @@ class CurvedBounces:
 
 
 def arc_from_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple[np.ndarray, float, float, float]:
-    """Centre [2], radius [m] and the angles [rad] of `a` and `b` seen from the centre, less than pi apart.
+    """Return centre [2], radius [m] and the angles [rad] of `a` and `b` from the centre, less than pi apart.
 
     Raises ValueError for a flat wall, which has no centre.
     """
@@ -82,7 +82,7 @@ def arc_from_ends(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple
 
 
 def arc_points(a: np.ndarray, b: np.ndarray, curvature_per_m: float, share: np.ndarray) -> np.ndarray:
-    """Points [..., 2] of the arc at `share` [...]; smooth through curvature 0, where they lie on the chord."""
+    """Return points [..., 2] of the arc at `share` [...]; smooth through curvature 0, where they lie on the chord."""
     middle, along, half_m = _frame(a, b, curvature_per_m)
     s = half_m * (2.0 * np.asarray(share, np.float64) - 1.0)
     x, y = _arc_xy(s, half_m, curvature_per_m)
@@ -92,7 +92,7 @@ def arc_points(a: np.ndarray, b: np.ndarray, curvature_per_m: float, share: np.n
 def arc_normals(
     a: np.ndarray, b: np.ndarray, curvature_per_m: float, share: np.ndarray, towards: np.ndarray | None = None
 ) -> np.ndarray:
-    """Unit normals [..., 2] of the arc at `share` [...], to the side of `towards` [2] (None: left of a -> b)."""
+    """Return unit normals [..., 2] of the arc at `share` [...], to the side of `towards` [2] (None: left of a -> b)."""
     _, along, half_m = _frame(a, b, curvature_per_m)
     turn = curvature_per_m * half_m * (2.0 * np.asarray(share, np.float64) - 1.0)
     left = np.array([-along[1], along[0]])
@@ -104,7 +104,7 @@ def arc_normals(
 
 
 def arc_length_m(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> float:
-    """Length of the arc."""
+    """Return the length of the arc."""
     return 2.0 * _frame(a, b, curvature_per_m)[2]
 
 
@@ -116,7 +116,7 @@ def arc_crosses(
     curvature_per_m: float,
     clearance_m: float = 1e-6,
 ) -> np.ndarray:
-    """Which rays origin -> target the arc cuts; bool [N]. Ends and clearance as in `mirror.crosses`.
+    """Return whether the arc crosses each ray origin -> target; bool [N]. Ends and clearance as in `mirror.crosses`.
 
     `origin` [2] or [N, 2], `targets` [N, 2].
     """
@@ -134,27 +134,27 @@ def arc_crosses(
     larger = -0.5 * (first + np.copysign(np.sqrt(np.maximum(root, 0.0)), first))
     length_m = np.hypot(ray[:, 0], ray[:, 1])
     edge = clearance_m / np.maximum(length_m, clearance_m)
-    cut = np.zeros(len(targets), bool)
+    crossed = np.zeros(len(targets), bool)
     for above, below in ((larger, second), (zeroth, larger)):
         meets = (root >= 0.0) & (below != 0.0) & (length_m > 0.0)
-        way = np.divide(
+        share = np.divide(
             above, below, out=np.full(len(targets), -1.0), where=meets & (np.abs(below) * 1e9 > np.abs(above))
         )
-        point = start + way[:, None] * ray
+        point = start + share[:, None] * ray
         on_arc = (np.abs(point[:, 0]) <= reach_m + clearance_m) & (point[:, 1] * curvature_per_m <= clearance_m)
-        cut |= (way > edge) & (way < 1.0 - edge) & on_arc
-    return cut
+        crossed |= (share > edge) & (share < 1.0 - edge) & on_arc
+    return crossed
 
 
 def focusing(
     out_m: np.ndarray, on_m: np.ndarray, cos_incidence: np.ndarray, curvature_towards_per_m: np.ndarray
 ) -> np.ndarray:
-    """Field of one bounce over that of a flat mirror of the same length, by geometrical optics; complex.
+    """Return the field of one bounce over that of a flat mirror of the same length, by geometrical optics; complex.
 
     F = 1 / sqrt(D), D = 1 - 2 kappa l1 l2 / ((l1 + l2) cos): the second derivative of the path along the arc is
     cos^2 (1/l1 + 1/l2) D, and stationary phase divides by its root; D = 0 is the mirror equation
-    1/l1 + 1/l2 = 2 kappa / cos. Legs and cosine in plan, also for paths with slope: the heights cancel.
-    `curvature_towards_per_m` is positive where the wall is hollow towards the legs. Behind a caustic (D < 0) the
+    1/l1 + 1/l2 = 2 kappa / cos. Segments and cosine in plan, also for paths with slope: the heights cancel.
+    `curvature_towards_per_m` is positive where the wall is hollow towards the segments. Behind a caustic (D < 0) the
     phase is +pi/2 (e^{+jwt}); on it the factor is infinite. Source: stationary phase, as above; it is the spreading
     factor of Kouyoumjian and Pathak (1974) for a cylinder.
     """
@@ -171,14 +171,14 @@ def focusing(
 def fermat_points(
     origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, curvature_per_m: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """All points of the arc that mirror targets towards the origin: (target index, share, longest); each [M].
+    """Return all points of the arc that mirror targets towards the origin: (target index, share, longest); each [M].
 
     `longest` (bool) marks points where the path is a maximum along the arc: behind their caustic. Either face may
-    reflect, both legs on one side of the tangent and neither cut by the arc itself. Found by interval subdivision with
-    bounds on the derivatives, so none is lost; share exact to rounding (near a caustic to its square root).
+    reflect, both segments on one side of the tangent and neither crossed by the arc itself. Interval subdivision with
+    bounds on the derivatives loses none; the share is exact to rounding (near a caustic to its square root).
     """
-    found = _search(origin, targets, a, b, curvature_per_m, np.inf)
-    return found[0], found[1], found[2] == _LONGEST
+    points = _search(origin, targets, a, b, curvature_per_m, np.inf)
+    return points[0], points[1], points[2] == _LONGEST
 
 
 def bounces(
@@ -189,14 +189,14 @@ def bounces(
     curvature_per_m: float,
     wavelength_m: float,
 ) -> CurvedBounces:
-    """Every bounce origin -> arc -> target with its bounded field factor.
+    """Return every bounce origin -> arc -> target with its bounded field factor.
 
     `origin` [2] or [3] and `targets` [N, 2] or [N, 3] in metres. Far from a caustic a bounce is a Fermat point with the
     factor of `focusing`. Where that is wrong by more than `RAY_ERROR`, the integral along the arc (physical optics,
     stationary in height) is evaluated around the points whose phases lie within `MERGE_RAD`, and they become one
     bounce at their middle. On the dark side it lasts to `FADED_AIRY`. The arc is continued analytically beyond its
-    ends, so edges do not diffract, unless points merge across an end: then the integral stops there. Against the
-    surface integral of walls whose ends are far, at random caustics: 0.6 % of the field in 95 of 100 cases.
+    ends, so edges do not diffract, unless points merge across an end: then the integral stops there. Compared with
+    the surface integral of walls with distant ends, at random caustics: 0.6 % of the field in 95 of 100 cases.
     """
     if not (np.isfinite(wavelength_m) and wavelength_m > 0.0):
         raise ValueError(f"wavelength must be positive and finite, got {wavelength_m} m")
@@ -231,22 +231,22 @@ def one_way_field(
     wavelength_m: float,
     reflection: complex | Callable[[np.ndarray], np.ndarray] = 1.0,
 ) -> tuple[CurvedBounces, np.ndarray]:
-    """The bounces and the complex field [M] of each at its target, for a unit point source (e^{-jkr} / r).
+    """Return the bounces and the complex field [M] of each at its target, for a unit point source (e^{-jkr} / r).
 
     `reflection` is the wall's coefficient, or a function of the cosine of incidence in space.
     """
-    found = bounces(origin, targets, a, b, curvature_per_m, wavelength_m)
-    cosine = found.cos_incidence * (found.out_m + found.on_m) / found.length_m
+    reflected = bounces(origin, targets, a, b, curvature_per_m, wavelength_m)
+    cosine = reflected.cos_incidence * (reflected.out_m + reflected.on_m) / reflected.length_m
     factor = reflection(cosine) if callable(reflection) else reflection
-    phase_rad = 2.0 * np.pi / wavelength_m * found.length_m
-    return found, factor * found.gain * np.exp(-1j * phase_rad) / found.length_m
+    phase_rad = 2.0 * np.pi / wavelength_m * reflected.length_m
+    return reflected, factor * reflected.gain * np.exp(-1j * phase_rad) / reflected.length_m
 
 
 # --- the arc in its own frame: x along the chord from its middle, y to the left, s along the arc from its top
 
 
 def _frame(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Middle of the chord, its unit vector and half the arc's length, the door of the module."""
+    """Return the middle of the chord, its unit vector and half the arc's length; checks the module's input."""
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     chord_m = float(np.hypot(*(b - a)))
     if not (np.isfinite(chord_m) and chord_m > SHORTEST_WALL_M):
@@ -259,19 +259,19 @@ def _frame(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> tuple[np.nda
 
 
 def _local(points: np.ndarray, middle: np.ndarray, along: np.ndarray) -> np.ndarray:
-    """Plan points [..., 2] in the arc's frame."""
+    """Return plan points [..., 2] in the arc's frame."""
     away = np.asarray(points, np.float64)[..., :2] - middle
     return np.stack([away @ along, away @ np.array([-along[1], along[0]])], axis=-1)
 
 
 def _heights(points: np.ndarray) -> np.ndarray:
-    """Third coordinate [...] of points, 0 where they have none."""
+    """Return the third coordinate [...] of points, 0 where they have none."""
     points = np.asarray(points, np.float64)
     return points[..., 2] if points.shape[-1] == 3 else np.zeros(points.shape[:-1])
 
 
 def _arc_xy(s: np.ndarray, half_m: float, curvature: float) -> tuple[np.ndarray, np.ndarray]:
-    """Arc points in the arc's frame by their sagitta: no division by the curvature."""
+    """Return arc points in the arc's frame by their sagitta: no division by the curvature."""
     before, after = half_m + s, half_m - s
     shrink = np.sinc(0.5 * curvature * before / np.pi) * np.sinc(0.5 * curvature * after / np.pi)
     return s * np.sinc(curvature * s / np.pi), -0.5 * curvature * before * after * shrink
@@ -280,7 +280,7 @@ def _arc_xy(s: np.ndarray, half_m: float, curvature: float) -> tuple[np.ndarray,
 def _search(
     origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, curvature: float, wavenumber: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Target index, share, kind and gain of what `_one_target` finds for every target."""
+    """Return target index, share, kind and gain of what `_one_target` finds for every target."""
     middle, along, half_m = _frame(a, b, curvature)
     if np.ndim(targets) != 2 or np.shape(targets)[1] not in (2, 3):
         raise ValueError(f"targets must have shape [N, 2] or [N, 3], got {list(np.shape(targets))}")
@@ -289,11 +289,11 @@ def _search(
     if not (np.isfinite(start).all() and np.isfinite(ends).all() and np.isfinite(rise_m).all()):
         raise ValueError("origin and targets must be finite, got NaN or infinity among them")
     counts = np.zeros(len(ends), np.int64)
-    s = np.empty((len(ends), _MOST_POINTS))
-    kind = np.empty((len(ends), _MOST_POINTS), np.uint8)
-    gain = np.empty((len(ends), _MOST_POINTS), np.complex128)
+    s = np.empty((len(ends), _MAX_POINTS))
+    kind = np.empty((len(ends), _MAX_POINTS), np.uint8)
+    gain = np.empty((len(ends), _MAX_POINTS), np.complex128)
     _all_targets(start, ends, rise_m, half_m, float(curvature), wavenumber, counts, s, kind, gain)
-    filled = np.arange(_MOST_POINTS) < counts[:, None]
+    filled = np.arange(_MAX_POINTS) < counts[:, None]
     share = np.clip(0.5 + 0.5 * s[filled] / half_m, 0.0, 1.0)
     return np.repeat(np.arange(len(ends)), counts), share, kind[filled], gain[filled]
 
@@ -303,7 +303,7 @@ _SHORTEST, _LONGEST, _INFLECTION = 0, 1, 2
 
 @njit(cache=True, nogil=True)
 def _all_targets(start, ends, rise, half, curvature, wavenumber, counts, s, kind, gain):  # type: ignore[no-untyped-def]
-    """Loop of `_stationary` and, for a finite wavenumber, `_gather` over all targets."""
+    """Run `_stationary` and, for a finite wavenumber, `_gather` over all targets."""
     for i in range(len(ends)):
         scene = (start[0], start[1], ends[i, 0], ends[i, 1], half, curvature)
         slope = 1.0 / np.sqrt(1.0 + (rise[i] / max(_plan(scene), 1e-9)) ** 2)
@@ -314,19 +314,22 @@ def _all_targets(start, ends, rise, half, curvature, wavenumber, counts, s, kind
 
 @njit(cache=True, nogil=True)
 def _plan(scene):  # type: ignore[no-untyped-def]
-    """Length of the path over the middle of the arc: what the slope of a path is estimated from."""
-    return _leg(0.0, scene[0], scene[1], scene[4], scene[5])[0] + _leg(0.0, scene[2], scene[3], scene[4], scene[5])[0]
+    """Return the length of the path over the middle of the arc, from which the slope of a path is estimated."""
+    return (
+        _segment(0.0, scene[0], scene[1], scene[4], scene[5])[0]
+        + _segment(0.0, scene[2], scene[3], scene[4], scene[5])[0]
+    )
 
 
 @njit(cache=True, nogil=True)
 def _sinc(t):  # type: ignore[no-untyped-def]
-    """sin(t) / t, also for complex t."""
+    """Return sin(t) / t, also for complex t."""
     return np.sin(t) / t if t != 0.0 else 1.0 + 0.0 * t
 
 
 @njit(cache=True, nogil=True)
-def _leg(s, px, py, half, curvature):  # type: ignore[no-untyped-def]
-    """Distance of p from the arc at s, and the tangential and normal component of the way there; s real or complex."""
+def _segment(s, px, py, half, curvature):  # type: ignore[no-untyped-def]
+    """Return the distance of p from the arc at s, and its tangential and normal component; s real or complex."""
     turn = curvature * s
     sagitta = _sinc(0.5 * curvature * (half + s)) * _sinc(0.5 * curvature * (half - s))
     dx = px - s * _sinc(turn)
@@ -340,10 +343,10 @@ def _leg(s, px, py, half, curvature):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _slope(s, scene):  # type: ignore[no-untyped-def]
-    """Minus the first and second derivative of the plan length l1 + l2 along the arc."""
+    """Return minus the first and second derivative of the plan length l1 + l2 along the arc."""
     px, py, qx, qy, half, curvature = scene
-    r1, t1, n1 = _leg(s, px, py, half, curvature)
-    r2, t2, n2 = _leg(s, qx, qy, half, curvature)
+    r1, t1, n1 = _segment(s, px, py, half, curvature)
+    r2, t2, n2 = _segment(s, qx, qy, half, curvature)
     second = 0.0
     if r1 > 0.0 and r2 > 0.0:
         second = n1 * (curvature - n1 / r1) + n2 * (curvature - n2 / r2)
@@ -352,11 +355,11 @@ def _slope(s, scene):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _derivatives(s, scene):  # type: ignore[no-untyped-def]
-    """Second, third and fourth derivative of l1 + l2 along the arc (with u = normal component over distance)."""
+    """Return the second, third and fourth derivative of l1 + l2 along the arc (u = normal component over distance)."""
     px, py, qx, qy, half, k = scene
     second, third, fourth = 0.0, 0.0, 0.0
     for x, y in ((px, py), (qx, qy)):
-        r, t, n = _leg(s, x, y, half, k)
+        r, t, n = _segment(s, x, y, half, k)
         u = n / r
         bend = 3.0 * u * u - 3.0 * k * u + k * k
         second += n * (u - k)
@@ -367,7 +370,7 @@ def _derivatives(s, scene):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _bounds(r1, r2, k):  # type: ignore[no-untyped-def]
-    """Upper bounds of the third and fourth derivative where the legs are at least r1 and r2 long."""
+    """Return upper bounds of the third and fourth derivative where the segments are at least r1 and r2 long."""
     k = abs(k)
     third, fourth = 0.0, 0.0
     for r in (r1, r2):
@@ -379,7 +382,7 @@ def _bounds(r1, r2, k):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _zero(low, high, scene, order):  # type: ignore[no-untyped-def]
-    """Zero of the first (order 0) or second (1) derivative in a bracket: Newton inside bisection."""
+    """Return the zero of the first (order 0) or second (1) derivative in a bracket: Newton inside bisection."""
     rising = _slope(high, scene)[order] >= 0.0
     s = 0.5 * (low + high)
     for _ in range(200):
@@ -401,24 +404,24 @@ def _zero(low, high, scene, order):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _changes(low, high, scene, order):  # type: ignore[no-untyped-def]
-    """Whether the derivative changes its sign; zero counts as positive, so neighbours never both claim a root."""
+    """Return whether the derivative changes its sign; zero counts as positive, so no root belongs to two neighbours."""
     return (_slope(low, scene)[order] >= 0.0) != (_slope(high, scene)[order] >= 0.0)
 
 
 @njit(cache=True, nogil=True)
 def _lit(s, scene):  # type: ignore[no-untyped-def]
-    """Whether both ends see the same face at s, with no other part of the arc between."""
+    """Return whether both ends see the same face at s, with no other part of the arc between."""
     px, py, qx, qy, half, curvature = scene
-    r1, t1, n1 = _leg(s, px, py, half, curvature)
-    r2, t2, n2 = _leg(s, qx, qy, half, curvature)
+    r1, t1, n1 = _segment(s, px, py, half, curvature)
+    r2, t2, n2 = _segment(s, qx, qy, half, curvature)
     if min(r1, r2) < SHORTEST_WALL_M or n1 * n2 <= 0.0:
         return False
-    return not (_cut(s, r1, t1, n1, half, curvature) or _cut(s, r2, t2, n2, half, curvature))
+    return not (_blocked(s, r1, t1, n1, half, curvature) or _blocked(s, r2, t2, n2, half, curvature))
 
 
 @njit(cache=True, nogil=True)
-def _cut(s, distance, tangential, normal, half, curvature):  # type: ignore[no-untyped-def]
-    """Whether a leg that leaves the hollow face meets the arc again: the chord of the circle ends before the leg."""
+def _blocked(s, distance, tangential, normal, half, curvature):  # type: ignore[no-untyped-def]
+    """Return whether a segment leaving the hollow face meets the arc again: its circle's chord ends before it does."""
     if curvature * normal <= 0.0 or distance * abs(curvature) <= 2.0 * abs(normal):
         return False
     turn = 2.0 * np.arctan2(abs(normal), abs(tangential))
@@ -427,11 +430,11 @@ def _cut(s, distance, tangential, normal, half, curvature):  # type: ignore[no-u
 
 
 @njit(cache=True, nogil=True)
-def _stationary(scene, wavenumber, found, kind):  # type: ignore[no-untyped-def]
-    """All lit stationary points (and, for a finite wavenumber, inflections not yet dark) in order of s; their number.
+def _stationary(scene, wavenumber, points, kind):  # type: ignore[no-untyped-def]
+    """Find all lit stationary points (and, for a finite wavenumber, inflections not yet dark) in order of s.
 
-    Each interval is dropped, proven monotone, proven bent one way, or halved. A path of constant length (both ends at
-    the centre) uses up the intervals: the middle then stands for the whole arc.
+    Returns their number. Each interval is dropped, proven monotone, proven bent one way, or halved. A path of constant
+    length (both ends at the centre) uses up the intervals: the middle then represents the whole arc.
     """
     half, curvature = scene[4], scene[5]
     reach = half * (1.0 + 1e-12)
@@ -443,15 +446,15 @@ def _stationary(scene, wavenumber, found, kind):  # type: ignore[no-untyped-def]
         depth -= 1
         low, high = stack[depth]
         visits += 1
-        if visits > _MOST_INTERVALS:
+        if visits > _MAX_INTERVALS:
             if _lit(0.0, scene):
-                found[0], kind[0] = 0.0, _INFLECTION
+                points[0], kind[0] = 0.0, _INFLECTION
                 return 1
             return 0
         middle, width = 0.5 * (low + high), 0.5 * (high - low)
         tiny = width < 1e-10 * half
-        r1 = _leg(middle, scene[0], scene[1], half, curvature)[0] - width
-        r2 = _leg(middle, scene[2], scene[3], half, curvature)[0] - width
+        r1 = _segment(middle, scene[0], scene[1], half, curvature)[0] - width
+        r2 = _segment(middle, scene[2], scene[3], half, curvature)[0] - width
         clear = min(r1, r2) > 0.0
         if clear and not tiny:
             third, fourth = _bounds(r1, r2, curvature)
@@ -462,13 +465,13 @@ def _stationary(scene, wavenumber, found, kind):  # type: ignore[no-untyped-def]
             if abs(value) - faded > width * abs(derivative) + 0.5 * width * width * third:
                 continue
             if abs(derivative) > width * third:
-                count = _claim(low, high, scene, found, kind, count)
+                count = _claim(low, high, scene, points, kind, count)
                 continue
             if abs(bend) > width * fourth:
-                count = _bent(low, high, scene, dim, found, kind, count)
+                count = _bent(low, high, scene, dim, points, kind, count)
                 continue
         if tiny:
-            count = _claim(low, high, scene, found, kind, count)
+            count = _claim(low, high, scene, points, kind, count)
             continue
         stack[depth, 0], stack[depth, 1] = middle, high
         stack[depth + 1, 0], stack[depth + 1, 1] = low, middle
@@ -477,31 +480,31 @@ def _stationary(scene, wavenumber, found, kind):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _claim(low, high, scene, found, kind, count):  # type: ignore[no-untyped-def]
+def _claim(low, high, scene, points, kind, count):  # type: ignore[no-untyped-def]
     """Add the root of a monotone interval, if it has one and it is lit."""
-    if count < _MOST_POINTS and _changes(low, high, scene, 0):
+    if count < _MAX_POINTS and _changes(low, high, scene, 0):
         s = _zero(low, high, scene, 0)
         if _lit(s, scene):
-            found[count] = s
+            points[count] = s
             kind[count] = _LONGEST if _slope(s, scene)[1] > 0.0 else _SHORTEST
             return count + 1
     return count
 
 
 @njit(cache=True, nogil=True)
-def _bent(low, high, scene, dim, found, kind, count):  # type: ignore[no-untyped-def]
+def _bent(low, high, scene, dim, points, kind, count):  # type: ignore[no-untyped-def]
     """Add the roots of an interval that bends one way: two, one, or none but an inflection that is not yet dark."""
     if not _changes(low, high, scene, 1):
-        return _claim(low, high, scene, found, kind, count)
+        return _claim(low, high, scene, points, kind, count)
     turning = _zero(low, high, scene, 1)
     before = count
     rooted = _changes(low, turning, scene, 0) or _changes(turning, high, scene, 0)
-    count = _claim(low, turning, scene, found, kind, count)
-    count = _claim(turning, high, scene, found, kind, count)
-    if not rooted and before < _MOST_POINTS and dim > 0.0 and _lit(turning, scene):
+    count = _claim(low, turning, scene, points, kind, count)
+    count = _claim(turning, high, scene, points, kind, count)
+    if not rooted and before < _MAX_POINTS and dim > 0.0 and _lit(turning, scene):
         third = abs(_derivatives(turning, scene)[1])
         if abs(_slope(turning, scene)[0]) < dim * (0.5 * third) ** (1.0 / 3.0):
-            found[count], kind[count] = turning, _INFLECTION
+            points[count], kind[count] = turning, _INFLECTION
             count += 1
     return count
 
@@ -511,7 +514,7 @@ def _bent(low, high, scene, dim, found, kind, count):  # type: ignore[no-untyped
 
 @njit(cache=True, nogil=True)
 def _gather(scene, rise, wavenumber, count, s, kind, gain):  # type: ignore[no-untyped-def]
-    """Merge points of nearly one phase, in place; kinds become RAY, CAUSTIC or FADING. The number of bounces."""
+    """Merge points of nearly one phase, in place; kinds become RAY, CAUSTIC or FADING. Return the number of bounces."""
     bounces, first = 0, 0
     while first < count:
         last = first
@@ -533,22 +536,28 @@ def _gather(scene, rise, wavenumber, count, s, kind, gain):  # type: ignore[no-u
 
 @njit(cache=True, nogil=True)
 def _length(s, scene, rise):  # type: ignore[no-untyped-def]
-    """Length in space over the arc at s."""
-    plan = _leg(s, scene[0], scene[1], scene[4], scene[5])[0] + _leg(s, scene[2], scene[3], scene[4], scene[5])[0]
+    """Return the length in space over the arc at s."""
+    plan = (
+        _segment(s, scene[0], scene[1], scene[4], scene[5])[0] + _segment(s, scene[2], scene[3], scene[4], scene[5])[0]
+    )
     return np.sqrt(plan * plan + rise * rise)
 
 
 @njit(cache=True, nogil=True)
 def _apart(s1, s2, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """Phase between the paths over two points; points on two faces of the wall are never one."""
-    if _leg(s1, scene[0], scene[1], scene[4], scene[5])[2] * _leg(s2, scene[0], scene[1], scene[4], scene[5])[2] < 0.0:
+    """Return the phase between the paths over two points; points on two faces of the wall are never merged."""
+    if (
+        _segment(s1, scene[0], scene[1], scene[4], scene[5])[2]
+        * _segment(s2, scene[0], scene[1], scene[4], scene[5])[2]
+        < 0.0
+    ):
         return np.inf
     return wavenumber * abs(_length(s1, scene, rise) - _length(s2, scene, rise))
 
 
 @njit(cache=True, nogil=True)
 def _ray_error(s, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """First relative correction to the stationary-phase value: 5 L3^2 / (24 k L2^3) and L4 / (8 k L2^2), as a sum."""
+    """Return the relative correction of stationary phase: 5 L3^2 / (24 k L2^3) and L4 / (8 k L2^2), summed."""
     second, third, fourth = _derivatives(s, scene)
     length = _length(s, scene, rise)
     wavenumber *= np.sqrt(max(length * length - rise * rise, 0.0)) / length
@@ -558,22 +567,22 @@ def _ray_error(s, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _ray(s, scene):  # type: ignore[no-untyped-def]
-    """The factor of `focusing` at a Fermat point."""
-    l1, _, n1 = _leg(s, scene[0], scene[1], scene[4], scene[5])
-    l2, _, n2 = _leg(s, scene[2], scene[3], scene[4], scene[5])
+    """Return the factor of `focusing` at a Fermat point."""
+    l1, _, n1 = _segment(s, scene[0], scene[1], scene[4], scene[5])
+    l2, _, n2 = _segment(s, scene[2], scene[3], scene[4], scene[5])
     spread = 1.0 - 2.0 * scene[5] * l1 * l2 / ((l1 + l2) * (0.5 * (n1 + n2)))
     return (1.0 if spread > 0.0 else 1j) / np.sqrt(abs(spread)) + 0j
 
 
 @njit(cache=True, nogil=True)
 def _integrand(s, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """Kirchhoff's integrand along the arc, heights done by stationary phase; s may be complex.
+    """Return Kirchhoff's integrand along the arc, heights done by stationary phase; s may be complex.
 
     sqrt(k / 2 pi) e^{j pi/4} (c1 + c2)/2 (l1 + l2) / (R^1.5 sqrt(l1 l2)) e^{-jkR}: an endless flat wall gives
     e^{-jkR} / R.
     """
-    l1, _, n1 = _leg(s, scene[0], scene[1], scene[4], scene[5])
-    l2, _, n2 = _leg(s, scene[2], scene[3], scene[4], scene[5])
+    l1, _, n1 = _segment(s, scene[0], scene[1], scene[4], scene[5])
+    l2, _, n2 = _segment(s, scene[2], scene[3], scene[4], scene[5])
     length = np.sqrt((l1 + l2) ** 2 + rise * rise)
     obliquity = 0.5 * side * (n1 + n2) * (l1 + l2) / (length * np.sqrt(length * l1 * l2))
     return np.sqrt(wavenumber / (2.0 * np.pi)) * np.exp(0.25j * np.pi - 1j * wavenumber * length) * obliquity
@@ -581,7 +590,7 @@ def _integrand(s, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _straight(start, end, side, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """Integral along a straight piece of the complex s plane: Gauss-Legendre, two nodes a radian."""
+    """Return the integral along a straight piece of the complex s plane: Gauss-Legendre, two nodes a radian."""
     panels = 1 + int(wavenumber * abs(_length(end, scene, rise) - _length(start, scene, rise)) / 6.0)
     step = (end - start) / panels
     total = 0.0j
@@ -594,15 +603,16 @@ def _straight(start, end, side, scene, rise, wavenumber):  # type: ignore[no-unt
 
 @njit(cache=True, nogil=True)
 def _descent(s, direction, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """End of the leg that leaves the real axis at s, outwards, and the decay [neper] reached there.
+    """Return the end of the path that leaves the real axis at s, outwards, and the decay [neper] reached there.
 
     It leans to the side on which the integrand decays and ends when that is enough, or where it would grow again.
     """
     shorter = min(
-        _leg(s.real, scene[0], scene[1], scene[4], scene[5])[0], _leg(s.real, scene[2], scene[3], scene[4], scene[5])[0]
+        _segment(s.real, scene[0], scene[1], scene[4], scene[5])[0],
+        _segment(s.real, scene[2], scene[3], scene[4], scene[5])[0],
     )
     best_end, best = s, 0.0
-    for lean in (_LEG, np.conj(_LEG)):
+    for lean in (_DESCENT_DIRECTION, np.conj(_DESCENT_DIRECTION)):
         reach = 0.02 * np.sqrt(2.0 * np.pi * shorter / wavenumber)
         end, decay = s, 0.0
         for _ in range(60):
@@ -621,14 +631,14 @@ def _descent(s, direction, scene, rise, wavenumber):  # type: ignore[no-untyped-
 
 @njit(cache=True, nogil=True)
 def _arc_integral(points, more_left, more_right, scene, rise, wavenumber):  # type: ignore[no-untyped-def]
-    """Field of a group of merged points: along the real axis between them, outwards by steepest descent.
+    """Return the field of a group of merged points: along the real axis between them, outwards by steepest descent.
 
-    An outer leg that finds no descent has a partner beyond the arc's end in its way (no other point lies between): it
+    If an outer path finds no descent, its partner beyond the arc's end obstructs it (no other point lies between): it
     runs to the end instead.
     """
     first, last = points[0] + 0j, points[-1] + 0j
     half = scene[4]
-    side = 1.0 if _leg(points[0], scene[0], scene[1], half, scene[5])[2] > 0.0 else -1.0
+    side = 1.0 if _segment(points[0], scene[0], scene[1], half, scene[5])[2] > 0.0 else -1.0
     total = _straight(first, last, side, scene, rise, wavenumber)
     left, decay = _descent(first, -1.0, scene, rise, wavenumber)
     if decay < _LEAST_DECAY_NEPER and not more_left:

@@ -12,7 +12,7 @@ from scipy.special import wofz
 
 
 def transition(x: np.ndarray) -> np.ndarray:
-    """F(x) = 2j sqrt(x) e^{jx} integral from sqrt(x) of e^{-jt^2} dt, for x >= 0; 0 at 0, 1 far away."""
+    """Return F(x) = 2j sqrt(x) e^{jx} integral from sqrt(x) of e^{-jt^2} dt, for x >= 0; 0 at 0, 1 far away."""
     root = np.sqrt(x)
     # the integral is sqrt(pi)/2 e^{-j pi/4} erfc(e^{j pi/4} sqrt x); wofz holds e^{jx} erfc without overflow
     scaled = wofz(1j * np.exp(0.25j * np.pi) * root)
@@ -27,11 +27,11 @@ def wedge_terms(
     wavelength_m: float,
     sin_skew: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Parts of the diffraction coefficient [sqrt(m)] of wedges with exterior angle n pi (broadcast).
+    """Return parts of the diffraction coefficient [sqrt(m)] of wedges with exterior angle n pi (broadcast).
 
-    What mends the border of the incident field (for an opaque wedge), and what mends the borders of the fields that
-    the first and the last face reflect, per unit of their reflection. `distance_m` is s s' sin^2(skew) / (s + s'), skew
-    the angle between the ray and the edge (90 deg: level).
+    These are the term at the border of the incident field (for an opaque wedge), and the terms at the borders of the
+    fields that the first and the last face reflect, per unit of their reflection. `distance_m` is
+    s s' sin^2(skew) / (s + s'), skew the angle between the ray and the edge (90 deg: level).
     """
     k = 2.0 * np.pi / wavelength_m
     minus, plus = to_target_rad - to_source_rad, to_target_rad + to_source_rad
@@ -52,22 +52,22 @@ def wedge_coefficient(
     reflection_last: np.ndarray,
     transmission: np.ndarray | float = 0.0,
 ) -> np.ndarray:
-    """Diffraction coefficient D [sqrt(m)], the sum of `wedge_terms`; angles and lengths as there.
+    """Return the diffraction coefficient D [sqrt(m)], the sum of `wedge_terms`; angles and lengths as there.
 
-    The reflections are the two faces' own, -1 for metal. `transmission` is what a thin wall lets through into its
-    shadow: the border is that much fainter. The same both ways if the coefficients are.
+    The reflections are the two faces' own, -1 for metal. `transmission` is the field that a thin wall transmits into
+    its shadow, which weakens the border. Reciprocal if the coefficients are.
     """
     incident, first, last = wedge_terms(n, to_source_rad, to_target_rad, distance_m, wavelength_m, sin_skew)
     return np.asarray((1.0 - transmission) * incident + reflection_first * first + reflection_last * last)
 
 
 def edge_field(coefficient: np.ndarray, source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
-    """Field by way of an edge against 1/L of a ray as long as both legs (s', s): D sqrt((s + s') / (s s'))."""
+    """Return the field via an edge against 1/L of a ray as long as both segments (s', s): D sqrt((s + s') / (s s'))."""
     return np.asarray(coefficient * np.sqrt((source_m + target_m) / (source_m * target_m)))
 
 
 def _term(n: np.ndarray, beta: np.ndarray, sign: float, kl: np.ndarray, dark: bool = False) -> np.ndarray:
-    """cot((pi +- beta) / 2n) F(k L a(beta)), finite where the cotangent is not; on the border: `dark` or lit."""
+    """Return cot((pi +- beta) / 2n) F(k L a(beta)), finite where the cotangent is not; on the border: `dark` or lit."""
     turns = np.round((beta + sign * np.pi) / (2.0 * np.pi * n))
     a = 2.0 * np.square(np.cos(0.5 * (2.0 * n * np.pi * turns - beta)))
     angle = (np.pi + sign * beta) / (2.0 * n)

@@ -1,4 +1,4 @@
-"""Reflection of plane waves by flat walls: half-space, slab, stack of layers, and what roughness leaves of the mirror.
+"""Reflection of plane waves by flat walls: half-space, slab, stack of layers, and the coherent share of a rough one.
 
 Time convention e^{+jwt}: passive media have Im(eps) <= 0, waves inside decay as e^{-jqz} with Im(q) <= 0.
 TE: electric field along the wall's vertical when the ray is horizontal, so vertical polarisation at an upright wall;
@@ -16,7 +16,7 @@ Polarisation = Literal["te", "tm"]
 
 
 def _inner_cosine(permittivity: np.ndarray, cos_theta: np.ndarray) -> np.ndarray:
-    """q = sqrt(eps - sin^2) of the wave inside, on the branch that decays (Im q <= 0, and Re q >= 0 where lossless).
+    """Return q = sqrt(eps - sin^2) of the inner wave, on the decaying branch (Im q <= 0; Re q >= 0 if lossless).
 
     eps - sin^2 is formed as (eps - 1) + cos^2: no cancellation at grazing.
     """
@@ -28,7 +28,7 @@ def _inner_cosine(permittivity: np.ndarray, cos_theta: np.ndarray) -> np.ndarray
 def half_space_reflection(
     permittivity: np.ndarray, cos_theta: np.ndarray, polarisation: Polarisation = "te"
 ) -> np.ndarray:
-    """Complex field reflection coefficient of a half-space, Eq. (13) (broadcast); -1 at grazing, both ways.
+    """Return the complex field reflection coefficient of a half-space, Eq. (13) (broadcast); -1 at grazing, both ways.
 
     Raises ValueError for an active medium (Im(eps) > 0) or a cosine outside 0..1.
     """
@@ -42,7 +42,7 @@ def slab_reflection(
     wavelength_m: float,
     polarisation: Polarisation = "te",
 ) -> np.ndarray:
-    """Complex field reflection of one slab in air (broadcast); an infinite thickness is a half-space.
+    """Return the complex field reflection of one slab in air (broadcast); an infinite thickness is a half-space.
 
     r (1 - p) / (1 - r^2 p) with p = exp(-2j k q d): p only ever decays, so opaque slabs need no care (p -> 0).
     Written with 1 - p and 1 - r^2, which keep their digits for the thinnest film and at grazing.
@@ -63,7 +63,7 @@ def slab_transmission(
     wavelength_m: float,
     polarisation: Polarisation = "te",
 ) -> np.ndarray:
-    """Complex field transmission through one slab in air (broadcast): (1 - r^2) e^{-jkqd} / (1 - r^2 p)."""
+    """Return the complex field transmission through one slab in air (broadcast): (1 - r^2) e^{-jkqd} / (1 - r^2 p)."""
     permittivity, cos_theta = _checked(permittivity, cos_theta)
     r, kept = _half_space(permittivity, cos_theta, polarisation)
     once = _passage(permittivity, cos_theta, thickness_m, wavelength_m)
@@ -78,7 +78,7 @@ def stack_reflection(
     wavelength_m: float,
     polarisation: Polarisation = "te",
 ) -> np.ndarray:
-    """Complex field reflection of a stack of layers in air, the first one facing the wave (shape of `cos_theta`).
+    """Return the complex field reflection of layers in air, the first one facing the wave (shape of `cos_theta`).
 
     `permittivities` [layers], `thicknesses_m` [layers]; the last thickness may be infinite (a half-space behind).
     From the back, r = (rho + r' p) / (1 + rho r' p) with p = exp(-2j k q d): exponentials only decay, so an opaque
@@ -96,13 +96,13 @@ def stack_transmission(
     wavelength_m: float,
     polarisation: Polarisation = "te",
 ) -> np.ndarray:
-    """Complex field transmission through a stack into the air behind, as `stack_reflection`; 0 into a half-space."""
+    """Return the complex field transmission through layers into air, as `stack_reflection`; 0 into a half-space."""
     layers, cos_theta = _checked_stack(permittivities, thicknesses_m, cos_theta)
     return _walk(layers, cos_theta, wavelength_m, polarisation)[1]
 
 
 def coherent_power(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Power share of the mirror left by one bounce at a rough wall, exp(-(4 pi s cos / lambda)^2).
+    """Return the power share of the mirror left by one bounce at a rough wall, exp(-(4 pi s cos / lambda)^2).
 
     The field takes its square root. Gaussian heights, Kirchhoff regime.
     """
@@ -112,7 +112,7 @@ def coherent_power(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m:
 def _walk(
     layers: list[tuple[np.ndarray, float]], cos_theta: np.ndarray, wavelength_m: float, polarisation: Polarisation
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Reflection and transmission of a stack, interface by interface from the back to the front."""
+    """Return reflection and transmission of a stack, interface by interface from the back to the front."""
     air = np.asarray(1.0 + 0.0j)
     reflected, transmitted = np.zeros(cos_theta.shape, np.complex128), np.ones(cos_theta.shape, np.complex128)
     behind = air
@@ -129,7 +129,7 @@ def _walk(
 def _add_interface(
     rho: np.ndarray, tau: np.ndarray, reflected: np.ndarray, transmitted: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What a stack becomes with one more interface in front of it; `reflected` is seen from that interface."""
+    """Return a stack with one more interface in front of it; `reflected` is seen from that interface."""
     denominator = 1.0 + rho * reflected
     # 0/0 as rho -> -1 meets a wave that comes back whole (grazing): there the interface alone is the limit
     empty = denominator == 0.0
@@ -140,12 +140,12 @@ def _add_interface(
 def _interface(
     front: np.ndarray, behind: np.ndarray, cos_theta: np.ndarray, polarisation: Polarisation
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Reflection and transmission (TE: of E; TM: of H, the sign of Eq. (13)) where two media meet."""
+    """Return reflection and transmission (TE: of E; TM: of H, the sign of Eq. (13)) where two media meet."""
     outer, inner = _inner_cosine(front, cos_theta), _inner_cosine(behind, cos_theta)
     if polarisation == "tm":
         outer, inner = behind * outer, front * inner
     total = outer + inner
-    # two media alike at grazing: nothing is there to reflect
+    # two equal media at grazing: there is no reflection
     empty = total == 0.0
     safe = np.where(empty, 1.0, total)
     return np.where(empty, 0.0, (outer - inner) / safe), np.where(empty, 1.0, 2.0 * outer / safe)
@@ -154,7 +154,7 @@ def _interface(
 def _checked_stack(
     permittivities: Sequence[complex] | np.ndarray, thicknesses_m: Sequence[float] | np.ndarray, cos_theta: np.ndarray
 ) -> tuple[list[tuple[np.ndarray, float]], np.ndarray]:
-    """Layers as (permittivity, thickness_m) and the cosines; ValueError as `stack_reflection` says."""
+    """Return layers as (permittivity, thickness_m) and the cosines; ValueError as `stack_reflection` says."""
     media, cos_theta = _checked(np.asarray(permittivities), cos_theta)
     thicknesses = np.asarray(thicknesses_m, np.float64)
     if media.ndim != 1 or media.size == 0 or media.shape != thicknesses.shape:
@@ -169,11 +169,11 @@ def _checked_stack(
 def _half_space(
     permittivity: np.ndarray, cos_theta: np.ndarray, polarisation: Polarisation
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Eq. (13) of a half-space: r, and 1 - r^2 = 4 outer q / (outer + q)^2, which does not cancel at grazing."""
+    """Return Eq. (13) of a half-space: r, and 1 - r^2 = 4 outer q / (outer + q)^2, which does not cancel at grazing."""
     q = _inner_cosine(permittivity, cos_theta)
     outer = cos_theta if polarisation == "te" else permittivity * cos_theta
     total = outer + q
-    # eps = 1 at grazing: nothing is there to reflect, 0/0 means 0
+    # eps = 1 at grazing: there is no reflection, 0/0 means 0
     empty = total == 0.0
     safe = np.where(empty, 1.0, total)
     return np.where(empty, 0.0, (outer - q) / safe), np.where(empty, 1.0, 4.0 * (outer / safe) * (q / safe))
@@ -182,7 +182,7 @@ def _half_space(
 def _passage(
     permittivity: np.ndarray, cos_theta: np.ndarray, thickness_m: np.ndarray, wavelength_m: float
 ) -> np.ndarray:
-    """exp(-j k q d), zero where the thickness is infinite."""
+    """Return exp(-j k q d), zero where the thickness is infinite."""
     exponent, endless = _exponent(permittivity, cos_theta, thickness_m, wavelength_m)
     return np.where(endless, 0.0, np.exp(exponent))
 
@@ -190,7 +190,7 @@ def _passage(
 def _round_trip_loss(
     permittivity: np.ndarray, cos_theta: np.ndarray, thickness_m: np.ndarray, wavelength_m: float
 ) -> np.ndarray:
-    """1 - exp(-2j k q d) to all digits, one where the thickness is infinite."""
+    """Return 1 - exp(-2j k q d) to all digits, one where the thickness is infinite."""
     exponent, endless = _exponent(permittivity, cos_theta, thickness_m, wavelength_m)
     return np.where(endless, 1.0, -np.expm1(2.0 * exponent))
 
@@ -198,7 +198,7 @@ def _round_trip_loss(
 def _exponent(
     permittivity: np.ndarray, cos_theta: np.ndarray, thickness_m: np.ndarray, wavelength_m: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """-j k q d, zero for infinite thicknesses, and which those are; ValueError for a negative one."""
+    """Return -j k q d, zero for infinite thicknesses, and a mask of those; ValueError for a negative one."""
     thickness_m = np.asarray(thickness_m, np.float64)
     if np.any(thickness_m < 0.0) or np.isnan(thickness_m).any():
         raise ValueError(f"thickness_m must not be negative, got {thickness_m.min()!r}")
@@ -208,7 +208,7 @@ def _exponent(
 
 
 def _checked(permittivity: np.ndarray, cos_theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs as arrays; ValueError unless passive and 0 <= cos <= 1."""
+    """Return inputs as arrays; ValueError unless passive and 0 <= cos <= 1."""
     permittivity = np.asarray(permittivity, np.complex128)
     cos_theta = np.asarray(cos_theta, np.float64)
     if np.any(permittivity.imag > 0.0):

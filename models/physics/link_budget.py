@@ -1,7 +1,7 @@
 """Detection SNR of a hidden target without a simulation: radar equation and photon budget.
 
-The figure is the one that maps show: power of the target's cell over the mean noise power of cells, linear. A target
-behind a wall's mirror is one at the mirrored place whose power passed the wall twice. Of the radars the echo lies on
+The value is the one in the maps: power of the target's cell over the mean noise power of cells, linear. A target
+behind a wall's mirror is one at the mirrored position whose power passed the wall twice. For radars the echo lies on
 its range bin and azimuth; half a bin beside it the default window costs 1.4 dB. Of the LiDAR the echo lies in the
 middle of its cell; one on the border between two cells loses 6 dB.
 """
@@ -28,7 +28,7 @@ def radar_snr(
     elevation_rad: float | np.ndarray = 0.0,
     window: str = "hann",
 ) -> np.ndarray:
-    """SNR of a point target in the coherent map of a whole scan (broadcast): `beam_snr` over the noise of its cells."""
+    """Return the SNR of a point target in the coherent map of a scan (broadcast): `beam_snr` over its cells' noise."""
     direction = azimuth_rad, elevation_rad
     return beam_snr(setup, range_m, rcs_m2, wall_power_per_bounce, *direction, window) / map_noise_gain(setup)
 
@@ -42,11 +42,11 @@ def beam_snr(
     elevation_rad: float | np.ndarray = 0.0,
     window: str = "hann",
 ) -> np.ndarray:
-    """SNR of a point target in one cell of an ideal beam that looks at it (broadcast), float64.
+    """Return the SNR of a point target in one cell of an ideal beam steered at it (broadcast), float64.
 
     P lambda^2 sigma G / ((4 pi)^3 R^4) times the wall's power squared, over the noise of a bin. `range_m` is half the
-    way there and back; `wall_power_per_bounce` as `roughness.specular_gain` gives it, 1 in direct sight. Raises
-    `ValueError` for a range that is not positive, a negative RCS, or a wall that gives more than it gets.
+    round trip; `wall_power_per_bounce` as `roughness.specular_gain` gives it, 1 in direct sight. Raises
+    `ValueError` for a range that is not positive, a negative RCS, or a wall with gain.
     Source: Eqs. (1), (4), (5).
     """
     range_m, wall = _positive("range_m", range_m), _share("wall_power_per_bounce", wall_power_per_bounce)
@@ -62,25 +62,25 @@ def beam_snr(
 def two_way_field(
     setup: RadarSetup, azimuth_rad: float | np.ndarray, elevation_rad: float | np.ndarray = 0.0
 ) -> np.ndarray:
-    """Field gain of both ways of an ideal beam steered at the target (broadcast), float64.
+    """Return the two-way field gain of an ideal beam steered at the target (broadcast), float64.
 
-    Element twice; of rows and columns their number where both ways are steered, its root where one is.
+    Element twice; of rows and columns their number if both directions are steered, its root if one is.
     """
     azimuth_rad, elevation_rad = np.broadcast_arrays(azimuth_rad, elevation_rad)
-    ways, array = setup.array.steered_ways, setup.array
-    one_way = np.sqrt(array.columns) * row_field(array, setup.radar.wavelength_m, elevation_rad)
-    return np.asarray(element_field(setup.element, azimuth_rad, elevation_rad) ** 2 * one_way**ways)
+    directions, array = setup.array.steered_ways, setup.array
+    gain = np.sqrt(array.columns) * row_field(array, setup.radar.wavelength_m, elevation_rad)
+    return np.asarray(element_field(setup.element, azimuth_rad, elevation_rad) ** 2 * gain**directions)
 
 
 def map_noise_gain(setup: RadarSetup, grid: RangeAzimuthGrid | None = None) -> float:
-    """Mean noise power of a coherent map's cells relative to a beam's: 0.58 of the default radar, 1 of 57 columns.
+    """Return the mean noise power of a coherent map's cells over a beam's: 0.58 of the default radar, 1 of 57 columns.
 
-    Least squares from all beams to ideal beams at the azimuths of `grid` (None: its default). Holds where the beams are
+    Least squares from all beams to ideal beams at the azimuths of `grid` (None: its default). Holds if the beams are
     at least as many as the co-array's coefficients.
     """
     azimuth_rad = (grid or RangeAzimuthGrid()).azimuth_rad
     ideal = np.conj(column_response(setup.array, setup.radar.wavelength_m, azimuth_rad, np.zeros(1)))
-    forward = _both_ways(setup, ideal) @ np.linalg.pinv(_both_ways(setup, setup_weights(setup)))
+    forward = _two_way_weights(setup, ideal) @ np.linalg.pinv(_two_way_weights(setup, setup_weights(setup)))
     return float(np.sum(np.abs(forward) ** 2) / len(azimuth_rad))
 
 
@@ -93,11 +93,11 @@ def spad_snr(
     earlier_photons: float | np.ndarray = 0.0,
     earlier_range_m: float | np.ndarray | None = None,
 ) -> np.ndarray:
-    """SNR of a matt target that fills the beam, seen in a wall's mirror (broadcast), float64.
+    """Return the SNR of a matt target that fills the beam, seen in a wall's mirror (broadcast), float64.
 
-    `optics.direct_photons` of the mirrored place times the wall's power squared (`optics.optical_reflectance`, 1 in
+    `optics.direct_photons` of the mirrored position times the wall's power squared (`optics.optical_reflectance`, 1 in
     direct sight); the rest as `photon_snr`. Of light scattered by the wall itself take `photon_snr` of
-    `optics.confocal_photons`, at the wall's range plus the leg. Raises `ValueError` as these do.
+    `optics.confocal_photons`, at the wall's range plus the segment. Raises `ValueError` as these do.
     """
     wall = _share("wall_power_per_bounce", wall_power_per_bounce)
     photons = direct_photons(spad, range_m, albedo, cos_incidence) * np.square(wall)
@@ -112,19 +112,19 @@ def photon_snr(
     earlier_range_m: float | np.ndarray | None = None,
     cell_m: float | None = None,
 ) -> np.ndarray:
-    """SNR of an echo of so many mean `photons` a pulse (broadcast): excess over ambient light squared, over variance.
+    """Return the SNR of an echo of mean `photons` a pulse (broadcast): squared excess over ambient light, by variance.
 
     Only first photons count. W pulses still wait for one when the cell opens, e^-h of them past the half of it, in
     which h ambient photons a pulse fall; there the echo takes 1 - e^-s, and e^-s are left for the ambient light after
     it. So excess W e^-h (1 - e^-s), variance W (1 - e^-h) (1 + e^-(h+s)), or of one count where that is less.
-    `earlier_photons` (the wall's own return) leave e^-earlier of W where they come from before the target in its gate,
+    `earlier_photons` (the wall's own return) leave e^-earlier of W if they arrive before the target in its gate,
     from `earlier_range_m` (None: they do). 0 beyond the period. `cell_m` None: that of the default map.
 
     Left out: a gate's border inside the cell, and the width of the pulse, in which first photons of a strong echo come
     early and leave less variance (0.4 dB at 3 photons). Raises `ValueError` for a negative number, and for a range or
     cell that is not positive. Source: Eqs. (11), (12).
     """
-    # here: of radars nobody asks this
+    # imported here: radars do not need it
     from scipy.special import erf
 
     range_m = _positive("range_m", range_m)
@@ -144,7 +144,7 @@ def photon_snr(
 
 
 def radar_threshold(false_alarm: float | np.ndarray) -> np.ndarray:
-    """SNR that noise alone exceeds in a cell with this probability: -ln P_fa (exponential power).
+    """Return the SNR that noise alone exceeds in a cell with this probability: -ln P_fa (exponential power).
 
     Raises `ValueError` outside (0, 1).
     """
@@ -152,15 +152,15 @@ def radar_threshold(false_alarm: float | np.ndarray) -> np.ndarray:
 
 
 def spad_threshold(false_alarm: float | np.ndarray) -> np.ndarray:
-    """The same of an excess in standard deviations, upwards alone: the normal quantile squared, 0 from P_fa 1/2 on."""
-    # here: of radars nobody asks this
+    """Return the threshold of an excess in standard deviations, one-sided: squared normal quantile, 0 from 1/2 on."""
+    # imported here: radars do not need it
     from scipy.special import ndtri
 
     return np.square(np.minimum(ndtri(_probability(false_alarm)), 0.0))
 
 
 def half_range(range_m: np.ndarray, value: np.ndarray) -> float:
-    """Range at which a curve [N] over ranges [N] last falls below half of its best, interpolated linearly.
+    """Return the range at which a curve [N] over ranges [N] last falls below half of its best, interpolated linearly.
 
     Infinite where the curve ends at or above half; 0 where its best is 0. Raises `ValueError` unless ranges rise,
     shapes agree, and values are finite and not negative.
@@ -179,14 +179,14 @@ def half_range(range_m: np.ndarray, value: np.ndarray) -> float:
     return float(np.interp(-half, -value[last : last + 2], range_m[last : last + 2]))
 
 
-def _both_ways(setup: RadarSetup, weights: np.ndarray) -> np.ndarray:
-    """Weights on the co-array's coefficients, power normalised, of column weights [beams, columns]."""
+def _two_way_weights(setup: RadarSetup, weights: np.ndarray) -> np.ndarray:
+    """Return two-way weights on the co-array's coefficients, power normalised, of column weights [beams, columns]."""
     combined = coarray_weights(weights) if setup.array.steered_ways == 2 else weights
     return combined / np.sqrt(setup.array.columns) ** setup.array.steered_ways
 
 
 def _cell_s(cell_m: float | None) -> float:
-    """Round-trip duration of a cell of the map."""
+    """Return the round-trip duration of a cell of the map."""
     if cell_m is None:
         cell_m = RangeAzimuthGrid().range_bin_m
     require_positive("cell_m", cell_m)
@@ -194,12 +194,12 @@ def _cell_s(cell_m: float | None) -> float:
 
 
 def _gate(spad: SpadParams, range_m: float | np.ndarray) -> np.ndarray:
-    """Number of the gate in which an echo from a range comes back, from 0; of `spad.gates` on: none."""
+    """Return the number of the gate in which an echo from a range arrives, from 0; `spad.gates` or more: none."""
     return np.floor(2.0 * range_m / SPEED_OF_LIGHT_MPS / spad.period_s * spad.gates)
 
 
 def _waiting_pulses(spad: SpadParams, range_m: float | np.ndarray, cell_s: float) -> np.ndarray:
-    """Mean pulses of a measurement whose first photon is still to come when the cell around a range opens.
+    """Return the mean pulses of a measurement whose first photon is still to come when the cell around a range opens.
 
     Gated: those of the gate, times exp(-rate t) since it opened. Free: the detector may still be dead from the period
     before; ambient light alone is a stationary renewal process, of which exp(-rate (t - dead)) / (1 + rate dead) wait.

@@ -1,8 +1,8 @@
 """Materials of walls and grounds: complex permittivity by ITU-R P.2040, Table 3, and walls built of several layers.
 
-eps = a f^b - j sigma / (2 pi f eps0), sigma = c f^d, f in GHz. Each row says where it was measured; beyond that it is
-refused unless extrapolation is asked for, and `extrapolation_note` then says so. A name stands for a material (one
-layer of any thickness), a construction (layers of its own) or a volume (foliage: it weakens waves and mirrors none).
+eps = a f^b - j sigma / (2 pi f eps0), sigma = c f^d, f in GHz. Each row gives its measured band; frequencies beyond it
+are refused unless extrapolation is asked for, and `extrapolation_note` then says so. A name denotes a material (one
+layer of any thickness), a construction (layers of its own) or a volume (foliage: it attenuates waves without a mirror).
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ class MaterialRow:
     b: float
     c: float
     d: float
-    least_ghz: float
-    most_ghz: float
+    min_ghz: float
+    max_ghz: float
     source: str = "ITU-R P.2040"
 
 
@@ -81,10 +81,10 @@ CONSTRUCTIONS: dict[str, tuple[Layer, ...]] = {
     "sound_barrier": (Layer("concrete", 120e-3),),
 }
 
-#: What fills space and mirrors nothing; `models.physics.attenuation.vegetation_db` says what it takes.
+#: Volumes without a mirror; `models.physics.attenuation.vegetation_db` gives their attenuation.
 VOLUMES = ("vegetation",)
 
-#: Usual rms height [mm], from least to most: textbook-level working values, not measured here and not to be quoted.
+#: Usual rms height [mm], minimum and maximum: textbook-level working values, not measured here and not to be quoted.
 TYPICAL_ROUGHNESS_MM: dict[str, tuple[float, float]] = {
     "glass": (0.01, 0.05),
     "metal": (0.01, 0.05),
@@ -118,7 +118,7 @@ _WALL_ALIASES: dict[str, str] = {
 
 
 def material_name(name: str) -> str:
-    """The table's name of a material or alias ("Very dry ground", "steel"); ValueError lists the known ones."""
+    """Return the table's name of a material or alias ("Very dry ground", "steel"); ValueError lists the valid ones."""
     key = _key(name)
     key = ALIASES.get(key, key)
     if key not in TABLE:
@@ -127,7 +127,7 @@ def material_name(name: str) -> str:
 
 
 def wall_name(name: str) -> str:
-    """The name of a construction, volume or material; ValueError lists the known ones.
+    """Return the name of a construction, volume or material; ValueError lists the valid ones.
 
     Constructions come first: "window" is a pane here, while to `material_name` it is another word for glass.
     """
@@ -141,19 +141,19 @@ def wall_name(name: str) -> str:
 
 
 def wall_names() -> tuple[str, ...]:
-    """All materials, constructions and volumes."""
+    """Return all materials, constructions and volumes."""
     return (*TABLE, *CONSTRUCTIONS, *VOLUMES)
 
 
 def is_volume(material: str) -> bool:
-    """Whether a name stands for a volume, which has no layers and mirrors nothing; ValueError if it is unknown."""
+    """Return whether a name denotes a volume, which has no layers and no mirror; ValueError if it is unknown."""
     return wall_name(material) in VOLUMES
 
 
 def wall_layers(
     material: str, thickness_m: float | None, frequency_hz: float, extrapolate: bool = False
 ) -> tuple[tuple[complex, float], ...]:
-    """Layers (permittivity, thickness_m) of a wall, the one that faces the radar first, for `fresnel.stack_reflection`.
+    """Return the layers (permittivity, thickness_m) of a wall, facing one first, for `fresnel.stack_reflection`.
 
     A material is one layer, endless (inf) where `thickness_m` is None. ValueError for an unknown name, a volume, a
     thickness that is not positive, one given to a construction (which has its own), and as `permittivity`.
@@ -175,33 +175,35 @@ def wall_layers(
 
 
 def validity_ghz(material: str) -> tuple[tuple[float, float], ...]:
-    """Ranges [GHz] in which a wall's materials are all known (ends included); of a volume, its law's range."""
+    """Return the ranges [GHz] in which all materials of a wall are valid (ends included); a volume has its law's."""
     name = wall_name(material)
     if name in VOLUMES:
         return ((0.23, 95.0),)
     parts = [layer.material for layer in CONSTRUCTIONS[name]] if name in CONSTRUCTIONS else [name]
     common = [(0.0, math.inf)]
     for part in parts:
-        common = [(max(least, row.least_ghz), min(most, row.most_ghz)) for least, most in common for row in TABLE[part]]
-    return tuple((least, most) for least, most in common if least <= most)
+        common = [
+            (max(minimum, row.min_ghz), min(maximum, row.max_ghz)) for minimum, maximum in common for row in TABLE[part]
+        ]
+    return tuple((minimum, maximum) for minimum, maximum in common if minimum <= maximum)
 
 
 def extrapolation_note(material: str, frequency_hz: float) -> str:
-    """ "extrapolated beyond 1..40 GHz" where a frequency lies outside what is known of a wall; empty inside."""
-    known = validity_ghz(material)
-    if any(least <= frequency_hz / 1e9 <= most for least, most in known):
+    """Return "extrapolated beyond 1..40 GHz" if a frequency lies outside a wall's validity range; empty inside."""
+    ranges = validity_ghz(material)
+    if any(minimum <= frequency_hz / 1e9 <= maximum for minimum, maximum in ranges):
         return ""
-    return "extrapolated beyond " + " and ".join(f"{least:g}..{most:g}" for least, most in known) + " GHz"
+    return "extrapolated beyond " + " and ".join(f"{minimum:g}..{maximum:g}" for minimum, maximum in ranges) + " GHz"
 
 
 def typical_roughness_mm(material: str) -> tuple[float, float] | None:
-    """Usual rms height [mm] of a wall's face, least and most; None where no value is at hand."""
+    """Return the usual rms height [mm] of a wall's face, minimum and maximum; None if no value is available."""
     name = wall_name(material)
     return TYPICAL_ROUGHNESS_MM.get(CONSTRUCTIONS[name][0].material if name in CONSTRUCTIONS else name)
 
 
 def permittivity(name: str, frequency_hz: float, extrapolate: bool = False) -> complex:
-    """Complex relative permittivity, Im <= 0.
+    """Return complex relative permittivity, Im <= 0.
 
     Both ends of a validity range belong to it. Outside, ValueError, or the nearest row if `extrapolate`.
     """
@@ -211,7 +213,7 @@ def permittivity(name: str, frequency_hz: float, extrapolate: bool = False) -> c
     frequency_ghz = frequency_hz / 1e9
     row = min(TABLE[key], key=lambda row: _outside(row, frequency_ghz))
     if _outside(row, frequency_ghz) > 0.0 and not extrapolate:
-        ranges = " and ".join(f"{row.least_ghz:g}..{row.most_ghz:g}" for row in TABLE[key])
+        ranges = " and ".join(f"{row.min_ghz:g}..{row.max_ghz:g}" for row in TABLE[key])
         raise ValueError(f"material {key} is known for {ranges} GHz, got {frequency_ghz:g} GHz")
     conductivity = row.c * frequency_ghz**row.d
     loss = conductivity / (2.0 * math.pi * frequency_hz * VACUUM_PERMITTIVITY_F_PER_M)
@@ -223,5 +225,5 @@ def _key(name: str) -> str:
 
 
 def _outside(row: MaterialRow, frequency_ghz: float) -> float:
-    """How far, as a ratio's logarithm, a frequency lies outside a row's range; zero inside."""
-    return max(math.log(row.least_ghz / frequency_ghz), math.log(frequency_ghz / row.most_ghz), 0.0)
+    """Return the logarithmic distance of a frequency outside a row's range; zero inside."""
+    return max(math.log(row.min_ghz / frequency_ghz), math.log(frequency_ghz / row.max_ghz), 0.0)

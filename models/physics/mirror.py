@@ -1,7 +1,7 @@
-"""Plane mirrors seen from above: reflection, wall lines, and which rays cross which wall segments.
+"""Plane mirrors seen from above: reflection, wall lines, and crossings of rays with wall segments.
 
 Walls stand upright, so all geometry happens in the plane [m] and heights stay as they are. The same functions serve
-the simulator (true place -> image) and recovery (image -> true place): a reflection is its own inverse.
+the simulator (true position -> image) and recovery (image -> true position): a reflection is its own inverse.
 """
 
 from __future__ import annotations
@@ -11,9 +11,9 @@ import math
 import numpy as np
 from numba import njit
 
-#: Walls shorter than this have no direction worth speaking of.
+#: Walls shorter than this have no well-defined direction.
 SHORTEST_WALL_M = 1e-6
-#: What rays leave off at their ends, and walls reach further at theirs, when they are asked for crossings.
+#: Length by which rays are shortened and walls extended at each end for crossing tests.
 CLEARANCE_M = 1e-6
 
 
@@ -33,13 +33,13 @@ def reflect(points: np.ndarray, normal: np.ndarray, offset_m: float | np.ndarray
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def mirrored(x, y, nx, ny, offset_m):  # type: ignore[no-untyped-def]
-    """`reflect` of one point of the plane, for callers that are compiled themselves."""
+    """Return `reflect` of one point of the plane, for callers that are compiled themselves."""
     distance = (x * nx + y * ny + offset_m) / (nx * nx + ny * ny)
     return x - 2.0 * distance * nx, y - 2.0 * distance * ny
 
 
 def wall_from_ends(a: np.ndarray, b: np.ndarray, towards: np.ndarray) -> tuple[np.ndarray, float]:
-    """Unit normal [2] and offset [m] of the line through `a` and `b`, the normal pointing to the side of `towards`.
+    """Return unit normal [2] and offset [m] of the line through `a` and `b`, the normal on the side of `towards`.
 
     Raises ValueError where the ends coincide. A point `towards` on the line itself leaves the left-hand normal.
     """
@@ -58,7 +58,7 @@ def wall_from_ends(a: np.ndarray, b: np.ndarray, towards: np.ndarray) -> tuple[n
 def crossing_parameters(
     origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Where the lines origin -> target meet the lines a -> b: (along the ray, along the wall), each [N, M].
+    """Return where the lines origin -> target meet the lines a -> b: (along the ray, along the wall), each [N, M].
 
     Both run from 0 at the start to 1 at the end. Parallel pairs, and targets at the origin, are NaN: they meet
     nowhere or everywhere. `origin` [2] or [N, 2], `targets` [N, 2], `a` and `b` [M, 2], all in metres.
@@ -78,24 +78,24 @@ def _crossings(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.nda
 def _plain(
     origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rays and walls as arrays of one layout, whatever came: the layout that the kernels are compiled for."""
+    """Return rays and walls as arrays of one layout, for which the kernels are compiled."""
     start = np.broadcast_to(np.asarray(origin, np.float64), np.shape(targets))
-    copies = (np.array(one, np.float64, order="C") for one in (start, targets, a, b))
+    copies = (np.array(array, np.float64, order="C") for array in (start, targets, a, b))
     return tuple(copies)  # type: ignore[return-value]
 
 
 @njit(cache=True, nogil=True)
 def _ray_and_wall(origin, targets, a, b, n, m):  # type: ignore[no-untyped-def]
-    """Coordinates of one ray and one wall."""
+    """Return the coordinates of one ray and one wall."""
     return origin[n, 0], origin[n, 1], targets[n, 0], targets[n, 1], a[m, 0], a[m, 1], b[m, 0], b[m, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _shares(ox, oy, tx, ty, ax, ay, bx, by):  # type: ignore[no-untyped-def]
-    """`crossing_parameters` of one ray o -> t and one wall a -> b."""
+    """Return `crossing_parameters` of one ray o -> t and one wall a -> b."""
     rx, ry, wx, wy = tx - ox, ty - oy, bx - ax, by - ay
     turn = rx * wy - ry * wx
-    # sine of the angle between them, so that the test knows neither's length
+    # sine of the angle between them, so that the test is independent of both lengths
     if abs(turn) <= 1e-12 * (math.hypot(rx, ry) * math.hypot(wx, wy)):
         return math.nan, math.nan
     return ((ax - ox) * wy - (ay - oy) * wx) / turn, ((ax - ox) * ry - (ay - oy) * rx) / turn
@@ -104,11 +104,11 @@ def _shares(ox, oy, tx, ty, ax, ay, bx, by):  # type: ignore[no-untyped-def]
 def crosses(
     origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray, clearance_m: float = CLEARANCE_M
 ) -> np.ndarray:
-    """Which rays origin -> target are cut by which wall segments a -> b; bool [N, M].
+    """Return which rays origin -> target are blocked by which wall segments a -> b; bool [N, M].
 
     Walls include their ends (two walls that share a corner leave no gap, for `clearance_m` is added to each end);
-    rays leave `clearance_m` off at each end, so a point that lies on a wall is not hidden by it. A ray along a wall
-    is not cut: it sees the wall's edge, of no width.
+    rays are shortened by `clearance_m` at each end, so a point that lies on a wall is not hidden by it. A ray along a
+    wall is not blocked: it sees the wall's edge, of no width.
     """
     return _all_cuts(*_plain(origin, targets, a, b), clearance_m)
 
@@ -124,7 +124,7 @@ def _all_cuts(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndar
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def cut(ox, oy, tx, ty, ax, ay, bx, by, clearance_m):  # type: ignore[no-untyped-def]
-    """`crosses` of one ray o -> t and one wall a -> b, for callers that are compiled themselves."""
+    """Return `crosses` of one ray o -> t and one wall a -> b, for callers that are compiled themselves."""
     rx, ry, wx, wy = tx - ox, ty - oy, bx - ax, by - ay
     turn = rx * wy - ry * wx
     across = (ax - ox) * wy - (ay - oy) * wx
@@ -134,22 +134,22 @@ def cut(ox, oy, tx, ty, ax, ay, bx, by, clearance_m):  # type: ignore[no-untyped
     along_ray, along_wall = _shares(ox, oy, tx, ty, ax, ay, bx, by)
     ray_share = clearance_m / max(math.hypot(rx, ry), clearance_m)
     wall_share = clearance_m / max(math.hypot(wx, wy), clearance_m)
-    # comparisons with NaN (parallel) are false: not cut
+    # comparisons with NaN (parallel) are false: not blocked
     return ray_share < along_ray < 1.0 - ray_share and -wall_share <= along_wall <= 1.0 + wall_share
 
 
 def blocked(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Which targets do not see the origin (or each its own, [N, 2]) because some wall a -> b is between; bool [N]."""
+    """Return whether each target is hidden from the origin (or its own, [N, 2]) by any wall a -> b; bool [N]."""
     if len(a) == 0:
         return np.zeros(len(targets), bool)
     return np.asarray(crosses(origin, targets, a, b).any(axis=1))
 
 
 def specular_points(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Where one wall a -> b mirrors targets towards the origin; [N, 2] in metres, NaN where it does not.
+    """Return the points where one wall a -> b mirrors targets towards the origin; [N, 2] in metres, NaN where none.
 
     The law of reflection by the image method: the specular point is where the line from the origin to the target's
-    image cuts the wall. Origin and target must stand on the same side, and the point must lie within the ends.
+    image crosses the wall. Origin and target must lie on the same side, and the point must lie within the ends.
     """
     targets = np.asarray(targets, np.float64)
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
@@ -159,5 +159,5 @@ def specular_points(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: n
     image = reflect(targets, normal, offset_m)
     _, along_wall = crossing_parameters(origin, image, a[None], b[None])
     share = along_wall[:, 0]
-    seen = (height > 0.0) & (origin_height > 0.0) & (share >= 0.0) & (share <= 1.0)
-    return np.where(seen[:, None], a + share[:, None] * (b - a), np.nan)
+    visible = (height > 0.0) & (origin_height > 0.0) & (share >= 0.0) & (share <= 1.0)
+    return np.where(visible[:, None], a + share[:, None] * (b - a), np.nan)

@@ -1,4 +1,4 @@
-"""Distances in the plane, without compiled code: whatever shows figures loads this in no time."""
+"""Distances in the plane, without compiled code, so that display code imports this quickly."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What roughness does to the mirror: criteria of smoothness, two laws of the coherent share, the diffuse rest.
+"""Effect of roughness on the mirror: criteria of smoothness, two laws of the coherent share, the diffuse rest.
 
 g = 4 pi s cos(theta) / lambda is the rms phase that heights of rms s put on a reflected wave. At grazing g -> 0 and
-every wall is smooth. Heights are zero-mean; shadowing and multiple scattering are left out, so both laws ask for slopes
-that are gentle and a correlation length of a wavelength or more (Kirchhoff regime).
+every wall is smooth. Heights are zero-mean; shadowing and multiple scattering are neglected, so both laws require
+gentle slopes and a correlation length of a wavelength or more (Kirchhoff regime).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = [
 
 
 def phase_deviation_rad(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """The rms phase g = 4 pi s cos / lambda (broadcast); pi/2 at the Rayleigh criterion.
+    """Return the rms phase g = 4 pi s cos / lambda (broadcast); pi/2 at the Rayleigh criterion.
 
     Raises ValueError for a negative roughness or a cosine outside 0..1.
     """
@@ -36,24 +36,24 @@ def phase_deviation_rad(roughness_m: np.ndarray, cos_theta: np.ndarray, waveleng
 
 
 def coherent_power_miller_brown(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Power share of the mirror for wave-like heights, (exp(-g^2/2) I0(g^2/2))^2 (broadcast).
+    """Return the power share of the mirror for wave-like heights, (exp(-g^2/2) I0(g^2/2))^2 (broadcast).
 
     The law of Miller, Brown and Vegh, found on the sea, where sinusoids of random amplitude make the heights. It equals
     `coherent_power` to first order in g^2 and falls as 1 / (pi g^2) instead of exp(-g^2), so it is the larger one
     everywhere. Where `coherent_power` is below about -10 dB (g > 1.5), the tails of the heights decide and textbooks
-    prefer this one; no measurement of walls was found that settles it, so take the two as a span there.
+    prefer this one; no measurement of walls was found that decides, so take the two as a span there.
     exp and I0 are taken as one scaled function: I0 alone overflows at g^2/2 > 713.
     """
-    # here: the mirror's own law, which all use, needs no Bessel function
+    # imported here: the usual mirror law needs no Bessel function
     from scipy.special import i0e
 
     return np.square(i0e(0.5 * np.square(phase_deviation_rad(roughness_m, cos_theta, wavelength_m))))
 
 
 def diffuse_share(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Share 1 - exp(-g^2) of the reflected power that leaves the mirror direction (broadcast).
+    """Return the share 1 - exp(-g^2) of the reflected power that leaves the mirror direction (broadcast).
 
-    Exact for vanishing roughness too. What is reflected at all is taken to be that of the smooth wall.
+    Exact for vanishing roughness too. The total reflected power is taken to be that of the smooth wall.
     """
     return -np.expm1(-np.square(phase_deviation_rad(roughness_m, cos_theta, wavelength_m)))
 
@@ -61,17 +61,17 @@ def diffuse_share(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: 
 def specular_gain(
     reflection: np.ndarray, roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float
 ) -> np.ndarray:
-    """alpha of Eq. (2): the power ratio |r|^2 exp(-g^2) of one bounce in the mirror direction (broadcast)."""
+    """Return alpha of Eq. (2): the power ratio |r|^2 exp(-g^2) of one bounce in the mirror direction (broadcast)."""
     return np.square(np.abs(reflection)) * coherent_power(roughness_m, cos_theta, wavelength_m)
 
 
 def rayleigh_criterion_m(cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Roughness lambda / (8 cos) below which a wall begins to act as a mirror; infinite at grazing."""
+    """Return the roughness lambda / (8 cos) below which a wall begins to act as a mirror; infinite at grazing."""
     return _criterion_m(cos_theta, wavelength_m, 8.0)
 
 
 def fraunhofer_criterion_m(cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Roughness lambda / (32 cos) below which a wall is smooth (it costs under 0.7 dB); infinite at grazing."""
+    """Return the roughness lambda / (32 cos) below which a wall is smooth (loss under 0.7 dB); infinite at grazing."""
     return _criterion_m(cos_theta, wavelength_m, 32.0)
 
 

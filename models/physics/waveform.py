@@ -1,6 +1,6 @@
 """FMCW beats: from a round-trip length to frequency, phase and range profile, exact at every range.
 
-Phases are reduced to a fraction of a turn in float64 before anything is cast: f_c tau alone is thousands of turns.
+Phases are reduced to a fraction of a turn in float64 before any cast: f_c tau alone is thousands of turns.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ WINDOW_TAPS: dict[str, tuple[float, ...]] = {"none": (1.0,), "hann": (-0.5, 1.0,
 
 
 def window_noise_gain(window: str) -> float:
-    """Noise power per bin after a window of unit coherent gain, relative to none (Hann: 1.5)."""
+    """Return the noise power per bin after a window of unit coherent gain, relative to none (Hann: 1.5)."""
     return float(np.sum(np.square(WINDOW_TAPS[window])))
 
 
 def beat_frequency_hz(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Beat frequency S L / c of paths with round-trip lengths in metres."""
+    """Return the beat frequency S L / c of paths with round-trip lengths in metres."""
     return radar.chirp_slope_hz_per_s * np.asarray(length_m, np.float64) / SPEED_OF_LIGHT_MPS
 
 
 def beat_phase_rad(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Phase of the recorded beat at the start of the chirp, 2 pi f_c tau - pi S tau^2, in [0, 2 pi)."""
+    """Return the phase of the recorded beat at the start of the chirp, 2 pi f_c tau - pi S tau^2, in [0, 2 pi)."""
     delay_s = np.asarray(length_m, np.float64) / SPEED_OF_LIGHT_MPS
     # f_c tau as L / lambda: one rounding less than through the delay
     turns = np.asarray(length_m, np.float64) / radar.wavelength_m - 0.5 * radar.chirp_slope_hz_per_s * delay_s**2
@@ -34,7 +34,7 @@ def beat_phase_rad(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
 
 
 def beat_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Recorded beats of unit weight over one chirp, complex128 [paths, samples] (conjugate of Eq. (7))."""
+    """Return recorded beats of unit weight over one chirp, complex128 [paths, samples] (conjugate of Eq. (7))."""
     turns_per_sample = beat_frequency_hz(radar, length_m) / radar.sample_rate_hz
     turns = np.multiply.outer(turns_per_sample, np.arange(radar.samples_per_chirp)) % 1.0
     return np.exp(1j * (2.0 * np.pi * turns + beat_phase_rad(radar, length_m)[..., None]))
@@ -43,7 +43,7 @@ def beat_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
 def range_profile(
     radar: RadarParams, length_m: np.ndarray, range_bins: int, window: str = "hann", first_bin: int = 0
 ) -> np.ndarray:
-    """FFT of `beat_samples` over bins from `first_bin`, divided by its length, closed form; complex128 [paths, bins].
+    """Return the FFT of `beat_samples` over its length at bins from `first_bin`, closed form; complex128 [paths, bins].
 
     `tone_profile` at the beat's frequency, turned by the beat's phase.
     """
@@ -55,7 +55,7 @@ def range_profile(
 def tone_profile(
     samples: int, tone_bin: np.ndarray, range_bins: int, window: str = "hann", first_bin: int = 0
 ) -> np.ndarray:
-    """Windowed FFT of exp(2 pi j q n / N) over N samples, divided by N, in closed form; complex128 [tones, bins].
+    """Return the windowed FFT of exp(2 pi j q n / N) over N samples over N, in closed form; complex128 [tones, bins].
 
     The sum of a geometric series: bin i of a tone at fractional bin q is
     exp(j pi (N-1)/N (q-i)) sin(pi (q-i)) / (N sin(pi (q-i)/N)); the window is applied as taps on neighbouring bins.
@@ -68,7 +68,7 @@ def tone_profile(
 
 
 def _periodic_sinc(offset_bins: np.ndarray, count: int) -> np.ndarray:
-    """sin(pi x) / (count sin(pi x / count)), finite and exact at multiples of `count`."""
+    """Return sin(pi x) / (count sin(pi x / count)), finite and exact at multiples of `count`."""
     wrapped = offset_bins - count * np.round(offset_bins / count)
     # sin(pi x / N) of the wrapped offset only vanishes at x = 0
     sign = np.where(((count - 1) * np.round(offset_bins / count)) % 2 == 0, 1.0, -1.0)

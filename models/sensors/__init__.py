@@ -1,1 +1,1 @@
-"""Formats of radar boards that can be bought."""
+"""Formats of commercially available radar boards."""

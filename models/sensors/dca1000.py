@@ -1,11 +1,11 @@
 """Raw captures of the DCA1000 board: chirp configuration, layout of the file, and samples for the digital array.
 
-A file is int16 without header, frame after frame, chirp after chirp. Two lanes (xWR16xx, xWR18xx): a receiver after the
-other, its samples in pairs I0 I1 Q0 Q1. Four lanes (xWR14xx): a sample after the other, I of the four receivers, then
-their Q. Where `adcbufCfg` says `sample_swap` 1, Q stands before I. Source: TI SWRA581B, sections 5 and 6.
+A file is int16 without header, frame after frame, chirp after chirp. Two lanes (xWR16xx, xWR18xx): one receiver after
+the other, its samples in pairs I0 I1 Q0 Q1. Four lanes (xWR14xx): one sample after the other, I of the four receivers,
+then their Q. With `sample_swap` 1 in `adcbufCfg`, Q precedes I. Source: TI SWRA581B, sections 5 and 6.
 
-The configuration is that of TI's command line (`.cfg`) or a JSON object with the same commands as keys. What it does
-not hold is assumed: receivers half a wavelength of the sweep's middle apart, and transmitters as `Device` has them.
+The configuration is that of TI's command line (`.cfg`) or a JSON object with the same commands as keys. Its gaps are
+filled by assumptions: receivers half a wavelength of the sweep's middle apart, and transmitters as in `Device`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _MAX_COUNT = 65535
 
 
 class Device(NamedTuple):
-    """LVDS lanes of a device, and where its transmitters stand in half wavelengths; None: higher than the others."""
+    """LVDS lanes of a device, and positions of its transmitters in half wavelengths; None: higher than the others."""
 
     lanes: int
     transmitter_place: tuple[int | None, ...]
@@ -50,9 +50,9 @@ def _require_between(name: str, value: float, low: float, high: float) -> None:
         raise ValueError(f"{name} must be {low:g}..{high:g}, got {value!r}")
 
 
-def _require_value(name: str, value: float, wanted: int, rule: str) -> None:
-    if value != wanted:
-        raise ValueError(f"{name} must be {wanted} ({rule}), got {value!r}")
+def _require_value(name: str, value: float, expected: int, rule: str) -> None:
+    if value != expected:
+        raise ValueError(f"{name} must be {expected} ({rule}), got {value!r}")
 
 
 class ChannelCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -69,7 +69,7 @@ class ChannelCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class AdcCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Word length and kind of the samples."""
+    """Word length and format of the samples."""
 
     adc_bits: int
     #: 1: complex, 2: complex with the image band.
@@ -97,7 +97,7 @@ class AdcbufCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class LvdsStreamCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the lanes carry."""
+    """Content of the lanes."""
 
     subframe: int = -1
     header: int = 0
@@ -142,7 +142,7 @@ class ProfileCfg(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def chirp_interval_s(self) -> float:
-        """From one chirp to the next."""
+        """Time from one chirp to the next."""
         return 1e-6 * (self.idle_time_us + self.ramp_end_time_us)
 
     @property
@@ -208,7 +208,7 @@ class Dca1000Config(
         "frame": "frameCfg",
     },
 ):
-    """Device and chirps of a capture; `ValueError` names the field where its parts do not fit each other."""
+    """Device and chirps of a capture; raises `ValueError` naming the field if its parts do not fit each other."""
 
     device: DeviceName
     channel: ChannelCfg
@@ -246,9 +246,9 @@ class Dca1000Config(
 
     @property
     def used_chirps(self) -> tuple[int, ...]:
-        """Chirps of a loop whose transmitter stands in the horizontal row; the others tell heights, not azimuths."""
-        place = DEVICES[self.device].transmitter_place
-        return tuple(at for at, transmitter in enumerate(self.transmitters) if place[transmitter] is not None)
+        """Chirps of a loop whose transmitter is in the horizontal row; the others measure heights, not azimuths."""
+        positions = DEVICES[self.device].transmitter_place
+        return tuple(at for at, transmitter in enumerate(self.transmitters) if positions[transmitter] is not None)
 
     @property
     def frame_shape(self) -> tuple[int, int, int, int]:
@@ -262,10 +262,10 @@ class Dca1000Config(
         return loops * chirps * receivers * samples * _BYTES_PER_SAMPLE
 
     def _chirp_at(self, index: int) -> ChirpCfg:
-        found = [one for one in self.chirps if one.start_index <= index <= one.end_index]
-        if len(found) != 1:
-            raise ValueError(f"chirpCfg must name chirp {index} of frameCfg once, got {len(found)} times")
-        return found[0]
+        matches = [chirp for chirp in self.chirps if chirp.start_index <= index <= chirp.end_index]
+        if len(matches) != 1:
+            raise ValueError(f"chirpCfg must name chirp {index} of frameCfg once, got {len(matches)} times")
+        return matches[0]
 
     def _require_lanes(self) -> None:
         if self.lanes == 4 and self.channel.rx_mask != 15:
@@ -274,9 +274,9 @@ class Dca1000Config(
         if self.lanes == 2 and self.profile.adc_samples % 2:
             raise ValueError(f"profileCfg.adc_samples must be even with two lanes ({self.device}), "
                              f"got {self.profile.adc_samples}")  # fmt: skip
-        wanted = 0 if self.lanes == 4 else 1
-        if self.adcbuf is not None and self.adcbuf.channel_interleave != wanted:
-            raise ValueError(f"adcbufCfg.channel_interleave must be {wanted} on {self.device}, "
+        expected = 0 if self.lanes == 4 else 1
+        if self.adcbuf is not None and self.adcbuf.channel_interleave != expected:
+            raise ValueError(f"adcbufCfg.channel_interleave must be {expected} on {self.device}, "
                              f"got {self.adcbuf.channel_interleave}")  # fmt: skip
 
     def _require_chirps(self) -> None:
@@ -301,7 +301,7 @@ _COMMANDS: dict[str, type[msgspec.Struct]] = {
     "chirpCfg": ChirpCfg,
     "frameCfg": FrameCfg,
 }
-#: Commands that leave the raw samples as they are: detection, output, monitoring on the device.
+#: Commands that do not change the raw samples: detection, output, monitoring on the device.
 _WITHOUT_EFFECT = frozenset(
     {
         "sensorStop", "flushCfg", "sensorStart", "lowPower", "guiMonitor", "cfarCfg", "multiObjBeamForming",
@@ -310,12 +310,12 @@ _WITHOUT_EFFECT = frozenset(
         "CQSigImgMonitor", "analogMonitor", "calibData", "configDataPort",
     }
 )  # fmt: skip
-#: Commands that are read only to see that they ask for nothing else: word, value, rule.
+#: Commands that are read only to check their values: word, value, rule.
 _FIXED = {"dfeDataOutputMode": (0, 1, "frames without subframes"), "bpmCfg": (1, 0, "transmitters take turns")}
 
 
 def parse_json(text: bytes, name: str, device: DeviceName | None = None) -> Dca1000Config:
-    """Configuration of a JSON object; `device` where it does not name one.
+    """Return the configuration of a JSON object; `device` is used if it does not name one.
 
     Raises `ValueError` that begins with `name` as `parse_cfg` does.
     """
@@ -329,10 +329,10 @@ def parse_json(text: bytes, name: str, device: DeviceName | None = None) -> Dca1
 
 
 def parse_cfg(text: str, name: str, device: DeviceName | None = None) -> Dca1000Config:
-    """Configuration of TI's command-line file; the device from its "% Platform:" line unless given.
+    """Return the configuration of TI's command-line file; the device from its "% Platform:" line unless given.
 
     Raises `ValueError` that begins with `name` for unknown commands, words that are no numbers or are too many, and
-    settings under which the file would hold something else than complex samples of equal chirps.
+    settings under which the file would hold anything but complex samples of equal chirps.
     """
     fields: dict[str, Any] = {}
     for number, line in enumerate(text.splitlines(), start=1):
@@ -351,13 +351,13 @@ def _add_command(fields: dict[str, Any], command: str, words: list[str], where: 
         return
     values = [_number(word, f"{where}: {command}") for word in words]
     if command in _FIXED:
-        at, wanted, rule = _FIXED[command]
-        if len(values) <= at or values[at] != wanted:
-            raise ValueError(f"{where}: {command} must be {wanted} ({rule}), got {' '.join(words) or 'nothing'}")
+        at, expected, rule = _FIXED[command]
+        if len(values) <= at or values[at] != expected:
+            raise ValueError(f"{where}: {command} must be {expected} ({rule}), got {' '.join(words) or 'nothing'}")
     elif command not in _COMMANDS:
         raise ValueError(f"{where}: command must be one that is known, got {command!r}")
     else:
-        _put(fields, command, _named(_COMMANDS[command], command, values, where), where)
+        _put(fields, command, _parameters(_COMMANDS[command], command, values, where), where)
 
 
 def _put(fields: dict[str, Any], command: str, values: dict[str, Any], where: str) -> None:
@@ -369,7 +369,7 @@ def _put(fields: dict[str, Any], command: str, values: dict[str, Any], where: st
         fields[command] = values
 
 
-def _named(kind: type[msgspec.Struct], command: str, values: list[float], where: str) -> dict[str, Any]:
+def _parameters(kind: type[msgspec.Struct], command: str, values: list[float], where: str) -> dict[str, Any]:
     names = kind.__struct_fields__
     # SDK 1 has no subframes
     if command == "adcbufCfg" and len(values) == len(names) - 1:
@@ -389,19 +389,19 @@ def _number(word: str, where: str) -> float:
 
 
 def _configured(fields: dict[str, Any], name: str, device: DeviceName | None) -> Dca1000Config:
-    named = fields.get("device", device)
-    if named is None:
+    device_name = fields.get("device", device)
+    if device_name is None:
         raise ValueError(f"{name}: device must be named, one of {', '.join(DEVICES)}: the lanes depend on it")
-    if device not in (None, named):
-        raise ValueError(f"{name}: device must be {device} as asked for, got {named!r}")
+    if device not in (None, device_name):
+        raise ValueError(f"{name}: device must be {device} as asked for, got {device_name!r}")
     try:
-        return msgspec.convert({**fields, "device": named}, Dca1000Config)
+        return msgspec.convert({**fields, "device": device_name}, Dca1000Config)
     except msgspec.ValidationError as error:
         raise ValueError(f"{name}: {with_known_names(error, Dca1000Config)}{_value_at(fields, str(error))}") from None
 
 
 def _value_at(fields: dict[str, Any], message: str) -> str:
-    """The value that msgspec's message is about, where it is one value; its own messages do not say it."""
+    """Return the single value that a message of msgspec is about; its own messages do not include it."""
     path = re.search(r"`\$\.([^`]*)`$", message)
     value: Any = fields
     for key in re.findall(r"\w+", path[1]) if path else ():
@@ -410,7 +410,7 @@ def _value_at(fields: dict[str, Any], message: str) -> str:
 
 
 class FileFrames(NamedTuple):
-    """Frames of a file: whole ones, how many the configuration asks for (None: any number), bytes past the last."""
+    """Frames of a file: whole ones, number that the configuration asks for (None: any), bytes past the last."""
 
     whole: int
     wanted: int | None
@@ -418,15 +418,15 @@ class FileFrames(NamedTuple):
 
     @property
     def loss(self) -> str | None:
-        """What is missing, in words; None where nothing is."""
-        cut = f", {self.left_bytes} bytes of one that is cut are left out" if self.left_bytes else ""
+        """Description of what is missing; None if the file is complete."""
+        partial = f", {self.left_bytes} bytes of one that is cut are left out" if self.left_bytes else ""
         if self.wanted is not None and self.whole < self.wanted:
-            return f"whole frames: {self.whole} of {self.wanted}{cut}"
-        return f"whole frames: {self.whole}{cut}" if cut else None
+            return f"whole frames: {self.whole} of {self.wanted}{partial}"
+        return f"whole frames: {self.whole}{partial}" if partial else None
 
 
 def frames_of(size_bytes: int, config: Dca1000Config, name: str) -> FileFrames:
-    """Whole frames of a file of this size; raises `ValueError` where there is none, or more than configured."""
+    """Return the whole frames of a file of this size; raises `ValueError` without any, or with more than configured."""
     wanted = config.frame.frames or None
     if wanted is not None and size_bytes > wanted * config.frame_bytes:
         loops, chirps, receivers, samples = config.frame_shape
@@ -441,7 +441,7 @@ def frames_of(size_bytes: int, config: Dca1000Config, name: str) -> FileFrames:
 
 
 def frame_samples(codes: np.ndarray, config: Dca1000Config) -> np.ndarray:
-    """Samples complex64 [loops, channels, samples] of one frame, int16 [frame_bytes / 2] as the file has it.
+    """Return samples complex64 [loops, channels, samples] of one frame, int16 [frame_bytes / 2] as the file has it.
 
     Channels are those of `array_params`: chirp by chirp of the horizontal row, receiver by receiver.
     """
@@ -457,26 +457,26 @@ def frame_samples(codes: np.ndarray, config: Dca1000Config) -> np.ndarray:
 
 
 def _parts(codes: np.ndarray, config: Dca1000Config) -> tuple[np.ndarray, np.ndarray]:
-    """What stands first and second of each sample, int16 [loops, chirps, receivers, samples] each."""
+    """Return the first and second part of each sample, int16 [loops, chirps, receivers, samples] each."""
     loops, chirps, receivers, samples = config.frame_shape
     if config.lanes == 4:
         # [..., sample, I or Q, receiver]
         cube = codes.reshape(loops, chirps, samples, 2, receivers).transpose(3, 0, 1, 4, 2)
         return cube[0], cube[1]
-    # [..., receiver, pair of samples, I or Q, which of the pair]
+    # [..., receiver, pair of samples, I or Q, index in the pair]
     pairs = codes.reshape(loops, chirps, receivers, samples // 2, 2, 2)
     return pairs[..., 0, :].reshape(config.frame_shape), pairs[..., 1, :].reshape(config.frame_shape)
 
 
 def array_params(config: Dca1000Config, remove_static: bool = False, mirrored: bool = False) -> DigitalArrayParams:
-    """The digital array of a capture; powers are relative: a tone of amplitude one code has one milliwatt.
+    """Return the digital array of a capture; powers are relative: a tone of amplitude one code has one milliwatt.
 
     `mirrored`: receivers run to the right as the radar looks, not to the left.
     """
     chirps, used = len(config.transmitters), config.used_chirps
     half_m = 0.5 * SPEED_OF_LIGHT_MPS / config.profile.middle_hz * (-1.0 if mirrored else 1.0)
-    place = DEVICES[config.device].transmitter_place
-    starts = [cast(int, place[config.transmitters[at]]) for at in used]
+    positions = DEVICES[config.device].transmitter_place
+    starts = [cast(int, positions[config.transmitters[at]]) for at in used]
     # counted so that the last slot is used: the array takes a loop for as long as its last channel's slot
     shift = chirps - 1 - max(used)
     return DigitalArrayParams(
@@ -491,7 +491,7 @@ def array_params(config: Dca1000Config, remove_static: bool = False, mirrored: b
 
 
 def map_grid(config: Dca1000Config) -> RangeAzimuthGrid:
-    """Grid of the capture's maps: 256 azimuths over +-60 deg; with the image band sampled, half of the range bins."""
+    """Return the grid of the capture's maps: 256 azimuths over +-60 deg; half of the range bins with an image band."""
     samples = config.profile.adc_samples
     range_bin_m = array_params(config).range_bin_m(samples)
     return RangeAzimuthGrid(range_bin_m=range_bin_m, range_bins=samples // config.adc.output_format)

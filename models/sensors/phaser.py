@@ -1,11 +1,11 @@
-"""The 8-element 10 GHz Phaser kit in numbers: its chirp, its register words, its beams, its samples.
+"""Model of the 8-element 10 GHz Phaser kit: its chirp, its register words, its beams, its samples.
 
 A synthesiser sweeps the local oscillator above the band; a tone at the intermediate frequency, moved by a small
 offset, is mixed down to the band and sent by one fixed antenna. Eight columns receive, each with its own gain and phase
 (ADAR1000), four to a converter channel. The oscillator lies above the band, so beats rise with range and carry the
 conjugate of the columns' phases: the recorded convention of this project, `beat_sign` +1.
 
-Pure functions: what talks to the kit is `nodes.drivers.cn0566`. What no hardware has confirmed: docs/phaser.md.
+Pure functions: `nodes.drivers.cn0566` controls the kit. Points not confirmed on hardware: docs/guides/connect-my-radar.md.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ COLUMNS = 8
 PHASE_STEP_DEG = 360.0 / 128.0
 PHASE_BITS = 7
 GAIN_CODES = 127
-#: The synthesiser's input stands behind a divider: all its frequencies are a fourth of the oscillator's.
+#: The synthesiser's input is behind a divider: all its frequencies are a fourth of the oscillator's.
 DIVIDER = 4
-#: Largest code of the 12-bit converters, and what a code becomes: two full channels in phase fill an int16.
+#: Largest code of the 12-bit converters, and its scale factor: two full channels in phase fill an int16.
 CONVERTER_LIMIT = 2047
 CODES_PER_CONVERTER_CODE = 8
-#: Most samples that one buffer of the kit may hold.
+#: Maximum samples of one buffer of the kit.
 MAX_BURST_SAMPLES = 1 << 22
 #: Sample rates that the converter can be set to.
 SAMPLE_RATES_HZ = (521e3, 61.44e6)
@@ -45,7 +45,7 @@ class PhaserParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     ramp_time_s: float = 300e-6
     #: The ramp is not straight at its start: samples count from here.
     settle_s: float = 30e-6
-    #: From ramp to ramp.
+    #: Time from ramp to ramp.
     chirp_interval_s: float = 500e-6
     sample_rate_hz: float = 4e6
     samples_per_chirp: int = 1024
@@ -56,13 +56,13 @@ class PhaserParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     #: Beat frequency of zero range.
     offset_hz: float = 100e3
     column_spacing_m: float = 0.015
-    #: Element 1 stands at the left end, seen from behind the array.
+    #: Element 1 is at the left end, seen from behind the array.
     first_element_left: bool = False
     #: Relative amplitude of each element on top of its calibration, 0 < taper <= 1.
     taper: tuple[float, ...] = (1.0,) * COLUMNS
     receive_gain_db: int = 60
     transmit_gain_db: int = 0
-    #: Power at the antenna of a tone that fills an int16; a figure of one's own board belongs here.
+    #: Power at the antenna of a tone that fills an int16; to be replaced by the value of one's own board.
     full_scale_dbm: float = -20.0
 
     def __post_init__(self) -> None:
@@ -76,7 +76,7 @@ class PhaserParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
                 raise ValueError(rule)
 
     def _rules(self) -> list[tuple[str, bool]]:
-        """What must hold, in words, and whether it does."""
+        """Return each rule in words, and whether it holds."""
         sampled_s = self.samples_per_chirp / self.sample_rate_hz
         lowest_hz, highest_hz = SAMPLE_RATES_HZ
         burst = self.chirps_per_beam * self.chirp_interval_s * self.sample_rate_hz
@@ -135,7 +135,7 @@ def _is_whole(value: float) -> bool:
 
 
 class PhaserCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What was measured on one board, in element order 1..8; as if it were perfect unless given.
+    """Measured corrections of one board, in element order 1..8; those of a perfect board unless given.
 
     Signs and scales are those of the maker's calibration: gains multiply the gain code (1 at the weakest element),
     phases are added to the wanted phase, channel gains in dB are added to the channel.
@@ -156,7 +156,7 @@ class PhaserCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknow
 
 @dataclass(frozen=True)
 class SynthesiserWords:
-    """What the synthesiser is told, behind the divider of the oscillator."""
+    """Settings of the synthesiser, behind the divider of the oscillator."""
 
     frequency_hz: int
     deviation_range_hz: int
@@ -165,7 +165,7 @@ class SynthesiserWords:
 
 
 def synthesiser_words(params: PhaserParams) -> SynthesiserWords:
-    """One step a microsecond, from the oscillator's frequency at the start of the ramp."""
+    """Return one step a microsecond, from the oscillator's frequency at the start of the ramp."""
     time_us = round(1e6 * params.ramp_time_s)
     oscillator_hz = params.ramp_start_hz + params.intermediate_hz + params.offset_hz
     return SynthesiserWords(
@@ -177,7 +177,7 @@ def synthesiser_words(params: PhaserParams) -> SynthesiserWords:
 
 
 def radar_params(params: PhaserParams) -> RadarParams:
-    """The radar as its samples show it: the bandwidth that was sampled, the carrier in the middle of that."""
+    """Return the effective radar of its samples: the sampled bandwidth, with the carrier in the middle of it."""
     sampled_s = params.samples_per_chirp / params.sample_rate_hz
     return RadarParams(
         carrier_hz=params.ramp_start_hz + params.slope_hz_per_s * (params.settle_s + 0.5 * sampled_s),
@@ -192,21 +192,21 @@ def radar_params(params: PhaserParams) -> RadarParams:
 
 @dataclass(frozen=True)
 class PhaserLimits:
-    """What a chirp can show."""
+    """Limits of a chirp."""
 
     range_bin_m: float
-    #: Beyond, beats come back on the other side of the spectrum.
+    #: Beyond this, beats alias to the other side of the spectrum.
     range_limit_m: float
     speed_bin_mps: float
-    #: Beyond, closing and opening can no longer be told apart.
+    #: Beyond this, closing and opening cannot be distinguished.
     speed_limit_mps: float
     beam_time_s: float
-    #: What a beam brings over the link, both channels.
+    #: Bytes of a beam over the link, both channels.
     beam_bytes: int
 
 
 def limits(params: PhaserParams) -> PhaserLimits:
-    """Limits that follow from the numbers alone; how far it hears is for the board to say."""
+    """Return the limits that follow from the parameters alone; the detection range depends on the board."""
     radar = radar_params(params)
     return PhaserLimits(
         range_bin_m=radar.range_bin_m,
@@ -223,27 +223,27 @@ def limits(params: PhaserParams) -> PhaserLimits:
 
 @dataclass(frozen=True)
 class BeamTable:
-    """Registers of all beams, and what they make of the columns."""
+    """Registers of all beams, and the resulting weights of the columns."""
 
     #: Register phases in element order 1..8, multiples of `PHASE_STEP_DEG` in [0, 360); float64 [beams, 8].
     phases_deg: np.ndarray
     #: Gain codes in element order, the same for all beams; int [8].
     gain_codes: np.ndarray
-    #: Weights of the columns from right to left as they are really set, complex64 [beams, 8].
+    #: Weights of the columns from right to left as actually set, complex64 [beams, 8].
     weights: np.ndarray
 
 
 def beam_table(params: PhaserParams, calibration: PhaserCalibration, beams: BeamGrid) -> BeamTable:
-    """Registers that steer the calibrated array, and its weights after both roundings.
+    """Return registers that steer the calibrated array, and its weights after both roundings.
 
-    A beam looks to a where column n, counted from the right, is turned by -k (n - 3.5) d sin(a). Calibration phases go
-    into the register before it is rounded, so what is left of them is known and goes into the weights.
+    A beam steered to a turns column n, counted from the right, by -k (n - 3.5) d sin(a). Calibration phases go
+    into the register before it is rounded, so the remainder is known and goes into the weights.
     """
     wavelength_m = radar_params(params).wavelength_m
     step_deg = 360.0 * params.column_spacing_m / wavelength_m
     column = np.arange(COLUMNS) - 0.5 * (COLUMNS - 1)
-    place = -column if params.first_element_left else column
-    wanted_deg = -step_deg * np.multiply.outer(np.sin(beams.azimuth_rad), place)
+    position = -column if params.first_element_left else column
+    wanted_deg = -step_deg * np.multiply.outer(np.sin(beams.azimuth_rad), position)
     own_deg = np.array(calibration.phases_deg)
     phases_deg = (PHASE_STEP_DEG * np.round((wanted_deg + own_deg) / PHASE_STEP_DEG)) % 360.0
     equalised = GAIN_CODES * np.array(calibration.gains)
@@ -254,7 +254,7 @@ def beam_table(params: PhaserParams, calibration: PhaserCalibration, beams: Beam
 
 
 def radar_setup(params: PhaserParams, beams: BeamGrid, weights: np.ndarray, stamp_ns: int = 0) -> RadarSetup:
-    """Set-up of the kit: eight columns that receive, one fixed transmitter, weights as set complex64 [beams, 8]."""
+    """Return the kit's set-up: eight receive columns, one fixed transmitter, weights as set complex64 [beams, 8]."""
     array = ArrayParams(
         columns=COLUMNS, column_spacing_m=params.column_spacing_m, phase_bits=PHASE_BITS, steered_ways=1
     )
@@ -271,9 +271,9 @@ def radar_setup(params: PhaserParams, beams: BeamGrid, weights: np.ndarray, stam
 def beam_samples(
     channels: list[np.ndarray], params: PhaserParams, channel_gains_db: tuple[float, ...] = (0.0, 0.0)
 ) -> np.ndarray:
-    """I/Q codes int16 [chirps, samples, 2] of a burst of converter codes, complex [burst] for each channel.
+    """Return I/Q codes int16 [chirps, samples, 2] of a burst of converter codes, complex [burst] for each channel.
 
-    The channels are added up, zero range is moved to zero frequency, and the straight part of every ramp is kept. A
+    The channels are summed, zero range is moved to zero frequency, and the straight part of every ramp is kept. A
     sample at the converter's limit comes out at full scale. Raises `ValueError` for a burst that is too short, not of
     two channels or not finite.
     """
@@ -283,13 +283,13 @@ def beam_samples(
     beats = np.tensordot(gains, kept, axes=1) * np.exp(-2j * np.pi * (turns % 1.0))
     limited = (np.maximum(np.abs(kept.real), np.abs(kept.imag)) >= CONVERTER_LIMIT).any(axis=0)
     codes = CODES_PER_CONVERTER_CODE * np.stack([beats.real, beats.imag], axis=-1)
-    # the turn hides the limit: put it back where receivers look for it
+    # the rotation hides the limit: restore it where receivers check for it
     codes[limited] *= 32768.0 / np.maximum(np.abs(codes[limited]).max(axis=-1, keepdims=True), 1.0)
     return np.clip(np.rint(codes), -32768, 32767).astype("<i2")
 
 
 def _straight(channels: list[np.ndarray], params: PhaserParams) -> np.ndarray:
-    """What was sampled on the straight part of each ramp, if it is a burst; complex [2, chirps, samples]."""
+    """Return the samples on the straight part of each ramp, if it is a burst; complex [2, chirps, samples]."""
     if len(channels) != 2 or any(np.ndim(channel) != 1 for channel in channels):
         raise ValueError(f"burst must be of 2 channels, got {len(channels)}")
     short = min(len(channel) for channel in channels)
@@ -304,5 +304,5 @@ def _straight(channels: list[np.ndarray], params: PhaserParams) -> np.ndarray:
 
 
 def _straight_samples(params: PhaserParams) -> np.ndarray:
-    """Samples counted from the start of a ramp; [samples]."""
+    """Return the sample numbers counted from the start of a ramp; [samples]."""
     return round(params.settle_s * params.sample_rate_hz) + np.arange(params.samples_per_chirp)

@@ -1,1 +1,1 @@
-"""Targets, losses, training and export. The only place beside models/networks that imports torch."""
+"""Targets, losses, training and export. With models/networks the only package that imports torch."""

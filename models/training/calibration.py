@@ -1,4 +1,4 @@
-"""Fit of the table that turns scores into probabilities, and how far scores are from being some."""
+"""Calibration table from scores to probabilities, and the calibration error of scores."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from models.training.data.frames import Frame
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass
 
-#: A peak is true within this of a truth point of its class, one to one.
+#: Maximum distance of a true peak from a truth point of its class, one to one.
 GATE_M = 2.0
-#: Peaks a group, at least: the standard error of a group's share stays below 0.1.
+#: Minimum peaks of a group: the standard error of a group's share stays below 0.1.
 GROUP = 30
 
 
 def peak_outcomes(detector: Detector, frames: Iterable[Frame]) -> tuple[np.ndarray, np.ndarray]:
-    """Score [N] of every peak in the frames, and whether it is true [N]."""
+    """Return the score [N] of every peak in the frames, and whether it is true [N]."""
     score: list[np.ndarray] = []
     is_true: list[np.ndarray] = []
     for frame in frames:
@@ -30,20 +30,20 @@ def peak_outcomes(detector: Detector, frames: Iterable[Frame]) -> tuple[np.ndarr
         found_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
         truth_m = xy_from_polar(labels.range_m, labels.azimuth_rad)
         for path_class in PathClass:
-            mine = np.flatnonzero(peaks.path_class == path_class)
-            pairs = match_points(found_m[mine], truth_m[labels.path_class == path_class], GATE_M)
-            hit[mine[pairs[:, 0]]] = True
+            of_class = np.flatnonzero(peaks.path_class == path_class)
+            pairs = match_points(found_m[of_class], truth_m[labels.path_class == path_class], GATE_M)
+            hit[of_class[pairs[:, 0]]] = True
         score.append(peaks.score)
         is_true.append(hit)
     return np.concatenate([np.zeros(0), *score]), np.concatenate([np.zeros(0, bool), *is_true])
 
 
 def fit_table(score: np.ndarray, is_true: np.ndarray, groups: int = 20) -> ScoreTable:
-    """Knots of the monotone table: mean score and share of true peaks of groups of equal size, isotonic.
+    """Return the knots of the monotone table: mean score and share of true peaks of groups of equal size, isotonic.
 
     Groups that would fall are pooled (isotonic regression), so the table rises strictly: ranks stay. Below the first
-    group it falls to (0, 0), above the last it rises to (1, 1). Empty where there are too few peaks for two groups.
-    Raises `ValueError` where scores leave 0..1.
+    group it falls to (0, 0), above the last it rises to (1, 1). Empty if there are too few peaks for two groups.
+    Raises `ValueError` if scores leave 0..1.
     """
     if not ((score >= 0.0) & (score <= 1.0)).all():
         raise ValueError(f"score must lie in 0..1, got {score.min()}..{score.max()}")
@@ -52,7 +52,7 @@ def fit_table(score: np.ndarray, is_true: np.ndarray, groups: int = 20) -> Score
         return ()
     order = np.argsort(score, kind="stable")
     parts = np.array_split(order, groups)
-    # one peak more of each kind (Laplace): no group is surer than its size allows
+    # one more peak of each kind (Laplace): no group is more certain than its size allows
     share = np.array([(is_true[part].sum() + 1.0) / (len(part) + 2.0) for part in parts])
     weight = np.array([len(part) for part in parts], np.float64)
     fitted = isotonic_regression(share, weights=weight)
@@ -60,14 +60,14 @@ def fit_table(score: np.ndarray, is_true: np.ndarray, groups: int = 20) -> Score
     for first, last in zip(fitted.blocks[:-1], fitted.blocks[1:], strict=True):
         at = float(score[np.concatenate(parts[first:last])].mean())
         knot = round(at, 6), round(float(fitted.x[first]), 6)
-        # shares that differ by less than what is written down are one
+        # shares that differ by less than the stored precision are equal
         if knots[-1][0] < knot[0] < 1.0 and knots[-1][1] < knot[1] < 1.0:
             knots.append(knot)
     return (*knots, (1.0, 1.0))
 
 
 def calibration_error(probability: np.ndarray, is_true: np.ndarray, groups: int = 10) -> float:
-    """Expected calibration error: |mean probability - share of true| over groups of equal size, weighted by size."""
+    """Return the expected calibration error: size-weighted |mean probability - share of true| over equal groups."""
     if len(probability) == 0:
         return 0.0
     parts = np.array_split(np.argsort(probability, kind="stable"), min(groups, len(probability)))

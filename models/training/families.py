@@ -1,4 +1,4 @@
-"""The networks that can be trained, by name, each with the input and the objective it was made for."""
+"""The networks that can be trained, by name, each with its input and its objective."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ INPUTS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Family:
-    """A kind of network: its configuration and module, its sizes by name, and what it is trained towards."""
+    """A kind of network: its configuration and module, its sizes by name, and its objective."""
 
     config: type
     module: type[nn.Module]
@@ -77,25 +77,25 @@ class NetworkChoice(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
     @property
     def resolved(self) -> Any:
-        """The family's configuration; raises `ValueError` where a field does not fit."""
-        wanted = FAMILIES[self.family].config
+        """The family's configuration; raises `ValueError` if a field does not fit."""
+        config_type = FAMILIES[self.family].config
         try:
-            return msgspec.convert(self.config, wanted)
+            return msgspec.convert(self.config, config_type)
         except msgspec.ValidationError as error:
-            raise ValueError(f"network {self.family}: {with_known_names(error, wanted)}") from None
+            raise ValueError(f"network {self.family}: {with_known_names(error, config_type)}") from None
 
     def build(self) -> nn.Module:
-        """The network with fresh weights."""
+        """Return the network with fresh weights."""
         return FAMILIES[self.family].module(self.resolved)
 
 
 def choice_of(family: str, config: Any) -> NetworkChoice:
-    """A configuration of a family as it is written to a file."""
+    """Return a configuration of a family in the form of a file."""
     return NetworkChoice(family=family, config=msgspec.json.decode(msgspec.json.encode(config)))
 
 
 def chosen_network(family: str, size: str, inputs: str | None = None) -> tuple[NetworkChoice, Encoding]:
-    """A network of one of a family's sizes and the encoding it takes; raises `ValueError` listing what there is.
+    """Return a network of one of a family's sizes and its encoding; raises `ValueError` listing the existing ones.
 
     `inputs` None: ours for `compact_unet`, that of the specification for all others.
     """

@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and their checksums."""
+"""Files that are written whole or not at all, and their checksums."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from msgs.files.whole_files import write_whole as write_whole
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal; read in pieces, as captures are large."""
+    """Return the SHA-256 of a file, hexadecimal; read in pieces, as captures are large."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def json_lines(value: object) -> bytes:
-    """JSON for people to read: indented, with a last newline."""
+    """Return indented JSON with a final newline."""
     return msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n"

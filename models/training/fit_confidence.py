@@ -1,4 +1,4 @@
-"""Fit of the model that tells how likely a folded place is true: maximum likelihood with a penalty, by L-BFGS.
+"""Fit of the model of the probability that a folded position is true: penalised maximum likelihood, by L-BFGS.
 
 Weights come from training scenes, the threshold from validation scenes: that of the best recovered F1.
 """
@@ -23,13 +23,13 @@ from models.training.data.frames import Frame
 from msgs.values.arrays import require_positive
 from msgs.values.perception import PathClass
 
-#: A place this near a true one is true; the gate of the recovered F1.
+#: Maximum distance of a true position from truth; the gate of the recovered F1.
 REACH_M = 1.0
 THRESHOLDS = tuple(round(0.05 + 0.025 * step, 3) for step in range(25))
 
 
 class FitConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """How the model is fitted."""
+    """Parameters of the fit."""
 
     hidden: int = 16
     #: Weight of half the sum of squared weights beside the mean log loss.
@@ -43,8 +43,8 @@ class FitConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
-class ScenePlaces:
-    """The folded places of one scene [N, 2], their features [N, F] and peak scores [N], and all true places [M, 2]."""
+class ScenePositions:
+    """The folded positions of one scene [N, 2], their features [N, F] and peak scores [N], and all true ones [M, 2]."""
 
     points_m: np.ndarray
     features: np.ndarray
@@ -53,20 +53,20 @@ class ScenePlaces:
 
     @property
     def is_true(self) -> np.ndarray:
-        """Which places lie within reach of a true one; bool [N]."""
+        """Return whether each position lies within reach of a true one; bool [N]."""
         if len(self.points_m) == 0 or len(self.truth_m) == 0:
             return np.zeros(len(self.points_m), bool)
         return np.asarray(cKDTree(self.truth_m).query(self.points_m)[0] < REACH_M)
 
 
-def scene_places(
+def scene_positions(
     frame: Frame, detector: Detector, params: GeometryParams, residual: Residual | None = None
-) -> ScenePlaces:
-    """The places that the geometry stage makes of what a detector finds in a frame."""
+) -> ScenePositions:
+    """Return the positions that the geometry stage derives from a detector's peaks in a frame."""
     peaks = detector.detect(frame.ra_map)
     scan = fold_scan(peaks, params, residual)
     features = place_features(scan.recovered, scan.walls, scan.returns, params.recovery)
-    return ScenePlaces(scan.recovered.points_m, features, scan.recovered.score, _true_places(frame))
+    return ScenePositions(scan.recovered.points_m, features, scan.recovered.score, _true_places(frame))
 
 
 def _true_places(frame: Frame) -> np.ndarray:
@@ -76,10 +76,10 @@ def _true_places(frame: Frame) -> np.ndarray:
     return places_m[np.isfinite(places_m).all(axis=1)]
 
 
-def fit_confidence(train: list[ScenePlaces], validation: list[ScenePlaces], config: FitConfig) -> PlaceConfidence:
-    """A model with weights from training scenes, threshold and metrics from validation scenes.
+def fit_confidence(train: list[ScenePositions], validation: list[ScenePositions], config: FitConfig) -> PlaceConfidence:
+    """Return a model with weights from training scenes, threshold and metrics from validation scenes.
 
-    Raises `ValueError` where the training scenes hold no true place or no false one.
+    Raises `ValueError` if the training scenes hold no true position or no false one.
     """
     model = fit_weights(*_joined(train), config)
     probability = [model.probability(scene.features) for scene in validation]
@@ -88,8 +88,8 @@ def fit_confidence(train: list[ScenePlaces], validation: list[ScenePlaces], conf
     return msgspec.structs.replace(model, threshold=threshold, metrics=metrics)
 
 
-def _joined(scenes: list[ScenePlaces]) -> tuple[np.ndarray, np.ndarray]:
-    """Features and truth of the places of all scenes."""
+def _joined(scenes: list[ScenePositions]) -> tuple[np.ndarray, np.ndarray]:
+    """Return features and truth of the positions of all scenes."""
     features = np.concatenate([np.zeros((0, len(FEATURES))), *(scene.features for scene in scenes)])
     return features, np.concatenate([np.zeros(0, bool), *(scene.is_true for scene in scenes)])
 
@@ -103,13 +103,13 @@ class _Loss:
     config: FitConfig
 
     def parts(self, row: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-        """The row cut into A, a, w, b."""
+        """Return the row divided into A, a, w, b."""
         hidden = self.config.hidden
         matrix, rest = np.split(row, [hidden * self.inputs.shape[1]])
         return matrix.reshape(hidden, -1), rest[:hidden], rest[hidden:-1], float(rest[-1])
 
     def start(self) -> np.ndarray:
-        """First weights, of the variance that keeps activations of order one."""
+        """Return initial weights, of the variance that keeps activations of order one."""
         rng, hidden, count = np.random.default_rng(self.config.seed), self.config.hidden, self.inputs.shape[1]
         matrix = rng.standard_normal(hidden * count) / np.sqrt(count)
         return np.concatenate([matrix, np.zeros(hidden), rng.standard_normal(hidden) / np.sqrt(hidden), [0.0]])
@@ -129,14 +129,14 @@ class _Loss:
 
 
 def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) -> PlaceConfidence:
-    """The model of features [N, F] and truth [N], threshold 0.5; features that are all equal count for nothing."""
+    """Return a model of features [N, F] and truth [N], threshold 0.5; features that are all equal are ignored."""
     if len(np.unique(is_true)) < 2:
         raise ValueError(f"places to fit must be true and false, got {len(is_true)} of one kind")
     means, spread = features.mean(axis=0), features.std(axis=0)
     scales = np.where(spread > 1e-6, spread, 1.0)
     loss = _Loss(standardised(features, means, scales), is_true.astype(np.float64), config)
-    found = minimize(loss, loss.start(), jac=True, method="L-BFGS-B", options={"maxiter": config.iterations})
-    matrix, shift, weights, bias = loss.parts(found.x)
+    solution = minimize(loss, loss.start(), jac=True, method="L-BFGS-B", options={"maxiter": config.iterations})
+    matrix, shift, weights, bias = loss.parts(solution.x)
     return PlaceConfidence(
         features=FEATURES,
         means=tuple(means.tolist()),
@@ -150,23 +150,25 @@ def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) ->
     )
 
 
-def best_threshold(scenes: list[ScenePlaces], probability: list[np.ndarray]) -> float:
-    """The threshold of the best recovered F1 within 1 m; the lowest of equals."""
+def best_threshold(scenes: list[ScenePositions], probability: list[np.ndarray]) -> float:
+    """Return the threshold of the best recovered F1 within 1 m; the lowest of equals."""
     return max(THRESHOLDS, key=lambda threshold: _counts(scenes, probability, threshold, REACH_M).f1)
 
 
-def _counts(scenes: list[ScenePlaces], probability: list[np.ndarray], threshold: float, tau_m: float) -> Counts:
+def _counts(scenes: list[ScenePositions], probability: list[np.ndarray], threshold: float, tau_m: float) -> Counts:
     pairs = zip(scenes, probability, strict=True)
-    return sum((recovered_counts(one.points_m[p >= threshold], one.truth_m, tau_m) for one, p in pairs), Counts())
+    return sum((recovered_counts(scene.points_m[p >= threshold], scene.truth_m, tau_m) for scene, p in pairs), Counts())
 
 
-def confidence_metrics(scenes: list[ScenePlaces], probability: list[np.ndarray], threshold: float) -> dict[str, float]:
-    """Recovered scores at a threshold and without; how far probabilities and peak scores are from the truth."""
+def confidence_metrics(
+    scenes: list[ScenePositions], probability: list[np.ndarray], threshold: float
+) -> dict[str, float]:
+    """Return recovered scores with and without a threshold, and the errors of probabilities and peak scores."""
     _, is_true = _joined(scenes)
-    together = np.concatenate([np.zeros(0), *probability])
+    probabilities = np.concatenate([np.zeros(0), *probability])
     score = np.concatenate([np.zeros(0), *(scene.score for scene in scenes)])
     metrics = {
-        "calibration_error": calibration_error(together, is_true),
+        "calibration_error": calibration_error(probabilities, is_true),
         "calibration_error_without": calibration_error(score, is_true),
     }
     for tau_m in (REACH_M, 2.0 * REACH_M):
@@ -183,10 +185,10 @@ def collected(
     params: GeometryParams,
     residual: Residual | None = None,
     on_scene: Callable[[], None] = lambda: None,
-) -> list[ScenePlaces]:
-    """The places of many scenes; `on_scene` hears of each."""
+) -> list[ScenePositions]:
+    """Return the positions of many scenes; `on_scene` is called for each."""
     scenes = []
     for frame in frames:
-        scenes.append(scene_places(frame, detector, params, residual))
+        scenes.append(scene_positions(frame, detector, params, residual))
         on_scene()
     return scenes

@@ -1,7 +1,7 @@
 """Initial weights from a file: Swin-T of ImageNet, the authors' published checkpoints, or a run of ours.
 
-Every tensor of the file and every parameter of the network is accounted for: it is loaded, known to be derived from the
-shape, or known to have no counterpart. Anything else is refused by name, and the network stays as it was.
+Every tensor of the file and every parameter of the network is accounted for: it is loaded, derived from the shape, or
+without a counterpart by definition. Anything else is refused by name, and the network is unchanged.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from models.training.run_folder import load_state
 #: Buffers that the published files hold and that follow from the window and the map's size.
 DERIVED = ("relative_position_index", "attn_mask")
 BIAS_TABLE = "relative_position_bias_table"
-#: Names of a kind that an error lists before it only counts.
-NAMED = 3
+#: Maximum names of a kind in an error; more are only counted.
+MAX_NAMES = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class InitReport:
-    """What became of every tensor: names of the network, but for `derived` and `unused`, which are the file's."""
+    """Result for every tensor: names of the network, but for `derived` and `unused`, which are the file's."""
 
-    #: What the file was recognised as.
+    #: Recognised kind of the file.
     source: str
     loaded: tuple[str, ...]
-    #: Among the loaded: position biases brought to another window.
+    #: Among the loaded: position biases resampled for another window.
     interpolated: tuple[str, ...]
     #: Buffers that the network derives itself.
     derived: tuple[str, ...]
@@ -44,21 +44,21 @@ class InitReport:
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """How the names of a kind of checkpoint answer those of a network."""
+    """Correspondence of the names of a kind of checkpoint to those of a network."""
 
     source: str
     #: Names in the network that a name of the file fills.
     targets: Callable[[str], tuple[str, ...]]
     #: Whether the file must fill a name of the network.
     covers: Callable[[str], bool] = lambda name: True
-    #: Beginnings of names that are left aside.
+    #: Prefixes of ignored names.
     unused: tuple[str, ...] = ()
     #: Whether position biases may come from another window.
     interpolates: bool = False
 
 
 def _swin_targets(name: str) -> tuple[str, ...]:
-    """Encoder stage i and its mirror in the decoder, layers_up 3-i; the bottleneck has none."""
+    """Return encoder stage i and its mirror in the decoder, layers_up 3-i; the bottleneck has none."""
     mirrored = re.fullmatch(r"layers\.([012])\.(blocks\..+)", name)
     return (name, f"layers_up.{3 - int(mirrored[1])}.{mirrored[2]}") if mirrored else (name,)
 
@@ -76,9 +76,9 @@ OWN = Layout(source="own run", targets=lambda name: (name,))
 
 
 def load_initial(network: nn.Module, path: Path) -> InitReport:
-    """Fill a network from a checkpoint file and report what became of every tensor.
+    """Fill a network from a checkpoint file and report the result for every tensor.
 
-    Raises `ValueError`, with the network untouched, where the file is no checkpoint or a tensor is missing, foreign, of
+    Raises `ValueError`, with the network untouched, if the file is no checkpoint or a tensor is missing, foreign, of
     another shape or not finite.
     """
     tensors, wrapped = _read(path)
@@ -112,7 +112,7 @@ def load_initial(network: nn.Module, path: Path) -> InitReport:
 
 
 def _read(path: Path) -> tuple[dict[str, Tensor], bool]:
-    """Tensors of a file by name, and whether they lay in one of our runs."""
+    """Return the tensors of a file by name, and whether they are from one of our runs."""
     content = load_state(path)
     wrapped = isinstance(content, dict) and "network" in content
     for wrapper in ("network", "model"):
@@ -127,7 +127,7 @@ def _read(path: Path) -> tuple[dict[str, Tensor], bool]:
 
 
 def _recognise(tensors: dict[str, Tensor]) -> Layout:
-    """The kind of a checkpoint, from its names."""
+    """Return the kind of a checkpoint, from its names."""
 
     def holds(prefix: str) -> bool:
         return any(name.startswith(prefix) for name in tensors)
@@ -140,14 +140,14 @@ def _recognise(tensors: dict[str, Tensor]) -> Layout:
 
 
 def _is_derived(name: str, layout: Layout, state: dict[str, Tensor]) -> bool:
-    """Whether a tensor is a derived buffer of a module that the network has."""
+    """Return whether a tensor is a derived buffer of a module that the network has."""
     module, _, leaf = name.rpartition(".")
     parents = tuple(f"{target}." for target in layout.targets(module))
-    return leaf in DERIVED and any(known.startswith(parents) for known in state)
+    return leaf in DERIVED and any(parameter.startswith(parents) for parameter in state)
 
 
 def _fit(network: nn.Module, name: str, tensor: Tensor, layout: Layout) -> Tensor:
-    """The tensor itself, or a table of position biases brought to the window of the network."""
+    """Return the tensor itself, or a table of position biases resampled for the window of the network."""
     module, _, leaf = name.rpartition(".")
     if not layout.interpolates or leaf != BIAS_TABLE or tensor.shape == network.get_parameter(name).shape:
         return tensor
@@ -156,10 +156,10 @@ def _fit(network: nn.Module, name: str, tensor: Tensor, layout: Layout) -> Tenso
 
 
 def interpolate_biases(table: Tensor, offsets: tuple[int, int]) -> Tensor:
-    """Biases of a square window's offsets, [side * side, heads], at other (row, column) offsets, bicubic.
+    """Return biases of a square window's offsets, [side * side, heads], at other (row, column) offsets, bicubic.
 
-    The farthest offsets of one window become those of the other, and no offset stays no offset. A table that belongs to
-    no square window returns as it is.
+    The farthest offsets of one window become those of the other, and offset zero stays zero. A table that belongs to
+    no square window is returned unchanged.
     """
     if table.dim() != 2 or isqrt(len(table)) ** 2 != len(table):
         return table
@@ -179,10 +179,12 @@ def _misshapen(fitted: dict[str, Tensor], state: dict[str, Tensor], sources: dic
 
 def _refuse(path: Path, layout: Layout, problems: dict[str, list[str]]) -> None:
     """Raise `ValueError` that counts the problems of each kind and names the first few."""
-    told = []
+    messages = []
     for kind, names in problems.items():
         if names:
-            rest = ", ..." if len(names) > NAMED else ""
-            told.append(f"{len(names)} {kind} ({', '.join(names[:NAMED])}{rest})")
-    if told:
-        raise ValueError(f"{path} must hold every parameter of the network as {layout.source}, got {'; '.join(told)}")
+            rest = ", ..." if len(names) > MAX_NAMES else ""
+            messages.append(f"{len(names)} {kind} ({', '.join(names[:MAX_NAMES])}{rest})")
+    if messages:
+        raise ValueError(
+            f"{path} must hold every parameter of the network as {layout.source}, got {'; '.join(messages)}"
+        )

@@ -1,4 +1,4 @@
-"""Where a run trains: one CPU, one GPU, or several processes started by torchrun."""
+"""Processes of a training run: one CPU, one GPU, or several processes started by torchrun."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ class Ranks:
 
     @property
     def leads(self) -> bool:
-        """Whether this process writes the run folder."""
+        """Return whether this process writes the run folder."""
         return self.rank == 0
 
     def shared(self, network: nn.Module) -> nn.Module:
-        """The network whose gradients are averaged over all ranks; itself where there is one."""
+        """Return the network whose gradients are averaged over all ranks; itself if there is one rank."""
         if self.count == 1:
             return network
         devices = [self.device.index] if self.device.type == "cuda" else None
         return DistributedDataParallel(network, device_ids=devices)
 
     def mean(self, value: float) -> float:
-        """Mean of a number over all ranks."""
+        """Return mean of a number over all ranks."""
         if self.count == 1:
             return value
         total = torch.tensor(value, device=self.device, dtype=torch.float64)
@@ -43,7 +43,7 @@ class Ranks:
 
 @contextmanager
 def joined_ranks() -> Iterator[Ranks]:
-    """The ranks that torchrun's environment names, joined for as long as the context lasts; else this process alone."""
+    """Join the ranks that torchrun's environment names for the duration of the context; else this process alone."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
     cuda = torch.cuda.is_available()
     if count == 1:

@@ -1,4 +1,4 @@
-"""What a run folder holds: the resolved configuration, the last state, the best network, the curves."""
+"""Contents of a run folder: the resolved configuration, the last state, the best network, the curves."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ Config = TypeVar("Config")
 
 
 def adopt_config(run_dir: Path, config: object, leads: bool = True) -> None:
-    """Write the resolved configuration, or insist that the run's own is the same; only one process `leads`."""
-    path, wanted = run_dir / CONFIG, json_lines(config)
+    """Write the resolved configuration, or require that the run's own is the same; only one process `leads`."""
+    path, content = run_dir / CONFIG, json_lines(config)
     if path.exists():
-        if path.read_bytes() != wanted:
+        if path.read_bytes() != content:
             raise ValueError(f"{path} must hold the configuration of this run; use another run folder for another one")
     elif leads:
         run_dir.mkdir(parents=True, exist_ok=True)
-        write_whole(path, wanted)
+        write_whole(path, content)
 
 
 def load_config(run_dir: Path, kind: type[Config]) -> Config:
-    """The configuration of a run that has a best network; raises `ValueError` naming the file that is not there."""
+    """Return the configuration of a run that has a best network; raises `ValueError` naming a missing file."""
     for name in (CONFIG, BEST):
         if not (run_dir / name).exists():
             raise ValueError(f"{run_dir / name} must exist: the run folder holds no trained network")
@@ -35,7 +35,7 @@ def load_config(run_dir: Path, kind: type[Config]) -> Config:
 
 
 def load_json(path: Path, kind: type[Config]) -> Config:
-    """A value of a type from a file; raises `ValueError` naming the file."""
+    """Return a value of a type from a file; raises `ValueError` naming the file."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=kind)
     except OSError as error:
@@ -51,11 +51,11 @@ def save_state(path: Path, state: dict[str, Any]) -> None:
 
 
 def load_state(path: Path, device: torch.device | str = "cpu") -> Any:
-    """What a checkpoint holds, of tensors and plain values; raises `ValueError` naming a file that is none."""
+    """Return a checkpoint's tensors and plain values; raises `ValueError` naming an invalid file."""
     if not path.is_file():
         raise ValueError(f"{path} must be a checkpoint file: there is none")
     try:
         return torch.load(path, map_location=device, weights_only=True)
     except Exception as error:
-        # torch lets through whatever its readers raise, each with pages of advice
+        # torch passes on any exception of its readers, each with pages of advice
         raise ValueError(f"{path} must be a checkpoint of tensors only, torch cannot read it as one") from error

@@ -12,14 +12,14 @@ from torch import nn
 
 @dataclass(frozen=True, kw_only=True)
 class ScheduleConfig:
-    """How the weights are moved. Defaults: a one-cycle schedule for compact networks and short runs."""
+    """Optimiser and learning rate. Defaults: a one-cycle schedule for compact networks and short runs."""
 
     #: One_cycle: AdamW, up and down again. Constant: Adam. Steps: AdamW, the head apart, falling once.
     kind: Literal["one_cycle", "constant", "steps"] = "one_cycle"
     epochs: int = 20
     batch_size: int = 8
     learning_rate: float = 2e-3
-    #: Of the head, where it differs.
+    #: Of the head, if it differs.
     head_learning_rate: float | None = None
     weight_decay: float = 1e-3
     clip_norm: float = 1.0
@@ -36,7 +36,7 @@ class ScheduleConfig:
             raise ValueError(f"schedule.warm_up must be in (0, 1), got {self.warm_up}")
 
     def factor(self, step: int, steps_per_epoch: int) -> float:
-        """Learning rate at a step, relative to the largest."""
+        """Return the learning rate at a step, relative to the largest."""
         if self.kind == "constant":
             return 1.0
         if self.kind == "steps":
@@ -60,12 +60,12 @@ SCHEDULES = {"one_cycle": ScheduleConfig(), "published": PUBLISHED, "fine_tuning
 def optimiser_of(
     network: nn.Module, config: ScheduleConfig, head: tuple[str, ...], steps_per_epoch: int
 ) -> tuple[torch.optim.Optimizer, torch.optim.lr_scheduler.LRScheduler]:
-    """Optimiser and schedule of a network; `head` are the prefixes of its head's parameters."""
-    named = list(network.named_parameters())
-    of_head = [parameter for name, parameter in named if name.split(".")[0] in head]
-    others = [parameter for name, parameter in named if name.split(".")[0] not in head]
+    """Return optimiser and schedule of a network; `head` are the prefixes of its head's parameters."""
+    parameters = list(network.named_parameters())
+    of_head = [parameter for name, parameter in parameters if name.split(".")[0] in head]
+    of_body = [parameter for name, parameter in parameters if name.split(".")[0] not in head]
     groups = [
-        {"params": others, "lr": config.learning_rate},
+        {"params": of_body, "lr": config.learning_rate},
         {"params": of_head, "lr": config.head_learning_rate or config.learning_rate},
     ]
     if config.kind == "constant":

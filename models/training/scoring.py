@@ -23,21 +23,21 @@ class DetectionTally:
         self.grid = grid
         self.counts = {threshold: dict.fromkeys(PathClass, Counts()) for threshold in thresholds}
 
-    def add(self, found: Points, labels: PointLabels) -> None:
+    def add(self, detected: Points, labels: PointLabels) -> None:
         """Count one frame: points against its truth (one to one, 2 m gate)."""
-        found_m = positions_m(self.grid, *found.cells.T)
+        found_m = positions_m(self.grid, *detected.cells.T)
         truth_m = positions_m(self.grid, labels.row, labels.column)
         for threshold, total in self.counts.items():
-            kept = found.score >= threshold
-            frame = dense_counts(found_m[kept], found.path_class[kept], truth_m, labels.path_class)
+            kept = detected.score >= threshold
+            frame = dense_counts(found_m[kept], detected.path_class[kept], truth_m, labels.path_class)
             for k in PathClass:
                 total[k] += frame[k]
 
     def macro_f1(self, threshold: float = DEFAULT_THRESHOLD) -> float:
-        """Mean F1 of the classes at one of the thresholds."""
+        """Return the mean F1 of the classes at one of the thresholds."""
         return sum(counts.f1 for counts in self.counts[threshold].values()) / len(PathClass)
 
 
 def positions_m(grid: RangeAzimuthGrid, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Positions in the plane, [points, 2] in metres, of fractional cells."""
+    """Return positions in the plane, [points, 2] in metres, of fractional cells."""
     return xy_from_polar(grid.range_at(row), grid.azimuth_at(column))

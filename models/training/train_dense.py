@@ -1,4 +1,4 @@
-"""Training of dense networks: epochs, checkpoints, validation, and going on after a kill."""
+"""Training of dense networks: epochs, checkpoints, validation, and resumption after a kill."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from models.training.schedules import ScheduleConfig, optimiser_of
 from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
 from msgs.values.perception import PathClass
 
-#: Thresholds of the validation of every epoch; the first is the least confident peak that is looked at.
+#: Thresholds of the validation of every epoch; the first is the least confident peak considered.
 WATCHED_THRESHOLDS = (0.1, 0.2, DEFAULT_THRESHOLD, 0.4, 0.5, 0.6, 0.7, 0.8)
 #: A score that rises by more than this over the last fifth of a run has not converged.
 CONVERGED_RISE = 0.01
@@ -39,7 +39,7 @@ CONVERGED_RISE = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class TrainDenseConfig:
-    """What is trained and how."""
+    """Configuration of a training."""
 
     network: NetworkChoice
     objective: ObjectiveConfig = field(default_factory=ObjectiveConfig)
@@ -48,7 +48,7 @@ class TrainDenseConfig:
     threads: int = 1
     #: Arithmetic in bfloat16 where it is safe (section 3.3: mixed precision).
     mixed_precision: bool = True
-    #: Weights to start from, a file.
+    #: File of initial weights.
     init: str = ""
 
     def __post_init__(self) -> None:
@@ -60,7 +60,7 @@ class TrainDenseConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class RunConfig:
-    """All that a run was made with; its JSON lies in the run folder."""
+    """Complete configuration of a run; its JSON lies in the run folder."""
 
     training: TrainDenseConfig
     data: DataConfig
@@ -81,7 +81,7 @@ class RunConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class EpochReport:
-    """What one epoch brought; scores are on the validation scenes at the published threshold."""
+    """Result of one epoch; scores are on the validation scenes at the published threshold."""
 
     epoch: int
     train_loss: float
@@ -89,7 +89,7 @@ class EpochReport:
     macro_f1: float
     los_f1: float
     mirrored_f1: float
-    #: The best of the watched thresholds, and its score: what chooses the checkpoint.
+    #: The best of the validation thresholds, and its score, which selects the checkpoint.
     best_threshold: float
     best_macro_f1: float
     is_best: bool
@@ -97,7 +97,7 @@ class EpochReport:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSummary:
-    """The budget of a run and what it came to."""
+    """The budget of a run and its result."""
 
     family: str
     parameters: int
@@ -111,14 +111,14 @@ class RunSummary:
 
 
 class NonFiniteLossError(ValueError):
-    """A loss that is no number, with the batch that did it."""
+    """A loss that is not finite, with the batch that caused it."""
 
 
 class DenseTraining:
     """One run: network, optimiser and schedule, resumable after every epoch.
 
     `run_dir` receives the resolved configuration, the curves, the last state and the best network. A run that was
-    killed goes on where it stood and ends with the same weights as one that was not.
+    killed resumes and ends with the same weights as an uninterrupted one.
     """
 
     def __init__(self, config: TrainDenseConfig, data: TrainingData, run_dir: Path, ranks: Ranks | None = None) -> None:
@@ -154,9 +154,9 @@ class DenseTraining:
         report: Callable[[EpochReport], None] = lambda _: None,
         on_step: Callable[[int, int], None] = lambda done, steps: None,
     ) -> None:
-        """Train the epochs that are left, reporting each; `on_step` hears of every batch (done, of how many).
+        """Train the remaining epochs, reporting each; `on_step` is called for every batch (done, total).
 
-        Raises `NonFiniteLossError` naming epoch, batch and scenes where a loss is no number.
+        Raises `NonFiniteLossError` naming epoch, batch and scenes if a loss is not finite.
         """
         for epoch in range(len(self.reports), self.config.schedule.epochs):
             train_loss = self._train_epoch(epoch, on_step)
@@ -166,7 +166,7 @@ class DenseTraining:
                 report(self.reports[-1])
 
     def summary(self) -> RunSummary:
-        """What the run came to so far; raises `ValueError` before the first epoch."""
+        """Return the result of the run so far; raises `ValueError` before the first epoch."""
         if not self.reports:
             raise ValueError(f"{self.run_dir} must hold at least one epoch, holds none")
         scores = [report.best_macro_f1 for report in self.reports]
@@ -185,7 +185,7 @@ class DenseTraining:
         config = self.config
         self._shared.train()
         losses = []
-        # the epoch's own seed: a resumed run draws what it would have drawn
+        # the epoch's own seed: a resumed run draws the same numbers
         torch.manual_seed(config.seed + 1_000_003 * epoch + self.ranks.rank)
         batches = shuffled_batches(
             self.data.train,
@@ -239,7 +239,7 @@ class DenseTraining:
         )
 
     def evaluate(self) -> tuple[float, DetectionTally]:
-        """Mean loss a batch and detection scores over the validation maps."""
+        """Return the mean loss of a batch and detection scores over the validation maps."""
         self._shared.eval()
         tally = DetectionTally(self.data.config.grid, WATCHED_THRESHOLDS)
         losses, size = [], self.config.schedule.batch_size
@@ -249,8 +249,8 @@ class DenseTraining:
                 answer = self._answer(self.former.encode(samples))
                 labels: list[PointLabels] = [sample.labels for sample in samples]
                 losses.append(self.objective.loss(answer, labels).item())
-                for one, truth in zip(answer.cpu().numpy(), labels, strict=True):
-                    tally.add(self.objective.points(one, WATCHED_THRESHOLDS[0]), truth)
+                for map_answer, truth in zip(answer.cpu().numpy(), labels, strict=True):
+                    tally.add(self.objective.points(map_answer, WATCHED_THRESHOLDS[0]), truth)
         return float(np.mean(losses)), tally
 
     def _save(self) -> None:
@@ -276,9 +276,9 @@ class DenseTraining:
 
 
 def load_best(run_dir: Path) -> tuple[nn.Module, RunConfig, int]:
-    """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
+    """Return the best network of a run in evaluation mode, the run's configuration, and the network's epoch.
 
-    Raises `ValueError` where the folder holds none, naming the file.
+    Raises `ValueError` if the folder holds none, naming the file.
     """
     config = load_config(run_dir, RunConfig)
     network = config.training.network.build()
@@ -288,5 +288,5 @@ def load_best(run_dir: Path) -> tuple[nn.Module, RunConfig, int]:
 
 
 def load_summary(run_dir: Path) -> RunSummary:
-    """What a run came to; raises `ValueError` where it has not finished an epoch."""
+    """Return the result of a run; raises `ValueError` if it has not finished an epoch."""
     return load_json(run_dir / SUMMARY, RunSummary)

@@ -28,14 +28,14 @@ class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
     batch_size: int = 128
     learning_rate: float = 1e-4
     clip_norm: float = 1.0
-    #: What an image without a wall of its own (eta = 1) counts in the loss, beside 1 for all others.
+    #: Weight of an image without a wall of its own (eta = 1) in the loss, relative to 1 for all others.
     unreliable_weight: float = 0.1
-    #: Images that the mirror law leaves further than this from their true place were mirrored elsewhere: not learned
-    #: from, and not what chooses the checkpoint. The published training learns from all (1000).
+    #: Images that the mirror law leaves further than this from their true position were mirrored elsewhere: they are
+    #: excluded from training and from the selection of the checkpoint. The published training uses all (1000).
     reach_m: float = 2.0
     frame: ResidualFrame = "radar"
     threads: int = 1
-    #: Weights to start from, a file.
+    #: File of initial weights.
     init: str = ""
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ResidualRunConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """All that a run was made with; its JSON lies in the run folder."""
+    """Complete configuration of a run; its JSON lies in the run folder."""
 
     training: TrainResidualConfig
     samples: SampleConfig
@@ -62,11 +62,11 @@ class ResidualRunConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, kw_only=True)
 class ResidualEpoch:
-    """What one epoch brought, as the vehicle would run it: on validation scenes, corrections bounded."""
+    """Result of one epoch with the vehicle's processing: on validation scenes, corrections bounded."""
 
     epoch: int
     train_loss: float
-    #: Mean |error x| + |error y| of the recovered places within reach, and F1 of all at 1 m; `_without` are those of
+    #: Mean |error x| + |error y| of the recovered positions within reach, and F1 of all at 1 m; `_without` are those of
     #: the mirror law alone.
     recovered_l1_m: float
     recovered_l1_without_m: float
@@ -79,7 +79,7 @@ class ResidualTraining:
     """One run: network and optimiser, resumable after every epoch.
 
     `run_dir` receives the resolved configuration, the curves, the last state and the best network. A run that was
-    killed goes on where it stood and ends with the same weights as one that was not. Raises `ValueError` where
+    killed resumes and ends with the same weights as an uninterrupted one. Raises `ValueError` if
     there is nothing to train or validate on.
     """
 
@@ -115,7 +115,7 @@ class ResidualTraining:
             load_initial(self.network, Path(self.config.init))
 
     def run(self, report: Callable[[ResidualEpoch], None]) -> ResidualEpoch:
-        """Train the epochs that are left, reporting each; returns the best one.
+        """Train the remaining epochs, reporting each; return the best one.
 
         Raises `ValueError` naming the batch whose loss is not finite.
         """
@@ -124,18 +124,18 @@ class ResidualTraining:
             self.reports.append(self._validate(epoch, train_loss))
             self._save()
             report(self.reports[-1])
-        return min(self.reports, key=lambda one: one.recovered_l1_m)
+        return min(self.reports, key=lambda entry: entry.recovered_l1_m)
 
     def _train_epoch(self, epoch: int) -> float:
         self.network.train()
-        # the epoch's own seed: a resumed run draws what it would have drawn
+        # the epoch's own seed: a resumed run draws the same numbers
         order = torch.from_numpy(np.random.default_rng((self.config.seed, epoch)).permutation(len(self.target)))
         losses = [self._step(batch, epoch, index) for index, batch in enumerate(order.split(self.config.batch_size))]
         return float(np.mean(losses))
 
     def _step(self, batch: Tensor, epoch: int, index: int) -> float:
         self.optimiser.zero_grad()
-        answer = self.network(*(one[batch] for one in self.inputs))
+        answer = self.network(*(tensor[batch] for tensor in self.inputs))
         loss = residual_loss(answer, self.target[batch], self.weight[batch])
         if not torch.isfinite(loss):
             scenes = np.unique(self.scene[batch.numpy()]).tolist()
@@ -157,7 +157,7 @@ class ResidualTraining:
             recovered_l1_without_m=self.without.l1_m,
             recovered_f1=scores.f1,
             recovered_f1_without=self.without.f1,
-            is_best=scores.l1_m < min((one.recovered_l1_m for one in self.reports), default=np.inf),
+            is_best=scores.l1_m < min((entry.recovered_l1_m for entry in self.reports), default=np.inf),
         )
 
     def _save(self) -> None:
@@ -180,13 +180,13 @@ class ResidualTraining:
 
 
 def residual_loss(answer: Tensor, target: Tensor, weight: Tensor) -> Tensor:
-    """Weighted mean over the batch of the l1 length of the error, Eq. (25), in metres; zero where no weight is."""
+    """Return the weighted mean over the batch of the l1 length of the error, Eq. (25), in metres; 0 if unweighted."""
     error_m = (answer - target).abs().sum(dim=1)
     return (weight * error_m).sum() / weight.sum().clamp_min(1e-9)
 
 
 def network_offsets(network: nn.Module, folded: FoldedImages, frame: ResidualFrame) -> np.ndarray:
-    """Corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
+    """Return corrections [N, 2] in the radar's frame, bounded as on the vehicle."""
     network.eval()
     frames = image_frames(folded.reflection, frame)
     with torch.no_grad():
@@ -195,7 +195,7 @@ def network_offsets(network: nn.Module, folded: FoldedImages, frame: ResidualFra
 
 
 def tensors(reflection: ReflectionState) -> tuple[Tensor, Tensor, Tensor]:
-    """What the network takes."""
+    """Return the tensors that the network takes."""
     return _tensor(reflection.images_m), _tensor(reflection.patch_m), _tensor(reflection.state)
 
 
@@ -204,9 +204,9 @@ def _tensor(array: np.ndarray) -> Tensor:
 
 
 def load_best_residual(run_dir: Path) -> tuple[ResidualReflectNet, ResidualRunConfig, int]:
-    """The best network of a run in evaluation mode, the run's configuration, and the network's epoch.
+    """Return the best network of a run in evaluation mode, the run's configuration, and the network's epoch.
 
-    Raises `ValueError` where the folder holds none, naming the file.
+    Raises `ValueError` if the folder holds none, naming the file.
     """
     config = load_config(run_dir, ResidualRunConfig)
     network = ResidualReflectNet()

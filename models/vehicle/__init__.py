@@ -1,1 +1,1 @@
-"""The vehicle's own motion, as its CAN bus tells it: pure rules on frames, ages and ranges."""
+"""The vehicle's own motion, as reported by its CAN bus: pure rules on frames, ages and ranges."""

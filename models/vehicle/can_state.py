@@ -18,6 +18,7 @@ from models.vehicle.signal_units import Dimension
 from msgs.values.arrays import MAX_STAMP_NS
 from msgs.values.units import s_from_ns
 from msgs.values.vehicle import VehicleState
+from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from cantools.database import Database
@@ -98,7 +99,7 @@ class CanDecoder:
         troubles = [text for text in (item.trouble(now_ns) for item in self._quantities.values()) if text]
         others = self.counts[Verdict.UNKNOWN_ID]
         if others >= _MANY_FRAMES and not any(watch.seen for watch in self._watches.values()):
-            troubles.append(f"{others} frames of other ids came: wrong DBC?")
+            troubles.append(f"{counted(others, 'frame')} of other ids came: wrong DBC?")
         stamps_ns = [item.stamp_ns for item in self._quantities.values() if item.stamp_ns is not None]
         steering = self._quantities.get("steering")
         return VehicleState(

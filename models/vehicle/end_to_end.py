@@ -17,12 +17,12 @@ Algorithm = Literal["crc8_sae_j1850", "xor8", "sum8"]
 
 
 class ChecksumRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where a message carries its checksum and how it is made."""
+    """Position and algorithm of a message's checksum."""
 
     #: A signal of eight bits that fills one byte.
     signal: str
     algorithm: Algorithm = "crc8_sae_j1850"
-    #: Known to sender and receiver only: goes in ahead of the payload, low byte first.
+    #: Known to sender and receiver only: precedes the payload, low byte first.
     data_id: int | None = None
 
     def __post_init__(self) -> None:
@@ -31,10 +31,10 @@ class ChecksumRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class CounterRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where a message carries its rolling counter and how far it may step."""
+    """Position and maximum step of a message's rolling counter."""
 
     signal: str
-    #: Largest step from one message to the next; 2 forgives one lost message.
+    #: Largest step from one message to the next; 2 tolerates one lost message.
     max_step: int = 2
     #: The counter runs from 0 to `modulus` - 1; None: all values of its bits.
     modulus: int | None = None
@@ -47,7 +47,7 @@ class CounterRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 def crc8_sae_j1850(data: Iterable[int]) -> int:
-    """CRC-8 SAE J1850: polynomial 0x1D, start and final XOR 0xFF; "123456789" gives 0x4B."""
+    """Return the CRC-8 SAE J1850: polynomial 0x1D, start and final XOR 0xFF; "123456789" gives 0x4B."""
     crc = 0xFF
     for byte in data:
         crc = _J1850_TABLE[crc ^ byte]
@@ -55,7 +55,7 @@ def crc8_sae_j1850(data: Iterable[int]) -> int:
 
 
 def xor8(data: Iterable[int]) -> int:
-    """Exclusive or of all bytes."""
+    """Return the exclusive or of all bytes."""
     result = 0
     for byte in data:
         result ^= byte
@@ -63,18 +63,18 @@ def xor8(data: Iterable[int]) -> int:
 
 
 def sum8(data: Iterable[int]) -> int:
-    """Sum of all bytes modulo 256."""
+    """Return the sum of all bytes modulo 256."""
     return sum(data) & 0xFF
 
 
 def checksum_of(rule: ChecksumRule, data: bytes, position: int) -> int:
-    """Checksum of a payload without the byte at `position`, where the checksum itself stands."""
+    """Return the checksum of a payload without the byte at `position`, which holds the checksum itself."""
     prefix = b"" if rule.data_id is None else rule.data_id.to_bytes(2, "little")
     return _ALGORITHMS[rule.algorithm](prefix + data[:position] + data[position + 1 :])
 
 
 def checksum_byte(message: Message, rule: ChecksumRule) -> int:
-    """Which byte of the payload is the checksum; `ValueError` where the DBC has none there."""
+    """Return the index of the checksum byte in the payload; `ValueError` if the DBC has none there."""
     field = f"messages.{message.name}.checksum.signal"
     signal = signal_of(message, rule.signal, field)
     first_bit = 0 if signal.byte_order == "little_endian" else 7
@@ -86,7 +86,7 @@ def checksum_byte(message: Message, rule: ChecksumRule) -> int:
 
 
 def counter_modulus(message: Message, rule: CounterRule) -> int:
-    """How many values the counter has; `ValueError` where the DBC's bits cannot hold them."""
+    """Return the number of values of the counter; `ValueError` if the DBC's bits cannot hold them."""
     field = f"messages.{message.name}.counter"
     bits = signal_of(message, rule.signal, f"{field}.signal").length
     modulus = 1 << bits if rule.modulus is None else rule.modulus
@@ -96,7 +96,7 @@ def counter_modulus(message: Message, rule: CounterRule) -> int:
 
 
 def signal_of(message: Message, name: str, field: str) -> Signal:
-    """A signal of a message by name; `ValueError` naming the mapping's `field` if there is none."""
+    """Return a signal of a message by name; `ValueError` naming the mapping's `field` if there is none."""
     for signal in message.signals:
         if signal.name == name:
             return signal
@@ -104,7 +104,7 @@ def signal_of(message: Message, name: str, field: str) -> Signal:
 
 
 def counter_step(last: int, new: int, modulus: int) -> int:
-    """How far a rolling counter went, 0..modulus-1; 0 is a counter that stands still."""
+    """Return the step of a rolling counter, 0..modulus-1; 0 is a counter that did not move."""
     return (new - last) % modulus
 
 

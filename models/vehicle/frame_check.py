@@ -1,6 +1,6 @@
-"""Whether a frame of a message counts: its length, checksum and rolling counter, and what it says.
+"""Validity of a message's frames: length, checksum and rolling counter, and their signals.
 
-The one account of it, for the vehicle state (`can_state`) and for the signals of any DBC (`mirrorwave can --signals`).
+The one implementation, for the vehicle state (`can_state`) and for the signals of any DBC (`mirrorwave can --signals`).
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ _FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 
 class Verdict(StrEnum):
-    """What became of a frame."""
+    """Verdict on a frame."""
 
     COUNTED = "counted"
-    #: Sets the counter that the next one is measured against.
+    #: Sets the counter that the next frame is compared with.
     FIRST = "first of its counter"
     OUT_OF_RANGE = "out of range"
     WRONG_CHECKSUM = "wrong checksum"
@@ -39,7 +39,7 @@ class Verdict(StrEnum):
 
 
 class Checked(NamedTuple):
-    """The verdict on a frame, why it does not count, and its signals where they could be decoded."""
+    """The verdict on a frame, the reason if it is not valid, and its signals if they could be decoded."""
 
     verdict: Verdict
     why: str = ""
@@ -47,9 +47,9 @@ class Checked(NamedTuple):
 
 
 class FrameCheck:
-    """Judges the frames of one message, one after the other.
+    """Checks the frames of one message, one after the other.
 
-    Raises `ValueError` naming the field where the rule's signals are not the message's.
+    Raises `ValueError` naming the field if the rule's signals are not the message's.
     """
 
     def __init__(self, message: Message, rule: MessageRule) -> None:
@@ -60,24 +60,24 @@ class FrameCheck:
         self._counter: int | None = None
 
     def forget(self) -> None:
-        """As if no frame had come."""
+        """Reset to the state before any frame."""
         self._counter = None
 
     def length_fault(self, data: bytes) -> str:
-        """What is wrong with a frame's length; padding up to the next length of CAN FD is not."""
+        """Return what is wrong with a frame's length; padding up to the next length of CAN FD is valid."""
         if len(data) in self._lengths:
             return ""
         return f"wrong length: {len(data)} bytes, expected {self._message.length}"
 
     def check(self, data: bytes, silent: bool = False) -> Checked:
-        """Judge a frame; after a silence its counter is measured against nothing."""
+        """Judge a frame; after a silence its counter has no reference."""
         if why := self.length_fault(data):
             return Checked(Verdict.WRONG_LENGTH, why)
         data = data[: self._message.length]
         if why := self._checksum_fault(data):
             return Checked(Verdict.WRONG_CHECKSUM, why)
         try:
-            # numbers only: named values are not asked for, and a message of a DBC is no container
+            # numbers only: enumeration names are not needed, and a message of a DBC is no container
             values = cast("dict[str, float]", self._message.decode(data, decode_choices=False))
         except DecodeError as error:
             return Checked(Verdict.UNDECODABLE, f"undecodable: {error}")
@@ -87,8 +87,8 @@ class FrameCheck:
         rule = self._rule.checksum
         if rule is None:
             return ""
-        found, wanted = data[self._checksum_byte], checksum_of(rule, data, self._checksum_byte)
-        return "" if found == wanted else f"wrong checksum: {found:#04x}, expected {wanted:#04x}"
+        received, expected = data[self._checksum_byte], checksum_of(rule, data, self._checksum_byte)
+        return "" if received == expected else f"wrong checksum: {received:#04x}, expected {expected:#04x}"
 
     def _check_counter(self, values: dict[str, float], silent: bool) -> tuple[Verdict, str]:
         rule = self._rule.counter
@@ -97,11 +97,11 @@ class FrameCheck:
         try:
             counter = int(values[rule.signal])
         except (KeyError, ValueError, OverflowError):
-            # of another page of the message, or no number: a DBC may say so
+            # of another page of the message, or not a number: a DBC may declare either
             return Verdict.UNDECODABLE, "undecodable: without its counter"
         last, self._counter = self._counter, counter
         if last is None or silent:
-            # nothing to measure against: a sender that stands still must not count once for each silence
+            # no reference: a sender whose counter is stuck must not count as valid once for each silence
             return Verdict.FIRST, "first of its counter"
         step = counter_step(last, self._counter, self._modulus)
         if step == 0:

@@ -1,7 +1,7 @@
-"""A view of hidden objects as the messages of a DBC: which object takes which place, what fits, what is said of it.
+"""A view of hidden objects as the messages of a DBC: slot of each object, fitted values, status.
 
-Pure: a view and its age go in, frames come out; the DBC says ids, bits, ranges, cycle times and delays. A value beyond
-its range stands at the end of the range and is marked; one that is no number makes its message invalid.
+Pure: a view and its age go in, frames come out; the DBC states ids, bits, ranges, cycle times and delays. A value
+beyond its range is clipped to the range and marked; a non-finite one makes its message invalid.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 STATUS_MESSAGE = "MW_OBJECT_LIST"
 POSITION_MESSAGE, SHAPE_MESSAGE = "MW_OBJECT_{:02d}_POSITION", "MW_OBJECT_{:02d}_SHAPE"
-#: Attributes of a message: what its checksum starts with, and how long after the status of its list it is sent [ms].
+#: Attributes of a message: the data id of its checksum, and its delay after the status of its list [ms].
 DATA_ID, START_DELAY = "E2EDataID", "GenMsgStartDelayTime"
 #: Signal of each flag of a view that has a bit of its own.
 FAULT_SIGNALS = {
@@ -65,7 +65,7 @@ class ListFrame(NamedTuple):
 
 
 class Fitted(NamedTuple):
-    """Values within the ranges of their signals, whether one had to be moved there, whether all are numbers."""
+    """Values within the ranges of their signals, whether any was clipped, whether all are numbers."""
 
     values: dict[str, float]
     saturated: bool
@@ -75,41 +75,41 @@ class Fitted(NamedTuple):
 class HiddenObjectList:
     """Makes the frames of one list after the other.
 
-    Raises `ValueError` naming the message and the field where the DBC is not one of a hidden-object list.
+    Raises `ValueError` naming the message and the field if the DBC is not one of a hidden-object list.
     """
 
     def __init__(self, database: Database) -> None:
         self._messages = {message.name: message for message in database.messages}
-        #: Objects that a list has places for.
-        self.places = _places(self._messages)
+        #: Object slots of a list.
+        self.slots = _slot_count(self._messages)
         status = _checked(self._messages, STATUS_MESSAGE, (*_STATUS, *FAULT_SIGNALS.values(), OTHER_FAULT))
-        for place in range(1, self.places + 1):
+        for slot in range(1, self.slots + 1):
             for name, signals in ((POSITION_MESSAGE, _POSITION), (SHAPE_MESSAGE, _SHAPE)):
-                _require_within(_checked(self._messages, name.format(place), signals), status)
-        #: From one list to the next.
+                _require_within(_checked(self._messages, name.format(slot), signals), status)
+        #: Time from one list to the next.
         self.period_ns = period_ns(status, MessageRule())
-        #: The oldest age that a list can state, in milliseconds.
+        #: The maximum age that a list can state, in milliseconds.
         self.max_age_ms = int(signal_of(status, "AGE", STATUS_MESSAGE).maximum or 0)
         self._modulus = counter_modulus(status, _COUNTER)
 
     def frames(self, view: BevFrame | None, age_ns: int | None, max_age_ns: int, counter: int) -> list[ListFrame]:
-        """All frames of the list number `counter`, in the order of their delays.
+        """Return all frames of the list number `counter`, in the order of their delays.
 
-        The list is valid while `age_ns`, the view's age, is within 0..`max_age_ns`; None is no age that is known.
+        The list is valid while `age_ns`, the view's age, is within 0..`max_age_ns`; None is an unknown age.
         """
         fresh = view is not None and age_ns is not None and 0 <= age_ns <= max_age_ns
-        objects = placed_objects(view.objects, self.places) if view is not None and fresh else ()
+        objects = listed_objects(view.objects, self.slots) if view is not None and fresh else ()
         frames, saturated = [], False
-        for place in range(1, self.places + 1):
-            one = objects[place - 1] if place <= len(objects) else None
+        for slot in range(1, self.slots + 1):
+            hidden_object = objects[slot - 1] if slot <= len(objects) else None
             for name, values_of in ((POSITION_MESSAGE, position_values), (SHAPE_MESSAGE, shape_values)):
-                message = self._messages[name.format(place)]
-                fitted = fit(message, {} if one is None else values_of(one))
-                valid = one is not None and fitted.finite
+                message = self._messages[name.format(slot)]
+                fitted = fit(message, {} if hidden_object is None else values_of(hidden_object))
+                valid = hidden_object is not None and fitted.finite
                 saturated = saturated or fitted.saturated
                 frames.append(self._frame(message, {**fitted.values, "VALID": valid}, fitted.saturated, counter))
         status = self._messages[STATUS_MESSAGE]
-        values = {**fit(status, status_values(view, age_ns, self.places)).values, "VALID": fresh}
+        values = {**fit(status, status_values(view, age_ns, self.slots)).values, "VALID": fresh}
         frames.append(self._frame(status, values, saturated, counter))
         return sorted(frames, key=lambda frame: (frame.delay_ns, frame.arbitration_id))
 
@@ -119,43 +119,54 @@ class HiddenObjectList:
         return ListFrame(message.name, message.frame_id, message.is_extended_frame, data, delay_ns)
 
 
-def placed_objects(objects: tuple[HiddenObject, ...], places: int) -> tuple[HiddenObject, ...]:
-    """The objects that get a place: the highest scores first, what is not all numbers last."""
+def listed_objects(objects: tuple[HiddenObject, ...], slots: int) -> tuple[HiddenObject, ...]:
+    """Return the objects that get a slot: the highest scores first, those with non-finite numbers last."""
 
-    def rank(one: HiddenObject) -> tuple[bool, float]:
-        values = {**position_values(one), **shape_values(one)}
-        return not all(math.isfinite(value) for value in values.values()), -one.score
+    def rank(item: HiddenObject) -> tuple[bool, float]:
+        values = {**position_values(item), **shape_values(item)}
+        return not all(math.isfinite(value) for value in values.values()), -item.score
 
-    # a score that is no number would leave the order open
-    numbered = [one for one in objects if math.isfinite(one.score)]
-    others = [one for one in objects if not math.isfinite(one.score)]
-    return tuple((sorted(numbered, key=rank) + others)[:places])
-
-
-def position_values(one: HiddenObject) -> dict[str, float]:
-    """What a position message says of an object; nothing is fitted to bits yet."""
-    return {"ID": one.id, "X": one.x_m, "Y": one.y_m, "POSITION_STD": worst_std_m(one)}
+    # a score that is NaN would leave the order undefined
+    scored = [item for item in objects if math.isfinite(item.score)]
+    unscored = [item for item in objects if not math.isfinite(item.score)]
+    return tuple((sorted(scored, key=rank) + unscored)[:slots])
 
 
-def shape_values(one: HiddenObject) -> dict[str, float]:
-    """What a shape message says of an object; the heading is the same one within half a turn to either side."""
-    yaw_rad = wrap_angle(one.yaw_rad) if math.isfinite(one.yaw_rad) else math.nan
-    return {"ID": one.id, "LENGTH": one.length_m, "WIDTH": one.width_m, "YAW": yaw_rad, "SCORE": one.score}
+def position_values(hidden_object: HiddenObject) -> dict[str, float]:
+    """Return the values of a position message for an object, before they are fitted to bits."""
+    return {
+        "ID": hidden_object.id,
+        "X": hidden_object.x_m,
+        "Y": hidden_object.y_m,
+        "POSITION_STD": worst_std_m(hidden_object),
+    }
 
 
-def status_values(view: BevFrame | None, age_ns: int | None, places: int) -> dict[str, float]:
-    """What the status says of a view; an age that is not known is the longest there is."""
+def shape_values(hidden_object: HiddenObject) -> dict[str, float]:
+    """Return the values of a shape message for an object; the heading is ambiguous by half a turn."""
+    yaw_rad = wrap_angle(hidden_object.yaw_rad) if math.isfinite(hidden_object.yaw_rad) else math.nan
+    return {
+        "ID": hidden_object.id,
+        "LENGTH": hidden_object.length_m,
+        "WIDTH": hidden_object.width_m,
+        "YAW": yaw_rad,
+        "SCORE": hidden_object.score,
+    }
+
+
+def status_values(view: BevFrame | None, age_ns: int | None, slots: int) -> dict[str, float]:
+    """Return the values of the status for a view; an unknown age is reported as the maximum."""
     age_ms = math.inf if age_ns is None or age_ns < 0 else age_ns / _NS_PER_MS
-    # a large number instead of none: the signal then stands at its end, which says "or more"
+    # a large number instead of none: the signal is then clipped to its maximum, which means "or more"
     values = {"AGE": min(age_ms, 1e12)}
     if view is None:
         return values
     flags = set(view.flags)
     return {
         **values,
-        "TRUNCATED": len(view.objects) > places,
+        "TRUNCATED": len(view.objects) > slots,
         "EGO_VALID": view.ego is not None and view.ego.valid,
-        # the one value that is meant to go round
+        # the one value that is meant to wrap
         "SCAN_COUNTER": view.scan_id % 256,
         "OBJECT_COUNT": len(view.objects),
         "OBSERVABLE_SHARE": 100.0 * observable_share(view),
@@ -164,26 +175,26 @@ def status_values(view: BevFrame | None, age_ns: int | None, places: int) -> dic
     }
 
 
-def worst_std_m(one: HiddenObject) -> float:
-    """Standard deviation of the centre along its worst direction, metres; NaN of a covariance that is none."""
-    (xx, xy), (yx, yy) = one.cov_m2
+def worst_std_m(hidden_object: HiddenObject) -> float:
+    """Return the standard deviation of the centre along its worst direction, metres; NaN for an invalid covariance."""
+    (xx, xy), (yx, yy) = hidden_object.cov_m2
     mean, cross = 0.5 * (xx + yy), 0.5 * (xy + yx)
     spread = math.hypot(0.5 * (xx - yy), cross)
-    # a matrix with a negative variance is broken; one that is singular up to rounding is not
+    # a matrix with a negative variance is invalid; one that is singular up to rounding is not
     if not (math.isfinite(mean + spread) and mean - spread >= -1e-9 * (mean + spread)):
         return math.nan
     return math.sqrt(max(0.0, mean + spread))
 
 
 def observable_share(view: BevFrame) -> float:
-    """Share of the cells out of direct sight where an object would have been seen in a mirror; 1 without such cells."""
+    """Return the share of cells out of sight where a mirror would have shown an object; 1 without such cells."""
     mirrored = int(np.count_nonzero(view.visibility == Visibility.MIRRORED))
     unknown = int(np.count_nonzero(view.visibility == Visibility.UNKNOWN))
     return mirrored / (mirrored + unknown) if mirrored + unknown else 1.0
 
 
 def fit(message: Message, values: Values) -> Fitted:
-    """Every signal of a message within its range; zero where nothing is said and for what is no number."""
+    """Return every signal of a message within its range; zero for missing and non-finite values."""
     fitted, saturated, finite = {}, False, True
     for signal in message.signals:
         value = float(values.get(signal.name, 0.0))
@@ -196,7 +207,7 @@ def fit(message: Message, values: Values) -> Fitted:
 
 
 def protected(message: Message, values: Values) -> bytes:
-    """The payload of a message whose values fit, with its checksum."""
+    """Return the payload of a message whose values fit, with its checksum."""
     rule = checksum_rule(message)
     data = bytearray(message.encode(dict(values), strict=False))
     position = checksum_byte(message, rule)
@@ -205,22 +216,22 @@ def protected(message: Message, values: Values) -> bytes:
 
 
 def checksum_rule(message: Message) -> ChecksumRule:
-    """How a message of the list is protected: its data id stands in the DBC."""
+    """Return the checksum rule of a message of the list; its data id is in the DBC."""
     return ChecksumRule(signal="CHECKSUM", data_id=_attribute(message, DATA_ID))
 
 
 def message_rule(message: Message) -> MessageRule:
-    """What a receiver holds a message of the list against."""
+    """Return the rule by which a receiver checks a message of the list."""
     return MessageRule(checksum=checksum_rule(message), counter=_COUNTER)
 
 
 def is_protected(message: Message) -> bool:
-    """Whether a message of any DBC is protected the way this list is."""
+    """Return whether a message of any DBC is protected like those of this list."""
     names = {signal.name for signal in message.signals}
     return {"CHECKSUM", "COUNTER"} <= names and message.dbc is not None and DATA_ID in message.dbc.attributes
 
 
-def _places(messages: Mapping[str, Message]) -> int:
+def _slot_count(messages: Mapping[str, Message]) -> int:
     count = 0
     while POSITION_MESSAGE.format(count + 1) in messages:
         count += 1
@@ -228,7 +239,7 @@ def _places(messages: Mapping[str, Message]) -> int:
 
 
 def _checked(messages: Mapping[str, Message], name: str, signals: tuple[str, ...]) -> Message:
-    """A message that has all its signals, each with a range that its bits hold."""
+    """Return a message that has all its signals, each with a range that its bits hold."""
     if name not in messages:
         raise ValueError(f"messages.{name}: the DBC has no such message")
     message = messages[name]
@@ -242,9 +253,9 @@ def _checked(messages: Mapping[str, Message], name: str, signals: tuple[str, ...
 def _require_range(signal: Signal, field: str) -> None:
     low, high = signal.minimum, signal.maximum
     bits = signal.length - signal.is_signed
-    least, most = (-(1 << bits) if signal.is_signed else 0), (1 << bits) - 1
-    ends = sorted(float(signal.offset + signal.scale * raw) for raw in (least, most))
-    # both sides are written in decimals
+    minimum, maximum = (-(1 << bits) if signal.is_signed else 0), (1 << bits) - 1
+    ends = sorted(float(signal.offset + signal.scale * raw) for raw in (minimum, maximum))
+    # both sides are decimal numbers
     slack = 1e-6 * abs(float(signal.scale))
     if low is None or high is None or not ends[0] - slack <= low < high <= ends[1] + slack:
         raise ValueError(f"{field}: range must be within {ends[0]:g}..{ends[1]:g}, which the bits hold: {low}..{high}")
@@ -262,7 +273,7 @@ def _require_within(message: Message, status: Message) -> None:
 
 
 def _attribute(message: Message, name: str) -> int:
-    """A number that the DBC states of a message, or its default."""
+    """Return a numeric attribute of a message in the DBC, or its default."""
     attributes = {} if message.dbc is None else message.dbc.attributes
     if name in attributes:
         return int(attributes[name].value)

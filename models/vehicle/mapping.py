@@ -1,4 +1,4 @@
-"""From one car's CAN signals to the vehicle state: what a mapping file says."""
+"""Mapping file: from one car's CAN signals to the vehicle state."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ if TYPE_CHECKING:
     from cantools.database.can import Message
 
 
-#: Frames of no bus come faster than each microsecond; the longest period is a day.
+#: No bus sends frames faster than each microsecond; the longest period is a day.
 SHORTEST_PERIOD_S, LONGEST_PERIOD_S = 1e-6, 86_400.0
 
 
 class DbcRange(StrEnum):
-    """How the range that a DBC gives a signal is read."""
+    """Interpretation of the range that a DBC gives a signal."""
 
-    #: In the signal's unit, or in raw counts where it can only be that.
+    #: In the signal's unit, or in raw counts if it can only be that.
     AUTO = "auto"
-    #: In the signal's unit, as the format has it.
+    #: In the signal's unit, as the format defines it.
     PHYSICAL = "physical"
     #: In raw counts, before scale and offset of the DBC.
     RAW = "raw"
-    #: Not at all: `low` and `high` of the mapping alone hold.
+    #: Ignored: `low` and `high` of the mapping alone hold.
     IGNORE = "ignore"
 
 
 class SignRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The signal of the DBC that says when a quantity is negative."""
+    """The signal of the DBC that states when a quantity is negative."""
 
     message: str
     signal: str
@@ -52,24 +52,24 @@ class SignRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class QuantityRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How signals become a quantity in SI units: sign * (scale * mean or sum of the signals + offset)."""
+    """Conversion of signals to a quantity in SI units: sign * (scale * mean or sum of the signals + offset)."""
 
     message: str
     signals: tuple[str, ...]
     #: Several signals are averaged, like the speeds of four wheels, or summed, like an angle and its fraction.
     combine: Literal["mean", "sum"] = "mean"
-    #: Unit of the signals, such as km/h or deg/s; None: what the DBC says.
+    #: Unit of the signals, such as km/h or deg/s; None: the DBC's.
     unit: str | None = None
     #: Factor to SI units, within 10 % of that of the unit; None: that of the unit.
     scale: float | None = None
     #: In SI units.
     offset: float = 0.0
-    #: -1 where the car counts the other way: forward and to the left (counter-clockwise) are positive here.
+    #: -1 if the car counts in the other direction: forward and to the left (counter-clockwise) are positive here.
     sign: Literal[1, -1] = 1
-    #: The quantity is turned round while this signal says so: a reverse gear, a separate sign bit.
+    #: The sign of the quantity is reversed while this signal says so: a reverse gear, a separate sign bit.
     negative_while: SignRule | None = None
     dbc_range: DbcRange = DbcRange.AUTO
-    #: Range in SI units beyond which a value is no measurement; the DBC's own range holds as well.
+    #: Range in SI units beyond which a value is invalid; the DBC's own range holds as well.
     low: float
     high: float
 
@@ -91,7 +91,7 @@ class WheelSpeedsRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     right: tuple[str, ...]
     unit: str | None = None
     scale: float | None = None
-    #: As of a quantity: for wheels that count no direction, the reverse gear.
+    #: As of a quantity: the reverse gear, for wheels whose speed has no sign.
     negative_while: SignRule | None = None
     dbc_range: DbcRange = DbcRange.AUTO
     low: float = -100.0
@@ -100,7 +100,7 @@ class WheelSpeedsRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     def __post_init__(self) -> None:
         require_signals("left", self.left)
         require_signals("right", self.right)
-        # the rest of the rules is that of a quantity
+        # the other rules are those of a quantity
         self.side(self.left)
 
     def side(self, signals: tuple[str, ...]) -> QuantityRule:
@@ -120,16 +120,16 @@ def require_signals(name: str, signals: tuple[str, ...]) -> None:
 
 
 def require_conversion(unit: str | None, scale: float | None) -> None:
-    """Raise `ValueError` for a unit that is not known and for a scale that is none."""
+    """Raise `ValueError` for an unknown unit and for an invalid scale."""
     if unit is not None and parse_unit(unit) is None:
-        known = ", ".join(known_units(dimension) for dimension in Dimension)
-        raise ValueError(f"unit must be one of {known}, got {unit!r}")
+        units = ", ".join(known_units(dimension) for dimension in Dimension)
+        raise ValueError(f"unit must be one of {units}, got {unit!r}")
     if scale is not None and not (math.isfinite(scale) and scale != 0.0):
         raise ValueError(f"scale must be finite and not zero, got {scale!r}")
 
 
 class MessageRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is known of a message beside its DBC."""
+    """Properties of a message that its DBC does not state."""
 
     #: None: the DBC's cycle time.
     period_s: float | None = None
@@ -138,12 +138,12 @@ class MessageRule(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         if self.period_s is not None and not SHORTEST_PERIOD_S <= self.period_s <= LONGEST_PERIOD_S:
-            least, most = SHORTEST_PERIOD_S, LONGEST_PERIOD_S
-            raise ValueError(f"period_s must be {least:g}..{most:g} s, got {self.period_s!r}")
+            minimum, maximum = SHORTEST_PERIOD_S, LONGEST_PERIOD_S
+            raise ValueError(f"period_s must be {minimum:g}..{maximum:g} s, got {self.period_s!r}")
 
 
 class CanMapping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """From one car's signals to the vehicle state."""
+    """Mapping of one car's signals to the vehicle state."""
 
     speed: QuantityRule
     yaw_rate: QuantityRule
@@ -153,16 +153,16 @@ class CanMapping(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     @property
     def quantities(self) -> dict[str, QuantityRule]:
-        """Rules by the name of what they give."""
+        """Rules by the name of their quantity."""
         steering = {} if self.steering is None else {"steering": self.steering}
         return {"speed": self.speed, "yaw rate": self.yaw_rate, **steering}
 
 
 def period_ns(message: Message, rule: MessageRule) -> int:
-    """A message's period; `ValueError` where neither mapping nor DBC has it."""
+    """Return a message's period; `ValueError` if neither mapping nor DBC states it."""
     if rule.period_s is not None:
         return ns_from_s(rule.period_s)
-    # a DBC whose attribute is of another kind gives text
+    # a DBC whose attribute has another type gives text
     if not (isinstance(message.cycle_time, int | float) and 0 < message.cycle_time <= 1e3 * LONGEST_PERIOD_S):
         raise ValueError(f"messages.{message.name}.period_s: must be given, the DBC states no cycle time")
     return round(1_000_000 * message.cycle_time)

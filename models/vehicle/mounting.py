@@ -1,11 +1,11 @@
-"""Where the radar sits on the vehicle and how far its clock is off, from walls seen while driving.
+"""Mounting pose of the radar on the vehicle and its clock offset, from walls seen while driving.
 
-Walls stand still in the world: carried there by the vehicle's odometry and the right mounting, all sightings of a wall
-fall on one line. Pose, clock, the odometry's own errors (bias of the yaw rate, scale of the speed) and all walls are
-solved for together, by robust weighted least squares on the distances of points from their wall.
+Walls are static in the world: transformed there by the vehicle's odometry and the right mounting, all sightings of a
+wall fall on one line. Pose, clock, the odometry's own errors (bias of the yaw rate, scale of the speed) and all walls
+are solved for together, by robust weighted least squares on the distances of points from their wall.
 
-What a drive cannot tell is not guessed: a quantity whose standard deviation stays above its limit is reported as its
-prior, while the others are those of the solution in which it was free.
+Quantities that a drive does not determine are not guessed: one whose standard deviation stays above its limit is
+reported as its prior, while the others are those of the solution in which it was free.
 """
 
 from __future__ import annotations
@@ -24,38 +24,38 @@ from msgs.values.frames import Pose2, wrap_angle
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.vehicle import VehicleState
 
-#: Unknowns before the walls (angle and place of each), in this order.
+#: Unknowns before the walls (angle and offset of each), in this order.
 UNKNOWNS = ("x_m", "y_m", "yaw_rad", "clock_offset_s", "yaw_rate_bias_rps", "speed_scale")
 #: Step of central differences, in metres, radians, seconds.
 STEP = 1e-5
-#: What is calibrated; the rest are the odometry's errors.
+#: The calibrated quantities; the rest are the odometry's errors.
 WANTED = UNKNOWNS[:4]
 
 
 class MountingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is taken for one wall, what is known before, and what counts as known after."""
+    """Gates of a wall, prior standard deviations, and the limits below which a result counts as determined."""
 
-    #: Sightings are of one wall within these, before and after the first solution.
+    #: Sightings within these belong to one wall, before and after the first solution.
     first_gate_deg: float = 12.0
     first_gate_m: float = 2.5
     gate_deg: float = 5.0
     gate_m: float = 0.8
-    #: Along it, a wall is not lost over a gap of so much.
+    #: Maximum gap along a wall between its sightings.
     gap_m: float = 15.0
     rounds: int = 3
     #: Unevenness of walls, added to each point's own error.
     flatness_m: float = 0.05
     min_scans: int = 10
     min_sightings: int = 3
-    #: Way and turn below which a vehicle stands.
+    #: Travel and turn below which a vehicle counts as stationary.
     min_way_m: float = 3.0
     min_turn_deg: float = 10.0
     max_clock_offset_s: float = 0.5
-    #: Standard deviations above which a quantity is not known from a drive.
+    #: Standard deviations above which a drive does not determine a quantity.
     known_position_m: float = 0.15
     known_yaw_deg: float = 0.7
     known_clock_s: float = 0.03
-    #: Standard deviations before: of the mounting next to nothing is known, of the odometry what cars are like.
+    #: Prior standard deviations: of the mounting very wide, of the odometry those of typical cars.
     prior_position_m: float = 3.0
     prior_yaw_deg: float = 20.0
     prior_clock_s: float = 0.5
@@ -70,21 +70,21 @@ class MountingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
     @property
     def prior_std(self) -> np.ndarray:
-        """Standard deviation before of each of `UNKNOWNS`."""
+        """Prior standard deviation of each of `UNKNOWNS`."""
         yaw_rad, bias_rps = math.radians(self.prior_yaw_deg), math.radians(self.prior_bias_dps)
         position_m = self.prior_position_m
         return np.array([position_m, position_m, yaw_rad, self.prior_clock_s, bias_rps, self.prior_scale])
 
     @property
     def known_std(self) -> np.ndarray:
-        """Standard deviation of each of `WANTED` up to which it is known."""
+        """Maximum standard deviation of each of `WANTED` that counts as determined."""
         position_m = self.known_position_m
         return np.array([position_m, position_m, math.radians(self.known_yaw_deg), self.known_clock_s])
 
 
 class Sighting(NamedTuple):
-    """A straight wall as one scan shows it, radar frame at `stamp_ns`: unit normal [2], ends [2, 2] and its points
-    [N, 2] with covariances [N, 2, 2], metres."""
+    """A straight wall in one scan, radar frame at `stamp_ns`: unit normal [2], ends [2, 2], points [N, 2] with
+    covariances [N, 2, 2], metres."""
 
     stamp_ns: int
     normal: np.ndarray
@@ -94,7 +94,7 @@ class Sighting(NamedTuple):
 
 
 class Known(msgspec.Struct, frozen=True, kw_only=True):
-    """One quantity with its standard deviation; `observed` False: the drive does not tell, the value is the prior."""
+    """One quantity with its standard deviation; `observed` False: undetermined by the drive, the value is the prior."""
 
     value: float
     std: float
@@ -102,7 +102,7 @@ class Known(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WallFit(msgspec.Struct, frozen=True, kw_only=True):
-    """How well the sightings of one wall fall on one line; ends in the odometry frame."""
+    """Residuals of the sightings of one wall about one line; ends in the odometry frame."""
 
     sightings: int
     points: int
@@ -111,7 +111,7 @@ class WallFit(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class DriveSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """What the vehicle did while walls were seen; spans are of the middle nine tenths of the states."""
+    """Motion of the vehicle while walls were seen; spans are of the middle nine tenths of the states."""
 
     way_m: float
     turned_deg: float
@@ -128,7 +128,7 @@ class Mounting(msgspec.Struct, frozen=True, kw_only=True):
     clock_offset_s: Known
     yaw_rate_bias_rps: float
     speed_scale: float
-    #: The solution itself, whether the drive tells it or not: what fits the walls best.
+    #: The solution itself, determined by the drive or not: the best fit of the walls.
     solved_pose: Pose2
     solved_clock_s: float
     #: Residuals of all points in metres and in their own standard deviations, before (with the prior) and after.
@@ -143,14 +143,14 @@ class Mounting(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def vehicle_from_radar(self) -> Pose2:
-        """The pose, with the prior where the drive does not tell."""
+        """The pose, with the prior for undetermined quantities."""
         return Pose2(self.x_m.value, self.y_m.value, self.yaw_rad.value)
 
 
 class Motion:
-    """What the bus says of one stretch, as poses at any time, for any error of the odometry.
+    """Odometry of one stretch as poses at any time, for any error of the odometry.
 
-    Raises ValueError where fewer than two valid states follow one another.
+    Raises ValueError if fewer than two valid states follow one another.
     """
 
     def __init__(self, states: Sequence[VehicleState], max_gap_s: float = 0.5) -> None:
@@ -159,40 +159,40 @@ class Motion:
             raise ValueError(f"vehicle/state must hold at least 2 valid states, got {len(states)}")
         stamp_ns = np.array([state.stamp_ns for state in states], np.int64)
         gaps = np.flatnonzero(np.diff(stamp_ns) > max_gap_s * NANOSECONDS_PER_SECOND) + 1
-        stretch = max(np.split(np.arange(len(states)), gaps), key=lambda one: stamp_ns[one[-1]] - stamp_ns[one[0]])
+        stretch = max(np.split(np.arange(len(states)), gaps), key=lambda part: stamp_ns[part[-1]] - stamp_ns[part[0]])
         first = stretch[np.flatnonzero(np.diff(stamp_ns[stretch], prepend=-1) > 0)]
         self.start_ns = int(stamp_ns[first[0]])
-        #: Seconds after `start_ns`, rising; speed and yaw rate as they came; [N].
+        #: Seconds after `start_ns`, rising; speed and yaw rate as received; [N].
         self.time_s = (stamp_ns[first] - self.start_ns) / NANOSECONDS_PER_SECOND
         self.speed_mps = np.array([states[index].speed_mps for index in first])
         self.yaw_rate_rps = np.array([states[index].yaw_rate_rps for index in first])
 
     @property
     def rest_bias_rps(self) -> float:
-        """Mean yaw rate at rest, where there is a second of it; else zero."""
+        """Mean yaw rate at rest, if the rest lasts a second; else zero."""
         rests = np.abs(self.speed_mps) < 0.05
         return float(self.yaw_rate_rps[rests].mean()) if rests.mean() * self.time_s[-1] >= 1.0 else 0.0
 
     def seconds(self, stamp_ns: np.ndarray) -> np.ndarray:
-        """Times after the start of stamps of the bus."""
+        """Return times after the start of stamps of the bus."""
         return (np.asarray(stamp_ns, np.int64) - self.start_ns) / NANOSECONDS_PER_SECOND
 
     def poses(self, time_s: np.ndarray, bias_rps: float = 0.0, scale: float = 1.0) -> np.ndarray:
-        """x, y [m] and heading [rad], not wrapped, at times within the stretch: [N, 3].
+        """Return x, y [m] and heading [rad], not wrapped, at times within the stretch: [N, 3].
 
         Trapezoids between states; between poses straight lines, 0.2 mm off at 50 Hz and 3 m/s^2 across.
         """
         step_s = np.diff(self.time_s)
         turn_rad = 0.5 * (self.yaw_rate_rps[1:] + self.yaw_rate_rps[:-1] - 2.0 * bias_rps) * step_s
-        way_m = 0.5 * scale * (self.speed_mps[1:] + self.speed_mps[:-1]) * step_s
+        travel_m = 0.5 * scale * (self.speed_mps[1:] + self.speed_mps[:-1]) * step_s
         yaw_rad = np.concatenate([[0.0], np.cumsum(turn_rad)])
         middle_rad = yaw_rad[:-1] + 0.5 * turn_rad
-        x_m = np.concatenate([[0.0], np.cumsum(way_m * np.cos(middle_rad))])
-        y_m = np.concatenate([[0.0], np.cumsum(way_m * np.sin(middle_rad))])
-        return np.stack([np.interp(time_s, self.time_s, one) for one in (x_m, y_m, yaw_rad)], axis=1)
+        x_m = np.concatenate([[0.0], np.cumsum(travel_m * np.cos(middle_rad))])
+        y_m = np.concatenate([[0.0], np.cumsum(travel_m * np.sin(middle_rad))])
+        return np.stack([np.interp(time_s, self.time_s, values) for values in (x_m, y_m, yaw_rad)], axis=1)
 
     def state_at(self, stamp_ns: int, bias_rps: float = 0.0, scale: float = 1.0) -> VehicleState | None:
-        """Speed and yaw rate without the odometry's errors; None outside the stretch."""
+        """Return speed and yaw rate without the odometry's errors; None outside the stretch."""
         time_s = s_from_ns(stamp_ns - self.start_ns)
         if not 0.0 <= time_s <= self.time_s[-1]:
             return None
@@ -203,64 +203,64 @@ class Motion:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Points of all sightings with the wall each belongs to; the unknowns are `UNKNOWNS` and two of each wall."""
+    """Points of all sightings with their walls; the unknowns are `UNKNOWNS` and two of each wall."""
 
     motion: Motion
     prior: np.ndarray
     prior_std: np.ndarray
     #: Of each scan: seconds on the radar's clock.
     scan_time_s: np.ndarray
-    #: Of each point: scan, place and covariance in the radar frame, wall.
+    #: Of each point: scan, position and covariance in the radar frame, wall.
     scan: np.ndarray
     points_m: np.ndarray
     covariance_m2: np.ndarray
     wall: np.ndarray
-    #: Of each wall, in the odometry frame: the point about which it turns, and its normal's direction.
+    #: Of each wall, in the odometry frame: its pivot point, and its normal's direction.
     pivot_m: np.ndarray
     normal_rad: np.ndarray
     flatness_m: float
 
-    def placed(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points in the odometry frame [N, 2] and the heading of the radar at each [N]."""
+    def points_in_odom(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return points in the odometry frame [N, 2] and the heading of the radar at each [N]."""
         x_m, y_m, yaw_rad, clock_s, bias_rps, scale = unknowns[: len(UNKNOWNS)]
         pose = self.motion.poses(self.scan_time_s - clock_s, bias_rps, scale)[self.scan]
         in_vehicle = _rotated(self.points_m, yaw_rad) + np.array([x_m, y_m])
         return _rotated(in_vehicle, pose[:, 2]) + pose[:, :2], pose[:, 2] + yaw_rad
 
     def normals(self, unknowns: np.ndarray) -> np.ndarray:
-        """Unit normal of each point's wall, [N, 2]."""
+        """Return the unit normal of each point's wall, [N, 2]."""
         angle_rad = (self.normal_rad + unknowns[len(UNKNOWNS) :: 2])[self.wall]
         return np.stack([np.cos(angle_rad), np.sin(angle_rad)], axis=1)
 
     def off_wall_m(self, unknowns: np.ndarray) -> np.ndarray:
-        """Distance of each point from its wall, [N]."""
-        placed, _ = self.placed(unknowns)
-        along_normal = np.einsum("ni,ni->n", placed - self.pivot_m[self.wall], self.normals(unknowns))
+        """Return the distance of each point from its wall, [N]."""
+        points_m, _ = self.points_in_odom(unknowns)
+        along_normal = np.einsum("ni,ni->n", points_m - self.pivot_m[self.wall], self.normals(unknowns))
         return np.asarray(along_normal - unknowns[len(UNKNOWNS) + 1 :: 2][self.wall])
 
     def jacobian(self, unknowns: np.ndarray) -> np.ndarray:
-        """Derivatives of the distances, [N, unknowns]: of walls in closed form, of the rest by central differences."""
+        """Return derivatives of the distances, [N, unknowns]: analytic for walls, central differences for the rest."""
         result = np.zeros((len(self.wall), len(unknowns)))
         for index in range(len(UNKNOWNS)):
             step = np.zeros(len(unknowns))
             step[index] = STEP
             result[:, index] = (self.off_wall_m(unknowns + step) - self.off_wall_m(unknowns - step)) / (2.0 * STEP)
         normal, point = self.normals(unknowns), np.arange(len(self.wall))
-        from_pivot = self.placed(unknowns)[0] - self.pivot_m[self.wall]
+        from_pivot = self.points_in_odom(unknowns)[0] - self.pivot_m[self.wall]
         result[point, len(UNKNOWNS) + 2 * self.wall] = from_pivot[:, 1] * normal[:, 0] - from_pivot[:, 0] * normal[:, 1]
         result[point, len(UNKNOWNS) + 2 * self.wall + 1] = -1.0
         return result
 
     def std_m(self, unknowns: np.ndarray) -> np.ndarray:
-        """Standard deviation of each distance, [N]."""
-        _, heading_rad = self.placed(unknowns)
+        """Return the standard deviation of each distance, [N]."""
+        _, heading_rad = self.points_in_odom(unknowns)
         normal = _rotated(self.normals(unknowns), -heading_rad)
         variance = np.einsum("ni,nij,nj->n", normal, self.covariance_m2, normal)
         return np.sqrt(variance + self.flatness_m**2)
 
 
 def _rotated(vectors: np.ndarray, angle_rad: np.ndarray | float) -> np.ndarray:
-    """Vectors [N, 2], each turned by its own angle or all by one."""
+    """Return vectors [N, 2], each turned by its own angle or all by one."""
     c, s = np.cos(angle_rad), np.sin(angle_rad)
     x, y = vectors[:, 0], vectors[:, 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=1)
@@ -274,7 +274,7 @@ def solve_mounting(
     known_pose: bool = False,
     params: MountingParams | None = None,
 ) -> Mounting:
-    """Pose and clock from straight walls seen along a drive.
+    """Return pose and clock from straight walls seen along a drive.
 
     `clock_offset_s` and `known_pose` hold the clock or the pose (at `prior`). Raises ValueError for a drive without
     walls, scans or motion.
@@ -302,20 +302,20 @@ def solve_mounting(
 
 
 def _within(sightings: Sequence[Sighting], motion: Motion, clock_s: float, margin_s: float) -> list[Sighting]:
-    """Sightings for which the bus says where the vehicle was, whatever the clock's offset within the margin."""
+    """Return the sightings with odometry at their time, for any clock offset within the margin."""
     low_s, high_s = motion.time_s[0] + margin_s, motion.time_s[-1] - margin_s
-    times = [s_from_ns(one.stamp_ns - motion.start_ns) - clock_s for one in sightings]
-    return [one for one, time_s in zip(sightings, times, strict=True) if low_s <= time_s <= high_s]
+    times = [s_from_ns(sighting.stamp_ns - motion.start_ns) - clock_s for sighting in sightings]
+    return [sighting for sighting, time_s in zip(sightings, times, strict=True) if low_s <= time_s <= high_s]
 
 
 def _require_scans(sightings: Sequence[Sighting], params: MountingParams) -> None:
-    scans = len({one.stamp_ns for one in sightings})
+    scans = len({sighting.stamp_ns for sighting in sightings})
     if scans < params.min_scans:
         raise ValueError(f"straight walls must be seen in at least {params.min_scans} scans with states, got {scans}")
 
 
 def _drive_of(motion: Motion, sightings: Sequence[Sighting], clock_s: float) -> DriveSummary:
-    stamps = np.array([one.stamp_ns for one in sightings], np.int64)
+    stamps = np.array([sighting.stamp_ns for sighting in sightings], np.int64)
     time_s = motion.seconds(np.array([stamps.min(), stamps.max()])) - clock_s
     inside = (motion.time_s >= time_s[0]) & (motion.time_s <= time_s[1])
     poses = motion.poses(motion.time_s[inside], motion.rest_bias_rps)
@@ -330,14 +330,14 @@ def _drive_of(motion: Motion, sightings: Sequence[Sighting], clock_s: float) -> 
 
 
 def _held(problem: _Problem, held: np.ndarray) -> np.ndarray:
-    """Which of all unknowns are held: none of the walls."""
+    """Return a mask of the unknowns that are held; no wall is."""
     return np.concatenate([held, np.zeros(2 * len(problem.pivot_m), bool)])
 
 
 def _rounds(
     sightings: list[Sighting], motion: Motion, start: np.ndarray, held: np.ndarray, params: MountingParams
 ) -> tuple[_Problem, np.ndarray]:
-    """Sort sightings to walls, solve, and again with what was found."""
+    """Sort sightings to walls, solve, and repeat with the result."""
     unknowns = start
     for number in range(params.rounds):
         gate_deg, gate_m = (params.gate_deg, params.gate_m) if number else (params.first_gate_deg, params.first_gate_m)
@@ -352,28 +352,30 @@ def _problem(
     sightings: list[Sighting], motion: Motion, prior: np.ndarray, unknowns: np.ndarray,
     gate: tuple[float, float], params: MountingParams,
 ) -> _Problem:  # fmt: skip
-    """The sightings sorted to walls as the unknowns place them; ValueError where no wall is seen often enough."""
+    """Return the sightings sorted to walls by the unknowns; ValueError if no wall is seen often enough."""
     x_m, y_m, yaw_rad, clock_s, bias_rps, scale = unknowns
-    time_s = motion.seconds(np.array([one.stamp_ns for one in sightings], np.int64))
+    time_s = motion.seconds(np.array([sighting.stamp_ns for sighting in sightings], np.int64))
     poses = motion.poses(time_s - clock_s, bias_rps, scale)
     odom_from_radar = [Pose2(*pose) @ Pose2(x_m, y_m, yaw_rad) for pose in poses.tolist()]
     wall = _sorted_to_walls(sightings, odom_from_radar, gate, params.gap_m)
-    seen = np.bincount(wall)
-    kept = np.flatnonzero(seen >= params.min_sightings)
+    sighting_count = np.bincount(wall)
+    kept = np.flatnonzero(sighting_count >= params.min_sightings)
     if len(kept) == 0:
-        raise ValueError(f"a straight wall must be seen at least {params.min_sightings} times, got {seen.max()}")
+        raise ValueError(
+            f"a straight wall must be seen at least {params.min_sightings} times, got {sighting_count.max()}"
+        )
     of_kept = np.searchsorted(kept, wall) * np.isin(wall, kept) - ~np.isin(wall, kept)
     used = [index for index in range(len(sightings)) if of_kept[index] >= 0]
     counts = [len(sightings[index].points_m) for index in used]
-    placed = [odom_from_radar[index].apply(sightings[index].points_m) for index in used]
+    points_in_odom = [odom_from_radar[index].apply(sightings[index].points_m) for index in used]
     normals = [odom_from_radar[index].rotate(sightings[index].normal) for index in used]
     of_used = of_kept[used]
     scan_time_s, scan = np.unique(time_s[used], return_inverse=True)
     pivot, normal_rad = np.empty((len(kept), 2)), np.empty(len(kept))
     for index in range(len(kept)):
-        mine = [number for number in range(len(used)) if of_used[number] == index]
-        pivot[index] = np.concatenate([placed[number] for number in mine]).mean(axis=0)
-        normal_rad[index] = np.arctan2(*_one_side(np.array([normals[number] for number in mine])).sum(axis=0)[::-1])
+        members = [number for number in range(len(used)) if of_used[number] == index]
+        pivot[index] = np.concatenate([points_in_odom[number] for number in members]).mean(axis=0)
+        normal_rad[index] = np.arctan2(*_one_side(np.array([normals[number] for number in members])).sum(axis=0)[::-1])
     return _Problem(
         motion=motion,
         prior=prior,
@@ -390,12 +392,12 @@ def _problem(
 
 
 def _one_side(normals: np.ndarray) -> np.ndarray:
-    """Normals [N, 2] turned to the side of the first: a wall may be seen from both."""
+    """Return normals [N, 2] turned to the side of the first: a wall may be seen from both."""
     return np.where((normals @ normals[0] < 0.0)[:, None], -normals, normals)
 
 
-class _Seen(NamedTuple):
-    """A wall as it was last seen: its direction, its ends in the odometry frame."""
+class _LastSighting(NamedTuple):
+    """The last sighting of a wall: its direction, its ends in the odometry frame."""
 
     tangent: np.ndarray
     ends_m: np.ndarray
@@ -404,13 +406,13 @@ class _Seen(NamedTuple):
 def _sorted_to_walls(
     sightings: Sequence[Sighting], odom_from_radar: Sequence[Pose2], gate: tuple[float, float], gap_m: float
 ) -> np.ndarray:
-    """Number of the wall of each sighting, in order of time, int64 [N]; each is held against how it was last seen."""
-    walls: list[_Seen] = []
-    found = np.empty(len(sightings), np.int64)
-    for index in sorted(range(len(sightings)), key=lambda one: sightings[one].stamp_ns):
-        pose, one = odom_from_radar[index], sightings[index]
-        normal = pose.rotate(one.normal)
-        now = _Seen(np.array([-normal[1], normal[0]]), pose.apply(one.ends_m))
+    """Return each sighting's wall number, in order of time, int64 [N]; each is compared with a wall's last sighting."""
+    walls: list[_LastSighting] = []
+    wall_of_sighting = np.empty(len(sightings), np.int64)
+    for index in sorted(range(len(sightings)), key=lambda number: sightings[number].stamp_ns):
+        pose, sighting = odom_from_radar[index], sightings[index]
+        normal = pose.rotate(sighting.normal)
+        now = _LastSighting(np.array([-normal[1], normal[0]]), pose.apply(sighting.ends_m))
         off = [_off(now, wall, gate[0], gap_m) for wall in walls]
         best = int(np.argmin(off)) if off else -1
         if best >= 0 and off[best] <= gate[1]:
@@ -418,12 +420,12 @@ def _sorted_to_walls(
         else:
             best = len(walls)
             walls.append(now)
-        found[index] = best
-    return found
+        wall_of_sighting[index] = best
+    return wall_of_sighting
 
 
-def _off(now: _Seen, wall: _Seen, gate_rad: float, gap_m: float) -> float:
-    """How far the nearer parts of two sightings lie across one another; infinite where they are two walls."""
+def _off(now: _LastSighting, wall: _LastSighting, gate_rad: float, gap_m: float) -> float:
+    """Return the distance across of the nearer parts of two sightings; infinite if they are of two walls."""
     if abs(float(now.tangent @ wall.tangent)) < math.cos(gate_rad):
         return math.inf
     reach, before = np.sort(now.ends_m @ wall.tangent), np.sort(wall.ends_m @ wall.tangent)
@@ -434,29 +436,29 @@ def _off(now: _Seen, wall: _Seen, gate_rad: float, gap_m: float) -> float:
     return abs(_across(now, wall.tangent, middle) - _across(wall, wall.tangent, middle))
 
 
-def _across(seen: _Seen, tangent: np.ndarray, reach_m: float) -> float:
-    """How far across `tangent` a wall lies where it is so far along."""
-    a, b = seen.ends_m @ tangent
+def _across(wall: _LastSighting, tangent: np.ndarray, reach_m: float) -> float:
+    """Return a wall's offset across `tangent` at a reach along it."""
+    a, b = wall.ends_m @ tangent
     share = (reach_m - a) / (b - a) if abs(b - a) > 1e-6 else 0.5
-    place = seen.ends_m[0] + share * (seen.ends_m[1] - seen.ends_m[0])
-    return float(tangent[0] * place[1] - tangent[1] * place[0])
+    position = wall.ends_m[0] + share * (wall.ends_m[1] - wall.ends_m[0])
+    return float(tangent[0] * position[1] - tangent[1] * position[0])
 
 
 def _residuals(problem: _Problem, unknowns: np.ndarray, std_m: np.ndarray) -> np.ndarray:
-    """Distances in standard deviations, then the priors, [N + 6]."""
+    """Return distances in standard deviations, then the priors, [N + 6]."""
     prior = (unknowns[: len(UNKNOWNS)] - problem.prior) / problem.prior_std
     return np.concatenate([problem.off_wall_m(unknowns) / std_m, prior])
 
 
 def _residual_jacobian(problem: _Problem, unknowns: np.ndarray, std_m: np.ndarray) -> np.ndarray:
-    """Derivatives of the residuals, [N + 6, unknowns]."""
+    """Return derivatives of the residuals, [N + 6, unknowns]."""
     prior = np.zeros((len(UNKNOWNS), len(unknowns)))
     np.fill_diagonal(prior, 1.0 / problem.prior_std)
     return np.concatenate([problem.jacobian(unknowns) / std_m[:, None], prior])
 
 
 def _fit(problem: _Problem, unknowns: np.ndarray, held: np.ndarray, clock_limit_s: float = 0.5) -> np.ndarray:
-    """The unknowns that are not held, at the least soft-L1 sum of residuals; weights follow once."""
+    """Return the unknowns that are not held, at the least soft-L1 sum of residuals; reweighted once."""
     free = np.flatnonzero(~held)
     limit = np.full(len(unknowns), np.inf)
     limit[UNKNOWNS.index("clock_offset_s")] = clock_limit_s + abs(unknowns[UNKNOWNS.index("clock_offset_s")])
@@ -485,25 +487,25 @@ def _fit(problem: _Problem, unknowns: np.ndarray, held: np.ndarray, clock_limit_
 
 
 def _std(problem: _Problem, unknowns: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """Standard deviation of each unknown, zero where held: the larger of two.
+    """Return the standard deviation of each unknown, zero if held: the larger of two.
 
-    One takes all points as independent and inflates by their residuals, the other takes what the points of a scan have
-    in common as one error of that scan (clustered covariance).
+    One takes all points as independent and inflates by their residuals, the other takes the common error of the points
+    of a scan as one error of that scan (clustered covariance).
     """
     free = np.flatnonzero(~held)
     std_m = problem.std_m(unknowns)
-    here = _residuals(problem, unknowns, std_m)
+    residuals = _residuals(problem, unknowns, std_m)
     jacobian = _residual_jacobian(problem, unknowns, std_m)[:, free]
     count = len(problem.scan)
-    weight = np.ones(len(here))
-    weight[:count] = 1.0 / np.sqrt(1.0 + (here[:count] / 2.0) ** 2)
-    # columns of one size: seconds, metres and radians would spoil the inverse
+    weight = np.ones(len(residuals))
+    weight[:count] = 1.0 / np.sqrt(1.0 + (residuals[:count] / 2.0) ** 2)
+    # columns of one size: seconds, metres and radians would make the inverse ill-conditioned
     size = np.sqrt((weight[:, None] * jacobian**2).sum(axis=0))
     scaled = jacobian / size
     inverse = np.linalg.inv((scaled * weight[:, None]).T @ scaled)
-    inflate = max(1.0, float((weight * here**2)[:count].sum() / max(count - len(free), 1)))
+    inflate = max(1.0, float((weight * residuals**2)[:count].sum() / max(count - len(free), 1)))
     pull = np.zeros((int(problem.scan.max()) + 1, len(free)))
-    np.add.at(pull, problem.scan, scaled[:count] * (weight * here)[:count, None])
+    np.add.at(pull, problem.scan, scaled[:count] * (weight * residuals)[:count, None])
     clustered = inverse @ (pull.T @ pull) @ inverse
     variance = np.maximum(inflate * np.diag(inverse), np.diag(clustered))
     result = np.zeros(len(unknowns))
@@ -516,12 +518,12 @@ def _report(
     drive: DriveSummary,
 ) -> Mounting:  # fmt: skip
     off_m = problem.off_wall_m(unknowns)
-    # the rest was free while it was solved: what is told does not lean on a prior that may be wrong
-    known = [
-        Known(value=float(value if seen else prior), std=float(one), observed=bool(seen))
-        for value, prior, one, seen in zip(unknowns, problem.prior, std, observed, strict=False)
+    # the rest was free in the solution: a determined result does not depend on a prior that may be wrong
+    quantities = [
+        Known(value=float(value if is_observed else prior), std=float(deviation), observed=bool(is_observed))
+        for value, prior, deviation, is_observed in zip(unknowns, problem.prior, std, observed, strict=False)
     ]
-    x_m, y_m, yaw_rad, clock_offset_s = known
+    x_m, y_m, yaw_rad, clock_offset_s = quantities
     return Mounting(
         x_m=x_m,
         y_m=y_m,
@@ -543,17 +545,17 @@ def _report(
 
 
 def _wall_fit(problem: _Problem, unknowns: np.ndarray, off_m: np.ndarray, wall: int) -> WallFit:
-    mine = problem.wall == wall
+    on_wall = problem.wall == wall
     angle_rad = problem.normal_rad[wall] + unknowns[len(UNKNOWNS) + 2 * wall]
     normal = np.array([math.cos(angle_rad), math.sin(angle_rad)])
     tangent = np.array([-normal[1], normal[0]])
-    reach = (problem.placed(unknowns)[0][mine] - problem.pivot_m[wall]) @ tangent
+    reach = (problem.points_in_odom(unknowns)[0][on_wall] - problem.pivot_m[wall]) @ tangent
     foot = problem.pivot_m[wall] + unknowns[len(UNKNOWNS) + 2 * wall + 1] * normal
     (ax, ay), (bx, by) = (foot + np.outer([reach.min(), reach.max()], tangent)).tolist()
     return WallFit(
-        sightings=len(np.unique(problem.scan[mine])),
-        points=int(mine.sum()),
-        rms_m=_rms(off_m[mine]),
+        sightings=len(np.unique(problem.scan[on_wall])),
+        points=int(on_wall.sum()),
+        rms_m=_rms(off_m[on_wall]),
         ends_m=((ax, ay), (bx, by)),
     )
 

@@ -1,4 +1,4 @@
-"""A mapping's quantity met with its DBC: the factor to SI units, the range of each signal, and what was assumed."""
+"""A mapping's quantity matched with its DBC: the factor to SI units, the range of each signal, and the assumptions."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class SignalRange(NamedTuple):
 class Quantity:
     """The signals of one quantity, and their values in SI units.
 
-    Raises `ValueError` naming the mapping's field where the DBC has no such signal, or where units do not meet.
+    Raises `ValueError` naming the mapping's field if the DBC has no such signal, or if units do not agree.
     """
 
     def __init__(self, field: str, rule: QuantityRule, message: Message, dimension: Dimension) -> None:
         self.field, self.rule = field, rule
         self.signals = [signal_of(message, name, f"{field}.signals") for name in rule.signals]
-        #: What a reader should know of how the DBC was read.
+        #: Notes for the reader on how the DBC was read.
         self.warnings: list[str] = []
         self.factor = self._factor(dimension)
         self._ranges = [self._range(signal) for signal in self.signals]
@@ -42,7 +42,7 @@ class Quantity:
     def range_fault(self, index: int, value: float) -> str:
         """Return what is wrong with the value of a signal by the DBC's own range; empty if nothing is."""
         signal, (low, high) = self.signals[index], self._ranges[index]
-        # limits are written in decimals, values are multiples of the scale: half a step apart they are the same
+        # limits are decimal numbers, values are multiples of the scale: within half a step they are equal
         slack = 0.5 * abs(float(signal.scale))
         if low - slack <= value <= high + slack and math.isfinite(value):
             return ""
@@ -54,13 +54,13 @@ class Quantity:
         rule = self.rule
         combined = sum(values) if rule.combine == "sum" else sum(values) / len(values)
         value = rule.sign * (self.factor * combined + rule.offset)
-        # adding zero makes a standing car stand at 0, not at -0
+        # adding zero gives a stationary car the speed 0, not -0
         return (-value if negative else value) + 0.0
 
     def from_si(self, value: float) -> tuple[list[float], bool]:
-        """Return what each signal must say for a quantity, and whether its `negative_while` must be set.
+        """Return the signals' values for a quantity, and whether its `negative_while` must be set.
 
-        Of signals that are summed each says what it can in its own steps, and the last one what is left.
+        Each of several summed signals takes as much as its own steps allow, and the last one the remainder.
         """
         rule = self.rule
         negative = rule.negative_while is not None and value < 0.0
@@ -70,7 +70,7 @@ class Quantity:
         return [combined for _ in self.signals], negative
 
     def _parts(self, combined: float) -> list[float]:
-        """Values of the signals whose sum is `combined`, as far as the bits of the last one reach."""
+        """Return values of the signals whose sum is `combined`, as far as the bits of the last one permit."""
         parts = []
         for signal in self.signals[:-1]:
             scale, offset = float(signal.scale), float(signal.offset)
@@ -81,7 +81,7 @@ class Quantity:
         return [*parts, min(max(combined, low), high)]
 
     def _factor(self, dimension: Dimension) -> float:
-        """The factor from the signals' unit to SI; `ValueError` where nobody states the unit, or two disagree."""
+        """Return the factor from the signals' unit to SI; `ValueError` if no file states the unit, or two disagree."""
         field, rule = self.field, self.rule
         units = dict.fromkeys(signal.unit or "" for signal in self.signals)
         if rule.unit is None and len({parse_unit(text) or text for text in units}) > 1:
@@ -91,9 +91,9 @@ class Quantity:
         if unit is None:
             if rule.scale is None:
                 says = f"the unit {in_dbc!r}" if in_dbc else "no unit"
-                known = known_units(dimension)
+                spellings = known_units(dimension)
                 raise ValueError(
-                    f"{field}.unit: must be given, the DBC states {says} for {rule.signals[0]}; known are {known}"
+                    f"{field}.unit: must be given, the DBC states {says} for {rule.signals[0]}; known are {spellings}"
                 )
             return rule.scale
         if unit.dimension is not dimension:
@@ -105,16 +105,16 @@ class Quantity:
         return self._calibrated(unit.name, unit.to_si, SI_NAMES[dimension])
 
     def _compare(self, in_dbc: str, to_si: float) -> None:
-        """Warn where the mapping's unit is not that of the DBC."""
-        known = parse_unit(in_dbc)
-        if self.rule.unit is not None and known is not None and not math.isclose(known.to_si, to_si):
+        """Warn if the mapping's unit is not that of the DBC."""
+        unit = parse_unit(in_dbc)
+        if self.rule.unit is not None and unit is not None and not math.isclose(unit.to_si, to_si):
             self.warnings.append(
                 f"{self.field}.unit: {self.rule.unit} is taken for {', '.join(self.rule.signals)}, "
                 f"the DBC says {in_dbc}"
             )
 
     def _calibrated(self, unit: str, to_si: float, si_name: str) -> float:
-        """The mapping's scale where it has one; `ValueError` where that is no calibration but another unit."""
+        """Return the mapping's scale if it has one; `ValueError` if that is no calibration but another unit."""
         scale = self.rule.scale
         if scale is None:
             return to_si
@@ -126,7 +126,7 @@ class Quantity:
         return scale
 
     def _range(self, signal: Signal) -> SignalRange:
-        """The limits that hold for a signal."""
+        """Return the effective limits of a signal."""
         stated = SignalRange(
             -math.inf if signal.minimum is None else float(signal.minimum),
             math.inf if signal.maximum is None else float(signal.maximum),
@@ -165,9 +165,9 @@ class Quantity:
 def is_in_counts(signal: Signal, stated: SignalRange) -> bool:
     """Return whether the limits of a signal are those of its raw counts rather than of its scaled values.
 
-    They are if they cover at least half of what the bits can hold as counts, and as scaled values would be wrong: one
-    limit lies where no value of the bits reaches while the other cuts values off, or both are exactly the ends of the
-    counts. A wrong yes costs little: the mapping's own `low` and `high` hold in any case.
+    They are if they cover at least half of the range of the bits as counts, and as scaled values would be wrong: one
+    limit lies beyond all values of the bits while the other cuts values off, or both are exactly the ends of the
+    counts. A false positive costs little: the mapping's own `low` and `high` hold in any case.
     """
     if signal.is_float or (signal.scale == 1 and signal.offset == 0) or not all(map(math.isfinite, stated)):
         return False
@@ -182,7 +182,7 @@ def is_in_counts(signal: Signal, stated: SignalRange) -> bool:
 
 
 def raw_range(signal: Signal, counts: SignalRange) -> SignalRange:
-    """Return limits in raw counts as scaled values; counts beyond the bits limit nothing."""
+    """Return limits in raw counts as scaled values; counts beyond the bits do not limit."""
     limits = _raw_limits(signal)
     clipped = SignalRange(max(counts.low, limits.low), min(counts.high, limits.high))
     return _scaled(signal, clipped)

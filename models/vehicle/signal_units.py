@@ -1,4 +1,4 @@
-"""Units that a DBC writes beside its signals, in the spellings of public DBC files, and what they are in SI."""
+"""Units of signals in a DBC, in the spellings of public DBC files, and their values in SI."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 
 class Dimension(StrEnum):
-    """What a unit measures; the value is the dimension's name in messages."""
+    """Dimension of a unit; the value is the dimension's name in messages."""
 
     SPEED = "speed"
     ANGLE = "angle"
@@ -50,12 +50,14 @@ _UNITS: tuple[tuple[str, Dimension, float, tuple[str, ...]], ...] = (
     ("g", Dimension.ACCELERATION, 9.80665, ()),
 )  # fmt: skip
 _BY_SPELLING = {
-    spelling: Unit(name, dimension, to_si) for name, dimension, to_si, others in _UNITS for spelling in (name, *others)
+    spelling: Unit(name, dimension, to_si)
+    for name, dimension, to_si, spellings in _UNITS
+    for spelling in (name, *spellings)
 }
 
 
 def parse_unit(text: str | None) -> Unit | None:
-    """Return the unit that a DBC or a mapping spells, None for a spelling that is not known."""
+    """Return the unit that a DBC or a mapping spells, None for an unknown spelling."""
     if text is None:
         return None
     # a degree sign that was written as UTF-8 and read as Latin-1 has an A with circumflex before it

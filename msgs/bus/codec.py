@@ -25,13 +25,13 @@ StructType = TypeVar("StructType", bound=msgspec.Struct)
 
 PROTOCOL = 1
 MAX_HEADER_BYTES = 1 << 20
-#: An inline message has all its arrays inside; none of ours comes near.
+#: An inline message has all its arrays inside. No message of this project comes near the limit.
 MAX_INLINE_BYTES = 1 << 28
 _MAX_REASON = 300
 #: A hundred thousand years of beams.
 _MAX_SEQUENCE = 1 << 48
-#: What building a value from hostile input may raise; all of it becomes a `CodecError`. Nesting deeper than the
-#: interpreter allows ends in RecursionError.
+#: Exceptions that building a value from hostile input may raise; all of them become a `CodecError`. Nesting deeper than
+#: the interpreter allows ends in RecursionError.
 _TROUBLE = (msgspec.MsgspecError, ValueError, TypeError, ArithmeticError, RecursionError)
 
 
@@ -43,7 +43,7 @@ class CodecError(ValueError):
 
 
 class _ArrayHead(msgspec.Struct, forbid_unknown_fields=True):
-    """What stands for an array in a header."""
+    """Placeholder of an array in a header."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -51,7 +51,7 @@ class _ArrayHead(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _ArrayInline(msgspec.Struct, forbid_unknown_fields=True):
-    """What stands for an array in a recording."""
+    """Form of an array in a recording."""
 
     dtype: str
     shape: tuple[int, ...]
@@ -66,9 +66,9 @@ class _Header(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def encode(envelope: Envelope, message: msgspec.Struct) -> list[Buffer]:
-    """Frames of a message; arrays are not copied, so they must not change while the frames are in use.
+    """Return the frames of a message; arrays are not copied, so they must not change while the frames are in use.
 
-    Raises `CodecError` when the message is not the topic's type, too large, or holds what may not travel.
+    Raises `CodecError` when the message is not the topic's type, is too large, or holds a value that may not be sent.
     """
     topic = _topic_of(envelope)
     if type(message) is not topic.type:
@@ -89,13 +89,13 @@ def encode(envelope: Envelope, message: msgspec.Struct) -> list[Buffer]:
 
 
 def decode(frames: Sequence[Buffer]) -> Received:
-    """The message of `frames`; its arrays are read-only views on them.
+    """Return the message of `frames`; its arrays are read-only views on them.
 
     Raises `CodecError`, and nothing else, whatever the frames hold.
     """
     if len(frames) < 2:
         raise CodecError(f"message must have at least 2 frames, got {len(frames)}")
-    topic = _topic_named(bytes(frames[0][:256]))
+    topic = _topic_of_frame(bytes(frames[0][:256]))
     _require_size(topic, frames)
     if len(frames[1]) > MAX_HEADER_BYTES:
         raise CodecError(f"{topic.name}: header of {len(frames[1])} bytes exceeds {MAX_HEADER_BYTES}")
@@ -106,12 +106,12 @@ def decode(frames: Sequence[Buffer]) -> Received:
 
 
 def encode_inline(message: msgspec.Struct) -> bytes:
-    """One msgpack map with the arrays inside, for recordings."""
+    """Return one msgpack map with the arrays inside, for recordings."""
     return _pack(message, _inline_array)
 
 
 def decode_inline(message_type: type[StructType], data: Buffer) -> StructType:
-    """The message that `encode_inline` wrote; raises `CodecError`, and nothing else, on any other bytes."""
+    """Return the message that `encode_inline` wrote; raises `CodecError`, and nothing else, on any other bytes."""
     if len(data) > MAX_INLINE_BYTES:
         raise CodecError(f"{message_type.__name__}: {len(data)} bytes exceed {MAX_INLINE_BYTES}")
 
@@ -126,17 +126,17 @@ def decode_inline(message_type: type[StructType], data: Buffer) -> StructType:
 
 
 def topic_frame(topic: str) -> bytes:
-    """First frame of a topic's messages; the end mark keeps one topic from being another's prefix."""
+    """Return the first frame of a topic's messages; the end mark keeps one topic from being a prefix of another."""
     return topic.encode() + b"\0"
 
 
 def json_schema(message_type: type[msgspec.Struct]) -> dict[str, Any]:
-    """JSON Schema of the inline form; `data` is binary in msgpack and base64 in JSON."""
+    """Return the JSON Schema of the inline form; `data` is binary in msgpack and base64 in JSON."""
     return msgspec.json.schema(message_type, schema_hook=_array_schema)
 
 
 def to_builtins(message: msgspec.Struct, arrays: Literal["summary", "full"] = "summary") -> dict[str, Any]:
-    """Plain values that any JSON writer takes: non-finite numbers become None.
+    """Return plain values that any JSON writer takes: non-finite numbers become None.
 
     "summary" gives each array's dtype, shape and finite min, max and mean (of the magnitude where complex); "full" is
     the inline form with base64 data, which `json_schema` describes.
@@ -165,11 +165,11 @@ def _decode_known(topic: Topic, header: Buffer, arrays: Sequence[Buffer]) -> Rec
 
 
 def _convert(message_type: type[StructType], body: object, array_from: Callable[[object], np.ndarray]) -> StructType:
-    """Strictly typed message of plain values; unknown fields are refused."""
+    """Return a strictly typed message made of plain values; unknown fields are refused."""
 
-    def hook(wanted: type, value: object) -> np.ndarray:
-        if wanted is not np.ndarray:
-            raise TypeError(f"{wanted.__name__} cannot travel")
+    def hook(field_type: type, value: object) -> np.ndarray:
+        if field_type is not np.ndarray:
+            raise TypeError(f"{field_type.__name__} cannot travel")
         return array_from(value)
 
     message = msgspec.convert(body, message_type, strict=True, dec_hook=hook)
@@ -178,7 +178,7 @@ def _convert(message_type: type[StructType], body: object, array_from: Callable[
 
 
 def _described(reference: object, form: type[StructType]) -> StructType:
-    """What a header says of one array."""
+    """Return the header entry of one array."""
     try:
         return msgspec.convert(reference, form, strict=True)
     except msgspec.ValidationError as error:
@@ -186,17 +186,17 @@ def _described(reference: object, form: type[StructType]) -> StructType:
         raise ValueError(str(error)) from error
 
 
-def _refuse_unknown(raw: object, known: object, path: str) -> None:
-    """Raise `ValueError` for the first field of `raw` that `known`, the same message in full, does not have."""
-    if isinstance(raw, dict) and isinstance(known, dict):
+def _refuse_unknown(raw: object, accepted: object, path: str) -> None:
+    """Raise `ValueError` for the first field of `raw` that `accepted`, the same message in full, does not have."""
+    if isinstance(raw, dict) and isinstance(accepted, dict):
         for name, value in raw.items():
-            if name not in known:
+            if name not in accepted:
                 raise ValueError(f"unknown field - at `{path}.{name}`")
-            _refuse_unknown(value, known[name], f"{path}.{name}")
-    elif isinstance(raw, list) and isinstance(known, list | tuple):
-        for value, twin in zip(raw, known, strict=True):
+            _refuse_unknown(value, accepted[name], f"{path}.{name}")
+    elif isinstance(raw, list) and isinstance(accepted, list | tuple):
+        for value, accepted_value in zip(raw, accepted, strict=True):
             if isinstance(value, dict | list):
-                _refuse_unknown(value, twin, f"{path}[...]")
+                _refuse_unknown(value, accepted_value, f"{path}[...]")
 
 
 def _check_envelope(envelope: Envelope, topic: Topic) -> None:
@@ -221,7 +221,7 @@ def _topic_of(envelope: Envelope) -> Topic:
         raise CodecError(error) from error
 
 
-def _topic_named(frame: bytes) -> Topic:
+def _topic_of_frame(frame: bytes) -> Topic:
     name = frame[:-1].decode("ascii", "replace")
     if not frame.endswith(b"\0") or name not in TOPICS:
         raise CodecError(f"first frame must be a known topic and a zero byte, got {frame!r}")
@@ -242,7 +242,7 @@ def _pack(value: object, array_form: Callable[[np.ndarray], object]) -> bytes:
 
 
 def _encoder_hook(array_form: Callable[[np.ndarray], object]) -> Callable[[Any], object]:
-    """Encoder hook: arrays in the given form, numpy numbers as plain ones, nothing else."""
+    """Return encoder hook: arrays in the given form, numpy numbers as plain ones, nothing else."""
 
     def hook(value: Any) -> object:
         if isinstance(value, np.ndarray):
@@ -255,7 +255,7 @@ def _encoder_hook(array_form: Callable[[np.ndarray], object]) -> Callable[[Any],
 
 
 def _wire_array(array: np.ndarray) -> np.ndarray:
-    """`array` itself where it is C-contiguous and little-endian already, else a copy that is."""
+    """Return `array` itself if it is C-contiguous and little-endian already, else a copy that is."""
     wire = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
     if wire.dtype.str not in DTYPES:
         raise TypeError(f"dtype {array.dtype.str} cannot travel")
@@ -265,7 +265,7 @@ def _wire_array(array: np.ndarray) -> np.ndarray:
 
 
 def _bytes_of(array: np.ndarray) -> memoryview:
-    """Flat bytes of a contiguous array, not copied."""
+    """Return the flat bytes of a contiguous array without a copy."""
     return array.reshape(-1).view(np.uint8).data
 
 
@@ -275,7 +275,7 @@ def _inline_array(array: np.ndarray) -> dict[str, Any]:
 
 
 def _view(dtype: str, shape: tuple[int, ...], data: Buffer) -> np.ndarray:
-    """Read-only array on `data`; its layout is checked with exact integers before numpy sees it."""
+    """Return a read-only array on `data`; its layout is checked with exact integers before numpy reads it."""
     if dtype not in DTYPES:
         raise ValueError(f"dtype must be one of the permitted, got {dtype!r}")
     if len(shape) > MAX_NDIM or any(length < 0 for length in shape):
@@ -285,7 +285,7 @@ def _view(dtype: str, shape: tuple[int, ...], data: Buffer) -> np.ndarray:
         raise ValueError(f"shape {shape} of {dtype} needs {size} bytes, got {len(data)}")
     array: np.ndarray = np.ndarray(shape, dtype, buffer=data)
     if not array.flags.aligned:
-        # compiled kernels take aligned arrays only; the transport unaligns nothing but small frames
+        # compiled kernels take aligned arrays only; the transport misaligns nothing but small frames
         array = array.copy()
     array.flags.writeable = False
     return array
@@ -310,7 +310,7 @@ def _array_schema(value_type: type) -> dict[str, Any]:
 
 def _array_summary(array: np.ndarray) -> dict[str, Any]:
     summary: dict[str, Any] = {"dtype": array.dtype.str, "shape": array.shape}
-    # beyond the largest float is said as None like all that is not finite
+    # a number beyond the largest float becomes None, like every non-finite number
     with np.errstate(over="ignore", invalid="ignore"):
         values = np.abs(array.astype(np.complex128)) if np.iscomplexobj(array) else array
         finite = values[np.isfinite(values)]

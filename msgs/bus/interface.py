@@ -1,4 +1,4 @@
-"""What every bus offers, whatever carries it: publish, subscribe, receive, counts."""
+"""Interface of every bus, whatever the transport: publish, subscribe, receive, counts."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ class Envelope(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     protocol: int = 1
     publisher: str
     topic: str
-    #: Counts up by one per publisher and topic from 0; a gap is a loss.
+    #: Counts up by one per publisher and topic from 0; a gap is a lost message.
     sequence: int
-    #: The bus clock when it was published.
+    #: Bus clock at the time of publication.
     sent_ns: int
-    #: It comes of a player that waits for the graph: nobody needs to leave it out so as not to fall behind.
+    #: Its player waits for the graph, so no receiver needs to drop the message to keep up.
     paced: bool = False
 
 
 class Received(NamedTuple):
-    """A message that came in, with its envelope."""
+    """A received message with its envelope."""
 
     topic: str
     message: msgspec.Struct
@@ -32,14 +32,14 @@ class Received(NamedTuple):
 
 
 class Outgoing(NamedTuple):
-    """A message that a node wants published."""
+    """A message that a node asks to have published."""
 
     topic: str
     message: msgspec.Struct
 
 
 class Forwarded(NamedTuple):
-    """A message of another graph, checked and encoded, that goes on under the envelope it has."""
+    """A message of another graph, checked and encoded, that is forwarded under its own envelope."""
 
     topic: str
     envelope: Envelope
@@ -53,26 +53,26 @@ class Bus(Protocol):
         """Send `message`; its type must be the topic's. Arrays are sent as they are: do not change them afterwards."""
 
     def forward(self, message: Forwarded) -> None:
-        """Send a message on as it is: its number stays, so that receivers here count what was lost before."""
+        """Send a message unchanged: its number stays, so that receivers here count what was lost before."""
 
     def subscribe(self, topic: str) -> None:
         """Receive `topic` from all its publishers from now on; a latched topic delivers its last message."""
 
     def receive(self, timeout_s: float) -> list[Received]:
-        """All messages waiting, in order of arrival; waits up to `timeout_s` for the first, empty after that."""
+        """Return all messages waiting, in order of arrival; wait up to `timeout_s` for the first, then return none."""
 
     def now_ns(self) -> int:
-        """The bus clock: monotonic on a live bus, virtual on an in-process one."""
+        """Return the bus clock: monotonic on a live bus, virtual on an in-process one."""
 
     def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
-        """Received and published messages per topic so far, losses and rejections included."""
+        """Return the received and published messages per topic so far, losses and rejections included."""
 
     def close(self) -> None:
-        """Let go of all resources; waits no longer than the bus's linger."""
+        """Release all resources; waits no longer than the bus's linger."""
 
 
 class WaitingBus(Bus, Protocol):
-    """A bus that waits in `receive`, and can be told what else ends a wait."""
+    """A bus that waits in `receive` and can watch further sources that end a wait."""
 
     def watch(self, source: Any) -> None:
         """End waits also when `source`, a socket or file descriptor of the owner's, can be read."""

@@ -18,14 +18,14 @@ from msgs.values.diagnostics import TopicCount
 
 
 class Faults(msgspec.Struct, frozen=True, kw_only=True):
-    """What goes wrong on a topic; probabilities are per message and receiver."""
+    """Faults of a topic; probabilities are per message and receiver."""
 
     drop: float = 0.0
     delay_ns: int = 0
     #: Added to the delay, uniform from 0 to this.
     jitter_ns: int = 0
     duplicate: float = 0.0
-    #: Bytes of the header are flipped, so that no receiver can read it.
+    #: Bytes of the header are flipped, so that no receiver can decode it.
     corrupt: float = 0.0
 
     def __post_init__(self) -> None:
@@ -39,7 +39,7 @@ class Faults(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Parcel(NamedTuple):
-    """A message on its way; parcels compare in the order of delivery."""
+    """A message in transit; parcels compare in the order of delivery."""
 
     due_ns: int
     publisher: str
@@ -54,7 +54,7 @@ class _Parcel(NamedTuple):
 
 
 class _Queue:
-    """What waits for one receiver on one topic; the oldest is dropped beyond the topic's history."""
+    """Messages that wait for one receiver on one topic; the oldest is dropped beyond the topic's history."""
 
     def __init__(self, topic: Topic) -> None:
         self._topic = topic
@@ -68,7 +68,7 @@ class _Queue:
             self._pop()
 
     def due(self, now_ns: int) -> list[_Parcel]:
-        """Take out everything whose time has come, in order."""
+        """Remove and return every parcel whose time has come, in order."""
         parcels = []
         while self._parcels and self._parcels[0].due_ns <= now_ns:
             parcels.append(self._pop())
@@ -101,17 +101,17 @@ class LocalNetwork:
         return self._now_ns
 
     def advance(self, duration_ns: int) -> None:
-        """Move the clock on; it never runs back."""
+        """Advance the clock; it never runs back."""
         if duration_ns < 0:
             raise ValueError(f"duration_ns must not be negative, got {duration_ns!r}")
         self._now_ns += duration_ns
 
     def bus(self, node: str) -> LocalBus:
-        """A new connection for a node."""
+        """Return a new connection for a node."""
         return LocalBus(self, node)
 
     def inject(self, topic: str, faults: Faults) -> None:
-        """Let `topic` suffer these faults from now on; `Faults()` heals it."""
+        """Apply these faults to `topic` from now on; `Faults()` ends them."""
         self._faults[topic_facts(topic).name] = faults
 
     def _join(self, topic: Topic) -> _Queue:
@@ -134,7 +134,7 @@ class LocalNetwork:
             self._deliver(queue, parcel, faults)
 
     def _deliver(self, queue: _Queue, parcel: _Parcel, faults: Faults) -> None:
-        # four draws a message, whatever the rates: changing one fault leaves the others' pattern as it was
+        # four draws a message, whatever the rates: a change of one fault leaves the pattern of the others unchanged
         drop, duplicate, corrupt, jitter = self._random.random(4)
         if drop < faults.drop:
             return
@@ -162,25 +162,25 @@ class LocalBus:
         self._queues: dict[str, _Queue] = {}
 
     def publish(self, topic: str, message: msgspec.Struct) -> None:
-        """Send `message` to all who subscribed; raises `CodecError` if it cannot travel."""
+        """Send `message` to all subscribers; raises `CodecError` if it cannot be encoded."""
         facts = topic_facts(topic)
         envelope, frames = self._tally.pack(topic, message, self._network.now_ns)
         self._network._send(facts, envelope, frames)
 
     def forward(self, message: Forwarded) -> None:
-        """Send a message of another graph on as it is."""
+        """Send a message of another graph unchanged."""
         self._tally.forward(message)
         self._network._send(topic_facts(message.topic), message.envelope, message.frames)
 
     def subscribe(self, topic: str) -> None:
-        """Receive `topic` from now on, and the last message of each publisher where it is latched."""
+        """Receive `topic` from now on, and the last message of each publisher if it is latched."""
         if topic not in self._queues:
             facts = topic_facts(topic)
             self._tally.expect(topic)
             self._queues[topic] = self._network._join(facts)
 
     def receive(self, timeout_s: float) -> list[Received]:
-        """All messages that are due. Returns at once: nothing but `LocalNetwork.advance` moves the clock."""
+        """Return all messages that are due, at once: nothing but `LocalNetwork.advance` moves the clock."""
         now_ns = self._network.now_ns
         due = [(parcel, topic) for topic, queue in self._queues.items() for parcel in queue.due(now_ns)]
         due.sort(key=lambda item: item[0][:4])
@@ -188,15 +188,15 @@ class LocalBus:
         return self._tally.without_outdated([message for message in accepted if message is not None])
 
     def now_ns(self) -> int:
-        """The network's virtual clock."""
+        """Return the network's virtual clock."""
         return self._network.now_ns
 
     def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
-        """Received and published messages per topic so far."""
+        """Return received and published messages per topic so far."""
         return self._tally.counts()
 
     def close(self) -> None:
-        """Leave the network; what waited is gone."""
+        """Leave the network; waiting messages are discarded."""
         for topic, queue in self._queues.items():
             self._network._leave(topic, queue)
         self._queues.clear()

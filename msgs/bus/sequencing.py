@@ -1,6 +1,6 @@
-"""What every bus does with frames, whatever carries them: number what goes out, check, order and count what comes in.
+"""Frame handling of every bus: number outgoing messages; check, order and count incoming ones.
 
-Promise to receivers: at most once, in order per publisher, every gap counted.
+Guarantee to receivers: at most once, in order per publisher, every gap counted.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from msgs.values.units import NANOSECONDS_PER_SECOND
 logger = logging.getLogger(__name__)
 
 _WARNING_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
-#: A player gives up a scan that is not answered for this long (`mirrorwave.replay.listeners`).
+#: A player gives up a scan that has no answer for this long (`mirrorwave.replay.listeners`).
 _PACED_NS = 10 * NANOSECONDS_PER_SECOND
-#: Publishers of a topic that are told apart; any name may stand on the bus, and one more is turned away as long as all
-#: of them have spoken lately.
+#: Publishers of a topic that are distinguished. Any name may appear on the bus; a further one is refused while all of
+#: these have sent a message lately.
 MAX_PUBLISHERS = 256
 _LATELY_NS = 10 * NANOSECONDS_PER_SECOND
-#: As long as names of nodes may be.
+#: Maximum length of a node name.
 _MAX_NAME = 64
-#: What the counts of losses stop at: every program can hold it, and no sum of some of them leaves an int64.
-_MOST_LOST = 1 << 53
-#: Publishers of a latched topic whose last message is kept for who comes late.
+#: Limit of the loss counts: every program can hold it, and no sum of several of them exceeds an int64.
+_MAX_LOST = 1 << 53
+#: Publishers of a latched topic whose last message is kept for late subscribers.
 MAX_LATCHED = 32
 
 
 class _Count:
-    """Running figures of one topic."""
+    """Running counts of one topic."""
 
     def __init__(self) -> None:
         self.messages = self.bytes = self.lost = self.rejected = self.outdated = 0
@@ -59,26 +59,26 @@ class Tally:
     """Sequence numbers and counts of one node's connection."""
 
     def __init__(
-        self, node: str, paced: bool = False, keeps_all: bool = False, most_publishers: int = MAX_PUBLISHERS
+        self, node: str, paced: bool = False, keeps_all: bool = False, max_publishers: int = MAX_PUBLISHERS
     ) -> None:
-        self._node, self._most_publishers = node, most_publishers
+        self._node, self._max_publishers = node, max_publishers
         self._paced, self._keeps_all = paced, keeps_all
-        #: What is outdated is handed out too.
+        #: Outdated messages are delivered too.
         self.wants_all = False
-        #: Topics whose last message was paced, and when it came: what is made of them is paced too.
+        #: Topics whose last message was paced, and its time of arrival: messages derived from them are paced too.
         self._paced_ns: dict[str, int] = {}
-        #: Numbers spent per topic; what is sent on for others has its own.
+        #: Numbers used per topic; forwarded messages have their own.
         self._sequences: dict[str, int] = {}
         self._published: dict[str, _Count] = {}
         self._received: dict[str, _Count] = {}
-        #: Last envelope of each publisher of a topic; who was silent longest comes first.
+        #: Last envelope of each publisher of a topic; the one silent longest comes first.
         self._last: dict[str, dict[str, Envelope]] = {}
         self._warned_ns: dict[str, int] = {}
 
     def pack(self, topic: str, message: msgspec.Struct, now_ns: int) -> tuple[Envelope, list[Buffer]]:
-        """Envelope and frames of the next message; raises `CodecError`, and spends no number, if it cannot travel."""
+        """Return envelope and frames of the next message; raises `CodecError`, and uses no number, if it is unfit."""
         sequence = self._sequences.get(topic, 0)
-        # not for ever: its player has ended without a word, and a radar that waits for nobody may follow
+        # limited in time: its player may have ended without notice, and an unpaced radar may follow
         paced = self._paced or any(now_ns - came_ns <= _PACED_NS for came_ns in self._paced_ns.values())
         envelope = Envelope(publisher=self._node, topic=topic, sequence=sequence, sent_ns=now_ns, paced=paced)
         frames = encode(envelope, message)
@@ -87,7 +87,7 @@ class Tally:
         return envelope, frames
 
     def forward(self, message: Forwarded) -> None:
-        """Count a message that is sent on; it spends no number."""
+        """Count a forwarded message; it uses no number."""
         self._published.setdefault(message.topic, _Count()).add(message.frames)
 
     def expect(self, topic: str) -> None:
@@ -95,7 +95,7 @@ class Tally:
         self._received.setdefault(topic, _Count())
 
     def accept(self, topic: str, frames: Sequence[Buffer], now_ns: int) -> Received | None:
-        """The message of `frames`, or None where it is unreadable (counted, logged) or older than one already seen."""
+        """Return the message of `frames`; None if it is unreadable (counted, logged) or older than an earlier one."""
         count = self._received[topic]
         try:
             received = decode(frames)
@@ -105,15 +105,15 @@ class Tally:
             count.rejected += 1
             self._warn(topic, str(error))
             return None
-        known = self._last[topic]
-        last = known.get(received.envelope.publisher)
+        envelopes = self._last[topic]
+        last = envelopes.get(received.envelope.publisher)
         if last is not None:
             if received.envelope.sent_ns <= last.sent_ns and received.envelope.sequence <= last.sequence:
                 return None
-            # a publisher that starts again counts from 0: what it sent in between was never numbered
-            count.lost = min(_MOST_LOST, count.lost + max(0, received.envelope.sequence - last.sequence - 1))
-        known.pop(received.envelope.publisher, None)
-        known[received.envelope.publisher] = received.envelope
+            # a publisher that restarts counts from 0: what it sent in between was never numbered
+            count.lost = min(_MAX_LOST, count.lost + max(0, received.envelope.sequence - last.sequence - 1))
+        envelopes.pop(received.envelope.publisher, None)
+        envelopes[received.envelope.publisher] = received.envelope
         count.add(frames)
         if received.envelope.paced:
             self._paced_ns[topic] = now_ns
@@ -122,17 +122,17 @@ class Tally:
         return received
 
     def forget(self, topic: str, publisher: str) -> None:
-        """The next message of `publisher` is its first: no gap before it."""
+        """Treat the next message of `publisher` as its first: no gap before it."""
         self._last.get(topic, {}).pop(publisher, None)
 
     def forget_all(self) -> None:
-        """The next message of every publisher is its first."""
+        """Treat the next message of every publisher as its first."""
         self._last.clear()
 
     def without_outdated(self, messages: list[Received]) -> list[Received]:
-        """`messages`, with the last of each publisher alone on topics whose receivers want the newest only; counts.
+        """Return `messages`, only the last of each publisher on topics whose receivers want the newest; count the rest.
 
-        What is paced is kept: its player waits until it is answered.
+        Paced messages are kept: their player waits until it is answered.
         """
         if self._keeps_all:
             return messages
@@ -147,22 +147,22 @@ class Tally:
         return kept
 
     def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
-        """Received and published figures, topics in order of name."""
+        """Return the received and published counts, topics in order of name."""
         received = tuple(self._received[topic].frozen(topic) for topic in sorted(self._received))
         published = tuple(self._published[topic].frozen(topic) for topic in sorted(self._published))
         return received, published
 
     def _make_room(self, envelope: Envelope, now_ns: int) -> None:
-        """Forget who was silent longest for a publisher too many; raise `CodecError` where all spoke lately."""
-        known = self._last.setdefault(envelope.topic, {})
-        if envelope.publisher in known or len(known) < self._most_publishers:
+        """Forget the publisher silent longest to admit one more; raise `CodecError` if all sent a message lately."""
+        envelopes = self._last.setdefault(envelope.topic, {})
+        if envelope.publisher in envelopes or len(envelopes) < self._max_publishers:
             return
-        silent = next(iter(known))
-        if now_ns - known[silent].sent_ns <= _LATELY_NS:
+        silent = next(iter(envelopes))
+        if now_ns - envelopes[silent].sent_ns <= _LATELY_NS:
             raise CodecError(
-                f"{envelope.topic}: more than {self._most_publishers} publishers, {envelope.publisher!r} among them"
+                f"{envelope.topic}: more than {self._max_publishers} publishers, {envelope.publisher!r} among them"
             )
-        del known[silent]
+        del envelopes[silent]
 
     def _warn(self, topic: str, reason: str) -> None:
         now_ns = time.monotonic_ns()
@@ -172,7 +172,7 @@ class Tally:
 
 
 def latch(kept: dict[str, list[Buffer]], publisher: str, frames: list[Buffer]) -> None:
-    """Keep the last message of a publisher of a latched topic; of too many, those that spoke last."""
+    """Keep the last message of a publisher of a latched topic; of too many, those that sent most recently."""
     kept.pop(publisher, None)
     kept[publisher] = frames
     while len(kept) > MAX_LATCHED:

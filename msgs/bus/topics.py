@@ -1,4 +1,4 @@
-"""The one table of topics: type, nominal rate, history and byte limit. Nothing else names a topic's facts."""
+"""The one table of topics: type, nominal rate, history and byte limit. No other module states these facts."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Topic(msgspec.Struct, frozen=True, kw_only=True):
     rate_hz: float
     #: Largest message accepted, header and arrays together.
     max_bytes: int
-    #: What may wait in a queue before the oldest is dropped; a bound in bytes, never in messages alone.
+    #: Bytes that may wait in a queue before the oldest message is dropped; a bound in bytes, never in messages alone.
     history_bytes: int
     #: Late joiners get the last message.
     latched: bool = False
-    #: Receivers that fall behind want the newest only.
+    #: Receivers that fall behind want the newest message only.
     newest_only: bool = False
 
     @property
@@ -76,12 +76,12 @@ _ALL = (
 )
 
 TOPICS: dict[str, Topic] = {topic.name: topic for topic in _ALL}
-#: Set-up of each kind of sensor, and what it measures; a graph looks through one.
+#: Set-up topic of each kind of sensor, and the topic of its measurements; a graph has one kind of sensor.
 SENSOR_TOPICS = (("radar/setup", "radar/beam"), ("lidar/setup", "lidar/histograms"))
 
 
 def topic_facts(name: str) -> Topic:
-    """Facts of a topic by name; an unknown one is refused with the names that exist."""
+    """Return the facts of a topic by name; an unknown name is refused with a list of the names that exist."""
     if name not in TOPICS:
         raise ValueError(f"unknown topic {name!r}; known are {', '.join(sorted(TOPICS))}")
     return TOPICS[name]

@@ -1,6 +1,6 @@
 """The live bus: ZeroMQ over Unix sockets, one socket file per topic and publisher, no broker.
 
-`run_dir` is the meeting place: a publisher binds `<topic with . for />@<node>` in it, subscribers look for
+`run_dir` is the meeting point: a publisher binds `<topic with . for />@<node>` in it, subscribers look for
 `<topic>@*` and connect; ZeroMQ reconnects by itself when a publisher comes back to its path.
 """
 
@@ -27,17 +27,17 @@ from msgs.values.units import NANOSECONDS_PER_SECOND
 
 logger = logging.getLogger(__name__)
 
-#: Room for a path in a Unix socket address, its end mark apart.
+#: Length available for a path in a Unix socket address, without its end mark.
 _MAX_PATH_BYTES = 107
 _NODE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _MAX_MESSAGES_A_CALL = 64
 _LINGER_MS = 500
 _RECONNECT_MS = 20
 _RECONNECT_MAX_MS = 50
-#: A subscriber of a paced topic that takes nothing may hold the publisher up for so long.
+#: Time for which a subscriber of a paced topic that takes nothing may hold up the publisher.
 _HELD_UP_NS = 10 * NANOSECONDS_PER_SECOND
 _RETRY_S = 0.001
-#: How often to look for publishers: while a topic has none yet, and afterwards.
+#: Intervals of the search for publishers: while a topic has none yet, and afterwards.
 _SEARCH_INTERVAL_NS = 50_000_000
 _RESCAN_INTERVAL_NS = 100_000_000
 
@@ -45,9 +45,9 @@ _RESCAN_INTERVAL_NS = 100_000_000
 class ZmqBus:
     """One node's connection to the live graph; a `Bus`.
 
-    `paced`: subscribers that are behind hold `publish` up instead of missing messages, and every message says so.
-    `counted`: `subscribers` knows of every topic, as it does where messages are paced, and whatever comes is kept, on
-    topics whose receivers want the newest only too.
+    `paced`: subscribers that are behind hold up `publish` instead of missing messages, and every message says so.
+    `counted`: `subscribers` covers every topic, as on a paced bus, and every message is kept, also on topics whose
+    receivers want the newest only.
     Raises `ValueError` for a node name or run directory that cannot be used or is not ours alone, `OSError` where the
     directory cannot be made.
     """
@@ -65,22 +65,22 @@ class ZmqBus:
         self._tally = Tally(node, paced, keeps_all=counted)
         self._poller = zmq.Poller()
         self._publishers: dict[str, zmq.Socket[bytes]] = {}
-        #: Last message of each latched topic, by the publisher that its envelope names.
+        #: Last message of each latched topic, by the publisher named in its envelope.
         self._latched: dict[str, dict[str, list[Buffer]]] = {}
-        #: Subscribers of the topics whose publishers hear of them: all of a counted bus, else the latched.
+        #: Subscriber counts of the topics that report them: all topics of a counted bus, else the latched ones.
         self._joined: dict[str, int] = {}
         self._subscribers: dict[str, zmq.Socket[bytes]] = {}
-        #: Publishers found per topic, and the life of each, as its socket file tells it.
-        self._found: dict[str, dict[str, tuple[int, int]]] = {}
-        #: What else may end a wait: sockets and file descriptors that are not the bus's own.
+        #: Publishers found per topic, and the life of each, as identified by its socket file.
+        self._lives: dict[str, dict[str, tuple[int, int]]] = {}
+        #: Other sources that may end a wait: sockets and file descriptors that do not belong to the bus.
         self._watched: set[zmq.Socket[bytes] | int] = set()
         self._next_scan_ns = 0
 
     def advertise(self, topic: str, origins: int = 1) -> None:
         """Open `topic` for subscribers before the first message; `publish` and `forward` do it otherwise.
 
-        `origins`: how many publishers this node speaks for; the queue of a latched topic has room for all of them.
-        Raises `ValueError` when a living process of the same node name publishes it already.
+        `origins`: number of publishers this node sends for; the queue of a latched topic has room for all of them.
+        Raises `ValueError` when a running process of the same node name publishes it already.
         """
         if topic not in self._publishers:
             self._publishers[topic] = self._bind(topic_facts(topic), origins)
@@ -96,13 +96,13 @@ class ZmqBus:
         self._hand_out(topic, envelope.publisher, frames)
 
     def forward(self, message: Forwarded) -> None:
-        """Send a message of another graph on as it is, without waiting; raises `TimeoutError` as `publish` does."""
+        """Send a message of another graph unchanged, without waiting; raises `TimeoutError` as `publish` does."""
         self.advertise(message.topic, MAX_LATCHED)
         self._tally.forward(message)
         self._hand_out(message.topic, message.envelope.publisher, message.frames)
 
     def subscribers(self, topic: str) -> int:
-        """How many are connected to an advertised topic, latched or counted: they get what is sent from now on."""
+        """Return the number of connections to an advertised topic, latched or counted: they get all later messages."""
         self._serve_newcomers(topic)
         return self._joined[topic]
 
@@ -119,13 +119,13 @@ class ZmqBus:
         subscriber.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MAX_MS)
         subscriber.set(zmq.SUBSCRIBE, topic_frame(topic))
         self._subscribers[topic] = subscriber
-        self._found[topic] = {}
+        self._lives[topic] = {}
         self._poller.register(subscriber, zmq.POLLIN)
         self._tally.expect(topic)
         self._search()
 
     def want_all(self) -> None:
-        """Receive what is outdated, too."""
+        """Receive outdated messages, too."""
         self._tally.wants_all = True
 
     def watch(self, source: zmq.Socket[bytes] | int) -> None:
@@ -134,14 +134,14 @@ class ZmqBus:
         self._poller.register(source, zmq.POLLIN)
 
     def unwatch(self, source: zmq.Socket[bytes] | int) -> None:
-        """Take no further notice of `source`; to be called before it is closed."""
+        """Stop watching `source`; to be called before it is closed."""
         self._watched.remove(source)
         self._poller.unregister(source)
 
     def receive(self, timeout_s: float) -> list[Received]:
-        """Messages waiting, oldest first and at most 64 a topic; waits up to `timeout_s` for the first.
+        """Return messages waiting, oldest first and at most 64 a topic; wait up to `timeout_s` for the first.
 
-        Empty as soon as something watched can be read.
+        Empty as soon as a watched source can be read.
         """
         deadline_ns = self.now_ns() + max(0, int(timeout_s * NANOSECONDS_PER_SECOND))
         while True:
@@ -152,15 +152,15 @@ class ZmqBus:
                 return received
 
     def now_ns(self) -> int:
-        """The machine's monotonic clock, shared by all processes on it."""
+        """Return the machine's monotonic clock, shared by all processes on it."""
         return time.monotonic_ns()
 
     def counts(self) -> tuple[tuple[TopicCount, ...], tuple[TopicCount, ...]]:
-        """Received and published messages per topic so far."""
+        """Return received and published messages per topic so far."""
         return self._tally.counts()
 
     def close(self) -> None:
-        """Close all sockets; waits for messages on their way no longer than half a second."""
+        """Close all sockets; waits for messages in transit no longer than half a second."""
         for opened in [*self._publishers.values(), *self._subscribers.values()]:
             opened.close()
         self._publishers.clear()
@@ -168,16 +168,16 @@ class ZmqBus:
         self._context.term()
 
     def _hand_out(self, topic: str, publisher: str, frames: list[Buffer]) -> None:
-        """Send a message to all who are there, and keep it for those to come where it is latched."""
+        """Send a message to all subscribers, and keep it for later ones if its topic is latched."""
         if topic in self._latched:
-            # of this publisher nothing older is owed to newcomers
+            # a newcomer needs no older message of this publisher
             self._latched[topic].pop(publisher, None)
             self._serve_newcomers(topic)
             latch(self._latched[topic], publisher, frames)
         self._send(topic, frames)
 
     def _send(self, topic: str, frames: list[Buffer]) -> None:
-        """Hand a message to ZeroMQ, which refuses it while a subscriber of a paced topic is behind."""
+        """Pass a message to ZeroMQ, which refuses it while a subscriber of a paced topic is behind."""
         end_ns = self.now_ns() + _HELD_UP_NS
         while True:
             try:
@@ -196,8 +196,8 @@ class ZmqBus:
             path.unlink(missing_ok=True)
         hears = topic.latched or self._counted
         publisher = self._context.socket(zmq.XPUB if hears else zmq.PUB)
-        # all options before the socket is bound: to change one later, libzmq writes to connections of which some are
-        # being torn down by another thread, and dies with a subscriber that leaves at once
+        # all options before the socket is bound: a later change makes libzmq write to connections that another thread
+        # may be tearing down, and it dies with a subscriber that leaves at once
         publisher.set(zmq.SNDHWM, _queue_length(topic, origins))
         publisher.set(zmq.LINGER, 0 if _is_bulk(topic) and not self._paced else _LINGER_MS)
         if hears:
@@ -211,19 +211,19 @@ class ZmqBus:
         return publisher
 
     def _bind_again(self) -> None:
-        """Open socket files anew that somebody deleted: who comes later would find nobody."""
-        gone = [topic for topic in self._publishers if not socket_path(self._dir, topic, self._node).exists()]
-        if not gone:
+        """Bind deleted socket files again: a late subscriber would find no publisher."""
+        missing = [topic for topic in self._publishers if not socket_path(self._dir, topic, self._node).exists()]
+        if not missing:
             return
-        # not unbound before: an old listener unlinks its path when it is closed, which may be after this
+        # not unbound before: an old listener unlinks its path when it is closed, which may happen after this
         with contextlib.suppress(OSError, ValueError, zmq.ZMQError):
             make_run_dir(self._dir)
-            for topic in gone:
+            for topic in missing:
                 self._publishers[topic].bind(f"ipc://{socket_path(self._dir, topic, self._node)}")
-            logger.warning("%s: %d socket files were gone; opened again", self._dir, len(gone))
+            logger.warning("%s: %d socket files were gone; opened again", self._dir, len(missing))
 
     def _poll(self, wait_ns: int) -> tuple[list[Received], bool]:
-        """Wait once, serve newcomers to latched topics; what came in, and whether anything watched can be read."""
+        """Wait once, serve newcomers to latched topics; return messages and whether a watched source is readable."""
         if not self._poller.sockets:
             # a poll of nothing would return at once
             time.sleep(wait_ns / NANOSECONDS_PER_SECOND)
@@ -253,22 +253,22 @@ class ZmqBus:
         return messages
 
     def _notice_restarts(self, topic: str) -> None:
-        """Start to count anew where a publisher has: what its new life sent before it was connected is no loss."""
-        for node, known in self._found[topic].items():
+        """Restart the count of a restarted publisher: what its new life sent before it was connected is no loss."""
+        for node, previous in self._lives[topic].items():
             life = _life(socket_path(self._dir, topic, node))
-            if life != known:
-                self._found[topic][node] = life
+            if life != previous:
+                self._lives[topic][node] = life
                 self._tally.forget(topic, node)
 
     def _serve_newcomers(self, topic: str) -> None:
-        """Send a latched topic's last messages again if somebody joined; all others discard them as seen."""
+        """Send a latched topic's last messages again if a subscriber joined; all others discard them as duplicates."""
         latched = self._latched.get(topic, {})
         if self._newcomers(topic) and latched:
             for frames in latched.values():
                 self._send(topic, frames)
 
     def _newcomers(self, topic: str) -> bool:
-        """Whether anybody subscribed to a topic since the last look; counts who is there."""
+        """Return whether a subscriber joined a topic since the last call; counts the subscribers."""
         joined = False
         while True:
             try:
@@ -285,56 +285,56 @@ class ZmqBus:
             self._search()
 
     def _search(self) -> None:
-        """Connect to the publishers that appeared since the last look."""
+        """Connect to the publishers that appeared since the last search."""
         for topic, node in _published_names(self._dir):
-            if topic in self._subscribers and node not in self._found[topic]:
+            if topic in self._subscribers and node not in self._lives[topic]:
                 self._subscribers[topic].connect(f"ipc://{socket_path(self._dir, topic, node)}")
-                self._found[topic][node] = _life(socket_path(self._dir, topic, node))
-        interval_ns = _RESCAN_INTERVAL_NS if all(self._found.values()) else _SEARCH_INTERVAL_NS
+                self._lives[topic][node] = _life(socket_path(self._dir, topic, node))
+        interval_ns = _RESCAN_INTERVAL_NS if all(self._lives.values()) else _SEARCH_INTERVAL_NS
         self._next_scan_ns = self.now_ns() + interval_ns
 
 
 def run_dir(domain: str) -> Path:
-    """Default meeting place of a graph; graphs of different domains do not see each other."""
+    """Return the default run directory of a graph; graphs of different domains do not see each other."""
     if not _NODE_NAME.fullmatch(domain) or set(domain) == {"."}:
         raise ValueError(f"domain must be 1..64 letters, digits, '_', '-' or '.', got {domain!r}")
-    if chosen := os.environ.get("MIRRORWAVE_RUN_DIR"):
-        return Path(chosen) / domain
+    if override := os.environ.get("MIRRORWAVE_RUN_DIR"):
+        return Path(override) / domain
     if runtime := os.environ.get("XDG_RUNTIME_DIR"):
         return Path(runtime) / "mirrorwave" / domain
     return Path("/tmp") / f"mirrorwave-{os.getuid()}" / domain
 
 
 def make_run_dir(run_dir: Path) -> None:
-    """Make a meeting place where nobody else can enter, or take in one that is there.
+    """Make a run directory that no other user can enter, or accept an existing one.
 
-    Raises `ValueError` where another user made it first, or could write into it or put another in its place: who meets
-    there would be in that user's hands. `OSError` where it cannot be made.
+    Raises `ValueError` if another user made it first, or could write into it or put another in its place: that user
+    would control the graph. `OSError` if it cannot be made.
     """
-    # a parent that is made on the way takes its mode from the umask otherwise
+    # a parent directory made along with it takes its mode from the umask otherwise
     run_dir.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
     run_dir.mkdir(exist_ok=True, mode=0o700)
     for folder in (run_dir, run_dir.parent):
-        # a link counts with what it leads to: its owner chooses that
-        for found in (folder.lstat(), folder.stat()):
-            if found.st_uid not in (os.geteuid(), 0):
-                raise ValueError(f"{folder}: must belong to who runs the graph or to root, is user {found.st_uid}'s")
+        # for a link its target counts as well: its owner chooses that
+        for status in (folder.lstat(), folder.stat()):
+            if status.st_uid not in (os.geteuid(), 0):
+                raise ValueError(f"{folder}: must belong to who runs the graph or to root, is user {status.st_uid}'s")
     mode = run_dir.parent.stat().st_mode
     if mode & (stat.S_IWGRP | stat.S_IWOTH) and not mode & stat.S_ISVTX:
         raise ValueError(f"{run_dir.parent}: others may rename what is in it; chmod go-w, or +t")
-    # not mended in silence: what others may have left in it would stay
+    # not mended silently: files that others may have left in it would stay
     if run_dir.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise ValueError(f"{run_dir}: others may write into it; look what is in it, then chmod 700")
     run_dir.chmod(0o700)
 
 
 def socket_path(run_dir: Path, topic: str, node: str) -> Path:
-    """Where `node` publishes `topic`."""
+    """Return the path where `node` publishes `topic`."""
     return run_dir / f"{topic.replace('/', '.')}@{node}"
 
 
 def list_publishers(run_dir: Path) -> list[tuple[str, str]]:
-    """(topic, node) of every publisher that is alive, sorted; empty where the directory is missing."""
+    """Return (topic, node) of every running publisher, sorted; empty if the directory is missing."""
     return [
         (topic, node)
         for topic, node in _published_names(Path(run_dir))
@@ -343,7 +343,7 @@ def list_publishers(run_dir: Path) -> list[tuple[str, str]]:
 
 
 def _published_names(run_dir: Path) -> list[tuple[str, str]]:
-    """(topic, node) of every socket file that follows the rule, sorted; their owners may be dead."""
+    """Return (topic, node) of every socket file that follows the naming rule, sorted; their owners may have ended."""
     by_file_name = {topic.replace("/", "."): topic for topic in TOPICS}
     names = []
     for entry in sorted(os.listdir(run_dir)) if run_dir.is_dir() else []:
@@ -355,16 +355,16 @@ def _published_names(run_dir: Path) -> list[tuple[str, str]]:
 
 
 def _life(path: Path) -> tuple[int, int]:
-    """What differs between one binding of a socket file and the next; zeros where there is none."""
+    """Return a value that differs between one binding of a socket file and the next; zeros if there is none."""
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return 0, 0
-    return found.st_ino, found.st_ctime_ns
+    return status.st_ino, status.st_ctime_ns
 
 
 def _is_alive(path: Path) -> bool:
-    """Whether a process listens on a socket file."""
+    """Return whether a process listens on a socket file."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(0.2)
         try:
@@ -372,19 +372,19 @@ def _is_alive(path: Path) -> bool:
         except (ConnectionError, FileNotFoundError):
             return False
         except OSError:
-            # a full backlog or a time-out: somebody is there, if busy
+            # a full backlog or a time-out: a process listens, if busy
             return path.is_socket()
     return True
 
 
 def _queue_length(topic: Topic, origins: int) -> int:
-    """Messages that may wait for a subscriber; a newcomer to a latched topic gets one of each origin at once."""
-    # a reader reports what it took in steps of half the mark: only twice the history surely holds it
+    """Return how many messages may wait for a subscriber; a newcomer to a latched topic gets one per origin at once."""
+    # a reader reports its progress in steps of half the mark: only twice the history surely holds it
     return 2 * topic.history_messages * (origins if topic.latched else 1)
 
 
 def _is_bulk(topic: Topic) -> bool:
-    """Whether messages on their way are worth no wait at shutdown: raw beams, and what is outdated soon."""
+    """Return whether shutdown need not wait for messages in transit: raw beams, and messages that are soon outdated."""
     return topic.newest_only or (topic.max_bytes > 4 * MIB and not topic.latched)
 
 

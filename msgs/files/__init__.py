@@ -1,1 +1,1 @@
-"""Files at the door: arrays, YAML, whole files, and where shipped files are."""
+"""Files on input: arrays, YAML, whole files, and the folders of shipped files."""

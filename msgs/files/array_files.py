@@ -1,6 +1,6 @@
-"""Arrays from .npy and .npz files of others: nothing that such a file says is believed before it is checked.
+"""Arrays from .npy and .npz files of others: nothing in such a file is trusted before it is checked.
 
-numpy's own reader allocates what a header promises, and lets through whatever its parsers raise.
+numpy's own reader allocates what a header promises, and passes on any exception of its parsers.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from typing import IO
 
 import numpy as np
 
-#: No archive of ours comes near; one that unpacks to more would take all memory.
+#: No archive of this project comes near; one that unpacks to more would exhaust memory.
 MAX_UNPACKED_BYTES = 1 << 33
-#: What numpy, zip and their decompressors raise for bytes that are none of theirs.
+#: Exceptions of numpy, zip and their decompressors for bytes of another format.
 _TROUBLE = (
     ValueError, TypeError, KeyError, EOFError, SyntaxError, SystemError, ArithmeticError, MemoryError, RecursionError,
     RuntimeError, tokenize.TokenError, struct.error, zipfile.BadZipFile, zlib.error, lzma.LZMAError,
@@ -28,7 +28,7 @@ _TROUBLE = (
 
 
 def load_array(path: Path) -> np.ndarray:
-    """The array of a .npy file; raises `ValueError` with the reason in one line, `OSError` where it cannot be read."""
+    """Return the array of a .npy file; raises `ValueError` with a reason of one line, `OSError` if it is unreadable."""
     with path.open("rb") as file:
         try:
             return _read(file, path.stat().st_size)
@@ -37,9 +37,9 @@ def load_array(path: Path) -> np.ndarray:
 
 
 def load_arrays(source: Path | IO[bytes], only: Collection[str] | None = None) -> dict[str, np.ndarray]:
-    """Arrays of a .npz archive by name, all or those of `only` that it has.
+    """Return the arrays of a .npz archive by name, all or those of `only` that it has.
 
-    Raises `ValueError` with the reason in one line, `OSError` where it cannot be read.
+    Raises `ValueError` with the reason in one line, `OSError` if it cannot be read.
     """
     try:
         with zipfile.ZipFile(source) as archive:
@@ -53,7 +53,7 @@ def load_arrays(source: Path | IO[bytes], only: Collection[str] | None = None) -
 
 
 def array_names(path: Path) -> list[str]:
-    """Names of the arrays of a .npz archive; raises as `load_arrays` does."""
+    """Return names of the arrays of a .npz archive; raises as `load_arrays` does."""
     try:
         with zipfile.ZipFile(path) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
@@ -62,7 +62,7 @@ def array_names(path: Path) -> list[str]:
 
 
 def is_archive(path: Path) -> bool:
-    """Whether a file is a .npz archive by its first bytes, whatever its name."""
+    """Return whether a file is a .npz archive by its first bytes, whatever its name."""
     with path.open("rb") as file:
         return file.read(2) == b"PK"
 
@@ -73,9 +73,9 @@ def _member(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
 
 
 def _read(file: IO[bytes], size: int) -> np.ndarray:
-    """One array of a file of `size` bytes; a header that promises more than that is refused, not allocated."""
+    """Return one array of a file of `size` bytes; a header that promises more than that is refused, not allocated."""
     with warnings.catch_warnings():
-        # a header as Python 2 wrote it is slow to read, and no worse
+        # a header written by Python 2 is slow to read, but valid
         warnings.simplefilter("ignore")
         version = np.lib.format.read_magic(file)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -87,7 +87,7 @@ def _read(file: IO[bytes], size: int) -> np.ndarray:
         file.seek(0)
         array: np.ndarray = np.lib.format.read_array(file, allow_pickle=False)
     if dtype.kind == "U":
-        # characters that are none would be found when they are used, as SystemError
+        # invalid characters would raise SystemError later, when they are used
         array.tolist()
     return array
 

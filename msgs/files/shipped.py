@@ -1,4 +1,4 @@
-"""Files that come with the project: one place that knows where the checkout is."""
+"""Location of the files that come with the project: the one module that knows where the checkout is."""
 
 from __future__ import annotations
 
@@ -8,3 +8,5 @@ from pathlib import Path
 CHECKOUT = Path(__file__).resolve().parents[2]
 LAUNCH = CHECKOUT / "launch"
 WEIGHTS = CHECKOUT / "models" / "weights"
+#: What benchmarks measured, as pages and as files that the program reads.
+RESULTS = CHECKOUT / "docs" / "results"

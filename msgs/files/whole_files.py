@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, room on their disk, and no way round through a symbolic link."""
+"""Files that are written whole or not at all, free space on their disk, and openers that refuse symbolic links."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-#: What a disk, a quota or a limit answers where there is no room for more.
+#: Error numbers of a disk, a quota or a limit without free space.
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _BYTES_PER_MB = 1_000_000
 
 
 @contextmanager
 def whole(path: Path, suffix: str = ".part") -> Iterator[Path]:
-    """Where to write what becomes `path` when the context ends well; whatever else happens, what was there stays.
+    """Yield a path to write to; it becomes `path` when the context ends without an error, else `path` is unchanged.
 
-    `suffix` ends the name that it has until then, for writers that go by it. Raises `OSError` with the name of `path`
-    where its disk refuses.
+    `suffix` ends the temporary name, for writers that depend on it. Raises `OSError` with the name of `path` if its
+    disk refuses.
     """
-    # a name that nobody knows before, and nobody else has: several may make the same file at once
+    # an unpredictable name used by no other process: several may make the same file at once
     part = path.with_name(f".{path.name}.{secrets.token_hex(8)}{suffix}")
     try:
         with named(path, part):
@@ -39,7 +39,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 @contextmanager
 def named(path: Path, part: Path | None = None) -> Iterator[None]:
-    """Have an `OSError` of a full disk, or about `part`, name the file that was to be written."""
+    """Name the file that was to be written in an `OSError` of a full disk or about `part`."""
     try:
         yield
     except OSError as error:
@@ -50,13 +50,13 @@ def named(path: Path, part: Path | None = None) -> Iterator[None]:
 
 
 def free_bytes(folder: Path) -> int:
-    """Room on the file system of `folder` for an ordinary user."""
-    found = os.statvfs(folder)
-    return found.f_bavail * found.f_frsize
+    """Return the free space in bytes on the file system of `folder` for an ordinary user."""
+    stats = os.statvfs(folder)
+    return stats.f_bavail * stats.f_frsize
 
 
 def require_room(path: Path, needed_bytes: int) -> None:
-    """Raise `OSError` naming `path` where its disk has less room than it will take."""
+    """Raise `OSError` naming `path` if its disk has less free space than it needs."""
     free = free_bytes(path.absolute().parent)
     if free < needed_bytes:
         reason = f"needs {-(-needed_bytes // _BYTES_PER_MB)} MB, {free // _BYTES_PER_MB} MB are free"
@@ -64,9 +64,9 @@ def require_room(path: Path, needed_bytes: int) -> None:
 
 
 def no_link(path: str | Path, flags: int) -> int:
-    """Opener of files of one's own (mode 0600 where they are new); raises `ValueError` for a symbolic link."""
+    """Open a file of one's own (mode 0600 if it is new); raises `ValueError` for a symbolic link."""
     try:
-        # without O_NONBLOCK a pipe in the file's place would hold us up for ever
+        # without O_NONBLOCK a pipe in the file's place would block for ever
         return os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
     except OSError as error:
         if error.errno == errno.ELOOP:

@@ -1,4 +1,4 @@
-"""YAML of others as values: nothing that grows without end, takes long, or is no value of its tag."""
+"""YAML of others as values: no unbounded growth, no slow parsing, no value that does not match its tag."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-#: Deeper files are none of ours, and are slow to find out about.
+#: No file of this project is deeper, and deep files are slow to parse.
 MAX_DEPTH = 32
 
 
@@ -14,7 +14,7 @@ _WORDS = {type(None): "nothing", bool: "true or false", int: "a number", float: 
 
 
 def in_words(value: object) -> str:
-    """What a value of YAML is, for people; an empty file has none."""
+    """Return the kind of a YAML value in words; an empty file has none."""
     return _WORDS.get(type(value), type(value).__name__)
 
 
@@ -24,12 +24,12 @@ class BoundedLoader(yaml.SafeLoader):
     _depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
-        """A node of the tree; `yaml.MarkedYAMLError` for what is refused."""
+        """Return a node of the tree; raises `yaml.MarkedYAMLError` for a refused one."""
         if self.check_event(yaml.AliasEvent):
-            # lists of lists of these grow without end when they are read as values
+            # lists of lists of these grow without bound when they are read as values
             raise yaml.MarkedYAMLError(problem="aliases are refused", problem_mark=self.peek_event().start_mark)
         if getattr(self.peek_event(), "tag", None) is not None:
-            # PyYAML raises KeyError, IndexError and others for values that are not of their tag
+            # PyYAML raises KeyError, IndexError and others for values that do not match their tag
             raise yaml.MarkedYAMLError(problem="tags are refused", problem_mark=self.peek_event().start_mark)
         self._depth += 1
         if self._depth > MAX_DEPTH:

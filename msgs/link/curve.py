@@ -1,8 +1,9 @@
-"""What both ends of a link between two hosts share: what travels over TCP, and how their sockets are set up.
+"""Shared part of both ends of a link between two hosts: the messages on TCP and the set-up of the sockets.
 
-Down come the messages as on every bus (`msgs.bus.codec`), and answers of the exporter's clock. Up come subscriptions
-and questions: `[2][8 bytes of who asks][8 bytes of number]`, answered on the topic `clock\\0` + who asks with the
-number and the exporter's monotonic clock (int64, big-endian, ns). Nothing else travels up: an importer cannot publish.
+Downwards go the messages as on every bus (`msgs.bus.codec`), and answers of the exporter's clock. Upwards go
+subscriptions and questions: `[2][8 bytes of requester][8 bytes of number]`, answered on the topic `clock\\0` +
+requester with the number and the exporter's monotonic clock (int64, big-endian, ns). Nothing else is accepted
+upwards: an importer cannot publish.
 
 `msgs.link.exporter` is the end that is bound on one port, `msgs.link.importer` the one that connects to it.
 """
@@ -26,11 +27,11 @@ logger = logging.getLogger(__name__)
 
 Clock = Callable[[], int]
 
-#: Messages that one turn takes from a peer, and a burst that one turn of a bus may hand to an exporter.
+#: Messages that one turn takes from a peer, and a burst that one turn of a bus may pass to an exporter.
 MAX_A_TURN = 64
 #: Subscriptions and questions are short; a CURVE handshake needs some 300 bytes.
 MAX_UPWARD_BYTES = 1024
-#: Without a dot: what a peer has itself imported is not passed on a second time.
+#: Without a dot: a peer does not pass on what it has itself imported.
 ORIGIN = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 CLOCK = topic_frame("clock")
@@ -39,7 +40,7 @@ ID_BYTES = 8
 STAMP = struct.Struct(">q")
 
 _HANDSHAKE_MS = 2000
-#: To connect, and for what was sent to be acknowledged; of a silent connection as long after `_IDLE_S`.
+#: Time to connect, and for sent data to be acknowledged; a silent connection has as long after `_IDLE_S`.
 _CONNECT_MS, _UNHEARD_MS = 2000, 3000
 _IDLE_S, _PROBE_S = 2, 1
 _LINGER_MS = 100
@@ -47,8 +48,8 @@ _LOG_INTERVAL_NS = 5 * NANOSECONDS_PER_SECOND
 
 
 def queue_messages(facts: Iterable[Topic]) -> int:
-    """Messages that may wait for a peer: as many as fill the topics' history together, each as large as allowed and
-    coming at its nominal rate; at least what one turn of a bus hands out.
+    """Return how many messages may wait for a peer: as many as fill the topics' history together, each of the maximum
+    size and at its nominal rate; at least as many as one turn of a bus delivers.
     """
     topics = list(facts)
     rate_hz = sum(topic.rate_hz for topic in topics)
@@ -60,7 +61,7 @@ def queue_messages(facts: Iterable[Topic]) -> int:
 
 
 class Complaint:
-    """A warning about something that is counted, said when it grew and not more often than every 5 s."""
+    """A warning about a count, logged when the count grew and not more often than every 5 s."""
 
     def __init__(self) -> None:
         self._said = 0
@@ -74,39 +75,39 @@ class Complaint:
 
 
 class Monitor:
-    """What ZeroMQ says of a socket's connections."""
+    """ZeroMQ's events of a socket's connections."""
 
     def __init__(self, socket: zmq.Socket[bytes], events: int) -> None:
         self._of = socket
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(events)
 
     def events(self) -> list[tuple[int, int]]:
-        """Events since the last call and their values, bounded."""
-        found = []
+        """Return the events since the last call and their values, bounded."""
+        events = []
         with contextlib.suppress(zmq.Again):
             for _ in range(MAX_A_TURN):
-                said = recv_monitor_message(self.socket, zmq.NOBLOCK)
-                found.append((int(said["event"]), int(said["value"])))
-        return found
+                event = recv_monitor_message(self.socket, zmq.NOBLOCK)
+                events.append((int(event["event"]), int(event["value"])))
+        return events
 
     def close(self) -> None:
-        """Stop to listen."""
+        """Stop listening."""
         self._of.disable_monitor()
         self.socket.close(linger=0)
 
 
 def waiting_on(socket: zmq.Socket[bytes]) -> Iterator[list[zmq.Frame]]:
-    """Messages that wait on a socket, at most `MAX_A_TURN`."""
+    """Yield messages that wait on a socket, at most `MAX_A_TURN`."""
     with contextlib.suppress(zmq.Again):
         for _ in range(MAX_A_TURN):
             yield socket.recv_multipart(zmq.NOBLOCK, copy=False)
 
 
 def set_common(socket: zmq.Socket[bytes]) -> None:
-    """Options of both ends: how soon a peer that says nothing is given up."""
+    """Set the options of both ends: the time after which a silent peer is given up."""
     socket.set(zmq.LINGER, _LINGER_MS)
-    # the kernel finds out that a peer is dead: heartbeats of libzmq abort the process (its issues 3937, 4364, 4767)
-    # where a connection ends that has stopped to read
+    # the kernel detects a dead peer: heartbeats of libzmq abort the process (its issues 3937, 4364, 4767) where a
+    # connection ends that has stopped reading
     socket.set(zmq.TCP_MAXRT, _UNHEARD_MS)
     socket.set(zmq.TCP_KEEPALIVE, 1)
     socket.set(zmq.TCP_KEEPALIVE_IDLE, _IDLE_S)

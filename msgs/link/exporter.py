@@ -1,6 +1,6 @@
-"""The end of a link that gives: local topics for peers, bound on one port and encrypted with CURVE.
+"""The sending end of a link: local topics for peers, bound on one port and encrypted with CURVE.
 
-Who may connect is decided in the handshake; who has come in can read, and be answered (`msgs.link.curve`), no more.
+The handshake decides who may connect; a connected peer can read and get answers (`msgs.link.curve`), no more.
 """
 
 from __future__ import annotations
@@ -43,24 +43,24 @@ _ZAP_DOMAIN = "mirrorwave"
 _PING_BYTES = len(PING) + 2 * ID_BYTES
 #: No handshake takes longer.
 _STRANGER_NS = 5 * NANOSECONDS_PER_SECOND // 2
-#: Far more than there are peers; each costs libzmq memory until it is given up.
+#: Far more than there are peers; each costs libzmq memory until its connection is given up.
 _MAX_STRANGERS = 256
-#: Room for those that came before we closed any.
+#: Space for connections that arrived before any were closed.
 _OPEN_FILES = 4096
 _MAX_JOINED = 64
-#: Of one connection; an importer has one a topic and one for the clock. libzmq keeps each, some 50 bytes a character.
+#: Limit of one connection; an importer has one a topic and one for the clock. libzmq keeps each: 50 bytes a character.
 _MAX_SUBSCRIPTIONS = 64
 
-#: Not EVENT_HANDSHAKE_FAILED_PROTOCOL: libzmq 4.3.5 says it of a message that cannot be decrypted, too, forgets over it
-#: that the connection is broken, and stops to read it without closing it.
+#: Not EVENT_HANDSHAKE_FAILED_PROTOCOL: libzmq 4.3.5 reports it also for a message that cannot be decrypted, then
+#: forgets that the connection is broken, and stops reading it without closing it.
 _REFUSED = zmq.EVENT_HANDSHAKE_FAILED_AUTH | zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
 
 
 class Exporter:
     """Local topics for peers: bound on one address, encrypted and only for `allowed` where `own` is given.
 
-    `allowed`: public key -> name. Peers that take nothing miss messages; the kernel cuts off who is not there.
-    Raises `ValueError` for keys without a list or an unknown topic, `OSError` where the address cannot be had.
+    `allowed`: public key -> name. Peers that take nothing miss messages; the kernel cuts off absent ones.
+    Raises `ValueError` for keys without a list or an unknown topic, `OSError` if the address is not available.
     """
 
     def __init__(
@@ -77,18 +77,18 @@ class Exporter:
         facts = [topic_facts(topic) for topic in topics]
         self._allowed, self._clock_ns = dict(allowed or {}), clock_ns
         self._latched: dict[str, dict[str, list[Buffer]]] = {topic.name: {} for topic in facts if topic.latched}
-        #: Who asks for our clock, and over how many connections: a new one may come before the old one has gone.
+        #: Peers that ask for our clock, and over how many connections: a new one may come before the old one has gone.
         self._joined: dict[bytes, tuple[str, int]] = {}
         self._complaint = Complaint()
-        #: Handshakes that failed, and what can go neither up nor down: no question, or too large.
+        #: Failed handshakes, and messages that can go neither up nor down: no question, or too large.
         self.refused = self.rejected = 0
         self._socket = context.socket(zmq.XPUB)
         self._watch = Monitor(self._socket, _REFUSED | zmq.EVENT_ACCEPTED | zmq.EVENT_HANDSHAKE_SUCCEEDED)
         #: Subscriptions of each connection, by its file descriptor.
         self._subscriptions: Counter[int] = Counter()
-        #: At most half of what we may open: a process that can open nothing more ends with its next heartbeat.
-        self._most_strangers = min(_MAX_STRANGERS, _open_files_limit() // 2)
-        #: When connections came that have not shown yet who they are.
+        #: At most half of the descriptors we may open: a process that can open no more ends with its next heartbeat.
+        self._max_strangers = min(_MAX_STRANGERS, _open_files_limit() // 2)
+        #: Arrival times of connections that have not identified themselves yet.
         self._strangers: deque[int] = deque()
         self._authenticator = _authenticator(context, self._allowed)
         try:
@@ -97,16 +97,16 @@ class Exporter:
         except zmq.ZMQError as error:
             self.close()
             raise OSError(f"{address}: {error.strerror}") from None
-        #: As bound: a port that was left open is filled in.
+        #: The bound address: a port that was left open is filled in.
         self.address = self._socket.get_string(zmq.LAST_ENDPOINT)
 
     def _prepare(self, facts: list[Topic], own: KeyPair | None) -> None:
         set_common(self._socket)
         self._socket.set(zmq.SNDHWM, queue_messages(facts))
         self._socket.set(zmq.MAXMSGSIZE, MAX_UPWARD_BYTES)
-        # every subscription is heard of, and answered with what is latched
+        # every subscription is reported, and answered with the latched messages
         self._socket.set(zmq.XPUB_VERBOSER, 1)
-        # without a domain, a peer that speaks ZMTP 1.0 is let in whatever the mechanism is
+        # without a domain, a peer that speaks ZMTP 1.0 is admitted whatever the mechanism is
         self._socket.set_string(zmq.ZAP_DOMAIN, _ZAP_DOMAIN)
         if own is not None:
             self._socket.set(zmq.CURVE_SERVER, 1)
@@ -114,22 +114,22 @@ class Exporter:
 
     @property
     def sources(self) -> tuple[zmq.Socket[bytes], ...]:
-        """What ends a wait."""
+        """Sockets that end a wait."""
         return self._socket, self._watch.socket
 
     @property
     def alive(self) -> bool:
-        """Whether handshakes are still judged; while nobody judges, nobody comes in."""
+        """Return whether handshakes are still judged; otherwise no peer is admitted."""
         return self._authenticator.is_alive()
 
     def send(self, received: Received) -> None:
-        """Send a message of the local bus as it came; what was imported stays here."""
+        """Send a message of the local bus unchanged; imported messages stay here."""
         if not ORIGIN.fullmatch(received.envelope.publisher):
             return
         try:
             frames = encode(received.envelope, received.message)
         except CodecError:
-            # a writer that leaves defaults out gets a little more into a message than we do
+            # a writer that omits defaults fits a little more into a message than we do
             self.rejected += 1
             return
         if received.topic in self._latched:
@@ -137,24 +137,24 @@ class Exporter:
         self._send(frames)
 
     def turn(self) -> None:
-        """Answer what came up, a bounded number of it."""
+        """Answer the messages from peers, a bounded number of them."""
         self._judge(self._clock_ns())
         for parts in waiting_on(self._socket):
             self._answer(parts)
 
     def close(self) -> None:
-        """Close the port; what is on its way has a tenth of a second."""
+        """Close the port; messages in transit have a tenth of a second."""
         self._watch.close()
         self._socket.close()
         self._authenticator.stop()
 
     def _judge(self, now_ns: int) -> None:
-        """Count the connections that failed to show who they are, or spoke another language."""
+        """Count the connections that failed to identify themselves, or used another protocol."""
         for event, descriptor in self._watch.events():
             if event == zmq.EVENT_ACCEPTED:
                 self._strangers.append(now_ns)
                 del self._subscriptions[descriptor]
-                if len(self._strangers) > self._most_strangers:
+                if len(self._strangers) > self._max_strangers:
                     _close_connection(descriptor, self.address)
             elif self._strangers:
                 self._strangers.popleft()
@@ -165,24 +165,24 @@ class Exporter:
         self._complaint.say(self.refused, now_ns, "refused %d connections: wrong key or no peer")
 
     def _answer(self, parts: list[zmq.Frame]) -> None:
-        said = parts[0].bytes
+        request = parts[0].bytes
         if len(parts) > 1:
             self.rejected += 1
-        elif said[:1] == b"\x01":
+        elif request[:1] == b"\x01":
             self._subscriptions[descriptor := int(parts[0].get(zmq.SRCFD))] += 1
             if self._subscriptions[descriptor] <= _MAX_SUBSCRIPTIONS:
-                self._welcome(said[1:], _name_of(parts[0], self._allowed))
+                self._send_latched(request[1:], _name_of(parts[0], self._allowed))
             else:
                 self._shut_out(parts[0], descriptor)
-        elif said[:1] == b"\x00":
-            self._part(said[1:])
-        elif said[:1] == PING and len(said) == _PING_BYTES:
-            asker, number = said[1 : 1 + ID_BYTES], said[1 + ID_BYTES :]
+        elif request[:1] == b"\x00":
+            self._part(request[1:])
+        elif request[:1] == PING and len(request) == _PING_BYTES:
+            asker, number = request[1 : 1 + ID_BYTES], request[1 + ID_BYTES :]
             self._send([CLOCK + asker, number, STAMP.pack(self._clock_ns())])
         else:
             self.rejected += 1
 
-    def _welcome(self, prefix: bytes, name: str) -> None:
+    def _send_latched(self, prefix: bytes, name: str) -> None:
         for topic, by_publisher in self._latched.items():
             if topic_frame(topic).startswith(prefix):
                 for frames in by_publisher.values():
@@ -194,7 +194,7 @@ class Exporter:
                 logger.info("%s has joined", name)
 
     def _shut_out(self, frame: zmq.Frame, descriptor: int) -> None:
-        """Close the connection of a peer that subscribes without end, and strike its key off the list."""
+        """Close the connection of a peer that subscribes without end, and remove its key from the list."""
         self.rejected += 1
         if name := self._allowed.pop(_key_of(frame), ""):
             logger.error("%s subscribes without end: shut out until this node starts again", name)
@@ -213,7 +213,7 @@ class Exporter:
 
 
 def _authenticator(context: zmq.Context[zmq.Socket[bytes]], allowed: Mapping[bytes, str]) -> ThreadAuthenticator:
-    """A thread that lets in the listed keys; without keys, whoever speaks today's protocol."""
+    """Return a thread that admits the listed keys; without keys, any peer with the current protocol."""
 
     class _List:
         def callback(self, domain: str, key: bytes) -> bool:
@@ -226,12 +226,12 @@ def _authenticator(context: zmq.Context[zmq.Socket[bytes]], allowed: Mapping[byt
 
 
 def _name_of(frame: zmq.Frame, allowed: Mapping[bytes, str]) -> str:
-    """Who sent it, as the handshake found."""
+    """Return the sender's name, as the handshake found it."""
     return allowed.get(_key_of(frame), "somebody")
 
 
 def _key_of(frame: zmq.Frame) -> bytes:
-    """Public key of who sent it; empty where there are no keys."""
+    """Return the public key of the sender; empty without keys."""
     try:
         return str(frame.get("User-Id")).encode()
     except zmq.ZMQError:
@@ -239,10 +239,10 @@ def _key_of(frame: zmq.Frame) -> bytes:
 
 
 def _close_connection(descriptor: int, address: str) -> None:
-    """End a connection of our port; one that has gone meanwhile, or is none of our port's by now, is left alone.
+    """End a connection of our port; a descriptor that has gone meanwhile, or is not of our port, is left alone.
 
-    Should libzmq give the number to another at this very moment, that one comes back as after any cut: it is a socket
-    of libzmq (files cannot be shut down), and all of those connect again.
+    If libzmq gives the number to another connection at this very moment, that one comes back as after any cut: it is
+    a socket of libzmq (files cannot be shut down), and all of those connect again.
     """
     with contextlib.suppress(OSError):
         connection = socket.socket(fileno=descriptor)
@@ -250,12 +250,12 @@ def _close_connection(descriptor: int, address: str) -> None:
             if connection.family != socket.AF_UNIX and address.endswith(f":{connection.getsockname()[1]}"):
                 connection.shutdown(socket.SHUT_RDWR)
         finally:
-            # it is libzmq's to close
+            # libzmq closes it
             connection.detach()
 
 
 def _open_files_limit() -> int:
-    """File descriptors that this process may have, lifted to `_OPEN_FILES` where it is let; a connection takes one."""
+    """Return the limit of open files of this process, raised to `_OPEN_FILES` if permitted; a connection takes one."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     if soft == resource.RLIM_INFINITY or soft >= _OPEN_FILES:
         return _OPEN_FILES

@@ -1,6 +1,6 @@
-"""The end of a link that takes: a peer's topics for the local graph, over a connection encrypted with CURVE.
+"""The receiving end of a link: a peer's topics for the local graph, over a connection encrypted with CURVE.
 
-All that comes is checked, its stamps are moved into this host's clock, and its peer's name is put before its origin.
+All messages are checked, their stamps are converted to this host's clock, and the peer's name prefixes their origin.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 
 logger = logging.getLogger(__name__)
 
-#: What encryption adds to a frame, and some.
+#: Bytes that encryption adds to a frame, with a margin.
 _ENVELOPE_BYTES = 64
 _RECONNECT_MS, _RECONNECT_MAX_MS = 50, 2000
 
@@ -46,19 +46,19 @@ _PING_NS = NANOSECONDS_PER_SECOND // 2
 #: Until the peer's clock is known.
 _FIRST_PING_NS = NANOSECONDS_PER_SECOND // 20
 _ANSWERS_NEEDED = 3
-#: Questions under way: answers may take three seconds while they are asked fastest.
+#: Pending questions: answers may take three seconds while they are asked fastest.
 _PINGS_KEPT = 64
 _SILENCE_NS = 3 * NANOSECONDS_PER_SECOND // 2
-#: ZeroMQ gives an address up after a breach of protocol; whatever it thinks, we try again.
+#: ZeroMQ gives an address up after a breach of protocol; we try again in any case.
 _CONNECT_AGAIN_NS = 5 * NANOSECONDS_PER_SECOND // 2
-#: After a cut every origin has spoken by then, and what was lost is known.
+#: After a cut every origin has sent a message within this time, and the loss is known.
 _SETTLED_NS = 2 * NANOSECONDS_PER_SECOND
-#: A hundred years of nanoseconds and more: what is beyond is no clock.
+#: A hundred years of nanoseconds and more: a larger value is no clock.
 _MAX_CLOCK_NS = 1 << 62
 
 
 class Server(NamedTuple):
-    """Who an importer connects to: its name here, its address, its public key (None: no encryption)."""
+    """The peer an importer connects to: its name here, its address, its public key (None: no encryption)."""
 
     name: str
     address: str
@@ -68,9 +68,9 @@ class Server(NamedTuple):
 class Importer:
     """A peer's topics for the local graph, every message checked, its stamps in this host's clock.
 
-    Nothing is imported before the peer's clock is known. Messages keep their numbers and come as those of
+    Nothing is imported before the peer's clock is known. Messages keep their numbers and are published as those of
     `<peer>.<origin>`; heartbeats and log records name their node likewise.
-    Raises `ValueError` for an address or topic that is none, and for a peer's key without an own one.
+    Raises `ValueError` for an invalid address or topic, and for a peer's key without an own one.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Importer:
         self._topics = {topic_frame(topic.name): topic.name for topic in facts}
         self._messages = PeerMessages(server.name, self._topics.values())
         self._complaint = Complaint()
-        #: Handshakes that failed, and messages that nobody asked for.
+        #: Failed handshakes, and messages that were not asked for.
         self.refused = self._rejected = 0
         self._clock = PeerClock()
         self._id = os.urandom(ID_BYTES)
@@ -100,10 +100,10 @@ class Importer:
         self._next_ping_ns = now_ns
         self._tried_ns = now_ns
         self._heard_ns: int | None = None
-        self._cut: _Cut | None = None
+        self._outage: _Outage | None = None
         self._socket = context.socket(zmq.XSUB)
         self._watch = Monitor(self._socket, zmq.EVENT_HANDSHAKE_SUCCEEDED | zmq.EVENT_DISCONNECTED)
-        #: Whether the present connection has got through its handshake.
+        #: Whether the present connection has completed its handshake.
         self._is_in = False
         try:
             self._prepare(facts, own, server.public)
@@ -120,7 +120,7 @@ class Importer:
         self._socket.set(zmq.MAXMSGSIZE, largest + _ENVELOPE_BYTES)
         self._socket.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
         self._socket.set(zmq.RECONNECT_IVL_MAX, _RECONNECT_MAX_MS)
-        # questions asked while nobody is there are not to be answered later
+        # questions asked while no peer is connected are not to be answered later
         self._socket.set(zmq.IMMEDIATE, 1)
         self._socket.set(zmq.SNDHWM, MAX_A_TURN)
         if own is not None and public is not None:
@@ -130,16 +130,16 @@ class Importer:
 
     @property
     def sources(self) -> tuple[zmq.Socket[bytes], ...]:
-        """What ends a wait."""
+        """Sockets that end a wait."""
         return self._socket, self._watch.socket
 
     @property
     def due_ns(self) -> int:
-        """When the next turn is due though nothing came."""
+        """Time at which the next turn is due even without input."""
         return self._next_ping_ns
 
     def trouble(self) -> str:
-        """What is wrong with the link, empty while it is whole."""
+        """Return a description of what is wrong with the link, empty while it is whole."""
         if self._heard_ns is None:
             silence = "no word yet"
         elif not self._subscribed or self._is_silent(self._clock_ns()):
@@ -149,43 +149,43 @@ class Importer:
         return f"{self.name}: {silence}" + (f", {self.refused} handshakes failed" if self.refused else "")
 
     def offset_ns(self) -> int:
-        """How far the peer's clock is ahead of ours, as it is taken off its stamps."""
+        """Return the lead of the peer's clock over ours, as subtracted from its stamps."""
         return self._clock.offset_ns
 
     def error_ns(self) -> int | None:
-        """Bound of the error of `offset_ns`; None while it is not known."""
+        """Return a bound of the error of `offset_ns`; None while it is not known."""
         return self._clock.error_ns(self._clock_ns())
 
     def round_trips_ns(self) -> list[int]:
-        """Round trips since the last call."""
-        found, self._round_trips_ns = self._round_trips_ns, []
-        return found
+        """Return the round trips since the last call."""
+        round_trips, self._round_trips_ns = self._round_trips_ns, []
+        return round_trips
 
     def lost(self) -> dict[str, int]:
-        """Messages lost on the link so far by topic, by gaps in their numbers."""
+        """Return the messages lost on the link so far by topic, by gaps in their numbers."""
         return self._messages.lost()
 
     @property
     def rejected(self) -> int:
-        """Messages that were not let in: unreadable, of no topic that was asked for, or in a foreign name."""
+        """Refused messages: unreadable, of no topic that was asked for, or in a foreign name."""
         return self._rejected + self._messages.rejected
 
     def turn(self) -> list[Forwarded]:
-        """Messages that came in, a bounded number of them; asks for the peer's clock when that is due."""
+        """Return the received messages, a bounded number of them; ask for the peer's clock when that is due."""
         self._hear_monitor()
         waiting = [self._take([part.buffer for part in parts]) for parts in waiting_on(self._socket)]
         now_ns = self._clock_ns()
-        # its answer may still be among what waits
+        # its answer may still be among the waiting messages
         if len(waiting) < MAX_A_TURN and self._is_silent(now_ns):
-            self._note_cut()
-        if self._cut and self._cut.back_ns is not None and now_ns - self._cut.back_ns > _SETTLED_NS:
-            self._report(self._cut)
+            self._note_outage()
+        if self._outage and self._outage.back_ns is not None and now_ns - self._outage.back_ns > _SETTLED_NS:
+            self._report(self._outage)
         if now_ns >= self._next_ping_ns:
             self._ping(now_ns)
         return [message for message in waiting if message is not None]
 
     def close(self) -> None:
-        """Leave the peer."""
+        """Disconnect from the peer."""
         self._watch.close()
         self._socket.close()
 
@@ -201,7 +201,7 @@ class Importer:
             self._end_imports()
 
     def _is_silent(self, now_ns: int) -> bool:
-        """Whether a question waits too long for its answer; a pause of our own is none of the peer's."""
+        """Return whether a question waits too long for its answer; a pause of our own does not count."""
         return now_ns - min(self._pings.values(), default=now_ns) > _SILENCE_NS
 
     def _end_imports(self) -> None:
@@ -209,22 +209,22 @@ class Importer:
         for frame in self._topics if self._subscribed else ():
             self._socket.send(b"\x00" + frame)
         self._subscribed, self._answers = False, 0
-        # what still waits here of the old connection may be the word of another clock
+        # messages of the old connection that still wait here may carry another clock
         self._pings.clear()
-        self._note_cut()
+        self._note_outage()
 
-    def _note_cut(self) -> None:
-        if self._heard_ns is not None and (self._cut is None or self._cut.back_ns is not None):
+    def _note_outage(self) -> None:
+        if self._heard_ns is not None and (self._outage is None or self._outage.back_ns is not None):
             logger.warning("%s: the link is cut", self.name)
-            self._cut = _Cut(self._heard_ns, self._cut.lost if self._cut else self.lost())
+            self._outage = _Outage(self._heard_ns, self._outage.lost if self._outage else self.lost())
 
-    def _report(self, cut: _Cut) -> None:
-        """Say how long the peer was away, and what was lost."""
-        lost = {topic: total - cut.lost[topic] for topic, total in self.lost().items()}
-        said = ", ".join(f"{count} of {topic}" for topic, count in lost.items() if count) or "nothing"
-        assert cut.back_ns is not None
-        logger.warning("%s: away for %.1f s, lost %s", self.name, s_from_ns(cut.back_ns - cut.heard_ns), said)
-        self._cut = None
+    def _report(self, outage: _Outage) -> None:
+        """Log how long the peer was away, and what was lost."""
+        lost = {topic: total - outage.lost[topic] for topic, total in self.lost().items()}
+        losses = ", ".join(f"{count} of {topic}" for topic, count in lost.items() if count) or "nothing"
+        assert outage.back_ns is not None
+        logger.warning("%s: away for %.1f s, lost %s", self.name, s_from_ns(outage.back_ns - outage.heard_ns), losses)
+        self._outage = None
 
     def _ping(self, now_ns: int) -> None:
         self._next_ping_ns = now_ns + (_PING_NS if self._subscribed else _FIRST_PING_NS)
@@ -259,7 +259,7 @@ class Importer:
         asked_ns = self._pings.get(bytes(frames[1])) if len(frames) == 3 else None
         if asked_ns is None or len(frames[2]) != STAMP.size:
             return
-        # it answers all that was asked before, too
+        # it answers all earlier questions, too
         self._pings = {number: later_ns for number, later_ns in self._pings.items() if later_ns > asked_ns}
         (peer_ns,) = STAMP.unpack(frames[2])
         if not 0 <= peer_ns <= _MAX_CLOCK_NS:
@@ -274,8 +274,8 @@ class Importer:
         self._answers += 1
         if not self._subscribed and self._answers >= _ANSWERS_NEEDED:
             self._begin(now_ns)
-        if self._subscribed and self._cut and self._cut.back_ns is None:
-            self._cut = self._cut._replace(back_ns=now_ns)
+        if self._subscribed and self._outage and self._outage.back_ns is None:
+            self._outage = self._outage._replace(back_ns=now_ns)
 
     def _begin(self, now_ns: int) -> None:
         self._subscribed = True
@@ -285,8 +285,8 @@ class Importer:
         logger.info("%s: its clock is %+.6f s ahead of ours, to within %.3f ms", self.name, offset_s, error_ms)
 
 
-class _Cut(NamedTuple):
-    """When a peer was last heard before it went, what was lost until then, and when it came back."""
+class _Outage(NamedTuple):
+    """Last time a peer was heard before a cut, its losses until then, and the time it came back."""
 
     heard_ns: int
     lost: dict[str, int]

@@ -1,7 +1,7 @@
 """Keys of encrypted links: CURVE certificate files, read only where nobody else could have read or changed them.
 
 The files are those of `zmq.auth`: NAME.key holds the public key and may be given away, NAME.key_secret holds both. A
-folder of public keys is a list of who may connect.
+folder of public keys lists the peers that may connect.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 class KeyPair(msgspec.Struct, frozen=True):
-    """A public key and the secret it belongs to, 40 characters of Z85 each; no text of it shows the secret."""
+    """A public key and the secret it belongs to, 40 characters of Z85 each; its text forms never show the secret."""
 
     public: bytes
     secret: bytes
@@ -45,10 +45,10 @@ class KeyPair(msgspec.Struct, frozen=True):
 
 
 def generate(name: str, folder: Path) -> tuple[Path, Path]:
-    """A new pair in `folder`, which is made where it is missing (mode 0700); the paths of the public and secret file.
+    """Make a new pair in `folder`, created if missing (mode 0700); return the paths of the public and secret file.
 
-    Raises `ValueError` for a name that is none or a folder that others may write to, `FileExistsError` rather than
-    write over a key, `OSError` where nothing can be written.
+    Raises `ValueError` for an invalid name or a folder that others may write to, `FileExistsError` rather than
+    overwrite a key, `OSError` if nothing can be written.
     """
     require_name(name)
     folder = Path(folder)
@@ -68,17 +68,17 @@ def generate(name: str, folder: Path) -> tuple[Path, Path]:
 
 
 def load_own(path: Path) -> KeyPair:
-    """The pair of a NAME.key_secret file.
+    """Return the pair of a NAME.key_secret file.
 
     Raises `ValueError` naming file and rule: for a link, a file that is not ours or that group or others may read,
-    that may be replaced by others, that is too large or holds no pair; `OSError` where it cannot be read.
+    that may be replaced by others, that is too large or holds no pair; `OSError` if it cannot be read.
     """
     path = Path(path)
-    found, data = _read(path)
-    if found.st_uid != os.geteuid():
-        raise ValueError(f"{path}: a secret key must belong to who uses it, this one is user {found.st_uid}'s")
-    if found.st_mode & 0o077:
-        mode = stat.S_IMODE(found.st_mode)
+    status, data = _read(path)
+    if status.st_uid != os.geteuid():
+        raise ValueError(f"{path}: a secret key must belong to who uses it, this one is user {status.st_uid}'s")
+    if status.st_mode & 0o077:
+        mode = stat.S_IMODE(status.st_mode)
         raise ValueError(f"{path}: a secret key must be readable by its owner alone, mode is {mode:04o}; chmod 600")
     _require_not_replaceable(path.parent)
     fields = _fields(data, path)
@@ -91,14 +91,14 @@ def load_own(path: Path) -> KeyPair:
 
 
 def load_public(path: Path) -> bytes:
-    """The public key of a NAME.key file.
+    """Return the public key of a NAME.key file.
 
     Raises `ValueError` naming file and rule: for a link, a file that group or others may write, that is too large,
-    that holds no key, or a secret one too; `OSError` where it cannot be read.
+    that holds no key, or a secret one too; `OSError` if it cannot be read.
     """
     path = Path(path)
-    found, data = _read(path)
-    if found.st_mode & _OTHERS_WRITE:
+    status, data = _read(path)
+    if status.st_mode & _OTHERS_WRITE:
         raise ValueError(f"{path}: group or others may change this key; chmod 644")
     if b"secret-key" in data:
         raise ValueError(f"{path}: holds a secret key where a public one belongs; make a new pair if it was given away")
@@ -106,7 +106,7 @@ def load_public(path: Path) -> bytes:
 
 
 def load_allowed(folder: Path) -> dict[bytes, str]:
-    """Public keys of all NAME.key files in `folder`, with the peers' names.
+    """Return the public keys of all NAME.key files in `folder`, with the peers' names.
 
     Raises `ValueError` naming folder or file and rule: for a folder that is missing, holds no key, a key twice or a
     secret, or that group or others may write to; and as `load_public` does.
@@ -134,11 +134,11 @@ def load_allowed(folder: Path) -> dict[bytes, str]:
 
 
 def is_loopback(address: str) -> bool:
-    """Whether `tcp://HOST:PORT` stays on this machine: 127.0.0.0/8, [::1] or localhost; whatever else is not."""
-    found = _TCP_ADDRESS.fullmatch(address)
-    if found is None:
+    """Return whether `tcp://HOST:PORT` stays on this machine: 127.0.0.0/8, [::1] or localhost; all else does not."""
+    match = _TCP_ADDRESS.fullmatch(address)
+    if match is None:
         return False
-    host = found["bracketed"] or found["plain"]
+    host = match["bracketed"] or match["plain"]
     if host == "localhost":
         return True
     try:
@@ -156,7 +156,7 @@ def require_name(name: str) -> None:
 
 
 def _write_new(path: Path, mode: int, text: str) -> None:
-    """A file that was not there before and never had a wider mode."""
+    """Write a file that did not exist before and never had a wider mode."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
     with os.fdopen(descriptor, "w", encoding="ascii") as file:
         # the caller's umask may have narrowed it
@@ -165,23 +165,23 @@ def _write_new(path: Path, mode: int, text: str) -> None:
 
 
 def _read(path: Path) -> tuple[os.stat_result, bytes]:
-    """Facts and bytes of one and the same regular file, whatever happens to its path meanwhile."""
+    """Return facts and bytes of one and the same regular file, whatever happens to its path meanwhile."""
     if path.is_symlink():
         raise ValueError(f"{path}: a key file must not be a symbolic link")
-    # without O_NONBLOCK a pipe in the key's place would hold us up for ever
+    # without O_NONBLOCK a pipe in the key's place would block for ever
     descriptor = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
     with os.fdopen(descriptor, "rb") as file:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
             raise ValueError(f"{path}: a key must be a regular file")
         data = file.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
         raise ValueError(f"{path}: a key file holds at most {MAX_BYTES} bytes")
-    return found, data
+    return status, data
 
 
 def _fields(data: bytes, path: Path) -> dict[str, bytes]:
-    """`public` and `secret` of a certificate, each a key in Z85."""
+    """Return `public` and `secret` of a certificate, each a key in Z85."""
     fields: dict[str, bytes] = {}
     for kind, key in _FIELD.findall(data):
         name = kind.decode()
@@ -210,15 +210,15 @@ def _is_key(text: bytes) -> bool:
 
 
 def _require_not_writable_by_others(folder: Path) -> None:
-    found = folder.stat()
-    if found.st_mode & _OTHERS_WRITE or found.st_uid not in (os.geteuid(), 0):
-        mode = stat.S_IMODE(found.st_mode)
+    status = folder.stat()
+    if status.st_mode & _OTHERS_WRITE or status.st_uid not in (os.geteuid(), 0):
+        mode = stat.S_IMODE(status.st_mode)
         raise ValueError(
             f"{folder}: a folder of keys must be ours, not writable by group or others, mode is {mode:04o}; chmod 700"
         )
 
 
 def _require_not_replaceable(folder: Path) -> None:
-    """Where others may write and the sticky bit does not hold them back, they could put their own key in place."""
+    """Refuse a folder in which others may write and no sticky bit restrains them: they could replace the key."""
     if not folder.stat().st_mode & stat.S_ISVTX:
         _require_not_writable_by_others(folder)

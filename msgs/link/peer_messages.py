@@ -1,4 +1,4 @@
-"""Messages of another host as those of this one: checked, in its clock, under the peer's name, losses counted."""
+"""Messages of another host as local ones: checked, in our clock, under the peer's name, losses counted."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from msgs.bus.codec import Buffer, CodecError, encode
 from msgs.bus.interface import Envelope, Forwarded, Received
 from msgs.bus.sequencing import Tally
 from msgs.link.curve import ORIGIN, Complaint
-from msgs.link.peer_clock import PeerClock, shifted
+from msgs.link.peer_clock import PeerClock, shift_stamps
 from msgs.values.diagnostics import LogRecord, NodeStatus
 
-#: Publishers of one peer and topic, a fraction of those that a bus tells apart (`msgs.bus.sequencing`).
+#: Publishers of one peer and topic, a fraction of those that a bus distinguishes (`msgs.bus.sequencing`).
 MAX_ORIGINS = 32
-#: As long as names of nodes may be.
+#: Maximum length of a node name.
 _MAX_NAME = 64
 
 
 class PeerMessages:
-    """What one peer says on `topics`, as messages of `<peer>.<origin>`; heartbeats and log records name that node too.
+    """Messages of one peer on `topics`, as those of `<peer>.<origin>`; heartbeats and log records name that node too.
 
-    Numbers stay those of the origin: a gap is a loss on the way.
+    Numbers stay those of the origin: a gap is a loss in transit.
     """
 
     def __init__(self, peer: str, topics: Iterable[str]) -> None:
         self._peer = peer
-        self._tally = Tally(peer, most_publishers=MAX_ORIGINS)
+        self._tally = Tally(peer, max_publishers=MAX_ORIGINS)
         for topic in topics:
             self._tally.expect(topic)
-        #: In a foreign name, or with stamps that cannot be moved into our clock.
+        #: In a foreign name, or with stamps that cannot be converted to our clock.
         self._refused = 0
         self._complaint = Complaint()
 
     def lost(self) -> dict[str, int]:
-        """Messages lost so far by topic, by gaps in their numbers."""
+        """Return messages lost so far by topic, by gaps in their numbers."""
         return {count.topic: count.lost for count in self._tally.counts()[0]}
 
     @property
@@ -44,11 +44,11 @@ class PeerMessages:
         return self._refused + sum(count.rejected for count in self._tally.counts()[0])
 
     def forget(self) -> None:
-        """The peer's clock has started anew: what it says now is before all that came."""
+        """Forget the sequence: the peer's clock restarted, and its messages would seem older than earlier ones."""
         self._tally.forget_all()
 
     def take(self, topic: str, frames: Sequence[Buffer], clock: PeerClock, now_ns: int) -> Forwarded | None:
-        """The message of `frames` as one of this host; None where it is old or may not come in."""
+        """Return the message of `frames` as one of this host; None if it is old or not permitted."""
         latest_ns = now_ns + clock.offset_ns + (clock.error_ns(now_ns) or 0)
         received = self._tally.accept(topic, frames, latest_ns)
         if received is None:
@@ -56,7 +56,7 @@ class PeerMessages:
         try:
             return self._at_home(received, clock.offset_ns, now_ns)
         except (ValueError, ArithmeticError) as error:
-            # a stamp that cannot be moved into our clock, too
+            # a stamp that cannot be converted to our clock, too
             self._refused += 1
             self._complaint.say(self._refused, now_ns, f"{self._peer}: rejected %d: {error}")
             self._tally.forget(topic, received.envelope.publisher)
@@ -72,10 +72,10 @@ class PeerMessages:
         message = received.message
         if isinstance(message, NodeStatus | LogRecord):
             message = msgspec.structs.replace(message, node=self._checked_name(received.topic, message.node))
-        return Forwarded(received.topic, envelope, encode(envelope, shifted(message, -offset_ns)))
+        return Forwarded(received.topic, envelope, encode(envelope, shift_stamps(message, -offset_ns)))
 
     def _checked_name(self, topic: str, node: str) -> str:
-        """The name of a peer's node here; raises `CodecError` where none of its own can have it."""
+        """Return the name of a peer's node here; raises `CodecError` if none of its own can have it."""
         name = f"{self._peer}.{node}"
         if not ORIGIN.fullmatch(node) or len(name) > _MAX_NAME:
             raise CodecError(f"{topic}: node {node[:_MAX_NAME]!r}")

@@ -1,12 +1,12 @@
 """Recordings: MCAP files, message encoding `msgpack`, one JSON Schema a topic, all checksums.
 
-Times: `log_time` is when the message was sent (the bus clock), which orders a recording and paces its replay;
+Times: `log_time` is the time of sending (the bus clock), which orders a recording and paces its replay;
 `publish_time` is the message's own `stamp_ns`, the time of acquisition. Each publisher of a topic has a channel of its
 own, named in the channel's metadata.
 
 A recording is written front to back and is readable at any moment: a process that is killed loses at most the chunks it
 was filling, one of raw beams (plain) and one of all else (zstd). Readers therefore need no index at the end; they walk
-the file's records by their lengths, and turn to the index only where damage bars the way.
+the file's records by their lengths, and use the index only where damage makes that impossible.
 """
 
 from __future__ import annotations
@@ -43,22 +43,22 @@ from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 
 #: 350 MB/s of noise, which does not compress and must not cost time while it arrives; all else is compressed.
 RAW_TOPIC = "radar/beam"
-#: Bus time after which an unfilled chunk is written all the same: what a killed recorder loses of slow topics.
+#: Bus time after which an unfilled chunk is written all the same: the loss of slow topics if a recorder is killed.
 FLUSH_INTERVAL_NS = NANOSECONDS_PER_SECOND
 METADATA_NAME = "mirrorwave"
-#: Metadata record with what the recorder knows of lost messages.
+#: Metadata record with the recorder's account of lost messages.
 LOSSES_NAME = "mirrorwave:losses"
-#: Just below the largest block that glibc may be taught to keep (32 MiB).
+#: Just below the largest block that glibc may be set to keep (32 MiB).
 _LARGEST_HEAP_BLOCK = 31 << 20
 _PUBLISHER_KEY = "publisher"
-#: Larger records are damage: no chunk of ours comes near.
+#: Larger records are damage: no chunk of this project comes near.
 _MAX_RECORD_BYTES = 1 << 30
 _MAX_U32 = (1 << 32) - 1
 #: Opcode and length before each record.
 _RECORD_HEAD = struct.Struct("<BQ")
 #: First fields of a chunk: start, end, uncompressed size.
 _CHUNK_HEAD = struct.Struct("<QQQ")
-#: What reading a damaged record may raise.
+#: Exceptions that reading a damaged record may raise.
 _DAMAGE = (McapError, ValueError, OverflowError, struct.error, RuntimeError, MemoryError, zstandard.ZstdError)
 
 
@@ -70,17 +70,17 @@ class Recorded(NamedTuple):
     publisher: str
     #: As sent, modulo 2^32.
     sequence: int
-    #: When it was sent.
+    #: Time of sending.
     log_time_ns: int
 
 
 class Encoded(NamedTuple):
-    """A message as it stands in a recording."""
+    """A message in the encoding of a recording."""
 
     topic: str
     publisher: str
     sequence: int
-    #: When it was sent.
+    #: Time of sending.
     sent_ns: int
     #: Its own stamp, the time of acquisition.
     stamp_ns: int
@@ -91,31 +91,31 @@ class TopicLoss(msgspec.Struct, frozen=True, kw_only=True):
     """Messages of one topic that were sent and are not in the recording."""
 
     topic: str
-    #: Lost on the way to the recorder, by gaps in the sequence numbers; those rejected leave a gap too.
+    #: Lost in transit to the recorder, by gaps in the sequence numbers; rejected ones leave a gap too.
     lost: int = 0
     #: Arrived but unreadable.
     rejected: int = 0
-    #: Arrived, and passed over because a newer one stood beside it.
+    #: Arrived, and skipped because a newer one waited beside it.
     outdated: int = 0
     #: Arrived, and not written: the disk refused.
     missed: int = 0
 
     @property
     def total(self) -> int:
-        """Messages that are missing."""
+        """Number of missing messages."""
         return max(self.lost, self.rejected) + self.outdated + self.missed
 
 
 class Losses(msgspec.Struct, frozen=True, kw_only=True):
-    """What a recorder knows of messages that are missing; topics without loss are left out."""
+    """A recorder's account of missing messages; topics without loss are left out."""
 
     topics: tuple[TopicLoss, ...] = ()
-    #: Why the recording ended before it was asked to, None where it did not.
+    #: Why the recording ended before it was asked to, None otherwise.
     ended: str | None = None
 
     @property
     def total(self) -> int:
-        """Messages that are missing."""
+        """Number of missing messages."""
         return sum(topic.total for topic in self.topics)
 
 
@@ -128,12 +128,12 @@ class TopicInfo(msgspec.Struct, frozen=True, kw_only=True):
     messages: int
     bytes: int
     rate_hz: float
-    #: False for topics that this program does not know: kept, never decoded.
+    #: False for topics unknown to this program: kept, never decoded.
     known: bool
 
 
 class RecordingInfo(msgspec.Struct, frozen=True, kw_only=True):
-    """What a recording holds."""
+    """Contents of a recording."""
 
     path: str
     size_bytes: int
@@ -145,14 +145,14 @@ class RecordingInfo(msgspec.Struct, frozen=True, kw_only=True):
     complete: bool
     #: Every checksum of the data agrees.
     checksums_agree: bool
-    #: What is missing or damaged in the file, None where nothing is.
+    #: Missing or damaged part of the file, None if there is none.
     loss: str | None
-    #: What the recorder never got or could not write; None where the file does not say.
+    #: Messages that the recorder never received or could not write; None if the file does not say.
     losses: Losses | None = None
 
 
 class RecordingWriter:
-    """Writes a recording; a context manager.
+    """Writer of a recording; a context manager.
 
     Raises `FileExistsError` (one line) where `path` exists and `overwrite` was not asked for, `OSError` where the disk
     refuses, `ValueError` for an unknown topic.
@@ -176,11 +176,11 @@ class RecordingWriter:
         return self._mcap.size
 
     def growth_bytes(self, more: int = 0) -> int:
-        """What the disk will give at most until the recording is closed, if `more` bytes are written before."""
+        """Return the maximum disk space in bytes until the recording is closed, if `more` bytes are written before."""
         return self._mcap.growth(more)
 
     def written(self) -> dict[str, int]:
-        """Messages per topic that the file system has taken; after `close`, all that are in the file."""
+        """Return the messages per topic that the file system has taken; after `close`, all that are in the file."""
         counts: dict[str, int] = {}
         for (topic, _), number in self._channels.items():
             counts[topic] = counts.get(topic, 0) + self._mcap.counts[number]
@@ -203,11 +203,11 @@ class RecordingWriter:
         self._flush_when_due(message.sent_ns)
 
     def flush(self) -> None:
-        """Write the chunks in progress; what the disk refuses is lost."""
+        """Write the chunks in progress; data that the disk refuses is lost."""
         self._mcap.flush()
 
     def write_losses(self, losses: Losses) -> None:
-        """Say what is missing: the last before `close` counts. A finished recording is amended, if there is room."""
+        """Record what is missing; the last call before `close` counts. Amends a finished recording if space permits."""
         values = {"topics": msgspec.json.encode(losses.topics).decode()}
         add = self._mcap.amend if self._is_finished else self._mcap.add_metadata
         add(LOSSES_NAME, values | ({"ended": losses.ended} if losses.ended else {}))
@@ -219,7 +219,7 @@ class RecordingWriter:
             self._mcap.finish()
 
     def close(self) -> None:
-        """Write the index and close the file; once is enough, twice does no harm."""
+        """Write the index and close the file; a second call does no harm."""
         if not self._file.closed:
             try:
                 self.finish()
@@ -257,7 +257,7 @@ class RecordingWriter:
 
 
 def encoded(topic: str, message: msgspec.Struct, *, publisher: str, sequence: int, sent_ns: int) -> Encoded:
-    """A message as it stands in a recording; raises `ValueError` where topic, type or time do not fit."""
+    """Return a message in the encoding of a recording; raises `ValueError` if topic, type or time do not fit."""
     facts = topic_facts(topic)
     if type(message) is not facts.type:
         raise ValueError(f"{topic} carries {facts.type.__name__}, got {type(message).__name__}")
@@ -268,11 +268,11 @@ def encoded(topic: str, message: msgspec.Struct, *, publisher: str, sequence: in
 
 
 class RecordingReader:
-    """Reads a recording, whole or cut off, chunk by chunk; a context manager.
+    """Reader of a recording, whole or cut off, chunk by chunk; a context manager.
 
-    `loss` says in one line what is missing or damaged, None while nothing is known to be: that the file is cut is known
+    `loss` says in one line what is missing or damaged, None while no damage is known: a cut file is known
     at once, a damaged chunk when it was read. `skipped` counts messages per topic that are unknown here or unreadable.
-    Raises `ValueError` naming the file where it is no recording at all.
+    Raises `ValueError` naming the file if it is no recording at all.
     """
 
     def __init__(self, path: Path) -> None:
@@ -291,28 +291,28 @@ class RecordingReader:
 
     @property
     def metadata(self) -> dict[str, str]:
-        """What the recorder wrote about the run."""
+        """The recorder's metadata of the run."""
         return self._walk.metadata.get(METADATA_NAME, {})
 
     @property
     def losses(self) -> Losses | None:
-        """What the recorder knew of missing messages; None where it did not say, as in a file that is cut off."""
+        """The recorder's account of missing messages; None if it gave none, as in a file that is cut off."""
         return _losses(self._walk.metadata.get(LOSSES_NAME))
 
     @property
     def complete(self) -> bool:
-        """Whether the recorder closed the file."""
+        """Return whether the recorder closed the file."""
         return self._walk.complete
 
     @property
     def start_ns(self) -> int:
-        """When its first message was sent, 0 where it has none."""
+        """Time of sending of its first message, 0 if it has none."""
         return min((chunk.start_ns for chunk in self._walk.chunks), default=0)
 
     @property
     def loss(self) -> str | None:
-        """What is missing or damaged, as far as read."""
-        reasons = [self._walk.cut] if self._walk.cut else []
+        """Missing or damaged part, as far as read."""
+        reasons = [self._walk.damage] if self._walk.damage else []
         if self._damage:
             first = min(self._damage)
             reasons.append(f"{len(self._damage)} damaged chunks, the first at byte {first}: {self._damage[first]}")
@@ -322,25 +322,25 @@ class RecordingReader:
     def span_ns(self) -> tuple[int, int]:
         """First and last log time, without reading the messages; zeros where there are none."""
         chunks = self._walk.chunks
-        return min((one.start_ns for one in chunks), default=0), max((one.end_ns for one in chunks), default=0)
+        return min((chunk.start_ns for chunk in chunks), default=0), max((chunk.end_ns for chunk in chunks), default=0)
 
     def stored_bytes(self, start_ns: int | None = None, end_ns: int | None = None) -> int:
-        """What its chunks of a span of time take on the disk."""
+        """Return the bytes on disk of the chunks of a time span."""
         start, end = start_ns or 0, MAX_U64 + 1 if end_ns is None else end_ns
         chunks = sorted(self._walk.chunks)
-        ends = [*(one.offset for one in chunks[1:]), self._walk.data_end or self._walk.size]
+        ends = [*(chunk.offset for chunk in chunks[1:]), self._walk.data_end or self._walk.size]
         spans = zip(chunks, ends, strict=False)
-        return sum(at - one.offset for one, at in spans if one.end_ns >= start and one.start_ns < end)
+        return sum(at - chunk.offset for chunk, at in spans if chunk.end_ns >= start and chunk.start_ns < end)
 
     @property
     def types(self) -> dict[str, str]:
-        """Name of each topic's type; of a recording that is cut off all chunks are read for them."""
+        """Name of each topic's type; for a recording that is cut off all chunks are read to find them."""
         if not self.complete:
             self._search_declarations()
         schemas = self._schemas
         return {
-            one.topic: schemas[one.schema_id].name if one.schema_id in schemas else ""
-            for one in self._channels.values()
+            channel.topic: schemas[channel.schema_id].name if channel.schema_id in schemas else ""
+            for channel in self._channels.values()
         }
 
     def messages(
@@ -350,9 +350,9 @@ class RecordingReader:
         end_ns: int | None = None,
         renamed: Mapping[str, str] | None = None,
     ) -> Iterator[Recorded]:
-        """Messages in order of their sending, start included, end not; holds no more than overlapping chunks.
+        """Yield messages in order of sending, start included, end not; holds no more than overlapping chunks.
 
-        `topics` as the recording has them; those `renamed` come, and are read, as the topics of their new names.
+        `topics` are named as in the recording; those in `renamed` are decoded and delivered under their new names.
         """
         self.skipped = {}
         for channel, raw in self._in_order(start_ns, end_ns, topics):
@@ -364,7 +364,7 @@ class RecordingReader:
                 yield Recorded(topic, message, _publisher(channel), raw.sequence, raw.log_time)
 
     def info(self) -> RecordingInfo:
-        """Summary of the recording; reads all of it once to verify its checksums."""
+        """Return a summary of the recording; reads all of it once to verify its checksums."""
         counts = _Counts()
         for channel, raw in self._chunk_messages(self._walk.chunks):
             counts.add(channel, raw)
@@ -397,7 +397,7 @@ class RecordingReader:
     def _in_order(
         self, start_ns: int | None, end_ns: int | None, topics: Collection[str] | None = None
     ) -> Iterator[tuple[Channel, Message]]:
-        """Merge chunks by log time: a message may go once no later chunk can hold an earlier one."""
+        """Merge chunks by log time: a message is delivered once no later chunk can hold an earlier one."""
         start, end = start_ns or 0, MAX_U64 + 1 if end_ns is None else end_ns
         chunks = [chunk for chunk in self._walk.chunks if chunk.end_ns >= start and chunk.start_ns < end]
         if topics is not None:
@@ -413,12 +413,12 @@ class RecordingReader:
             yield heapq.heappop(waiting)[3:]
 
     def _may_hold(self, chunk: _Chunk, topics: Collection[str]) -> bool:
-        """Whether a chunk has to be read for these topics: raw beams are a thousand times all else."""
+        """Return whether a chunk has to be read for these topics: raw beams are a thousand times all else."""
         declared = [self._channels.get(number) for number in chunk.channel_ids]
         return not declared or any(channel is None or channel.topic in topics for channel in declared)
 
     def _chunk_messages(self, chunks: list[_Chunk]) -> Iterator[tuple[Channel, Message]]:
-        """Messages of intact chunks in the order given; damaged ones are noted and left out."""
+        """Yield messages of intact chunks in the order given; damaged ones are noted and left out."""
         for chunk in chunks:
             for raw in self._declare(chunk):
                 if raw.channel_id not in self._channels:
@@ -429,7 +429,7 @@ class RecordingReader:
                     self._damage[chunk.offset] = f"message of channel {raw.channel_id}, which nothing declares"
 
     def _declare(self, chunk: _Chunk) -> list[Message]:
-        """Messages of a chunk, once all that it declares is known; none where it is damaged."""
+        """Return messages of a chunk, once all that it declares is known; none where it is damaged."""
         try:
             records = _read_chunk(self._file, chunk)
         except _DAMAGE as error:
@@ -443,7 +443,7 @@ class RecordingReader:
         return [record for record in records if isinstance(record, Message)]
 
     def _search_declarations(self) -> None:
-        """Other programs declare a channel once: where the index is missing, in whatever chunk came first."""
+        """Read chunks for channels: other programs declare each once, in any chunk; needed without an index."""
         if not self._searched:
             self._searched = True
             for chunk in self._walk.chunks:
@@ -451,17 +451,17 @@ class RecordingReader:
 
 
 class _Chunk(NamedTuple):
-    """Where messages stand in a file, and the span of their log times."""
+    """Position of a chunk of messages in a file, and the span of their log times."""
 
     offset: int
     start_ns: int
     end_ns: int
-    #: Channels that it holds as the index says; empty where that does not.
+    #: Its channels according to the index; empty if the index does not say.
     channel_ids: tuple[int, ...] = ()
 
 
 class _Walk:
-    """What a walk over a file's record heads found."""
+    """Result of a walk over the record heads of a file."""
 
     def __init__(self, size: int) -> None:
         self.size = size
@@ -473,14 +473,14 @@ class _Walk:
         #: Metadata records by name.
         self.metadata: dict[str, dict[str, str]] = {}
         self.complete = False
-        self.cut: str | None = None
-        #: End of the data section and its checksum, None where the file gives none.
+        self.damage: str | None = None
+        #: End of the data section and its checksum, None if the file gives none.
         self.data_end = 0
         self.data_crc: int | None = None
 
 
 def info(path: Path) -> RecordingInfo:
-    """Summary of a recording, its checksums verified; raises `ValueError` where it is none."""
+    """Return a summary of a recording, its checksums verified; raises `ValueError` if it is none."""
     with RecordingReader(path) as reader:
         return reader.info()
 
@@ -497,7 +497,7 @@ def copy_recording(
 ) -> tuple[int, str | None]:
     """Copy messages byte for byte, unknown topics included, into a new and complete file: recover, trim, compress.
 
-    The last message of each latched topic from before `start_ns` stands at the start, as if it were sent again then.
+    The last message of each latched topic from before `start_ns` comes first, as if it were sent again then.
     Returns the number of messages and what the source had lost.
     """
     target = Path(target)
@@ -522,13 +522,13 @@ def copy_recording(
 def _latched_before(
     reader: RecordingReader, start_ns: int, topics: Collection[str] | None
 ) -> list[tuple[Channel, Message]]:
-    latched = [one.name for one in TOPICS.values() if one.latched and (topics is None or one.name in topics)]
-    found = {channel.id: (channel, raw) for channel, raw in reader._in_order(None, start_ns, latched)}
-    return [(channel, dataclasses.replace(raw, log_time=start_ns)) for channel, raw in found.values()]
+    latched = [topic.name for topic in TOPICS.values() if topic.latched and (topics is None or topic.name in topics)]
+    last = {channel.id: (channel, raw) for channel, raw in reader._in_order(None, start_ns, latched)}
+    return [(channel, dataclasses.replace(raw, log_time=start_ns)) for channel, raw in last.values()]
 
 
 class _Counts:
-    """Figures per topic while a recording passes by."""
+    """Counts per topic while a recording is read."""
 
     def __init__(self) -> None:
         self.start_ns: int | None = None
@@ -570,7 +570,7 @@ class _Counts:
 def _keep_large_blocks() -> None:
     """Let the C allocator reuse blocks of a beam's size.
 
-    glibc hands them back to the system at every free until a larger one was freed once; fetching them anew, page by
+    glibc returns them to the system at every free until a larger one was freed once; getting them back, page by
     page, costs more than all copies and checksums of a write together (measured: 250 against 950 MB/s).
     """
     block = bytearray(_LARGEST_HEAP_BLOCK)
@@ -578,7 +578,7 @@ def _keep_large_blocks() -> None:
 
 
 def _losses(values: dict[str, str] | None) -> Losses | None:
-    """What a metadata record says is missing, None where there is none or another program's."""
+    """Return the losses of a metadata record, None without one or for another program's."""
     if values is None:
         return None
     try:
@@ -590,7 +590,7 @@ def _losses(values: dict[str, str] | None) -> Losses | None:
 
 @contextlib.contextmanager
 def whole_recording(path: Path, metadata: dict[str, str], *, overwrite: bool = False) -> Iterator[RecordingWriter]:
-    """A recording that is there when the context has ended well, or not at all; errors as `RecordingWriter`'s."""
+    """Yield a writer of a recording that is complete if the context ends well, else absent; raises as the writer."""
     with _whole(path, overwrite) as part, RecordingWriter(part, metadata) as writer:
         yield writer
 
@@ -613,7 +613,7 @@ def _exists_already(path: Path) -> FileExistsError:
 
 
 def _open(path: Path) -> BinaryIO:
-    """The file of a recording, its first bytes checked."""
+    """Return the file of a recording, its first bytes checked."""
     if path.is_dir():
         raise ValueError(f"{path}: is a directory, not an MCAP recording")
     if not path.exists():
@@ -633,21 +633,21 @@ def _walk_records(file: BinaryIO) -> _Walk:
     """Visit every record by its head alone; chunks are noted, not read. Stops where the file is cut or damaged."""
     walk = _Walk(os.fstat(file.fileno()).st_size)
     offset = len(MCAP0_MAGIC)
-    while not (walk.complete or walk.cut):
+    while not (walk.complete or walk.damage):
         file.seek(offset)
         head = file.read(_RECORD_HEAD.size)
         if len(head) < _RECORD_HEAD.size:
-            walk.cut = f"cut off at byte {walk.size}"
+            walk.damage = f"cut off at byte {walk.size}"
             break
         opcode, length = _RECORD_HEAD.unpack(head)
         end = offset + _RECORD_HEAD.size + length
         if end > walk.size:
-            walk.cut = f"cut off at byte {walk.size}, inside the record that begins at byte {offset}"
+            walk.damage = f"cut off at byte {walk.size}, inside the record that begins at byte {offset}"
             break
         try:
             _note_record(walk, file, opcode, offset, length)
         except _DAMAGE as error:
-            walk.cut = f"damaged at byte {offset}: {_one_line(error)}"
+            walk.damage = f"damaged at byte {offset}: {_one_line(error)}"
         offset = end
     if walk.complete:
         # the index has a checksum, the heads of the records have none
@@ -660,7 +660,7 @@ def _walk_records(file: BinaryIO) -> _Walk:
 
 
 def _take_index(walk: _Walk, file: BinaryIO) -> None:
-    """Have the index at the end, where it is intact, say where the chunks stand: damage barred the way to some."""
+    """Take the positions of the chunks from the index at the end, if it is intact: damage blocked the walk to some."""
     offset = walk.size - len(MCAP0_MAGIC) - _RECORD_HEAD.size - 20
     file.seek(max(offset, 0))
     opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
@@ -680,11 +680,11 @@ def _take_index(walk: _Walk, file: BinaryIO) -> None:
     if indexed.indexed:
         walk.chunks = indexed.indexed
         walk.channels, walk.schemas = indexed.channels, indexed.schemas
-        walk.cut = f"{walk.cut}; all chunks found by the index"
+        walk.damage = f"{walk.damage}; all chunks found by the index"
 
 
 def _note_record(walk: _Walk, file: BinaryIO, opcode: int, offset: int, length: int) -> None:
-    """Take in one record whose body the file stands at."""
+    """Note one record whose body is at the file's position."""
     if opcode == Opcode.CHUNK:
         start_ns, end_ns, _ = _CHUNK_HEAD.unpack(file.read(_CHUNK_HEAD.size))
         walk.chunks.append(_Chunk(offset, start_ns, end_ns))
@@ -731,7 +731,7 @@ def _body(file: BinaryIO, length: int) -> ReadDataStream:
 
 
 def _read_chunk(file: BinaryIO, chunk: _Chunk) -> list[object]:
-    """Records of a chunk, its checksum verified; may raise anything of `_DAMAGE`."""
+    """Return records of a chunk, its checksum verified; may raise anything of `_DAMAGE`."""
     file.seek(chunk.offset)
     opcode, length = _RECORD_HEAD.unpack(file.read(_RECORD_HEAD.size))
     body = _body(file, length)
@@ -744,7 +744,7 @@ def _read_chunk(file: BinaryIO, chunk: _Chunk) -> list[object]:
 
 
 def _without_bomb(chunk: Chunk) -> Chunk:
-    """The chunk, if its data unpack to no more than its head promises; `mcap` gives them the memory they ask for."""
+    """Return `chunk` if its data unpack to no more than its head promises; `mcap` allocates whatever they ask for."""
     size = chunk.uncompressed_size
     fits = True
     if chunk.compression == "lz4":
@@ -752,7 +752,7 @@ def _without_bomb(chunk: Chunk) -> Chunk:
         data = unpacking.decompress(chunk.data, max_length=size + 1)
         chunk, fits = dataclasses.replace(chunk, compression="", data=data), unpacking.eof and len(data) <= size
     elif chunk.compression == "zstd":
-        # one that does not say is held to the chunk's size
+        # a head without a size is limited to the chunk's size
         fits = zstandard.frame_content_size(chunk.data) <= size
     if not fits:
         raise ValueError(f"chunk does not unpack to the {size} bytes that it promises")
@@ -760,7 +760,7 @@ def _without_bomb(chunk: Chunk) -> Chunk:
 
 
 def _decode(topic: str, channel: Channel, raw: Message) -> msgspec.Struct | None:
-    """A topic's message, or None where topic or encoding is not ours or its bytes are unreadable."""
+    """Return a topic's message; None if topic or encoding is unknown or its bytes are unreadable."""
     if topic not in TOPICS or channel.message_encoding != MessageEncoding.MessagePack:
         return None
     facts = TOPICS[topic]
@@ -785,11 +785,11 @@ def _publisher(channel: Channel) -> str:
 
 
 def _crc32(file: BinaryIO, start: int, end: int) -> int:
-    """Checksum of a file's bytes from `start` to before `end`."""
+    """Return checksum of a file's bytes from `start` to before `end`."""
     file.seek(start)
     crc = 0
-    while (left := end - file.tell()) > 0:
-        crc = zlib.crc32(file.read(min(left, CHUNK_BYTES)), crc)
+    while (remaining := end - file.tell()) > 0:
+        crc = zlib.crc32(file.read(min(remaining, CHUNK_BYTES)), crc)
     return crc
 
 

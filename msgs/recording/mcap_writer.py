@@ -1,4 +1,4 @@
-"""Writes MCAP files at the speed of raw beams: each chunk compressed or not, no message copied on its way to the disk.
+"""Writer of MCAP files at the rate of raw beams: each chunk compressed or not, no message copied on its way out.
 
 The `mcap` library's writer has one compression for a whole file and copies each message several times; its records are
 used here, its writer is not. Channels and their schemas are declared in every chunk that holds their messages, so that
@@ -36,16 +36,16 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 CHUNK_BYTES = 1 << 20
-#: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/recording.md).
+#: Disk space taken ahead of the data, with which the file system writes several times as fast (docs/results/live.md).
 RESERVE_BYTES = 16 << 20
-#: What was written is sent to the disk, and its memory given back, while so much more is written.
+#: Written data is sent to the disk, and its memory freed, while this much more is written.
 CACHED_BYTES = 64 << 20
 MAX_U64 = (1 << 64) - 1
 _FALLOC_KEEP_SIZE = 1
-#: Of the index: what a message takes, more than a chunk or a channel takes, more than its other records take.
+#: Sizes in the index: of a message, the surplus of a chunk or a channel, the surplus of all other records.
 _INDEX_ENTRY_BYTES, _INDEX_BYTES = 16, 256
 _TAIL_BYTES = 1 << 16
-#: Most pieces that one system call may write.
+#: Maximum number of buffers of one system call.
 _IOV_MAX = 1024
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 #: Fields of a message record behind opcode and length.
@@ -76,16 +76,16 @@ class _Batch:
 
 
 class McapFile:
-    """Appends to a new MCAP file with both checksums and a full index; `file` is unbuffered and stays the caller's.
+    """Append to a new MCAP file with both checksums and a full index; `file` is unbuffered and stays the caller's.
 
     A write that the disk refuses raises `OSError` with the file's name and leaves the file as it was after its last
-    whole chunk; what that chunk in progress held is lost, and the file may still be finished.
+    whole chunk; the data of the chunk in progress is lost, and the file may still be finished.
     """
 
     def __init__(self, file: FileIO, profile: str) -> None:
         self._file = file
         self._size = self._data_crc = 0
-        # a small file is not worth the trouble
+        # a small file does not need it
         self._reserved = RESERVE_BYTES
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
@@ -100,7 +100,7 @@ class McapFile:
         self._metadata: list[MetadataIndex] = []
         #: Messages per channel in whole chunks, which the file system has.
         self.counts: dict[int, int] = defaultdict(int)
-        #: Where the data ended and their checksum, once the file is finished.
+        #: End of the data and their checksum, once the file is finished.
         self._finished: tuple[int, int] | None = None
         self._append([MCAP0_MAGIC, _record(Header(profile, profile))])
 
@@ -115,7 +115,7 @@ class McapFile:
         return sum(self.counts.values())
 
     def growth(self, more: int) -> int:
-        """Bytes that the disk will give at most until the file is finished, if `more` are added before."""
+        """Return the maximum disk space in bytes until the file is finished, if `more` are added before."""
         waiting = more + sum(batch.size for batch in self._batches.values())
         messages = sum(len(index.records) for batch in self._batches.values() for index in batch.indexes.values())
         declared = sum(map(len, self._declarations.values())) + _INDEX_BYTES * (len(self._declarations) + 1)
@@ -130,10 +130,10 @@ class McapFile:
         self._metadata.append(MetadataIndex(offset=offset, length=len(record), name=name))
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
-        """Number of a schema, the same for equal ones."""
-        for known in self._schemas.values():
-            if (known.name, known.encoding, known.data) == (name, encoding, data):
-                return known.id
+        """Return the number of a schema, the same for equal ones."""
+        for schema in self._schemas.values():
+            if (schema.name, schema.encoding, schema.data) == (name, encoding, data):
+                return schema.id
         number = len(self._schemas) + 1
         self._schemas[number] = Schema(id=number, name=name, encoding=encoding, data=data)
         return number
@@ -141,7 +141,7 @@ class McapFile:
     def add_channel(
         self, topic: str, encoding: str, schema_id: int, metadata: dict[str, str], *, compressed: bool
     ) -> int:
-        """Number of a new channel; schema 0 means none. Its messages go into compressed chunks or into plain ones."""
+        """Return the number of a new channel; schema 0 means none. Its chunks are either compressed or plain."""
         number = len(self._channels) + 1
         channel = Channel(
             id=number, topic=topic, message_encoding=encoding, schema_id=schema_id, metadata=dict(metadata)
@@ -155,7 +155,7 @@ class McapFile:
         """Append a message; `data` must not change until its chunk is written."""
         compressed = self._compressed[channel_id]
         if log_time_ns in self._batches[not compressed].times:
-            # of equal times, what was written first stands first in the file
+            # of equal times, the first written comes first in the file
             self._write_batch(not compressed)
         batch = self._batches[compressed]
         if channel_id not in batch.indexes:
@@ -184,26 +184,26 @@ class McapFile:
             data_end = _record(DataEnd(self._data_crc))
             self._append([data_end, *self._summary(self._size + len(data_end))])
             if self._reserved > RESERVE_BYTES:
-                # gives back what was taken ahead
+                # frees the space reserved ahead
                 os.ftruncate(self._file.fileno(), self._size)
 
     def amend(self, name: str, values: dict[str, str]) -> None:
-        """Add a metadata record to the finished file; where there is no room for it the file stays as it is."""
+        """Add a metadata record to the finished file; if there is no room for it the file stays as it is."""
         assert self._finished is not None
         offset, data_crc = self._finished
         record = _record(Metadata(name, values))
-        known = self._metadata
-        self._metadata = [*known, MetadataIndex(offset=offset, length=len(record), name=name)]
+        previous = self._metadata
+        self._metadata = [*previous, MetadataIndex(offset=offset, length=len(record), name=name)]
         crc = _crc32([record], data_crc)
         end = offset + len(record)
         data_end = _record(DataEnd(crc))
         pieces = [record, data_end, *self._summary(end + len(data_end))]
         size = offset + sum(map(len, pieces))
         try:
-            # before anything is written over: afterwards nothing more is asked of the disk
+            # before any byte is overwritten: afterwards no more disk space is needed
             os.posix_fallocate(self._file.fileno(), 0, size)
         except OSError as error:
-            self._metadata = known
+            self._metadata = previous
             os.ftruncate(self._file.fileno(), self._size)
             raise OSError(error.errno, error.strerror, str(self._file.name)) from None
         _write_all(self._file.fileno(), pieces, offset)
@@ -230,7 +230,7 @@ class McapFile:
     def _note_chunk(
         self, batch: _Batch, compression: str, stored: int, offset: int, length: int, indexes: dict[int, bytes]
     ) -> None:
-        """Index a chunk of `length` bytes that stands at `offset`, its message indexes behind it."""
+        """Index a chunk of `length` bytes at `offset`, with its message indexes behind it."""
         offsets, at = {}, offset + length
         for number, record in indexes.items():
             offsets[number] = at
@@ -253,7 +253,7 @@ class McapFile:
         self._first_ns, self._last_ns = min(self._first_ns, batch.start_ns), max(self._last_ns, batch.end_ns)
 
     def _summary(self, start: int) -> list[bytes]:
-        """Summary section that begins at `start`, offsets of its groups, footer and magic."""
+        """Return summary section that begins at `start`, offsets of its groups, footer and magic."""
         groups = [
             (Opcode.SCHEMA, _records(self._schemas.values())),
             (Opcode.CHANNEL, _records(self._channels.values())),
@@ -299,7 +299,7 @@ class McapFile:
         self._size += size
 
     def _reserve(self, end: int) -> None:
-        """Take disk space ahead; where that is refused the write itself says why."""
+        """Reserve disk space ahead; if that is refused the write itself reports why."""
         if end > self._reserved:
             self._reserved = end + RESERVE_BYTES
             reserve(self._file.fileno(), self._size, self._reserved - self._size)
@@ -336,10 +336,10 @@ def _write_all(descriptor: int, pieces: Iterable[bytes], offset: int) -> None:
 
 
 def reserve(descriptor: int, size: int, length: int) -> None:
-    """Have the system make ready for `length` bytes behind the `size` that a file has; never fails.
+    """Have the system prepare `length` bytes behind the `size` of a file; never fails.
 
-    The file's size stays, so that a killed recorder leaves no zeros behind. What was written last starts its way to
-    the disk and what has got there leaves memory: the disk works steadily, and a long recording crowds nobody out.
+    The file's size stays, so that a killed recorder leaves no zeros behind. Recent data starts on its path to the disk
+    and data on the disk leaves memory: the disk works steadily, and a long recording displaces no other memory.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if hasattr(libc, "fallocate"):

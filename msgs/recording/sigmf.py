@@ -3,10 +3,10 @@
 One `captures` entry is one beam of chirps x samples, beams follow each other without gaps in order of acquisition.
 `mirrorwave:background` names a file beside the capture, `<name>.background.npy`: complex64 [beams, samples], one chirp
 a beam in units of the int16 codes (an array of that size has no place in JSON). `mirrorwave:steering_weights` of a beam
-is a list of [re, im], one pair a column. What a radar setup holds beyond the contract stands in further optional keys,
-so that writing and reading back loses nothing.
+is a list of [re, im], one pair a column. Parts of a radar setup beyond the contract are further optional keys, so that
+writing and reading back loses nothing.
 
-Whatever is wrong with a capture is one `ValueError` of one line: file, field, value, rule.
+Any fault of a capture is one `ValueError` of one line: file, field, value, rule.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ _EXTENSION_VERSION = "1.0.0"
 _BYTES_PER_SAMPLE = 4
 _META_SUFFIX, _DATA_SUFFIX = ".sigmf-meta", ".sigmf-data"
 _BACKGROUND_SUFFIX = ".background.npy"
-#: Some 100,000 beams; a larger one is no capture of ours.
+#: Some 100,000 beams; no capture of this project is larger.
 _MAX_META_BYTES = 1 << 26
 _MAX_ANGLE_ERROR_DEG = 1e-6
-#: A beam's azimuth against its setup's, when written.
+#: Tolerance between a beam's azimuth and its setup's, when written.
 _MAX_ANGLE_ERROR_RAD = 1e-9
 _MAX_INT = (1 << 63) - 1
 
 
 class _Number(NamedTuple):
-    """Range of a number that is permitted."""
+    """Permitted range of a number."""
 
     low: float
     high: float
@@ -101,7 +101,7 @@ _OPTIONAL: dict[str, tuple[str, str, _Number | _Flag]] = {
 
 
 class _Beam(NamedTuple):
-    """What the metadata say of one beam."""
+    """Metadata of one beam."""
 
     scan_id: int
     beam_index: int
@@ -138,7 +138,7 @@ class SigmfCapture:
         return len(self._beams)
 
     def beams(self) -> Iterator[RadarBeam]:
-        """All beams in order of acquisition; each holds its own samples."""
+        """Yield all beams in order of acquisition; each holds its own samples."""
         radar = self.setup.radar
         codes = radar.chirps_per_beam * radar.samples_per_chirp * 2
         with self.path.open("rb") as file:
@@ -158,15 +158,15 @@ class SigmfCapture:
 
 
 def capture_paths(path: Path) -> tuple[Path, Path]:
-    """Meta and data file of a capture named by either or by their common stem; both must be files."""
+    """Return meta and data file of a capture named by either or by their common stem; both must be files."""
     name = path.name
     for suffix in (_META_SUFFIX, _DATA_SUFFIX):
         name = name.removesuffix(suffix)
-    found = path.with_name(name + _META_SUFFIX), path.with_name(name + _DATA_SUFFIX)
-    for file in found:
+    paths = path.with_name(name + _META_SUFFIX), path.with_name(name + _DATA_SUFFIX)
+    for file in paths:
         if not file.is_file():
             raise ValueError(f"{file}: no such file; a capture is a {_META_SUFFIX} and a {_DATA_SUFFIX} file")
-    return found
+    return paths
 
 
 def write_capture(
@@ -174,7 +174,7 @@ def write_capture(
 ) -> tuple[Path, Path]:
     """Write beams as they come and return the meta and data file; a failed write leaves neither.
 
-    Raises `ValueError` for beams that are not the setup's, none at all, or out of order; `FileExistsError` where a file
+    Raises `ValueError` for beams that are not the setup's, none at all, or out of order; `FileExistsError` if a file
     exists and `overwrite` was not asked for.
     """
     stem = Path(path).name.removesuffix(_META_SUFFIX).removesuffix(_DATA_SUFFIX)
@@ -215,7 +215,7 @@ class _Fields:
         self._per_scan = int(self._number(self._global, "global", "mirrorwave:beams_per_scan", _BEAMS))
 
     def setup(self) -> RadarSetup:
-        """The radar setup, with defaults for what the capture does not say."""
+        """Return the radar setup, with defaults for what the capture does not say."""
         parts: dict[str, dict[str, Any]] = {"radar": self._waveform(), "array": {}, "element": {}, "setup": {}}
         for key, (part, field, permitted) in _OPTIONAL.items():
             if f"mirrorwave:{key}" in self._global:
@@ -237,11 +237,11 @@ class _Fields:
             raise ValueError(f"{self._path}: {error}") from error
 
     def beams(self, setup: RadarSetup) -> list[_Beam]:
-        """Scan, index and time of every beam; by order and by nominal timing where the capture does not say."""
+        """Return scan, index and time of every beam; by order and by nominal timing if the capture does not say."""
         period_ns, interval_ns = ns_from_s(setup.radar.scan_period_s), setup.beam_interval_ns
         beams: list[_Beam] = []
         for at in range(len(self._captures)):
-            scan_id, beam_index = self._place(at)
+            scan_id, beam_index = self._scan_and_index(at)
             if beams and (scan_id, beam_index) <= beams[-1][:2]:
                 self._fail(at, "mirrorwave:beam_index", beam_index, f"scan {scan_id} is past that beam already")
             first_scan = beams[0].scan_id if beams else scan_id
@@ -261,7 +261,7 @@ class _Fields:
         }
 
     def _require_ours(self) -> None:
-        """Data type, layout and extension must be what this program understands."""
+        """Raise `ValueError` unless this program understands data type, layout and extension."""
         head = self._global
         if head.get("core:datatype") != DATATYPE:
             self._fail("global", "core:datatype", head.get("core:datatype"), f"must be {DATATYPE}")
@@ -278,8 +278,8 @@ class _Fields:
             if capture.get("core:header_bytes"):
                 self._fail(at, "core:header_bytes", capture["core:header_bytes"], "must be absent")
 
-    def _place(self, at: int) -> tuple[int, int]:
-        """Scan and index of a beam, and that its samples begin where they must."""
+    def _scan_and_index(self, at: int) -> tuple[int, int]:
+        """Return scan and index of a beam; check that its samples begin where they must."""
         capture = self._captures[at]
         count = _Number(0, self._per_scan - 1, whole=True)
         expected = at * int(self._global["mirrorwave:chirps_per_beam"] * self._global["mirrorwave:samples_per_chirp"])
@@ -297,31 +297,31 @@ class _Fields:
         return float(carriers[0])
 
     def _azimuths_deg(self) -> list[float]:
-        """Steering angle of each index of a scan; indices that no scan reached lie on the line through the others."""
-        seen: dict[int, float] = {}
+        """Return the steering angle of each index of a scan; unreached indices follow the line through the rest."""
+        angles_by_index: dict[int, float] = {}
         for at, capture in enumerate(self._captures):
             angle_deg = self._number(capture, at, "mirrorwave:azimuth_deg", _ANGLE_DEG)
-            known_deg = seen.setdefault(self._place(at)[1], float(angle_deg))
+            known_deg = angles_by_index.setdefault(self._scan_and_index(at)[1], float(angle_deg))
             if abs(known_deg - angle_deg) > _MAX_ANGLE_ERROR_DEG:
                 self._fail(at, "mirrorwave:azimuth_deg", angle_deg, f"must be {known_deg} as in an earlier scan")
-        if len(seen) == self._per_scan:
-            return [seen[index] for index in range(self._per_scan)]
-        return self._completed(seen)
+        if len(angles_by_index) == self._per_scan:
+            return [angles_by_index[index] for index in range(self._per_scan)]
+        return self._completed(angles_by_index)
 
-    def _completed(self, seen: dict[int, float]) -> list[float]:
-        indices = np.array(sorted(seen))
-        angles_deg = np.array([seen[index] for index in sorted(seen)])
-        rule = f"beams {len(seen)} of {self._per_scan} appear; a scan can be completed only if evenly spaced"
-        if len(seen) < 2:
+    def _completed(self, angles_by_index: dict[int, float]) -> list[float]:
+        indices = np.array(sorted(angles_by_index))
+        angles_deg = np.array([angles_by_index[index] for index in sorted(angles_by_index)])
+        rule = f"beams {len(angles_by_index)} of {self._per_scan} appear; a scan can be completed only if evenly spaced"
+        if len(angles_by_index) < 2:
             self._fail("global", "mirrorwave:beams_per_scan", self._per_scan, rule)
         step_deg = (angles_deg[-1] - angles_deg[0]) / (indices[-1] - indices[0])
         line_deg = angles_deg[0] + step_deg * (np.arange(self._per_scan) - indices[0])
         if np.abs(line_deg[indices] - angles_deg).max() > _MAX_ANGLE_ERROR_DEG:
             self._fail("global", "mirrorwave:beams_per_scan", self._per_scan, rule)
-        return [seen.get(index, float(line_deg[index])) for index in range(self._per_scan)]
+        return [angles_by_index.get(index, float(line_deg[index])) for index in range(self._per_scan)]
 
     def _steering_weights(self, setup: RadarSetup) -> np.ndarray | None:
-        """Weights complex64 [beams, columns], None where no beam gives any."""
+        """Return weights complex64 [beams, columns], None where no beam gives any."""
         key = "mirrorwave:steering_weights"
         if not any(key in capture for capture in self._captures):
             return None
@@ -331,8 +331,8 @@ class _Fields:
             given = _complex_pairs(pairs, setup.array.columns)
             if given is None:
                 self._fail(at, key, pairs, f"must be {setup.array.columns} pairs [re, im] of finite numbers")
-            known = weights.setdefault(self._place(at)[1], given)
-            if not np.array_equal(known, given):
+            earlier = weights.setdefault(self._scan_and_index(at)[1], given)
+            if not np.array_equal(earlier, given):
                 self._fail(at, key, pairs, "must be the same in every scan")
         if len(weights) != len(setup.beams):
             self._fail("global", "mirrorwave:beams_per_scan", self._per_scan, "every beam must give its weights")
@@ -364,7 +364,7 @@ class _Fields:
         permitted: _Number | _Flag,
         default: float | None = None,
     ) -> Any:
-        """A number of the metadata; integers stay exact."""
+        """Return a number of the metadata; integers stay exact."""
         value = section.get(key, default)
         if value is None:
             self._fail(where, key, value, f"is required and must be {permitted}")
@@ -373,12 +373,12 @@ class _Fields:
         return value
 
     def _fail(self, where: str | int, key: str, value: object, rule: str) -> NoReturn:
-        place = f"captures[{where}]" if isinstance(where, int) else where
-        raise ValueError(f"{self._path}: {place}: {key} is {_short(value)}: {rule}")
+        location = f"captures[{where}]" if isinstance(where, int) else where
+        raise ValueError(f"{self._path}: {location}: {key} is {_short(value)}: {rule}")
 
 
 def _load_metadata(meta_path: Path) -> dict[str, Any]:
-    """The metadata, valid SigMF."""
+    """Return the metadata, valid SigMF."""
     if meta_path.stat().st_size > _MAX_META_BYTES:
         raise ValueError(f"{meta_path}: {meta_path.stat().st_size} bytes exceed {_MAX_META_BYTES}")
     try:
@@ -393,7 +393,7 @@ def _require_valid(metadata: dict[str, Any], meta_path: Path) -> None:
     """Raise `ValueError` unless `metadata` are valid SigMF."""
     try:
         with warnings.catch_warnings():
-            # other people's undeclared extensions are no concern of ours; our own is required
+            # undeclared extensions of other programs do not matter; our own is required
             warnings.simplefilter("ignore", DeprecationWarning)
             validate(metadata)
     except ValidationError as error:
@@ -403,9 +403,9 @@ def _require_valid(metadata: dict[str, Any], meta_path: Path) -> None:
 
 
 def _schema_complaint(error: ValidationError) -> str:
-    place = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in error.absolute_path)
+    location = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in error.absolute_path)
     value = f" is {_short(error.instance)}" if isinstance(error.instance, str | float | int | None) else ""
-    return f"{place.lstrip('.') or 'metadata'}{value}: {_short(error.message, quote=str)}"
+    return f"{location.lstrip('.') or 'metadata'}{value}: {_short(error.message, quote=str)}"
 
 
 def _refuse_constant(name: str) -> NoReturn:
@@ -418,7 +418,7 @@ def _short(value: object, quote: Callable[[object], str] = repr) -> str:
 
 
 def _check_data(data_path: Path, radar: RadarParams, beams: int, sha512: str | None) -> None:
-    """Size, and checksum where given, of the data file."""
+    """Check the size, and the checksum if given, of the data file."""
     size = data_path.stat().st_size
     needed = beams * radar.chirps_per_beam * radar.samples_per_chirp * _BYTES_PER_SAMPLE
     if size != needed:
@@ -435,7 +435,7 @@ def _check_data(data_path: Path, radar: RadarParams, beams: int, sha512: str | N
 
 
 def _complex_pairs(pairs: object, count: int) -> np.ndarray | None:
-    """complex64 [count] of a list of [re, im], None where it is anything else."""
+    """Return complex64 [count] of a list of [re, im], None for anything else."""
     if not isinstance(pairs, list) or len(pairs) != count:
         return None
     if not all(isinstance(pair, list) and len(pair) == 2 and all(map(_ANY.permits, pair)) for pair in pairs):
@@ -444,20 +444,20 @@ def _complex_pairs(pairs: object, count: int) -> np.ndarray | None:
 
 
 def _write_beams(file: BinaryIO, setup: RadarSetup, beams: Iterable[RadarBeam]) -> tuple[list[dict[str, Any]], str]:
-    """Append all beams; returns their `captures` entries and the checksum of their data."""
+    """Append all beams; return their `captures` entries and the checksum of their data."""
     captures: list[dict[str, Any]] = []
     sha512 = hashlib.sha512()
     last: tuple[int, int] | None = None
     for beam in beams:
         _require_of_setup(beam, setup)
-        place = beam.scan_id, beam.beam_index
-        if last is not None and place <= last:
-            raise ValueError(f"beam.beam_index must rise within a scan: scan and beam {place} after {last}")
+        position = beam.scan_id, beam.beam_index
+        if last is not None and position <= last:
+            raise ValueError(f"beam.beam_index must rise within a scan: scan and beam {position} after {last}")
         data = np.ascontiguousarray(beam.samples).data
         sha512.update(data)
         file.write(data)
         captures.append(_capture_of(beam, setup, len(captures)))
-        last = place
+        last = position
     if not captures:
         raise ValueError("beams must be at least one: a capture cannot be empty")
     return captures, sha512.hexdigest()

@@ -1,1 +1,1 @@
-"""Message values: what topics carry, with units and frames."""
+"""Message values: the contents of topics, with units and frames."""

@@ -1,10 +1,10 @@
-"""Checks that a message's arrays are what its type promises; used by every `__post_init__`."""
+"""Checks that a message's arrays match its type; used by every `__post_init__`."""
 
 from __future__ import annotations
 
 import numpy as np
 
-#: What may travel. No object, no structured, no datetime dtype: nothing that could carry code or pointers.
+#: Permitted dtypes. No object, no structured, no datetime dtype: nothing that could carry code or pointers.
 DTYPES = frozenset({"|b1", "|u1", "|i1", "<u2", "<i2", "<u4", "<i4", "<u8", "<i8", "<f4", "<f8", "<c8", "<c16"})
 MAX_NDIM = 6
 #: Stamps beyond this, 146 years, fit no message: neither two of them nor their difference would fit 64 bits.
@@ -21,8 +21,8 @@ def require_array(name: str, array: np.ndarray, dtype: str, shape: tuple[int | N
         want is None or have == want for have, want in zip(array.shape, shape, strict=True)
     )
     if not fits:
-        wanted = "x".join("?" if length is None else str(length) for length in shape)
-        raise ValueError(f"{name} must have shape {wanted}, got {array.shape}")
+        expected = "x".join("?" if length is None else str(length) for length in shape)
+        raise ValueError(f"{name} must have shape {expected}, got {array.shape}")
 
 
 def require_finite(name: str, *values: float) -> None:
@@ -38,11 +38,11 @@ def require_positive(name: str, value: float) -> None:
         raise ValueError(f"{name} must be finite and positive, got {value!r}")
 
 
-def require_within(name: str, least: float, most: float, *values: float) -> None:
-    """Raise `ValueError` naming the field unless every value lies in `least`..`most`, ends included."""
+def require_within(name: str, minimum: float, maximum: float, *values: float) -> None:
+    """Raise `ValueError` naming the field unless every value lies in `minimum`..`maximum`, ends included."""
     for value in values:
-        if not least <= value <= most:
-            raise ValueError(f"{name} must lie in {least:g}..{most:g}, got {value!r}")
+        if not minimum <= value <= maximum:
+            raise ValueError(f"{name} must lie in {minimum:g}..{maximum:g}, got {value!r}")
 
 
 def require_stamps(name: str, *stamps_ns: int | np.ndarray) -> None:

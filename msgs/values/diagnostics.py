@@ -11,7 +11,7 @@ SAMPLES_LIMIT = 128
 
 
 class NodeState(StrEnum):
-    """Life of a node, as its heartbeat says it."""
+    """Life cycle of a node, as its heartbeat reports it."""
 
     STARTING = "starting"
     READY = "ready"
@@ -37,16 +37,16 @@ class TopicCount(msgspec.Struct, frozen=True, kw_only=True):
     topic: str
     messages: int
     bytes: int
-    #: Lost on the way, by gaps in the sequence numbers.
+    #: Lost in transit, by gaps in the sequence numbers.
     lost: int = 0
     #: Arrived but unreadable.
     rejected: int = 0
-    #: Arrived, and passed over because a newer one stood beside it (topics whose receivers want the newest only).
+    #: Arrived, and skipped because a newer one waited beside it (topics whose receivers want the newest only).
     outdated: int = 0
 
 
 class ShedCount(msgspec.Struct, frozen=True, kw_only=True):
-    """Work that a node left undone since it started, so as not to fall behind: what, why and how often."""
+    """Work that a node dropped since it started, so as not to fall behind: kind, reason and count."""
 
     what: str
     reason: str

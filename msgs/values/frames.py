@@ -9,8 +9,8 @@ import numpy as np
 
 from msgs.values.arrays import require_finite, require_within
 
-#: Either way: squares of it, and what they are divided by, are numbers that doubles hold.
-MOST_PLACE_M = 1e12
+#: Limit in both directions: its square, and the divisors of it, are finite doubles.
+MAX_COORDINATE_M = 1e12
 
 
 class Pose2(msgspec.Struct, frozen=True):
@@ -22,10 +22,10 @@ class Pose2(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         require_finite("pose", self.x_m, self.y_m, self.yaw_rad)
-        require_within("pose", -MOST_PLACE_M, MOST_PLACE_M, self.x_m, self.y_m)
+        require_within("pose", -MAX_COORDINATE_M, MAX_COORDINATE_M, self.x_m, self.y_m)
 
     def __matmul__(self, inner: Pose2) -> Pose2:
-        """`a_from_b @ b_from_c` is `a_from_c`: inner names must meet."""
+        """Return the product: `a_from_b @ b_from_c` is `a_from_c`, inner names must meet."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return Pose2(
             self.x_m + c * inner.x_m - s * inner.y_m,
@@ -34,7 +34,7 @@ class Pose2(msgspec.Struct, frozen=True):
         )
 
     def inverse(self) -> Pose2:
-        """`b_from_a` of an `a_from_b`."""
+        """Return the inverse: `b_from_a` of an `a_from_b`."""
         c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return Pose2(-c * self.x_m - s * self.y_m, s * self.x_m - c * self.y_m, wrap_angle(-self.yaw_rad))
 
@@ -50,15 +50,15 @@ class Pose2(msgspec.Struct, frozen=True):
 
 
 def wrap_angle(angle_rad: float) -> float:
-    """The same angle in (-pi, pi]."""
+    """Return the same angle in (-pi, pi]."""
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
 
 
 def xy_from_polar(range_m: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Cartesian points [..., 2] in metres of polar ones (broadcast)."""
+    """Return Cartesian points [..., 2] in metres of polar ones (broadcast)."""
     return np.stack(np.broadcast_arrays(range_m * np.cos(azimuth_rad), range_m * np.sin(azimuth_rad)), axis=-1)
 
 
 def polar_from_xy(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Range [m] and azimuth [rad] of points [..., 2] in metres."""
+    """Return range [m] and azimuth [rad] of points [..., 2] in metres."""
     return np.hypot(points_m[..., 0], points_m[..., 1]), np.arctan2(points_m[..., 1], points_m[..., 0])

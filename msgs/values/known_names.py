@@ -1,12 +1,15 @@
-"""What a type would have known, said beside msgspec's word on a field or a choice that it does not."""
+"""The fields and choices that a type has, listed where a value names another."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+import types
+import typing
+from collections.abc import Mapping
+from enum import Enum
 from typing import Any
 
-import msgspec.inspect
+import msgspec
 
 #: The messages that a list of what is known belongs to, and msgspec's place of the value.
 _UNKNOWN = re.compile(
@@ -29,42 +32,74 @@ def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
     return f"{rule}; known are {', '.join(known)}{place}{path}"
 
 
+def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
+    """Raise `ValueError` for a field or a choice that `wanted` does not have; it lists those that are known.
+
+    `where` names the value; keys of mappings are named as they are written. Values of a wrong type are passed over:
+    what converts them says what is wrong with them.
+    """
+    _refuse(value, wanted, where)
+
+
+def _refuse(value: Any, wanted: Any, where: str) -> None:
+    for kind in _alternatives(wanted):
+        if _is_struct(kind) and isinstance(value, Mapping):
+            known = _fields(kind)
+            for name, inner in value.items():
+                path = f"{where}.{name}" if where else str(name)
+                if name not in known:
+                    raise ValueError(f"{path}: unknown field; known are {', '.join(known)}")
+                _refuse(inner, known[name], path)
+        elif typing.get_origin(kind) is dict and isinstance(value, Mapping):
+            for name, inner in value.items():
+                _refuse(inner, typing.get_args(kind)[1], f"{where}.{name}")
+        elif (choices := _choices(kind)) and isinstance(value, str) and value not in choices:
+            raise ValueError(f"{where}: unknown {value!r}; known are {', '.join(choices)}")
+
+
 def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:
     """Names of the fields, or of the choices, of all that may stand at a path of msgspec's."""
-    kinds = list(_plain(msgspec.inspect.type_info(wanted)))
+    kinds = _alternatives(wanted)
     for step in _STEP.finditer(path):
         kinds = [inner for kind in kinds for inner in _inside(kind, step["field"])]
-    names = [name for kind in kinds for name in (_fields(kind) if fields else _choices(kind))]
+    # of a Literal msgspec keeps no order
+    names = [name for kind in kinds for name in (_fields(kind) if fields else _choices(kind, in_order=False))]
     return list(dict.fromkeys(names))
 
 
-def _fields(kind: msgspec.inspect.Type) -> list[str]:
-    return [field.encode_name for field in getattr(kind, "fields", ())]
+def _alternatives(wanted: Any) -> list[Any]:
+    """The types that a union or an annotated type stands for."""
+    origin = typing.get_origin(wanted)
+    if origin is typing.Annotated:
+        return _alternatives(typing.get_args(wanted)[0])
+    if origin in (typing.Union, types.UnionType):
+        return [inner for kind in typing.get_args(wanted) for inner in _alternatives(kind)]
+    return [wanted]
 
 
-def _choices(kind: msgspec.inspect.Type) -> list[str]:
-    if isinstance(kind, msgspec.inspect.EnumType):
-        return [str(item.value) for item in kind.cls]
-    return [str(value) for value in kind.values] if isinstance(kind, msgspec.inspect.LiteralType) else []
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
 
 
-def _inside(kind: Any, field: str | None) -> Iterator[msgspec.inspect.Type]:
+def _fields(kind: Any) -> dict[str, Any]:
+    """Fields of a struct and their types; none of another type."""
+    return {field.encode_name: field.type for field in msgspec.structs.fields(kind)} if _is_struct(kind) else {}
+
+
+def _choices(kind: Any, in_order: bool = True) -> list[str]:
+    """The values that a type may have, where only some may; those of a Literal in their order or sorted."""
+    if typing.get_origin(kind) is typing.Literal:
+        values = [str(value) for value in typing.get_args(kind)]
+        return values if in_order else sorted(values)
+    return [str(item.value) for item in kind] if isinstance(kind, type) and issubclass(kind, Enum) else []
+
+
+def _inside(kind: Any, field: str | None) -> list[Any]:
     """Types of a field, or of the items or values where `field` is None."""
     if field is not None:
-        inner = [one.type for one in getattr(kind, "fields", ()) if one.encode_name == field]
-    else:
-        inner = [getattr(kind, name) for name in ("item_type", "value_type") if hasattr(kind, name)]
-        inner += getattr(kind, "item_types", ())
-    for one in inner:
-        yield from _plain(one)
-
-
-def _plain(kind: msgspec.inspect.Type) -> Iterator[msgspec.inspect.Type]:
-    """The types that a union or an annotated type stands for."""
-    if isinstance(kind, msgspec.inspect.UnionType):
-        for one in kind.types:
-            yield from _plain(one)
-    elif isinstance(kind, msgspec.inspect.Metadata):
-        yield from _plain(kind.type)
-    else:
-        yield kind
+        fields = _fields(kind)
+        return _alternatives(fields[field]) if field in fields else []
+    arguments = [inner for inner in typing.get_args(kind) if inner is not Ellipsis]
+    # of a mapping the values: its keys are no step
+    inside = arguments[1:] if typing.get_origin(kind) in (dict, Mapping) else arguments
+    return [one for inner in inside for one in _alternatives(inner)]

@@ -13,8 +13,8 @@ from msgs.values.frames import Pose2
 from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import PLANCK_J_S, SPEED_OF_LIGHT_MPS
 
-#: What a parameter may be, ends included. Far beyond any device; within them memory and time are bounded, and every
-#: quantity is one that doubles hold.
+#: Permitted range of each parameter, ends included. Far beyond any device; within them memory and time are bounded,
+#: and every quantity is a finite double.
 SPAD_LIMITS: dict[str, tuple[float, float]] = {
     "wavelength_m": (1e-9, 1e-3),
     "average_power_w": (1e-30, 1e9),
@@ -65,18 +65,18 @@ class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     tick_s: float = 55e-12
     #: Full angle of the beam and of the receiver's view; not in Table 2, an engineering choice.
     divergence_rad: float = 2e-3
-    #: What ticks count from: the laser pulse (start-stop), or the start of the whole measurement.
+    #: Origin of the ticks: the laser pulse (start-stop), or the start of the whole measurement.
     tick_from: Literal["pulse", "run"] = "pulse"
-    #: "free": always on, so that the dead time of one period reaches into the next. "gated": armed anew at every pulse.
+    #: "free": always on, so that the dead time of one period reaches into the next. "gated": re-armed at every pulse.
     arming: Literal["free", "gated"] = "free"
     #: The period is cut into so many equal gates, each measured with its share of the pulses and blind before it
     #: opens; more than one needs "gated".
     gates: int = 1
 
     def __post_init__(self) -> None:
-        for name, (least, most) in SPAD_LIMITS.items():
-            if not least <= getattr(self, name) <= most:
-                raise ValueError(f"spad.{name} must lie in {least:g}..{most:g}, got {getattr(self, name)!r}")
+        for name, (minimum, maximum) in SPAD_LIMITS.items():
+            if not minimum <= getattr(self, name) <= maximum:
+                raise ValueError(f"spad.{name} must lie in {minimum:g}..{maximum:g}, got {getattr(self, name)!r}")
         for name, words in SPAD_WORDS.items():
             if getattr(self, name) not in words:
                 raise ValueError(f"spad.{name} must be {' or '.join(map(repr, words))}, got {getattr(self, name)!r}")
@@ -142,11 +142,11 @@ class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class LidarSetup(msgspec.Struct, frozen=True, kw_only=True):
-    """What a receiver must know before the first histograms: the LiDAR and where it looks (topic `lidar/setup`)."""
+    """Set-up that a receiver needs before the first histograms: the LiDAR and its directions (topic `lidar/setup`)."""
 
     stamp_ns: int = 0
     spad: SpadParams = SpadParams()
-    #: Its columns are the azimuths that are looked at, in this order.
+    #: Its columns are the measured azimuths, in this order.
     grid: RangeAzimuthGrid = RangeAzimuthGrid()
     lidar_height_m: float = 1.0
     #: Time from the first azimuth of a scan to the first of the next; None: as long as the measurements take.
@@ -178,7 +178,7 @@ class PhotonHistograms(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     scan_id: int
     #: Photons per azimuth and time bin of the period, uint32 [azimuth, bins].
     counts: np.ndarray
-    #: When the measurement of each azimuth began, int64 [azimuth].
+    #: Start of the measurement of each azimuth, int64 [azimuth].
     azimuth_stamp_ns: np.ndarray
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Perception values: peaks, walls, hidden objects, and the truth they are held against."""
+"""Perception values: peaks, walls, hidden objects, and the truth they are compared with."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Covariance = tuple[tuple[float, float], tuple[float, float]]
 
 
 class PathClass(IntEnum):
-    """What a return is: seen directly, or as a mirror image behind a wall."""
+    """Kind of a return: direct, or a mirror image behind a wall."""
 
     LOS = 0
     MIRRORED = 1
 
 
-#: What the numbers of a peak may be, either way. Far beyond any sensor; within them every quantity that follows is one
-#: that doubles hold.
+#: Limits of the numbers of a peak, in both directions. Far beyond any sensor; within them every derived quantity is a
+#: finite double.
 PEAK_LIMITS: dict[str, float] = {
     "range_m": 1e6,
     "azimuth_rad": 1e3,
@@ -33,7 +33,7 @@ PEAK_LIMITS: dict[str, float] = {
     "covariance": 1e12,
 }
 
-#: Peaks of one scan that are looked at: more are no scene, and each is held against each.
+#: Maximum number of peaks of a scan: no scene has more, and each is compared with each.
 MOST_PEAKS = 2048
 
 
@@ -49,20 +49,20 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     path_class: np.ndarray
     #: Polar covariance (range [m], azimuth [rad]), float64 [N, 2, 2].
     covariance: np.ndarray
-    #: When each peak's azimuth was measured, int64 [N].
+    #: Acquisition time of each peak's azimuth, int64 [N].
     peak_stamp_ns: np.ndarray
     #: Peak power over the map's noise, dB.
     snr_db: np.ndarray
-    #: Flags of the map the peaks come from.
+    #: Flags of the map that the peaks were found in.
     incoherent: bool = False
     missing_beams: tuple[int, ...] = ()
     saturated_share: float = 0.0
     faults: tuple[str, ...] = ()
-    #: Beam power over noise an isotropic 0 dBsm target at 1 m would have, dB: what the observability mask needs.
+    #: Beam power over noise of an isotropic 0 dBsm target at 1 m, dB: the observability mask needs it.
     sensitivity_db: float = 0.0
-    #: Checksum of the network that found them and how it placed them, "SHA256/WAY"; empty where none did.
+    #: Checksum of the network that found them and its method of placing them, "SHA256/WAY"; empty without a network.
     detector: str = ""
-    #: Where the radar sits on the vehicle, as the map was formed with.
+    #: Pose of the radar on the vehicle with which the map was formed.
     vehicle_from_radar: Pose2 = Pose2()
 
     def __post_init__(self) -> None:
@@ -75,10 +75,10 @@ class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_within("peaks.saturated_share", 0.0, 1.0, self.saturated_share)
         require_stamps("peaks.stamp_ns", self.stamp_ns)
         require_stamps("peaks.peak_stamp_ns", self.peak_stamp_ns)
-        for name, most in PEAK_LIMITS.items():
+        for name, maximum in PEAK_LIMITS.items():
             if not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"peaks.{name} must be finite")
-            require_within(f"peaks.{name}", -most, most, float(np.abs(getattr(self, name)).max(initial=0.0)))
+            require_within(f"peaks.{name}", -maximum, maximum, float(np.abs(getattr(self, name)).max(initial=0.0)))
         require_within("peaks.sensitivity_db", -PEAK_LIMITS["snr_db"], PEAK_LIMITS["snr_db"], self.sensitivity_db)
 
     def __len__(self) -> int:
@@ -95,7 +95,7 @@ class Wall(msgspec.Struct, frozen=True, kw_only=True):
     #: Standard deviation of the fitted direction and of the offset at the segment's middle.
     angle_std_rad: float = 0.0
     offset_std_m: float = 0.0
-    #: Of an arc through the ends, positive where it is hollow towards the radar.
+    #: Curvature of an arc through the ends, positive if it is hollow towards the radar.
     curvature_per_m: float = 0.0
 
     def __post_init__(self) -> None:
@@ -110,7 +110,7 @@ class HiddenPoint(msgspec.Struct, frozen=True, kw_only=True):
     x_m: float
     y_m: float
     score: float
-    #: Where it appeared behind the wall.
+    #: Its apparent position behind the wall.
     image_x_m: float
     image_y_m: float
     #: Index into `BevFrame.walls`.
@@ -128,13 +128,13 @@ class HiddenObject(msgspec.Struct, frozen=True, kw_only=True):
     yaw_rad: float
     score: float
     cov_m2: Covariance
-    #: When the beams that saw it were measured (a moving object was there then).
+    #: Acquisition time of the beams that saw it (a moving object was there then).
     stamp_ns: int = 0
     points: int = 0
 
 
 class Track(msgspec.Struct, frozen=True, kw_only=True):
-    """An object followed over scans: its place at the frame's stamp in the frame's axes, its velocity over ground."""
+    """An object followed over scans: its position at the frame's stamp, in its axes; its velocity over ground."""
 
     id: int
     x_m: float
@@ -143,9 +143,9 @@ class Track(msgspec.Struct, frozen=True, kw_only=True):
     velocity_y_mps: float
     age_s: float
     cov_m2: Covariance
-    #: Time until it enters direct sight, None where it is not on its way.
+    #: Time until it enters direct sight, None if it is not approaching it.
     time_to_appear_s: float | None = None
-    #: Covariance of the velocity, None where the writer of a recording did not say.
+    #: Covariance of the velocity, None if the writer of a recording did not give it.
     velocity_cov_m2ps2: Covariance | None = None
     #: Scans since an object was last assigned to it.
     misses: int = 0
@@ -168,14 +168,14 @@ class BevGrid(msgspec.Struct, frozen=True, kw_only=True):
                 raise ValueError(f"bev_grid.{name} must be 1..4096, got {getattr(self, name)!r}")
 
     def cell_centres_m(self) -> np.ndarray:
-        """Centres of all cells, [rows, columns, 2] in metres."""
+        """Return centres of all cells, [rows, columns, 2] in metres."""
         x = self.x_min_m + self.cell_m * (np.arange(self.columns) + 0.5)
         y = self.y_min_m + self.cell_m * (np.arange(self.rows) + 0.5)
         return np.stack(np.meshgrid(x, y), axis=-1)
 
 
 class Visibility(IntEnum):
-    """What is known of a cell of the plane."""
+    """State of knowledge of a cell of the plane."""
 
     UNKNOWN = 0
     DIRECT = 1
@@ -197,22 +197,22 @@ class BevFrame(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     grid: BevGrid = BevGrid()
     #: `Visibility` of each cell, uint8 [rows, columns].
     visibility: np.ndarray
-    #: RCS the mask speaks of.
+    #: RCS that the mask refers to.
     visibility_rcs_dbsm: float = 10.0
-    #: Motion of the vehicle when the scan began, None where nothing recent is known.
+    #: Motion of the vehicle when the scan began, None without a recent state.
     ego: VehicleState | None = None
-    #: Conditions of this scan that a reader should know: "incoherent", "missing_beams", "saturated", and the names in
+    #: Conditions of this scan for a reader: "incoherent", "missing_beams", "saturated", and the names in
     #: `msgs.values.radar.MAP_FAULTS`.
     flags: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        require_stamps("bev.stamp_ns", self.stamp_ns, *(one.stamp_ns for one in self.objects))
+        require_stamps("bev.stamp_ns", self.stamp_ns, *(item.stamp_ns for item in self.objects))
         require_array("bev.los_points_m", self.los_points_m, "<f4", (None, 2))
         require_array("bev.visibility", self.visibility, "|u1", (self.grid.rows, self.grid.columns))
 
 
 class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
-    """A simulated object at the truth's stamp, with its velocity so that any other time can be asked."""
+    """A simulated object at the truth's stamp, with its velocity so that its position at any other time follows."""
 
     id: int
     object_class: str
@@ -223,7 +223,7 @@ class TruthObject(msgspec.Struct, frozen=True, kw_only=True):
     yaw_rad: float
     velocity_x_mps: float = 0.0
     velocity_y_mps: float = 0.0
-    #: Out of direct sight, and seen in a mirror.
+    #: Out of direct sight, and visible in a mirror.
     hidden: bool = False
 
 
@@ -236,12 +236,12 @@ class TruthSurface(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SceneTruth(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What really is there (topic `sim/truth`), radar frame at `stamp_ns`; points float32 [N, 3] in metres."""
+    """Ground truth of a scene (topic `sim/truth`), radar frame at `stamp_ns`; points float32 [N, 3] in metres."""
 
     stamp_ns: int
     scan_id: int
     los_points_m: np.ndarray
-    #: Mirror images behind their wall, and in the same order the true places they come from.
+    #: Mirror images behind their wall, and in the same order their true positions.
     mirrored_points_m: np.ndarray
     hidden_points_m: np.ndarray
     #: Index into `objects` of each mirrored point, int32; -1 for none.

@@ -20,8 +20,8 @@ from msgs.values.units import (
 
 #: Magnitude of the int16 code that `full_scale_dbm` refers to.
 FULL_SCALE_CODE = 32768
-#: What a parameter may be, ends included. Far beyond any device; within them memory and time are bounded, and every
-#: quantity is one that doubles hold.
+#: Permitted range of each parameter, ends included. Far beyond any device; within them memory and time are bounded,
+#: and every quantity is a finite double.
 RADAR_LIMITS: dict[str, tuple[float, float]] = {
     "carrier_hz": (1e6, 1e15),
     "bandwidth_hz": (1.0, 1e13),
@@ -38,16 +38,16 @@ ARRAY_LIMITS: dict[str, tuple[float, float]] = {
 }
 SPACING_LIMITS_M = (1e-9, 1e3)
 RANGE_BIN_LIMITS_M = (1e-9, 1e9)
-#: Without end: the same in all directions.
+#: Without a limit: the same in all directions.
 BEAM_WIDTH_LIMITS_DEG = (1e-3, math.inf)
-MOST_BEAMS = 1024
-#: Either way.
-MOST_LEVEL_DB = 300.0
+MAX_BEAMS = 1024
+#: In both directions.
+MAX_LEVEL_DB = 300.0
 LONGEST_CHIRP_INTERVAL_S = 1e3
 
 
 def amplitude_per_code(full_scale_dbm: float) -> float:
-    """Amplitude [sqrt(mW)] of one int16 code, where a complex tone of amplitude 32768 has `full_scale_dbm`."""
+    """Return amplitude [sqrt(mW)] of one int16 code, where a complex tone of amplitude 32768 has `full_scale_dbm`."""
     return math.sqrt(ratio_from_db(full_scale_dbm)) / FULL_SCALE_CODE
 
 
@@ -96,7 +96,7 @@ class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def repetition_interval_s(self) -> float:
-        """From one chirp to the next: T_c unless the radar rests in between."""
+        """Time from one chirp to the next: T_c unless the radar rests in between."""
         return self.chirp_period_s if self.chirp_interval_s is None else self.chirp_interval_s
 
     @property
@@ -133,8 +133,8 @@ class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
     phase_bits: int = 6
     #: 2: transmit and receive are steered alike; 1: receive alone, the transmitter is one fixed element.
     steered_ways: int = 2
-    #: The receiver samples all columns at once, and beams are formed of those samples by numbers: all beams of a scan
-    #: are of one time. Needs `steered_ways` 1 and no phase shifters.
+    #: The receiver samples all columns at once, and beams are formed digitally from those samples: all beams of a scan
+    #: have the same time. Needs `steered_ways` 1 and no phase shifters.
     digital: bool = False
 
     def __post_init__(self) -> None:
@@ -154,11 +154,11 @@ class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):
             )
 
     def column_spacing(self, wavelength_m: float) -> float:
-        """Column spacing in metres, lambda/2 unless given."""
+        """Return column spacing in metres, lambda/2 unless given."""
         return wavelength_m / 2.0 if self.column_spacing_m is None else self.column_spacing_m
 
     def row_spacing(self, wavelength_m: float) -> float:
-        """Row spacing in metres, lambda/2 unless given."""
+        """Return row spacing in metres, lambda/2 unless given."""
         return wavelength_m / 2.0 if self.row_spacing_m is None else self.row_spacing_m
 
 
@@ -174,7 +174,7 @@ class ElementPattern(msgspec.Struct, frozen=True, kw_only=True):
         for name in ("azimuth_hpbw_deg", "elevation_hpbw_deg"):
             require_within(f"element.{name}", *BEAM_WIDTH_LIMITS_DEG, getattr(self, name))
         for name in ("peak_gain_dbi", "sidelobe_floor_db"):
-            require_within(f"element.{name}", -MOST_LEVEL_DB, MOST_LEVEL_DB, getattr(self, name))
+            require_within(f"element.{name}", -MAX_LEVEL_DB, MAX_LEVEL_DB, getattr(self, name))
 
 
 class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
@@ -185,8 +185,8 @@ class BeamGrid(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if not self.azimuth_deg:
             raise ValueError("beams.azimuth_deg must name at least one beam")
-        if len(self.azimuth_deg) > MOST_BEAMS:
-            raise ValueError(f"beams.azimuth_deg must name at most {MOST_BEAMS} beams, got {len(self.azimuth_deg)}")
+        if len(self.azimuth_deg) > MAX_BEAMS:
+            raise ValueError(f"beams.azimuth_deg must name at most {MAX_BEAMS} beams, got {len(self.azimuth_deg)}")
         require_finite("beams.azimuth_deg", *self.azimuth_deg)
         if max(abs(angle) for angle in self.azimuth_deg) >= 90.0:
             raise ValueError(f"beams.azimuth_deg must lie inside -90..90, got {self.azimuth_deg}")
@@ -239,24 +239,24 @@ class RangeAzimuthGrid(msgspec.Struct, frozen=True, kw_only=True):
         return np.linspace(-limit_rad, limit_rad, self.azimuth_bins)
 
     def range_index(self, range_m: np.ndarray) -> np.ndarray:
-        """Fractional range bin of ranges in metres."""
+        """Return the fractional range bin of ranges in metres."""
         return np.asarray(range_m) / self.range_bin_m
 
     def azimuth_index(self, azimuth_rad: np.ndarray) -> np.ndarray:
-        """Fractional azimuth bin of azimuths in radians."""
+        """Return the fractional azimuth bin of azimuths in radians."""
         return (np.asarray(azimuth_rad) + math.radians(self.azimuth_limit_deg)) / self.azimuth_step_rad
 
     def range_at(self, index: np.ndarray) -> np.ndarray:
-        """Range in metres of fractional bins."""
+        """Return range in metres of fractional bins."""
         return np.asarray(index) * self.range_bin_m
 
     def azimuth_at(self, index: np.ndarray) -> np.ndarray:
-        """Azimuth in radians of fractional bins."""
+        """Return azimuth in radians of fractional bins."""
         return np.asarray(index) * self.azimuth_step_rad - math.radians(self.azimuth_limit_deg)
 
 
 class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
-    """What a receiver must know before the first beam: radar, array, beams, calibration (topic `radar/setup`)."""
+    """Set-up that a receiver needs before the first beam: radar, array, beams, calibration (topic `radar/setup`)."""
 
     stamp_ns: int = 0
     radar: RadarParams = RadarParams()
@@ -280,7 +280,7 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
     def __post_init__(self) -> None:
         require_stamps("setup.stamp_ns", self.stamp_ns)
-        require_within("setup.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
+        require_within("setup.full_scale_dbm", -MAX_LEVEL_DB, MAX_LEVEL_DB, self.full_scale_dbm)
         require_finite("setup.radar_height_m", self.radar_height_m)
         if self.beat_sign not in (1, -1):
             raise ValueError(f"setup.beat_sign must be +1 or -1, got {self.beat_sign!r}")
@@ -290,13 +290,13 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
             require_array("setup.background", self.background, "<c8", (len(self.beams), self.radar.samples_per_chirp))
         for name in ("steering_weights", "background"):
             array = getattr(self, name)
-            # a number that is none would spread over every cell of every map
+            # a non-finite number would spread over every cell of every map
             if array is not None and not np.isfinite(array).all():
                 raise ValueError(f"setup.{name} must be finite")
 
     @property
     def beam_interval_ns(self) -> int:
-        """Nominal time from one beam to the next; 0 for a digital array, whose beams are of one time."""
+        """Nominal time from one beam to the next; 0 for a digital array, whose beams have the same time."""
         return 0 if self.array.digital else self.beam_share_ns
 
     @property
@@ -311,7 +311,7 @@ class RadarSetup(msgspec.Struct, frozen=True, kw_only=True, eq=False):
 
 
 def orthogonal_beams(columns: int) -> BeamGrid:
-    """The beams of a digital array of half-wavelength columns: sines 2 / columns apart, noise independent."""
+    """Return the beams of a digital array of half-wavelength columns: sines 2 / columns apart, noise independent."""
     sines = 2.0 / columns * (np.arange(columns) - 0.5 * (columns - 1))
     return BeamGrid(azimuth_deg=tuple(np.degrees(np.arcsin(sines)).tolist()))
 
@@ -343,21 +343,21 @@ class RadarBeam(msgspec.Struct, frozen=True, kw_only=True, eq=False):
         require_array("beam.samples", self.samples, "<i2", (None, None, 2))
         require_finite("beam.azimuth_rad", self.azimuth_rad)
         require_stamps("beam.stamp_ns", self.stamp_ns)
-        require_within("beam.full_scale_dbm", -MOST_LEVEL_DB, MOST_LEVEL_DB, self.full_scale_dbm)
+        require_within("beam.full_scale_dbm", -MAX_LEVEL_DB, MAX_LEVEL_DB, self.full_scale_dbm)
         if self.scan_id < 0:
             raise ValueError(f"beam.scan_id must not be negative, got {self.scan_id!r}")
-        if self.beam_count > MOST_BEAMS:
-            raise ValueError(f"beam.beam_count must be at most {MOST_BEAMS}, got {self.beam_count!r}")
+        if self.beam_count > MAX_BEAMS:
+            raise ValueError(f"beam.beam_count must be at most {MAX_BEAMS}, got {self.beam_count!r}")
         if not 0 <= self.beam_index < self.beam_count:
             raise ValueError(f"beam.beam_index must be 0..beam_count-1, got {self.beam_index!r} of {self.beam_count!r}")
 
 
 #: Profiles and azimuths coherent; profiles alone, azimuths from magnitudes; mean power of single chirps.
 FORMING_MODES = ("coherent", "magnitude", "welch")
-#: How a map came about: formed of beams, or excess photons of a LiDAR in standard deviations.
+#: Origin of a map: formed of beams, or excess photons of a LiDAR in standard deviations.
 MAP_MODES = (*FORMING_MODES, "photons")
-#: Chirps of zeros; beams without any echo; beams under foreign noise; tones that fill all beams; columns whose gains
-#: or phases are not those of the set-up.
+#: Zeroed chirps; beams without any echo; beams with foreign noise; tones that fill all beams; columns whose gains or
+#: phases are not those of the set-up.
 MAP_FAULTS = ("lost_chirps", "silent_beams", "drowned_beams", "spurs", "array_error")
 
 
@@ -376,17 +376,17 @@ class RangeAzimuthMap(msgspec.Struct, frozen=True, kw_only=True, eq=False):
     noise_power_mw: float
     #: Per range bin: the beams did not fit one coherent scene, magnitudes were interpolated; bool [range].
     incoherent: np.ndarray
-    #: Indices of beams that never came or were left out as silent or drowned, and of those that were not asked for.
+    #: Indices of beams that are missing or were left out as silent or interfered, and of those that were not asked for.
     missing_beams: tuple[int, ...] = ()
     unused_beams: tuple[int, ...] = ()
     #: Share of samples at full scale.
     saturated_share: float = 0.0
-    #: The radar's own motion was taken out beam by beam.
+    #: The radar's own motion was compensated beam by beam.
     ego_compensated: bool = False
-    #: Where the radar sits on the vehicle, as the map was formed with.
+    #: Pose of the radar on the vehicle with which the map was formed.
     vehicle_from_radar: Pose2 = Pose2()
     mode: str = "coherent"
-    #: Names in `MAP_FAULTS` of what the scan shows of its own hardware.
+    #: Names in `MAP_FAULTS` of the hardware faults visible in the scan.
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Physical constants and the conversions used at the door (degrees, dB, dBm)."""
+"""Physical constants and the conversions used on input (degrees, dB, dBm)."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ NANOSECONDS_PER_SECOND = 1_000_000_000
 
 
 def ratio_from_db(level_db: float) -> float:
-    """Power ratio of a level in dB."""
+    """Return power ratio of a level in dB."""
     return 10.0 ** (level_db / 10.0)
 
 
 def db_from_ratio(power_ratio: float) -> float:
-    """Level in dB of a power ratio; zero gives -inf, a negative ratio is refused."""
+    """Return level in dB of a power ratio; zero gives -inf, a negative ratio is refused."""
     if power_ratio < 0.0:
         raise ValueError(f"power ratio must not be negative, got {power_ratio!r}")
     return 10.0 * math.log10(power_ratio) if power_ratio > 0.0 else -math.inf
 
 
 def ns_from_s(duration_s: float) -> int:
-    """Nanoseconds of a duration in seconds, rounded to the nearest."""
+    """Return nanoseconds of a duration in seconds, rounded to the nearest."""
     return round(duration_s * NANOSECONDS_PER_SECOND)
 
 
 def s_from_ns(duration_ns: int) -> float:
-    """Seconds of a duration in nanoseconds."""
+    """Return seconds of a duration in nanoseconds."""
     return duration_ns / NANOSECONDS_PER_SECOND

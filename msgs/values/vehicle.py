@@ -9,7 +9,7 @@ import msgspec
 from msgs.values.arrays import require_finite, require_stamps, require_within
 from msgs.values.frames import Pose2, wrap_angle
 
-#: Either way; beyond any vehicle, and within it every pose is one that doubles hold.
+#: In both directions; beyond any vehicle, and within it every pose has finite doubles.
 MOST_SPEED_MPS, MOST_YAW_RATE_RPS = 1e7, 1e4
 
 
@@ -19,14 +19,14 @@ class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
     stamp_ns: int
     speed_mps: float = 0.0
     yaw_rate_rps: float = 0.0
-    #: At the steering wheel, positive to the left; 0.0 also where nobody measures it.
+    #: At the steering wheel, positive to the left; 0.0 also if it is not measured.
     steering_rad: float = 0.0
     valid: bool = True
-    #: Why it is not valid, empty when it is.
+    #: Why it is not valid, empty if it is.
     reason: str = ""
-    #: Age of the oldest signal that went in.
+    #: Age of the oldest signal used.
     age_s: float = 0.0
-    #: Speed of the right wheels less that of the left ones, positive in a left turn; None where it is not known.
+    #: Speed of the right wheels less that of the left ones, positive in a left turn; None if unknown.
     wheel_speed_difference_mps: float | None = None
 
     def __post_init__(self) -> None:
@@ -40,7 +40,7 @@ class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def ego_motion(speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
-    """`start_from_now` after constant speed and yaw rate (exact arc, straight line as the yaw rate vanishes)."""
+    """Return `start_from_now` after constant speed and yaw rate (exact arc, straight line as the yaw rate vanishes)."""
     yaw_rad = yaw_rate_rps * elapsed_s
     half_rad = 0.5 * yaw_rad
     # sin(a)/a: the chord of an arc, finite and smooth through zero

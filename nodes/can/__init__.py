@@ -1,1 +1,1 @@
-"""CAN at the door: buses and logs."""
+"""CAN input and output: buses and logs."""

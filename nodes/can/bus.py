@@ -1,4 +1,4 @@
-"""CAN at the door: a bus that is opened again whenever it fails, frames and their stamps, a car's DBC and mapping."""
+"""CAN input: a bus that is reopened whenever it fails, frames and their stamps, a car's DBC and mapping."""
 
 from __future__ import annotations
 
@@ -17,13 +17,14 @@ from cantools.database import Database
 from models.vehicle.can_state import CanDecoder, Judged, Verdict
 from models.vehicle.mapping import CanMapping, MessageRule
 from msgs.files.shipped import CHECKOUT
+from msgs.values.known_names import refuse_unknown
 from msgs.values.units import NANOSECONDS_PER_SECOND, ns_from_s
 from nodes.process.launch_file import read_yaml_mapping
-from nodes.process.validation import convert_at, refuse_unknown
+from nodes.process.validation import convert_at
 
 _LOG = logging.getLogger(__name__)
 
-#: Files named in launch files are looked for here when they are not in the working directory.
+#: Files named in launch files are also searched for here.
 #: Larger files are no DBC; cantools would take minutes and all memory to find out.
 MAX_DBC_BYTES = 1 << 24
 #: Longest message of CAN, sent in many frames (J1939).
@@ -33,22 +34,22 @@ _DBC_SIGNAL = re.compile(r":\s*([-+]?\d+)\s*\|\s*([-+]?\d+)\s*@")
 #: The part of a mapping whose keys are names of messages.
 MESSAGES = "messages"
 RETRY_S, MAX_RETRY_S = 0.2, 5.0
-#: A frame that cannot be read is no broken bus; this many without a good one between them are.
+#: A single unreadable frame is no broken bus; this many without a good one between them are.
 MAX_UNREADABLE = 3
-#: Most frames taken in one go, so that heartbeats and a stop come between.
+#: Maximum frames taken at once, so that heartbeats and a stop come between.
 BURST = 256
 _CAN_ERROR_BUS_OFF = 0x40
 _NO_STAMP_NS = -1
 
 
 class BusParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which CAN bus to open, in python-can's words."""
+    """CAN bus to open, in python-can's terms."""
 
     #: socketcan, udp_multicast (between processes), virtual (within one process) or a maker's name.
     interface: str = "socketcan"
     channel: str = "can0"
     bitrate: int | None = None
-    #: What else the interface takes, such as `port` and `hop_limit` of udp_multicast.
+    #: Further arguments of the interface, such as `port` and `hop_limit` of udp_multicast.
     options: dict[str, Any] = {}
 
     def __post_init__(self) -> None:
@@ -57,19 +58,19 @@ class BusParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def name(self) -> str:
-        """The bus as people call it."""
+        """Display name of the bus."""
         return f"{self.interface} {self.channel}"
 
 
 def open_bus(params: BusParams) -> can.BusABC:
-    """The bus of `params`, and of nothing else: files and variables of the machine are not read."""
+    """Return the bus of `params` alone: configuration files and variables of the machine are not read."""
     bitrate = {} if params.bitrate is None else {"bitrate": params.bitrate}
     options = {**bitrate, **params.options}
     return can.Bus(channel=params.channel, interface=params.interface, ignore_config=True, **options)
 
 
 class CanLink:
-    """A CAN bus that may fail: what it does wrong becomes `trouble`, and it is opened again after a growing delay.
+    """A CAN bus that may fail: its error becomes `trouble`, and it is reopened after a growing delay.
 
     python-can's Notifier is not used because its thread ends with the first error of a bus.
     """
@@ -80,13 +81,13 @@ class CanLink:
         self._retry_ns: int | None = None
         self._retry_s = RETRY_S
         self._in_a_row = 0
-        #: Why nothing comes; empty while the bus is well.
+        #: Reason for missing frames; empty while the bus works.
         self.trouble = ""
         #: Frames that the interface could not read, since the start.
         self.unreadable = 0
 
     def receive(self, now_ns: int) -> list[can.Message]:
-        """Frames that wait, without waiting for any."""
+        """Return the waiting frames, without blocking."""
         frames: list[can.Message] = []
         error = self._attempt(lambda bus: _drain(bus, frames), now_ns)
         for frame in frames:
@@ -104,7 +105,7 @@ class CanLink:
         return False
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
         bus, self._bus = self._bus, None
         if bus is not None:
             try:
@@ -125,7 +126,7 @@ class CanLink:
         return True
 
     def _attempt(self, action: Callable[[can.BusABC], None], now_ns: int) -> Exception | None:
-        """Do something with the bus, if it is open; what it raises is returned."""
+        """Run an action on the bus, if it is open; return its exception."""
         if not self._is_open(now_ns):
             return None
         assert self._bus is not None
@@ -136,7 +137,7 @@ class CanLink:
         return None
 
     def _judge(self, error: Exception | None, now_ns: int) -> None:
-        """Give the bus up, or let a single unreadable frame pass."""
+        """Close the bus, or tolerate a single unreadable frame."""
         if error is None:
             if self._bus is not None and _is_off(self._bus):
                 self._say("bus-off")
@@ -161,15 +162,15 @@ class CanLink:
             _LOG.info("%s: frames again", self._params.name)
         self.trouble = ""
 
-    def _fail(self, why: str, now_ns: int) -> None:
+    def _fail(self, reason: str, now_ns: int) -> None:
         self.close()
         self._in_a_row = 0
         self._retry_ns = now_ns + ns_from_s(self._retry_s)
         self._retry_s = min(MAX_RETRY_S, 2.0 * self._retry_s)
-        self._say(why)
+        self._say(reason)
 
-    def _say(self, why: str) -> None:
-        text = " ".join(f"{self._params.name}: {why}".split())
+    def _say(self, reason: str) -> None:
+        text = " ".join(f"{self._params.name}: {reason}".split())
         if text != self.trouble:
             _LOG.warning("%s", text)
         self.trouble = text
@@ -179,18 +180,18 @@ def _is_off(bus: can.BusABC) -> bool:
     try:
         return bus.state is can.BusState.ERROR
     except (can.CanError, NotImplementedError):
-        # not every interface knows
+        # not every interface reports it
         return False
 
 
 def _drain(bus: can.BusABC, frames: list[can.Message]) -> None:
-    """Frames that wait in the interface; those read before it fails are kept."""
+    """Collect frames that wait in the interface; those read before it fails are kept."""
     while len(frames) < BURST and (frame := bus.recv(0.0)) is not None:
         frames.append(frame)
 
 
 def decode_frame(decoder: CanDecoder, frame: can.Message, stamp_ns: int) -> Judged:
-    """One frame of python-can into the decoder."""
+    """Pass one frame of python-can to the decoder and return its verdict."""
     if frame.is_error_frame:
         return decoder.skip(Verdict.ERROR_FRAME)
     if frame.is_remote_frame:
@@ -199,15 +200,15 @@ def decode_frame(decoder: CanDecoder, frame: can.Message, stamp_ns: int) -> Judg
 
 
 def bus_frame(arbitration_id: int, data: bytes, extended: bool, now_ns: int) -> can.Message:
-    """A frame to send; most interfaces stamp it themselves, on those that keep this stamp it is the bus clock's."""
+    """Return a frame to send; interfaces that do not stamp it themselves keep this stamp of the bus clock."""
     return can.Message(
         timestamp=now_ns / NANOSECONDS_PER_SECOND, arbitration_id=arbitration_id, data=data, is_extended_id=extended
     )
 
 
 def frame_stamp_ns(frame: can.Message) -> int:
-    """The frame's own stamp; negative, which no decoder takes, where it has none that is a time."""
-    # in nanoseconds it may be infinite though it is not in seconds
+    """Return the frame's own stamp; negative, which no decoder accepts, without a valid time."""
+    # it may be infinite in nanoseconds though finite in seconds
     return ns_from_s(frame.timestamp) if math.isfinite(frame.timestamp * NANOSECONDS_PER_SECOND) else _NO_STAMP_NS
 
 
@@ -219,13 +220,13 @@ class LogFrame(NamedTuple):
 
 
 def checkout_path(name: str) -> Path:
-    """A file as named, or where that does not exist, as named from the checkout."""
+    """Return a path as named, or if that does not exist, relative to the checkout."""
     path = Path(name)
     return path if path.exists() else CHECKOUT / path
 
 
 def load_dbc(path: Path) -> Database:
-    """A car's DBC; one that breaks rules of the format is read all the same, with a warning.
+    """Return a car's DBC; one that breaks rules of the format is read nevertheless, with a warning.
 
     Raises `ValueError` naming the file if it is no DBC at all, `OSError` if it cannot be read.
     """
@@ -253,16 +254,16 @@ def _load_database(path: Path, strict: bool) -> Database:
 def _refuse_long_messages(dbc: str) -> None:
     """Raise `ValueError` for messages that no bus carries: cantools takes memory and time for every bit of them."""
     plain = re.sub(r"//[^\n]*", "", dbc)
-    lengths = [int(found[1]) for found in _DBC_MESSAGE.finditer(plain)]
-    spans = [(int(found[1]), int(found[2])) for found in _DBC_SIGNAL.finditer(plain)]
+    lengths = [int(match[1]) for match in _DBC_MESSAGE.finditer(plain)]
+    spans = [(int(match[1]), int(match[2])) for match in _DBC_SIGNAL.finditer(plain)]
     longest = max([*lengths, *(-(-(start + length) // 8) for start, length in spans)], default=0)
-    least = min([*lengths, *(number for span in spans for number in span)], default=0)
-    if longest > MAX_MESSAGE_BYTES or least < 0:
-        raise ValueError(f"messages must be of 0..{MAX_MESSAGE_BYTES} bytes, got {least if least < 0 else longest}")
+    minimum = min([*lengths, *(number for span in spans for number in span)], default=0)
+    if longest > MAX_MESSAGE_BYTES or minimum < 0:
+        raise ValueError(f"messages must be of 0..{MAX_MESSAGE_BYTES} bytes, got {minimum if minimum < 0 else longest}")
 
 
 def load_mapping(path: Path) -> CanMapping:
-    """A car's mapping from YAML; `ValueError` names file, field, value and rule."""
+    """Return a car's mapping from YAML; `ValueError` names file, field, value and rule."""
     value = read_yaml_mapping(path)
     try:
         refuse_unknown(value, CanMapping, "")
@@ -277,9 +278,9 @@ def load_mapping(path: Path) -> CanMapping:
 
 
 def load_decoder(dbc: Path, mapping: Path) -> CanDecoder:
-    """A decoder for one car; `ValueError` names the mapping's file and the field that the DBC does not match.
+    """Return a decoder for one car; `ValueError` names the mapping's file and the field that the DBC does not match.
 
-    Ranges and units of the DBC that were not taken as they stand are logged.
+    Ranges and units of the DBC that were reinterpreted are logged.
     """
     database = load_dbc(dbc)
     rules = load_mapping(mapping)

@@ -1,4 +1,4 @@
-"""CAN logs as they come from the tools of others, frame by frame, in bounded memory whatever they hold or unpack to."""
+"""CAN logs of other tools, frame by frame, in bounded memory whatever their contents or compression."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from msgs.values.units import ns_from_s
 from msgs.values.wording import counted
 from nodes.can.bus import LogFrame, frame_stamp_ns
 
-#: Characters of a line; one with a frame of CAN FD has some hundred.
+#: Maximum characters of a line; one with a frame of CAN FD has some hundred.
 MAX_LINE = 1 << 16
-#: Bytes of an object in a BLF, most often a container, packed: tools write some 128 KiB.
+#: Maximum bytes of an object in a BLF, usually a compressed container: tools write some 128 KiB.
 MAX_OBJECT_BYTES = 1 << 20
 
 _KINDS = {
@@ -30,9 +30,9 @@ _KINDS = {
 
 
 def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
-    """Frames of a candump (.log), ASC, BLF, CSV or TRC log (also gzipped), of one channel if one is named.
+    """Yield frames of a candump (.log), ASC, BLF, CSV or TRC log (also gzipped), of one channel if one is named.
 
-    Raises `ValueError` naming the file and the frame where it cannot be read on; `OSError` if it cannot be opened.
+    Raises `ValueError` naming the file and the frame that cannot be read; `OSError` if it cannot be opened.
     """
     is_packed = path.suffix.lower() == ".gz"
     kind = Path(path.stem if is_packed else path).suffix.lower()
@@ -55,13 +55,13 @@ def read_log(path: Path, channel: str | None = None) -> Iterator[LogFrame]:
 def _reader(kind: str, content: Any) -> Any:
     if kind == ".blf":
         return _BoundedContainers(_BoundedReads(content))
-    # ASC is read as seconds since the first frame unless told otherwise; all others keep the time of day
+    # ASC is read as seconds since the first frame by default; all others keep the time of day
     options = {"relative_timestamp": False} if kind == ".asc" else {}
     return _KINDS[kind](_BoundedLines(content, encoding="utf-8"), **options)
 
 
 def _log_stamp_ns(reader: Any, frame: can.Message, last_ns: int) -> int:
-    """An ASC log whose header says "relative" counts each stamp from the frame before; python-can takes it as is."""
+    """Return a frame's stamp; an ASC log with "relative" in its header counts each stamp from the frame before."""
     if getattr(reader, "timestamps_format", None) != "relative" or not math.isfinite(frame.timestamp):
         return frame_stamp_ns(frame)
     start_ns = ns_from_s(reader.start_time)

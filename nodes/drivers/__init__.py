@@ -1,1 +1,1 @@
-"""Radars that can be bought, one module a kind: parameters, set-up, beams."""
+"""Commercially available radars, one module a kind: parameters, set-up, beams."""

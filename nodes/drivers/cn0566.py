@@ -1,7 +1,7 @@
 """The Phaser kit (CN0566 board with a Pluto) through pyadi-iio: set up once, then a burst for every beam.
 
 The Pluto's TDD engine starts ramp, receive buffer and transmit buffer of each chirp together: only then does a sample
-belong to a known place on a ramp, and only then do beams add up coherently. What each number means:
+belong to a known position on a ramp, and only then do beams add up coherently. The numbers are defined in
 `models.sensors.phaser`. The order of writes follows the maker's published examples; no board has confirmed it.
 """
 
@@ -34,18 +34,18 @@ _LOG = logging.getLogger(__name__)
 
 #: The board and the Pluto answer within this, or the link counts as lost.
 TIMEOUT_MS = 2000
-#: What the synthesiser may miss of the ramp it was asked for.
+#: Tolerance of the synthesiser's actual ramp.
 _RAMP_TOLERANCE = 1e-3
 #: The tone stays under the transmit converter's limit, in its 16-bit codes.
 _TONE_AMPLITUDE = float(1 << 14)
 _MUTED_DB = -88
 _TDD_CHANNELS = 3
-#: Which antenna transmits: the switch's position of the maker's radar examples.
+#: Transmit antenna: the switch's position of the maker's radar examples.
 _TRANSMIT_SWITCH = 0
 
 
 class Params(PhaserParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the kit is, and how it is set."""
+    """Addresses and settings of the kit."""
 
     #: The computer that carries the board, and the Pluto.
     board_uri: str = "ip:phaser.local"
@@ -55,18 +55,18 @@ class Params(PhaserParams, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def load_library() -> Any:
-    """pyadi-iio; raises `ValueError` with one line that says what to install."""
+    """Return pyadi-iio; raises `ValueError` with one line that names what to install."""
     try:
         return importlib.import_module("adi")
     except ImportError as error:
         raise ValueError(f"cn0566 needs pyadi-iio, extra `phaser`: {error}") from None
     except OSError as error:
-        # pylibiio is there, the C library is not, or is of another age
+        # pylibiio is there, the C library is missing or of another version
         raise ValueError(f"cn0566 needs libiio 0.x with pylibiio < 1, or both 1.x: {error.args[-1]}") from None
 
 
 def load_calibration(path: Path) -> PhaserCalibration:
-    """What was measured on one board. Raises `ValueError` that names file, field, value and rule."""
+    """Return the calibration of one board. Raises `ValueError` that names file, field, value and rule."""
     return convert_at(read_yaml_mapping(path), PhaserCalibration, f"{path}: ")
 
 
@@ -87,10 +87,10 @@ class Cn0566:
         self._timing: Any = None
 
     def open(self) -> None:
-        """Find the kit and set it up. Raises `ConnectionError` where it is not, `ValueError` where it will not be."""
-        self._converter = self._found(self._params.converter_uri, "Pluto", self._open_converter)
-        self._board = self._found(self._params.board_uri, "board", self._open_board)
-        self._timing = self._found(self._params.converter_uri, "Pluto's TDD engine", self._open_timing)
+        """Find the kit and set it up. Raises `ConnectionError` if absent, `ValueError` if a setting is refused."""
+        self._converter = self._opened(self._params.converter_uri, "Pluto", self._open_converter)
+        self._board = self._opened(self._params.board_uri, "board", self._open_board)
+        self._timing = self._opened(self._params.converter_uri, "Pluto's TDD engine", self._open_timing)
         with self._linked():
             self._set_converter()
             self._set_synthesiser()
@@ -107,7 +107,7 @@ class Cn0566:
             self._board.latch_rx_settings()
 
     def burst(self) -> np.ndarray:
-        """Start the chirps of a beam; I/Q codes int16 [chirps, samples, 2].
+        """Start the chirps of a beam; return I/Q codes int16 [chirps, samples, 2].
 
         Raises `ConnectionError`, and `ValueError` for a burst that is short or not finite.
         """
@@ -116,10 +116,10 @@ class Cn0566:
         return beam_samples(channels, self._params, self._calibration.channel_gains_db)
 
     def close(self) -> None:
-        """Stop ramps and tone, as far as the kit still answers, and let go of it."""
+        """Stop ramps and tone, as far as the kit still answers, and close the connection."""
         converter, board, timing = self._converter, self._board, self._timing
         self._converter = self._board = self._timing = None
-        # each for itself: what is lost must not keep the rest on air
+        # independently: a lost part must not keep the rest on air
         with contextlib.suppress(OSError, AttributeError):
             converter.tx_destroy_buffer()
             converter.rx_destroy_buffer()
@@ -131,16 +131,16 @@ class Cn0566:
             # the register is the power-down
             board.enable = 1
 
-    def _found(self, uri: str, what: str, opener: Callable[[], Any]) -> Any:
-        """What `opener` finds. The library says of most that goes wrong no more than a bare `Exception`."""
+    def _opened(self, uri: str, part: str, opener: Callable[[], Any]) -> Any:
+        """Return the object of `opener`. The library reports most errors as a bare `Exception`."""
         try:
             return opener()
         except Exception as error:
-            said = " ".join(str(error).split()) or type(error).__name__
-            raise ConnectionError(f"cn0566: no {what} at {uri} ({said}): check power, cable and address") from error
+            message = " ".join(str(error).split()) or type(error).__name__
+            raise ConnectionError(f"cn0566: no {part} at {uri} ({message}): check power, cable and address") from error
 
     def _open_converter(self) -> Any:
-        # the Pluto class of the library knows one channel; with its second opened it is an AD9361
+        # the Pluto class of the library has one channel; with its second opened it is an AD9361
         converter = self._adi.ad9361(uri=self._params.converter_uri)
         converter.ctx.set_timeout(TIMEOUT_MS)
         return converter
@@ -160,7 +160,7 @@ class Cn0566:
 
     @contextlib.contextmanager
     def _linked(self) -> Iterator[None]:
-        """What goes wrong on the way is a lost kit."""
+        """Report errors in the body as a lost kit."""
         try:
             yield
         except OSError as error:
@@ -176,7 +176,7 @@ class Cn0566:
             setattr(converter, f"gain_control_mode_{channel}", "manual")
             setattr(converter, f"rx_hardwaregain_{channel}", params.receive_gain_db)
         converter.rx_buffer_size = params.burst_samples
-        # no burst of an earlier beam may wait in line
+        # no burst of an earlier beam may be queued
         converter._rxadc.set_kernel_buffers_count(1)
         converter.tx_cyclic_buffer = True
         # the board is fed from the second output
@@ -189,7 +189,7 @@ class Cn0566:
         board, words = self._board, synthesiser_words(self._params)
         board.frequency = words.frequency_hz
         board.freq_dev_range = words.deviation_range_hz
-        # the library adds one to what it is given
+        # the library adds one to its argument
         board.freq_dev_step = words.deviation_step_hz - 1
         board.freq_dev_time = words.deviation_time_us
         board.delay_word, board.delay_clk = 4095, "PFD"
@@ -203,23 +203,23 @@ class Cn0566:
         self._check_ramp()
 
     def _check_ramp(self) -> None:
-        """What the synthesiser says it does; range and azimuth are computed from it."""
+        """Compare the synthesiser's actual ramp with the request; range and azimuth are computed from it."""
         words = synthesiser_words(self._params)
         for name, wanted in (
             ("freq_dev_range", words.deviation_range_hz),
             ("freq_dev_time", words.deviation_time_us),
             ("frequency", words.frequency_hz),
         ):
-            found = float(getattr(self._board, name))
-            if abs(found - wanted) > _RAMP_TOLERANCE * wanted:
-                raise ValueError(f"cn0566: {name} must be {wanted}, the synthesiser took {found:g}")
+            actual = float(getattr(self._board, name))
+            if abs(actual - wanted) > _RAMP_TOLERANCE * wanted:
+                raise ValueError(f"cn0566: {name} must be {wanted}, the synthesiser took {actual:g}")
 
     def _set_gains(self) -> None:
         self._board.configure(device_mode="rx")
         for element, code in enumerate(self._table.gain_codes, start=1):
             self._board.elements[element].rx_gain = int(code)
         self._board.latch_rx_settings()
-        # the oscillator's own tuning voltage, and its way to the transmitter
+        # the oscillator's own tuning voltage, and its path to the transmitter
         self._board._gpios.gpio_vctrl_1 = 1
         self._board._gpios.gpio_vctrl_2 = 1
         self._board._gpios.gpio_tx_sw = _TRANSMIT_SWITCH
@@ -238,7 +238,7 @@ class Cn0566:
         timing.enable = True
 
     def _arm(self) -> None:
-        """The first burst makes the receive buffer: what it holds, or that it comes too late, says nothing."""
+        """Discard the first burst, which makes the receive buffer: its contents and its delay are meaningless."""
         with contextlib.suppress(OSError):
             self._burst()
 
@@ -249,16 +249,16 @@ class Cn0566:
 
 
 def _tone(params: PhaserParams) -> np.ndarray:
-    """The tone that is transmitted over and over, whole turns of it; complex128 [samples]."""
+    """Return the tone for cyclic transmission, in whole periods; complex128 [samples]."""
     turns = params.offset_hz / params.sample_rate_hz * np.arange(params.interval_samples)
     return np.asarray(_TONE_AMPLITUDE * np.exp(2j * np.pi * (turns % 1.0)))
 
 
 def describe(params: Params) -> str:
-    """What the chirp can show, on one line."""
-    found = limits(params)
+    """Return the limits of the chirp on one line."""
+    chirp_limits = limits(params)
     return (
-        f"cn0566: bins of {found.range_bin_m:.3f} m to {found.range_limit_m:.0f} m, "
-        f"{found.speed_bin_mps:.2f} m/s to {found.speed_limit_mps:.1f} m/s, "
-        f"{1e3 * found.beam_time_s:.1f} ms and {found.beam_bytes / 1e6:.2f} MB a beam"
+        f"cn0566: bins of {chirp_limits.range_bin_m:.3f} m to {chirp_limits.range_limit_m:.0f} m, "
+        f"{chirp_limits.speed_bin_mps:.2f} m/s to {chirp_limits.speed_limit_mps:.1f} m/s, "
+        f"{1e3 * chirp_limits.beam_time_s:.1f} ms and {chirp_limits.beam_bytes / 1e6:.2f} MB a beam"
     )

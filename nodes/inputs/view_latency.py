@@ -1,7 +1,7 @@
-"""How old views are against the deadline, while they come: the one place where latency of the live graph is counted.
+"""Latency of views against the deadline: the one module that measures latency of the live graph.
 
 Latency of a view counts from the nominal end of the last beam of its scan (its start plus its time on air) to its
-arrival. A deadline is missed by a view that comes later than `DEADLINE_S`, and by a scan that brings no view at all.
+arrival. A deadline is missed by a view that comes later than `DEADLINE_S`, and by a scan without any view.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from msgs.values.units import ns_from_s, s_from_ns
 
 #: One scan period of the default radar: a view that takes longer is overtaken by the next.
 DEADLINE_S = 0.3
-#: "Now" is this long.
+#: Length of the recent window.
 WINDOW_S = 10.0
 #: A stamp that differs more from the clock was taken on another one (a capture played back): it has no age.
 LONGEST_AGE_NS = ns_from_s(60.0)
@@ -30,12 +30,12 @@ Setup = RadarSetup | LidarSetup
 
 
 def scan_period_s(setup: Setup) -> float:
-    """From one scan to the next."""
+    """Return the time from one scan to the next."""
     return setup.radar.scan_period_s if isinstance(setup, RadarSetup) else setup.period_s
 
 
 def last_beam_ns(setup: Setup | None = None) -> int:
-    """From the start of a scan to the nominal end of its last beam or azimuth; None: the default radar's."""
+    """Return the time from the start of a scan to the nominal end of its last beam or azimuth; None: default radar."""
     setup = setup or RadarSetup()
     if isinstance(setup, LidarSetup):
         return ns_from_s(setup.grid.azimuth_bins * setup.spad.measurement_time_s)
@@ -43,17 +43,17 @@ def last_beam_ns(setup: Setup | None = None) -> int:
 
 
 def latency_ns(stamp_ns: int, now_ns: int, setup: Setup | None = None) -> int:
-    """Time since the nominal end of the last beam of the scan that began at `stamp_ns`."""
+    """Return time since the nominal end of the last beam of the scan that began at `stamp_ns`."""
     return now_ns - stamp_ns - last_beam_ns(setup)
 
 
 def on_one_clock(stamp_ns: int, now_ns: int) -> bool:
-    """Whether a stamp and a clock reading have anything to do with each other."""
+    """Return whether a stamp and a clock reading are of one clock."""
     return 0 <= now_ns - stamp_ns <= LONGEST_AGE_NS
 
 
 class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
-    """Durations of one stage over several heartbeats; quantiles None where no heartbeat carried samples."""
+    """Durations of one stage over several heartbeats; quantiles None if no heartbeat carried samples."""
 
     name: str
     count: int
@@ -64,7 +64,7 @@ class StageFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def stage_figures(stages: list[StageTime]) -> list[StageFigures]:
-    """Figures of each stage over all heartbeats of a node, in the order in which the stages first ran."""
+    """Return figures of each stage over all heartbeats of a node, in the order in which the stages first ran."""
     names = dict.fromkeys(stage.name for stage in stages)
     return [_stage(name, [stage for stage in stages if stage.name == name]) for name in names]
 
@@ -84,7 +84,7 @@ def _stage(name: str, stages: list[StageTime]) -> StageFigures:
 
 
 class ViewFigures(msgspec.Struct, frozen=True, kw_only=True):
-    """Views of the graph now, that is within the window, and since the watch began; None where nothing is known."""
+    """Views of the graph within the recent window, and since the watch began; None if nothing is known."""
 
     watched_s: float
     window_s: float
@@ -103,7 +103,7 @@ class ViewFigures(msgspec.Struct, frozen=True, kw_only=True):
     late_total: int
     absent: int
     absent_total: int
-    #: Deadlines that have passed since the newest view, by the radar's nominal rate; 0 while views come in time.
+    #: Deadlines passed since the newest view, by the radar's nominal rate; 0 while views are in time.
     overdue: int
 
     @property
@@ -118,7 +118,7 @@ class ViewFigures(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def views_text(views: ViewFigures) -> str:
-    """One line for people: age, rate, latency, deadlines missed now and in all."""
+    """Return one line for people: age, rate, latency, deadlines missed in the window and in total."""
     if views.views_total == 0:
         return "no view yet"
     parts = [
@@ -140,7 +140,7 @@ class _View(NamedTuple):
     at_ns: int
     scan_id: int
     stamp_ns: int
-    #: None where the stamp is of another clock.
+    #: None if the stamp is of another clock.
     latency_ns: int | None
     #: Scans without a view between the view before and this one.
     absent: int
@@ -157,11 +157,11 @@ class ViewWatch:
         self._total = self._late_total = self._absent_total = 0
 
     def set_up(self, setup: Setup) -> None:
-        """Beams and their time on air from now on."""
+        """Set beams and their time on air from now on."""
         self._setup = setup
 
     def add(self, scan_id: int, stamp_ns: int, now_ns: int) -> bool:
-        """Take in the view of a scan that began at `stamp_ns`; True where it came after the deadline."""
+        """Add the view of a scan that began at `stamp_ns`; return true if it came after the deadline."""
         latency = latency_ns(stamp_ns, now_ns, self._setup) if on_one_clock(stamp_ns, now_ns) else None
         view = _View(now_ns, scan_id, stamp_ns, latency, self._absent_before(scan_id, stamp_ns))
         self._newest = view
@@ -173,7 +173,7 @@ class ViewWatch:
         return self._is_late(view)
 
     def figures(self, now_ns: int) -> ViewFigures:
-        """How things stand."""
+        """Return the current figures."""
         self._forget(now_ns)
         watched_s = s_from_ns(now_ns - self._start_ns)
         latencies_ms = [1e-6 * view.latency_ns for view in self._views if view.latency_ns is not None]
@@ -207,12 +207,12 @@ class ViewWatch:
         return latency_ns(self._newest.stamp_ns, now_ns, self._setup)
 
     def _overdue(self, age_ns: int | None) -> int:
-        """The scan after the newest view's ends a period later and has its deadline after that, and so on."""
+        """Return the missed deadlines: the scan after the newest view's ends a period later, and so on."""
         period_ns = ns_from_s(scan_period_s(self._setup))
         return 0 if age_ns is None else max(0, (age_ns - ns_from_s(self._deadline_s) - 1) // period_ns)
 
     def _absent_before(self, scan_id: int, stamp_ns: int) -> int:
-        """Scans skipped since the newest view, by number and by time: a source that starts anew skips none."""
+        """Return scans skipped since the newest view, by number and by time: a restarted source skips none."""
         if self._newest is None:
             return 0
         elapsed_ns = stamp_ns - self._newest.stamp_ns

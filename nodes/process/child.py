@@ -1,4 +1,4 @@
-"""One process of the graph, as its parent sees it: started, listened to, asked to stop, and never left behind."""
+"""One process of the graph from its parent's side: started, read, asked to stop, and never left behind."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from nodes.process.logs import LineSplitter
 
 #: Root of the checkout: children import nodes from here, wherever the graph was started.
 _READ_BYTES = 1 << 16
-#: Reads of one pipe in a turn, so that a node that floods its output cannot hold the others up.
+#: Maximum reads of one pipe in a turn, so that a node that floods its output cannot delay the others.
 _READS_PER_TURN = 16
-#: After SIGINT, and again after SIGTERM, a process has this long.
+#: Time for a process to end after SIGINT, and again after SIGTERM.
 PATIENCE_S = 2.0
 
 #: A node is one of several processes on few cores: BLAS threads that spin while they wait took a whole core from the
-#: others (RA former 1.1 against 0.2 cores), and malloc gave each 4 MiB beam back to the system only to ask again.
+#: others (RA former 1.1 against 0.2 cores), and malloc returned each 4 MiB beam to the system only to ask again.
 NODE_ENVIRONMENT = {
     "OPENBLAS_NUM_THREADS": "1",
     "OMP_NUM_THREADS": "1",
@@ -31,13 +31,13 @@ NODE_ENVIRONMENT = {
 
 
 class Child:
-    """The process of a node; its own process group, one pipe for all it says."""
+    """The process of a node; its own process group, one pipe for all its output."""
 
     def __init__(self, name: str, entry: NodeEntry, run_dir: Path) -> None:
         self._splitter = LineSplitter()
         #: When SIGINT, and when SIGTERM, was sent.
         self._asked_s: float | None = None
-        self._told_s: float | None = None
+        self._terminated_s: float | None = None
         self._process = subprocess.Popen(
             _command(name, entry, run_dir),
             stdin=subprocess.DEVNULL,
@@ -64,15 +64,15 @@ class Child:
         return self._process.pid
 
     def exit_code(self) -> int | None:
-        """None while it runs; then its exit code, negative for a signal. What it started itself is killed."""
+        """Return None while it runs; then its exit code, negative for a signal. Its own children are killed."""
         if self._process.returncode is None and os.waitid(os.P_PID, self.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT):
-            # before the process is reaped its group's number cannot have gone to somebody else
+            # before the process is reaped its group's number cannot have been reused
             self._signal(signal.SIGKILL)
             self._process.wait()
         return self._process.returncode
 
     def read_lines(self) -> list[str]:
-        """Whole lines it has written since the last call; never waits."""
+        """Return the whole lines it has written since the last call; never waits."""
         lines: list[str] = []
         for _ in range(_READS_PER_TURN):
             try:
@@ -87,24 +87,24 @@ class Child:
     def stop(self, now_s: float, patience_s: float = PATIENCE_S, last_s: float = PATIENCE_S) -> None:
         """Ask it to end: SIGINT, `patience_s` later SIGTERM, `last_s` later SIGKILL; to be called again until it has.
 
-        Both may change with what is known of it. A process that was stopped is woken, so that it hears.
+        Both may change with its known state. A stopped process is resumed, so that it handles the signal.
         """
         if self._asked_s is None:
             self._asked_s = now_s
             self._signal(signal.SIGINT)
             self._signal(signal.SIGCONT)
-        elif self._told_s is None and now_s - self._asked_s >= patience_s:
-            self._told_s = now_s
+        elif self._terminated_s is None and now_s - self._asked_s >= patience_s:
+            self._terminated_s = now_s
             self._signal(signal.SIGTERM)
-        elif self._told_s is not None and now_s - self._told_s >= last_s:
+        elif self._terminated_s is not None and now_s - self._terminated_s >= last_s:
             self.kill()
 
     def kill(self) -> None:
-        """End it now."""
+        """Kill it now."""
         self._signal(signal.SIGKILL)
 
     def close(self) -> list[str]:
-        """Kill it if it runs, wait for it, close what was held of it; what it still had to say comes back."""
+        """Kill it if it runs, wait for it, close its descriptors; return its remaining output."""
         if self.exit_code() is None:
             self.kill()
             self._process.wait()
@@ -122,7 +122,7 @@ class Child:
 
 
 def _command(name: str, entry: NodeEntry, run_dir: Path) -> list[str]:
-    # -P: a file of the working directory must not stand in for a module
+    # -P: a file of the working directory must not replace a module
     host = [sys.executable, "-P", "-m", "nodes.node", entry.module, "--name", name, "--run-dir", str(run_dir)]
     return [*host, "--params", json.dumps(entry.params), "--json-log", "--die-with", str(os.getpid())]
 

@@ -18,7 +18,7 @@ from nodes.process.validation import convert_at
 
 #: Larger files are no launch files.
 MAX_BYTES = 1 << 20
-#: Name under which the supervisor itself stands on the bus.
+#: The supervisor's own name on the bus.
 SUPERVISOR = "supervisor"
 RECORDER = "recorder"
 RECORDER_MODULE = "nodes.recorder"
@@ -31,7 +31,7 @@ def _require_duration(name: str, value: float) -> None:
 
 
 class RestartPolicy(StrEnum):
-    """When a node that ended is started again."""
+    """Conditions under which an ended node is started again."""
 
     ON_FAILURE = "on-failure"
     ALWAYS = "always"
@@ -54,7 +54,7 @@ class Restart(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
             raise ValueError(f"max_restarts must not be negative, got {self.max_restarts!r}")
 
     def backoff_s(self, recent_restarts: int) -> float:
-        """Delay before the next start after `recent_restarts` restarts inside the window."""
+        """Return the delay before the next start after `recent_restarts` restarts inside the window."""
         if recent_restarts == 0:
             return 0.0
         # the exponent is bounded because 2.0 ** 1024 overflows
@@ -71,12 +71,12 @@ class NodeEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     after: tuple[str, ...] = ()
     restart: Restart = Restart()
     #: A node that could have sent a heartbeat for longer is killed and restarted: time in which it waits for a core
-    #: is not counted. One that is blocked (no thread of it runs) is given half of this, a stopped process a fifth.
+    #: is not counted. A blocked one (no thread of it runs) is given half of this, a stopped process a fifth.
     hang_timeout_s: float = 5.0
-    #: Longest time from the start of the process to its first READY heartbeat.
+    #: Maximum time from the start of the process to its first READY heartbeat.
     start_timeout_s: float = 60.0
     env: dict[str, str] = {}
-    #: When this node ends with exit code 0 the graph has done its work.
+    #: The graph is done when this node ends with exit code 0.
     ends_graph: bool = False
     #: Left out by `--headless`.
     viewer: bool = False
@@ -116,12 +116,12 @@ class LaunchFile(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def start_order(launch: LaunchFile) -> tuple[str, ...]:
-    """Nodes so that each stands behind all it comes after, otherwise as written; a cycle is a `ValueError`."""
+    """Return nodes so that each follows all its `after`, otherwise as written; a cycle is a `ValueError`."""
     return _ordered({name: entry.after for name, entry in launch.nodes.items()})
 
 
 def stop_order(launch: LaunchFile) -> tuple[str, ...]:
-    """Nodes so that each stands before all it comes after, otherwise as written: sources first, recorder last."""
+    """Return nodes so that each precedes all its `after`, otherwise as written: sources first, recorder last."""
     followers: dict[str, list[str]] = {name: [] for name in launch.nodes}
     for name, entry in launch.nodes.items():
         for other in entry.after:
@@ -130,7 +130,7 @@ def stop_order(launch: LaunchFile) -> tuple[str, ...]:
 
 
 def _ordered(needed: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
-    """Keys so that each stands behind all it needs, otherwise as they come."""
+    """Return keys so that each follows all it needs, otherwise in the given order."""
     ordered: dict[str, None] = {}
     while waiting := [name for name in needed if name not in ordered]:
         free = next((name for name in waiting if all(other in ordered for other in needed[name])), None)
@@ -141,12 +141,12 @@ def _ordered(needed: Mapping[str, Iterable[str]]) -> tuple[str, ...]:
 
 
 def read_launch_file(path: Path) -> LaunchFile:
-    """The launch file at `path`; raises `ValueError` naming file, field and rule, `OSError` if it cannot be read."""
+    """Return the launch file at `path`; raises `ValueError` naming file, field and rule, `OSError` if unreadable."""
     return launch_from_mapping(read_yaml_mapping(path), str(path))
 
 
 def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
-    """A launch file from plain data; `where` opens every error."""
+    """Return a launch file from plain data; `where` prefixes every error."""
     fields = dict(value)
     nodes = convert_at(fields.pop("nodes", {}), dict[str, Any], f"{where}: nodes")
     # node by node, because msgspec's path writes the key of a mapping as [...]
@@ -155,7 +155,7 @@ def launch_from_mapping(value: Mapping[str, Any], where: str) -> LaunchFile:
 
 
 def read_yaml_mapping(path: Path) -> dict[str, Any]:
-    """A YAML mapping with unique keys of type str, read safely and only up to `MAX_BYTES`."""
+    """Return a YAML mapping with unique keys of type str, read safely and only up to `MAX_BYTES`."""
     with path.open("rb") as file:
         data = file.read(MAX_BYTES + 1)
     if len(data) > MAX_BYTES:
@@ -167,7 +167,7 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
 
 
 def parse_yaml(text: str | bytes, where: str) -> Any:
-    """One YAML document of plain values; duplicate keys, aliases and deep nesting are refused."""
+    """Return one YAML document of plain values; duplicate keys, aliases and deep nesting are refused."""
     try:
         return yaml.load(text, Loader=_StrictLoader)
     except yaml.YAMLError as error:
@@ -177,7 +177,7 @@ def parse_yaml(text: str | bytes, where: str) -> Any:
 
 
 def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> LaunchFile:
-    """`launch` with the parameters of a params file (node -> params) laid over its own, mapping by mapping."""
+    """Return `launch` with the parameters of a params file (node -> params) merged over its own."""
     nodes = dict(launch.nodes)
     for name, changes in params.items():
         if name not in nodes:
@@ -189,7 +189,7 @@ def with_params(launch: LaunchFile, params: Mapping[str, Any], where: str) -> La
 
 
 def with_overrides(launch: LaunchFile, overrides: Iterable[str]) -> LaunchFile:
-    """`launch` with overrides `node.key=value` (dotted key inside the node's params, value as YAML), later ones win."""
+    """Return `launch` with overrides `node.key=value` (dotted key in the node's params, YAML value), later ones win."""
     for override in overrides:
         path, equals, text = override.partition("=")
         name, *keys = path.strip().split(".")
@@ -203,7 +203,7 @@ def with_overrides(launch: LaunchFile, overrides: Iterable[str]) -> LaunchFile:
 
 
 def with_recorder(launch: LaunchFile, path: Path, params: Mapping[str, Any] | None = None) -> LaunchFile:
-    """`launch` with a recorder, `params` beside its path, that is ready before all others start."""
+    """Return `launch` with a recorder, `params` beside its path, that is ready before all others start."""
     if RECORDER in launch.nodes:
         raise ValueError(f"nodes.{RECORDER}: the launch file has a recorder already; set its path with -p")
     nodes = {RECORDER: NodeEntry(module=RECORDER_MODULE, params={**(params or {}), "path": str(path)})}
@@ -213,38 +213,38 @@ def with_recorder(launch: LaunchFile, path: Path, params: Mapping[str, Any] | No
 
 
 def with_origin(launch: LaunchFile, command: str, run_dir: Path) -> LaunchFile:
-    """`launch` with its nodes told what only the start knows.
+    """Return `launch` with the parameters that are only known at start.
 
-    Recorders: the graph they record, as it stands here, the command and the meeting place. Viewers: where they keep
-    the token of their page while they are restarted.
+    Recorders: the graph they record, with these parameters, the command and the run directory. Viewers: the file that
+    keeps the token of their page while they are restarted.
     """
     metadata = {"launch": dump_launch(without_metadata(launch)), "command": command}
     nodes = dict(launch.nodes)
     for name, entry in recorders(launch).items():
         own = entry.params.get("metadata") or {}
-        # what is no mapping goes as it is to the recorder, which says what is wrong with it
-        told = {"run_dir": str(run_dir), **entry.params}
-        told["metadata"] = {**metadata, **own} if isinstance(own, Mapping) else own
-        nodes[name] = msgspec.structs.replace(entry, params=told)
+        # a value that is no mapping is passed unchanged to the recorder, which reports the fault
+        params = {"run_dir": str(run_dir), **entry.params}
+        params["metadata"] = {**metadata, **own} if isinstance(own, Mapping) else own
+        nodes[name] = msgspec.structs.replace(entry, params=params)
     for name, entry in _of_module(launch, VIEWER_MODULE).items():
-        # another one, as of an earlier run, would be another graph's
-        told = {**entry.params, "token_file": str(run_dir / f"{name}.token")}
-        nodes[name] = msgspec.structs.replace(entry, params=told)
+        # the metadata of an earlier run would be of another graph
+        params = {**entry.params, "token_file": str(run_dir / f"{name}.token")}
+        nodes[name] = msgspec.structs.replace(entry, params=params)
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
 def without_metadata(launch: LaunchFile) -> LaunchFile:
-    """`launch` without what `with_origin` told its nodes."""
+    """Return `launch` without the parameters set by `with_origin`."""
     nodes = dict(launch.nodes)
-    for module, told in ((RECORDER_MODULE, ("metadata", "run_dir")), (VIEWER_MODULE, ("token_file",))):
+    for module, names in ((RECORDER_MODULE, ("metadata", "run_dir")), (VIEWER_MODULE, ("token_file",))):
         for name, entry in _of_module(launch, module).items():
-            kept = {key: value for key, value in entry.params.items() if key not in told}
+            kept = {key: value for key, value in entry.params.items() if key not in names}
             nodes[name] = msgspec.structs.replace(entry, params=kept)
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
 def recorders(launch: LaunchFile) -> dict[str, NodeEntry]:
-    """The nodes that record."""
+    """Return the nodes that record."""
     return _of_module(launch, RECORDER_MODULE)
 
 
@@ -253,22 +253,22 @@ def _of_module(launch: LaunchFile, module: str) -> dict[str, NodeEntry]:
 
 
 def without_viewers(launch: LaunchFile) -> LaunchFile:
-    """`launch` without the nodes marked `viewer`; nobody waits for them either."""
-    left = {name: entry for name, entry in launch.nodes.items() if not entry.viewer}
+    """Return `launch` without the nodes marked `viewer`, also in others' `after`."""
+    remaining = {name: entry for name, entry in launch.nodes.items() if not entry.viewer}
     nodes = {
-        name: msgspec.structs.replace(entry, after=tuple(other for other in entry.after if other in left))
-        for name, entry in left.items()
+        name: msgspec.structs.replace(entry, after=tuple(other for other in entry.after if other in remaining))
+        for name, entry in remaining.items()
     }
     return msgspec.structs.replace(launch, nodes=nodes)
 
 
 def dump_launch(launch: LaunchFile) -> str:
-    """The launch file as YAML with all defaults written out; reads back as an equal value."""
+    """Return the launch file as YAML with all defaults written out; it reads back as an equal value."""
     return yaml.dump(msgspec.to_builtins(launch), Dumper=_PlainDumper, sort_keys=False, allow_unicode=True)
 
 
 def merged(old: Mapping[str, Any], new: Mapping[str, Any]) -> dict[str, Any]:
-    """`old` with `new` laid over it, mapping by mapping."""
+    """Return `new` merged over `old`, mapping by mapping."""
     result = dict(old)
     for key, value in new.items():
         both = isinstance(value, dict) and isinstance(result.get(key), dict)
@@ -282,22 +282,22 @@ def _names(names: Iterable[str]) -> str:
 
 def _yaml_reason(error: yaml.YAMLError) -> str:
     mark, problem = getattr(error, "problem_mark", None), getattr(error, "problem", None)
-    place = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
-    return " ".join(f"{place}{problem or error}".split())
+    position = f"line {mark.line + 1}, column {mark.column + 1}: " if mark else ""
+    return " ".join(f"{position}{problem or error}".split())
 
 
 class _StrictLoader(BoundedLoader):
-    """`BoundedLoader` that refuses what a launch file never needs and a slip would use."""
+    """`BoundedLoader` that refuses features that a launch file never needs and a slip would use."""
 
     def construct_mapping(self, node: Any, deep: bool = False) -> Any:
-        seen: set[str] = set()
+        keys: set[str] = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
                 raise yaml.MarkedYAMLError(problem=f"key {key!r} must be text", problem_mark=key_node.start_mark)
-            if key in seen:
+            if key in keys:
                 raise yaml.MarkedYAMLError(problem=f"duplicate key {key!r}", problem_mark=key_node.start_mark)
-            seen.add(key)
+            keys.add(key)
         return super().construct_mapping(node, deep)
 
 

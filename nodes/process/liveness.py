@@ -1,7 +1,7 @@
-"""What a node that has fallen silent is at, from what the kernel says of its process: a decision on samples alone.
+"""Activity of a silent node, from the kernel's data on its process: a decision on samples alone.
 
-A node on an overloaded machine is silent too, and to kill it would be wrong: only time in which it had a core, or
-asked for none, is held against it.
+A node on an overloaded machine is silent too, and must not be killed: only time in which it had a core, or
+asked for none, counts against it.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from pathlib import Path
 
 from nodes.node import HEARTBEAT_S
 
-#: A heartbeat older than this is late: its process is looked at.
+#: A heartbeat older than this is late: its process is sampled.
 LATE_S = 1.2 * HEARTBEAT_S
-#: An interval between two looks counts no more than this: whoever looks late stood still himself.
+#: Maximum time that an interval between two samples counts: a late supervisor was stalled itself.
 _INTERVAL_LIMIT_S = 0.25
-#: Threads that got less of a core do nothing but wake and fall asleep again.
+#: Threads with a smaller share of a core only wake and sleep again.
 _IDLE_SHARE = 0.02
-#: What will hardly answer any more is not waited for as long as what works: share of the whole patience.
+#: Share of the whole patience for a process that is unlikely to answer.
 _BLOCKED_SHARE, _STOPPED_SHARE = 0.5, 0.2
-#: `CPUCLOCK_SCHED` of the kernel: the time that a process, threads that have ended included, was on a core.
+#: `CPUCLOCK_SCHED` of the kernel: time on a core of a process, threads that have ended included.
 _CPU_CLOCK = 2
 
 
 class Doing(StrEnum):
-    """What a silent process is at; completes "it ..."."""
+    """Activity of a silent process; completes "it ..."."""
 
     BUSY = "is busy"
     STARVED = "waits for a core"
@@ -40,9 +40,9 @@ class Doing(StrEnum):
 
 @dataclass(frozen=True)
 class Sample:
-    """A process at one time: its threads' states (letters as in /proc/PID/stat) and what they had by then, summed.
+    """A process at one time: its threads' states (letters as in /proc/PID/stat) and their accumulated times, summed.
 
-    `cpu_s` on a core, `waited_s` for one; the kernel adds a wait up when it has ended. No states: it cannot be seen.
+    `cpu_s` on a core, `waited_s` for one; the kernel adds a wait when it has ended. No states: it cannot be seen.
     """
 
     time_s: float
@@ -52,20 +52,20 @@ class Sample:
 
 
 class Silence:
-    """The time since a process was last heard, as far as it can be held against it."""
+    """The time since a process was last heard, as far as it counts against it."""
 
     def __init__(self) -> None:
         self._last: Sample | None = None
-        #: What it was at between the last two samples; None before there are two.
+        #: Activity between the last two samples; None before there are two.
         self.doing: Doing | None = None
-        #: Silent though it could have spoken; it was looked at no earlier.
+        #: Time silent though it could have sent a message; it was not sampled earlier.
         self.answerable_s = LATE_S
-        #: How long it has been at what it is at, or was before it began to wait for a core.
+        #: Duration of its present activity, or of the one before it began to wait for a core.
         self.lasting_s = 0.0
         self._lasting: Doing | None = None
 
     def add(self, sample: Sample) -> None:
-        """Take in the next sample, later than the one before."""
+        """Add the next sample, later than the one before."""
         last, self._last = self._last, sample
         if last is None:
             return
@@ -77,14 +77,14 @@ class Silence:
             self.lasting_s = interval_s + (self.lasting_s if doing is self._lasting else 0.0)
             self._lasting = doing
         if doing not in (Doing.STARVED, Doing.TRACED):
-            # the sum falls where a thread has ended
+            # the sum falls when a thread has ended
             waited_s = max(0.0, sample.waited_s - last.waited_s)
             self.answerable_s += max(0.0, interval_s - waited_s)
 
     def overdue(self, patience_s: float, is_starting: bool = False) -> str:
-        """Why it is to be given up, if what works may be silent for `patience_s`; empty while it is not.
+        """Return why it is to be given up, if a working one may be silent for `patience_s`; empty while it is not.
 
-        What is starting may be blocked for all of it: it waits for a device.
+        A starting process may be blocked for all of it: it waits for a device.
         """
         if self.doing is Doing.STOPPED and self.lasting_s >= _STOPPED_SHARE * patience_s:
             return f"stopped for {self.lasting_s:.1f} s"
@@ -94,7 +94,7 @@ class Silence:
 
 
 def _doing(last: Sample, sample: Sample) -> Doing:
-    """What a process was at between two samples."""
+    """Return the activity of a process between two samples."""
     if not sample.states:
         return Doing.UNSEEN
     if "t" in sample.states:
@@ -109,16 +109,16 @@ def _doing(last: Sample, sample: Sample) -> Doing:
 
 
 def sample(pid: int) -> Sample:
-    """The process `pid` now; without states where it has gone or cannot be seen."""
+    """Return the process `pid` now; without states if it has ended or cannot be seen."""
     states, cpu_s, waited_ns = "", 0.0, 0
     with contextlib.suppress(OSError):
-        # of the whole process, because the times of a thread go with it
+        # of the whole process, because the times of a thread end with it
         cpu_s = time.clock_gettime(~pid << 3 | _CPU_CLOCK)
         for thread in Path(f"/proc/{pid}/task").iterdir():
-            # one that ends meanwhile says nothing
+            # a thread that ends meanwhile has no data
             with contextlib.suppress(OSError, IndexError):
                 # the name in brackets may hold anything
                 states += (thread / "stat").read_text(errors="replace").rpartition(")")[2].split()[0]
-                # not every kernel says so
+                # not every kernel reports it
                 waited_ns += int((thread / "schedstat").read_text().split()[1])
     return Sample(time.monotonic(), states, cpu_s, 1e-9 * waited_ns)

@@ -1,4 +1,4 @@
-"""What a process says: one line for people, one JSON object for machines, one record on the topic `log`."""
+"""Output of a process: one line for people, one JSON object for machines, one record on the topic `log`."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from msgs.values.wording import counted
 RECORD_SEPARATOR = "\x1e"
 #: Text of a record on the bus; the topic's byte limit leaves room for this many characters of any script.
 BUS_TEXT_LIMIT = 8000
-#: Records that wait for the loop at most; older ones are dropped from the bus, never from the file.
+#: Maximum records that wait for the loop; older ones are dropped from the bus, never from the file.
 PENDING_LIMIT = 256
 _FILE_BYTES = 8 << 20
 _FILES_KEPT = 3
-#: What a process may say, on average and at once; a terminal and a disk are for people, not for floods.
+#: Maximum output of a process, on average and at once; a terminal and a disk are for people, not for floods.
 LINES_PER_S = 200
 LINES_AT_ONCE = 2000
 _LEVELS = ("debug", "info", "warning", "error", "critical")
 
 
 def utc_now() -> str:
-    """Wall-clock time for people, ISO 8601; intervals are measured on the monotonic clock instead."""
+    """Return wall-clock time for people, ISO 8601; intervals are measured on the monotonic clock instead."""
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
@@ -44,7 +44,7 @@ class JsonFormatter(logging.Formatter):
         self._node = node
 
     def format(self, record: logging.LogRecord) -> str:
-        """One line; line ends inside the text are escaped by JSON."""
+        """Return one line; line ends inside the text are escaped by JSON."""
         entry = {"time": utc_now(), "node": self._node, "level": record.levelname.lower(), "text": record.getMessage()}
         if state := getattr(record, "state", None):
             entry["state"] = state
@@ -54,10 +54,10 @@ class JsonFormatter(logging.Formatter):
 
 
 class SeparatedJsonFormatter(JsonFormatter):
-    """The same, marked so that a supervisor tells it from text that a library wrote to the same stream."""
+    """The same, marked so that a supervisor distinguishes it from text that a library wrote to the same stream."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """The JSON object behind a record separator."""
+        """Return the JSON object behind a record separator."""
         return RECORD_SEPARATOR + super().format(record)
 
 
@@ -72,7 +72,7 @@ class BusLogHandler(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
         """Queue the record; the loop owns the bus, so nothing is sent from here.
 
-        What is said with `extra={"in_public": ...}` is said so: recordings and other machines take in this topic.
+        A text in `extra={"in_public": ...}` replaces the message: recordings and other machines receive this topic.
         """
         text = str(getattr(record, "in_public", None) or record.getMessage())
         self._pending.append(
@@ -80,20 +80,20 @@ class BusLogHandler(logging.Handler):
                 stamp_ns=time.monotonic_ns(),
                 node=self._node,
                 level=record.levelname.lower(),
-                # a file name may hold half characters, which cannot travel
+                # a file name may hold lone surrogates, which cannot be encoded
                 text=text[:BUS_TEXT_LIMIT].encode("utf-8", "replace").decode(),
             )
         )
 
     def drain(self) -> list[LogRecord]:
-        """All records that wait, oldest first."""
+        """Return all waiting records, oldest first."""
         return [self._pending.popleft() for _ in range(len(self._pending))]
 
 
 class JsonLog:
     """The JSON lines of a run, bounded in size: the newest `_FILES_KEPT + 1` files of `_FILE_BYTES` are kept.
 
-    For its owner's eyes: the viewer's address stands in it. `lost` counts lines for which there was no room.
+    Readable by its owner alone: it holds the viewer's address. `lost` counts lines for which there was no space.
     """
 
     def __init__(self, path: Path) -> None:
@@ -101,7 +101,7 @@ class JsonLog:
         self._handler = _PrivateFileHandler(
             path, maxBytes=_FILE_BYTES, backupCount=_FILES_KEPT, encoding="utf-8", delay=True
         )
-        # A full disk must not take the graph down, nor fill the terminal with tracebacks: the line is lost.
+        # A full disk must not stop the graph, nor fill the terminal with tracebacks: the line is lost.
         self._handler.handleError = self._count  # type: ignore[method-assign]
 
     def write(self, entry: dict[str, Any]) -> None:
@@ -129,10 +129,10 @@ def _open_private(path: str, flags: int) -> int:
 
 
 class LineSplitter:
-    """Bytes of a pipe to lines; a line without end is cut at `limit` bytes, and a flood of lines is left out.
+    """Bytes of a pipe to lines; a line without end is cut at `limit` bytes, and a flood of lines is dropped.
 
-    Of a flood `LINES_AT_ONCE` pass and then `LINES_PER_S` by `clock`; how many did not is said in a line of its own.
-    What tells the supervisor a state passes always.
+    Of a flood `LINES_AT_ONCE` pass and then `LINES_PER_S` by `clock`; a line of its own reports the dropped ones.
+    Lines that report a state to the supervisor always pass.
     """
 
     def __init__(self, limit: int = 1 << 16, clock: Callable[[], float] = time.monotonic) -> None:
@@ -142,7 +142,7 @@ class LineSplitter:
         self._allowed, self._allowed_at_s = float(LINES_AT_ONCE), clock()
 
     def feed(self, data: bytes) -> list[str]:
-        """Whole lines so far, without their ends."""
+        """Return whole lines so far, without their ends."""
         *lines, self._rest = (self._rest + data).split(b"\n")
         while len(self._rest) >= self._limit:
             lines.append(self._rest[: self._limit])
@@ -153,7 +153,7 @@ class LineSplitter:
         return [text for line in lines for text in self._passed(line)]
 
     def finish(self) -> list[str]:
-        """What is left when the pipe has closed."""
+        """Return the rest when the pipe has closed."""
         lines, self._rest = ([_printable(self._rest)] if self._rest else []), b""
         return self._say_left_out() + lines
 
@@ -180,12 +180,12 @@ def _printable(line: bytes) -> str:
 
 
 def printable(text: str, kept: str = "\t\n") -> str:
-    """Text without control characters, `kept` apart: what a child says must not move the cursor of the terminal."""
+    """Return text without control characters but `kept`: a child's output must not move the terminal's cursor."""
     return text if text.isprintable() else "".join(mark for mark in text if mark.isprintable() or mark in kept)
 
 
 def parse_line(node: str, line: str) -> dict[str, Any]:
-    """A line of a child as a log entry: its own record if it is one, else its text at level "output".
+    """Return a line of a child as a log entry: its own record if it is one, else its text at level "output".
 
     An entry has time, node (never another's), level and text, and state and traceback where the record has them.
     """
@@ -198,14 +198,14 @@ def parse_line(node: str, line: str) -> dict[str, Any]:
         "time": utc_now(),
         "node": node,
         "level": level if level in _LEVELS else "output",
-        # one that begins on a new line could pass for another node's
+        # one that begins on a new line could imitate another node's
         "text": printable(entry["text"]).replace("\n", "\n    "),
         **more,
     }
 
 
 def _record(line: str) -> dict[str, Any] | None:
-    """The record in a line, None where it is none."""
+    """Return the record in a line, None where it is none."""
     try:
         entry = json.loads(line[1:])
     except (ValueError, RecursionError):
@@ -214,7 +214,7 @@ def _record(line: str) -> dict[str, Any] | None:
 
 
 def install_handlers(handlers: list[logging.Handler], level: int = logging.INFO) -> Callable[[], None]:
-    """Put `handlers` on the root logger; the call that comes back takes them off again."""
+    """Put `handlers` on the root logger; the returned function removes them again."""
     root = logging.getLogger()
     previous = root.level
     root.setLevel(level)

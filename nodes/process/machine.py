@@ -12,7 +12,7 @@ _PACKAGES = ("mirrorwave", "numpy", "scipy", "onnxruntime", "pyzmq", "msgspec", 
 
 
 def machine_facts() -> dict[str, Any]:
-    """Processor, cores, memory in bytes, kernel, Python and package versions; no name and no address."""
+    """Return processor, cores, memory in bytes, kernel, Python and package versions; no name and no address."""
     return {
         "processor": _processor(),
         "cores": os.cpu_count(),
@@ -28,8 +28,8 @@ def _processor() -> str:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         lines = []
-    named = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    return next(named, platform.machine())
+    names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.machine())
 
 
 def _version(package: str) -> str | None:

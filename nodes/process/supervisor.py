@@ -1,7 +1,7 @@
 """Starts the processes of a graph, watches them, restarts what fails, and leaves nothing behind.
 
-One thread, one loop: hear heartbeats, read output, reap, restart, stop. A node is started when all it comes `after` are
-ready. Children also ask the kernel to die with this process, so that not even SIGKILL leaves an orphan.
+One thread, one loop: receive heartbeats, read output, reap, restart, stop. A node is started when all of its `after`
+are ready. Children also ask the kernel to die with this process, so that not even SIGKILL leaves an orphan.
 """
 
 from __future__ import annotations
@@ -38,18 +38,18 @@ from nodes.process.launch_file import (
 from nodes.process.liveness import LATE_S, Doing, Silence, sample
 from nodes.process.logs import BUS_TEXT_LIMIT, JsonLog, parse_line, utc_now
 
-#: How often the output of the nodes is read; a crash wakes the supervisor at once.
+#: Interval between reads of the nodes' output; a crash wakes the supervisor at once.
 POLL_S = 0.05
-#: A node that has not been heard for this long is said to be silent, with what it is at.
+#: A node silent for this long is reported, with its activity.
 SILENT_S = 0.9
-#: The same node is said to be silent no more often than this.
+#: Minimum interval between such reports of a node.
 _SILENCE_INTERVAL_S = 10.0
-#: A node that is stopped, blocked or in an endless step is given no more time than this to answer what waits, and
-#: then to close what it holds.
+#: Maximum time for a stopped, blocked or endlessly stepping node to answer its waiting inputs, and then to close its
+#: files.
 _STUCK_PATIENCE_S, _STUCK_LAST_S = 0.5, 1.5
-#: A recorder may take this long to write what it holds: a snapshot takes seconds.
+#: Maximum time for a recorder to write its data: a snapshot takes seconds.
 _RECORDER_LAST_S = 10.0
-#: A node that is asked to stop at the end of a stream may take this long to answer what waits.
+#: Maximum time for a node that is asked to stop at the end of a stream to answer its waiting inputs.
 DRAIN_S = 5.0
 LOCK_NAME = "supervisor.lock"
 
@@ -57,7 +57,7 @@ LogSink = Callable[[dict[str, Any]], None]
 
 
 class Phase(StrEnum):
-    """Where a node stands in the graph."""
+    """State of a node in the graph."""
 
     WAITING = "waiting"
     STARTING = "starting"
@@ -77,12 +77,12 @@ class _Watched:
         #: WAITING nodes start no earlier.
         self.start_at_s = 0.0
         self.started_s = self.heard_s = 0.0
-        #: What is known of it since its heartbeat is late; None while it is not.
+        #: Its silence since its heartbeat is late; None while it is not.
         self.silence: Silence | None = None
-        #: When the log last said that it is silent; whether it says so of the present silence.
+        #: When the log last reported its silence; whether it reported the present one.
         self.silence_said_s, self.is_said = -math.inf, False
         self.restarts: deque[float] = deque()
-        #: Last error it reported itself, and what the supervisor killed it for.
+        #: Last error it reported itself, and the reason for which the supervisor killed it.
         self.reason = self.killed_for = ""
 
     def recent_restarts(self, now_s: float) -> int:
@@ -104,12 +104,12 @@ class _Watched:
         self.heard_s, self.silence, self.is_said = now_s, None, False
 
     def is_silent(self, now_s: float) -> bool:
-        """Whether it, once ready, has said nothing for so long that the world should know."""
+        """Return whether it, once ready, has been silent for so long that this is to be reported."""
         is_known = self.silence is not None and self.silence.doing is not None
         return is_known and self.phase is Phase.READY and now_s - self.heard_s >= SILENT_S
 
     def look(self, now_s: float) -> str:
-        """Look at its process if its heartbeat is late; why it counts as hanging, empty if it does not."""
+        """Sample its process if its heartbeat is late; return why it counts as hanging, empty if it does not."""
         if self.child is None or now_s - self.heard_s < LATE_S:
             return ""
         self.silence = self.silence or Silence()
@@ -129,7 +129,7 @@ class _Watched:
             self.child.stop(now_s, patience_s, _RECORDER_LAST_S if self._records() else PATIENCE_S)
 
     def _is_stuck(self, by_hand: bool) -> bool:
-        """Whether it will hardly answer what waits; somebody who waits for the end waits for no long step either."""
+        """Return whether it will hardly answer its inputs; for a stop by hand a long step counts too."""
         if self.silence is None:
             return False
         is_busy = self.silence.doing is Doing.BUSY and self.silence.answerable_s >= SILENT_S
@@ -140,7 +140,7 @@ class _Watched:
         return self.entry.module == RECORDER_MODULE
 
     def why(self, code: int) -> str:
-        """Why it ended, as far as it or the supervisor knows: of a signal from elsewhere it could say nothing."""
+        """Return why it ended, as far as known; a process killed by a foreign signal could not report it."""
         return self.killed_for or (self.reason if code >= 0 else "")
 
 
@@ -211,14 +211,14 @@ class Supervisor:
             self._start_or_stop(now_s)
             self._report()
 
-    # what the nodes say
+    # messages of the nodes
 
     def _hear(self, messages: list[Received], now_s: float) -> None:
         for received in messages:
             status = received.message
             assert isinstance(status, NodeStatus)
             node = self._nodes.get(status.node)
-            # a heartbeat that was on its way when its process died says nothing about the next one
+            # a heartbeat in transit when its process died does not concern the next process
             if node is None or node.child is None or node.child.pid != status.pid:
                 continue
             if node.is_said:
@@ -247,7 +247,7 @@ class Supervisor:
         node.heard(now_s)
         self._say("info", f"{name} ready after {now_s - node.started_s:.2f} s, pid {node.child.pid}")
 
-    # what becomes of them
+    # restarts and failures
 
     def _reap(self, now_s: float) -> None:
         for name, node in self._nodes.items():
@@ -257,7 +257,7 @@ class Supervisor:
                 self._after_exit(name, node, code, now_s)
 
     def _let_go(self, name: str, node: _Watched) -> None:
-        """Close an ended node's process, or end it."""
+        """Close an ended node's process, or kill it."""
         if node.child is not None:
             self._bus.unwatch(node.child.ended)
             self._pass_on(name, node.child.close())
@@ -312,7 +312,7 @@ class Supervisor:
             if reason:
                 self._say("error", f"{name} hangs: {reason}")
                 node.kill()
-                # a process that waits for a disk takes its time to end
+                # a process that waits for a disk takes long to end
                 node.heard(now_s)
                 node.killed_for = reason
             elif node.is_silent(now_s) and now_s - node.silence_said_s >= _SILENCE_INTERVAL_S:
@@ -333,7 +333,7 @@ class Supervisor:
         try:
             node.start(name, self._run_dir, now_s)
         except OSError as error:
-            # no memory, no file descriptor or no process is left: that may pass, as a crash may
+            # no memory, no file descriptor or no process is left: that may be transient, as a crash may
             node.reason = f"cannot be started: {error}"
             self._after_exit(name, node, EXIT_FAILED, now_s)
             return
@@ -341,8 +341,8 @@ class Supervisor:
         self._bus.watch(node.child.ended)
 
     def _may_start(self, node: _Watched) -> bool:
-        others = [self._nodes[other] for other in node.entry.after]
-        return all(other.was_ready or other.phase is Phase.ENDED for other in others)
+        predecessors = [self._nodes[other] for other in node.entry.after]
+        return all(other.was_ready or other.phase is Phase.ENDED for other in predecessors)
 
     def _check_end(self, now_s: float) -> None:
         if self._stop_requests > 1:
@@ -369,9 +369,9 @@ class Supervisor:
             self._stop_at_s = now_s + self._duration_s
         return self._stop_at_s is not None and now_s >= self._stop_at_s
 
-    def _stop_in_order(self, why: str) -> None:
-        """Stop one after the other, sources first, so that each can answer what waits for it."""
-        self._say("info", f"stopping: {why}")
+    def _stop_in_order(self, reason: str) -> None:
+        """Stop one after the other, sources first, so that each can answer its waiting inputs."""
+        self._say("info", f"stopping: {reason}")
         self._stopping = [[name] for name in stop_order(self._launch)]
 
     def _stop_next(self, now_s: float) -> None:
@@ -385,7 +385,7 @@ class Supervisor:
             if node.phase is Phase.READY:
                 node.stop(now_s, patience_s, by_hand=self._stop_requests > 0)
             else:
-                # it has nothing to lose yet, and no handler for a gentler signal
+                # it has no data yet, and no handler for a gentler signal
                 node.kill()
 
     def _all_gone(self) -> bool:
@@ -396,7 +396,7 @@ class Supervisor:
         for name, node in self._nodes.items():
             self._let_go(name, node)
 
-    # what the supervisor says
+    # messages of the supervisor
 
     def _report(self) -> None:
         if self._heartbeat.remaining_s() <= 0.0:
@@ -424,14 +424,14 @@ class Supervisor:
             try:
                 self._on_log(entry)
             except OSError:
-                # the terminal has gone; the graph goes on, its log is in the file
+                # the terminal is closed; the graph continues, its log is in the file
                 self._on_log = None
 
-    # what it holds
+    # resources
 
     @contextlib.contextmanager
     def _locked(self) -> Iterator[Path]:
-        """Hold the graph's directory; the run folder comes back, its name and pid stand in the lock."""
+        """Hold the graph's directory; yields the run folder, whose name and the pid are in the lock."""
         self._lock = _locked_file(self._run_dir)
         try:
             run_folder = _new_run_folder(self._runs_dir, self._launch)
@@ -454,10 +454,10 @@ class Supervisor:
         self._lock.flush()
 
     def _hold_again(self) -> None:
-        """Lock the directory anew where somebody deleted it: a second graph would enter, and who asks find none."""
+        """Lock the directory again if it was deleted: a second graph could enter, and clients would find no graph."""
         if (self._run_dir / LOCK_NAME).exists():
             return
-        # where the directory is missing the bus makes it soon
+        # if the directory is missing the bus will create it soon
         with contextlib.suppress(OSError):
             lock = _locked_file(self._run_dir)
             self._lock.close()
@@ -466,13 +466,13 @@ class Supervisor:
 
     @contextlib.contextmanager
     def _signals(self) -> Iterator[None]:
-        def ask(number: int, frame: object) -> None:
-            # shell and kernel both say that the terminal has gone: nobody is there to ask for haste
+        def request(number: int, frame: object) -> None:
+            # shell and kernel both report that the terminal is closed: no user is there to request haste
             if number != signal.SIGHUP or not self._stop_requests:
                 self.request_stop()
 
         numbers = stopping_signals(signal.SIGINT, signal.SIGTERM)
-        previous = [signal.signal(number, ask) for number in numbers]
+        previous = [signal.signal(number, request) for number in numbers]
         try:
             yield
         finally:
@@ -481,9 +481,9 @@ class Supervisor:
 
 
 def _locked_file(run_dir: Path) -> TextIO:
-    """The lock of a graph's directory, held while it is open.
+    """Return the lock of a graph's directory, held while it is open.
 
-    Raises `OSError` where another graph holds it, `ValueError` where it is a symbolic link.
+    Raises `OSError` if another graph holds it, `ValueError` if it is a symbolic link.
     """
     file = open(run_dir / LOCK_NAME, "a+", opener=no_link)  # noqa: SIM115
     try:
@@ -496,7 +496,7 @@ def _locked_file(run_dir: Path) -> TextIO:
 
 
 def read_lock(run_dir: Path) -> dict[str, Any]:
-    """Pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
+    """Return pid, run folder and nodes of the graph that runs in `run_dir`; empty if none does."""
     try:
         with open(run_dir / LOCK_NAME, opener=no_link) as file:
             owner = json.loads(file.read(1 << 16) or "{}")
@@ -505,12 +505,12 @@ def read_lock(run_dir: Path) -> dict[str, Any]:
     if not isinstance(owner, dict):
         return {}
     started = _started(owner.get("pid"))
-    # the number of a process that has ended may be another's by now
+    # the number of an ended process may have been reused
     return owner if started is not None and owner.get("started", started) == started else {}
 
 
 def _started(pid: object) -> int | None:
-    """When a process was started, in clock ticks since boot (proc_pid_stat(5), field 22); None where it has ended."""
+    """Return the start of a process, in clock ticks since boot (proc_pid_stat(5), field 22); None if it has ended."""
     try:
         return int(Path(f"/proc/{int(str(pid))}/stat").read_text().rpartition(")")[2].split()[19])
     except (OSError, ValueError, IndexError):

@@ -3,10 +3,6 @@
 from __future__ import annotations
 
 import re
-import types
-import typing
-from collections.abc import Mapping
-from enum import Enum
 from typing import Any, TypeVar
 
 import msgspec
@@ -42,40 +38,6 @@ def explain(text: str, where: str) -> str:
     place = f"{where}{path.lstrip('.')}".removesuffix(": ") if where.endswith(": ") else f"{where}{path}"
     # a name that the file made up may be of several lines
     return " ".join(f"{place}: {rule}".split())
-
-
-def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
-    """Raise `ValueError` for a field or a choice that `wanted` does not have; it lists those that are known.
-
-    `where` names the value; keys of mappings are named as they are written. Values of a wrong type are passed over:
-    `convert_at` says what is wrong with them.
-    """
-    for part in _alternatives(wanted):
-        if isinstance(part, type) and issubclass(part, msgspec.Struct) and isinstance(value, Mapping):
-            fields = {field.encode_name: field.type for field in msgspec.structs.fields(part)}
-            for name, inner in value.items():
-                path = f"{where}.{name}" if where else str(name)
-                if name not in fields:
-                    raise ValueError(f"{path}: unknown field; known are {', '.join(fields)}")
-                refuse_unknown(inner, fields[name], path)
-        elif typing.get_origin(part) is dict and isinstance(value, Mapping):
-            for name, inner in value.items():
-                refuse_unknown(inner, typing.get_args(part)[1], f"{where}.{name}")
-        elif (choices := _choices(part)) and isinstance(value, str) and value not in choices:
-            raise ValueError(f"{where}: unknown {value!r}; known are {', '.join(map(str, choices))}")
-
-
-def _alternatives(wanted: Any) -> tuple[Any, ...]:
-    """The types that a value may have."""
-    is_union = typing.get_origin(wanted) in (typing.Union, types.UnionType)
-    return typing.get_args(wanted) if is_union else (wanted,)
-
-
-def _choices(wanted: Any) -> tuple[Any, ...]:
-    """The texts that a value may be, where only some may."""
-    if typing.get_origin(wanted) is typing.Literal:
-        return typing.get_args(wanted)
-    return tuple(item.value for item in wanted) if isinstance(wanted, type) and issubclass(wanted, Enum) else ()
 
 
 def require_rest(name: str, value_s: float) -> None:

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import msgspec
 
+from msgs.bus.interface import Received
 from msgs.bus.topics import topic_facts
-from msgs.recording.mcap import Encoded, Losses, TopicLoss
+from msgs.recording.mcap import Encoded, Losses, TopicLoss, encoded
 from msgs.values.diagnostics import TopicCount
 from nodes.process.machine import machine_facts
 
@@ -35,6 +36,18 @@ class LatchedMessages:
         """What is not among `messages`, as if it were sent again at `start_ns`."""
         there = {id(message) for message in messages}
         return [message._replace(sent_ns=start_ns) for message in self._last.values() if id(message) not in there]
+
+
+def as_recorded(received: Received) -> Encoded:
+    """Return a message that came in as it stands in a recording."""
+    envelope = received.envelope
+    return encoded(
+        received.topic,
+        received.message,
+        publisher=envelope.publisher,
+        sequence=envelope.sequence,
+        sent_ns=envelope.sent_ns,
+    )
 
 
 def free_path(path: Path) -> Path:

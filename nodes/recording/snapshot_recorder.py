@@ -14,15 +14,16 @@ from msgs.recording.mcap import Encoded, Losses, whole_recording
 from msgs.values.diagnostics import NodeState, TopicCount
 from msgs.values.units import s_from_ns
 from nodes.node import Node
-from nodes.recorder import Params, as_recorded
 from nodes.recording.files import (
     LatchedMessages,
     about_this_run,
+    as_recorded,
     losses_between,
     next_number,
     numbered_path,
     require_kept_free,
 )
+from nodes.recording.params import RecordingParams
 from nodes.recording.snapshot_trigger import Snapshot, TriggerFile
 
 _LOG = logging.getLogger(__name__)
@@ -73,7 +74,7 @@ class SnapshotRecorder(Node):
 
     wants_all = True
 
-    def __init__(self, params: Params) -> None:
+    def __init__(self, params: RecordingParams) -> None:
         super().__init__()
         assert params.snapshot_s is not None
         self.inputs = params.chosen_topics()

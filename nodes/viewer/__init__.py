@@ -1,1 +1,1 @@
-"""The viewer's parts: what the page is told, who may ask, and the page itself."""
+"""The viewer's parts: the page's data, its access control, and the page itself."""

@@ -1,4 +1,4 @@
-"""Puts together what a page shows and posts it: what belongs to one scan, and what follows from many."""
+"""Assembles the contents of a page and posts them: data of one scan, and data derived from many."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from nodes.viewer.trails import Past
 from nodes.viewer.view_model import map_json, map_tile, mask_tile, sensor_json, view_json
 from nodes.viewer.watch import Watch
 
-#: What the assembly takes in.
+#: Message types that the assembly accepts.
 TOPICS_SHOWN = (
     "perception/hidden_objects",
     "radar/ra_map",
@@ -29,29 +29,29 @@ TOPICS_SHOWN = (
     "radar/setup",
     "lidar/setup",
 )
-#: The node table is posted this often, and the warnings at least.
+#: Interval between posts of the node table, and maximum interval between those of the warnings.
 TABLE_PERIOD_NS = NANOSECONDS_PER_SECOND // 2
-#: Truth and view of a scan come within this many scans of each other.
+#: Truth and view of a scan arrive within this many scans of each other.
 _KEPT_TRUTHS = 8
-#: While views miss their deadline, pictures of maps are posted no oftener than this: the first work to be shed.
+#: While views miss their deadline, pictures of maps are posted no more often than this: the first work to be shed.
 LATE_MAP_PERIOD_NS = 2 * NANOSECONDS_PER_SECOND
 
 
 class ScanAssembly:
-    """What belongs to one scan: view with truth and vehicle, map with peaks. Posts newest-only; belongs to one thread.
+    """Data of one scan: view with truth and vehicle, map with peaks. Posts newest-only; belongs to one thread.
 
-    With `gives_way` it leaves out most pictures of maps while views come late; `maps_shed` counts them.
+    With `sheds_maps` it drops most pictures of maps while views are late; `maps_shed` counts them.
     """
 
-    def __init__(self, board: Board, gives_way: bool = False) -> None:
+    def __init__(self, board: Board, sheds_maps: bool = False) -> None:
         self._board = board
-        self._gives_way = gives_way
+        self._sheds_maps = sheds_maps
         self.maps_shed = 0
         self._map_posted_ns: int | None = None
         self._is_late = False
         self._frame: BevFrame | None = None
         self._past: tuple[Past, ...] = ()
-        #: Views so far: a page that misses some can tell how many, however often each was posted.
+        #: Number of views so far: a page that misses some can count them, however often each was posted.
         self._number = 0
         self._latency_ms: float | None = None
         #: Waits for the view of its scan, so that both change together.
@@ -61,7 +61,7 @@ class ScanAssembly:
         self._vehicle: VehicleState | None = None
 
     def take(self, message: msgspec.Struct, now_ns: int, past: tuple[Past, ...] = (), is_late: bool = False) -> None:
-        """Take in one message of `TOPICS_SHOWN`; post what it completes. `past` and `is_late` come with a view."""
+        """Process one message of `TOPICS_SHOWN`; post what it completes. `past` and `is_late` come with a view."""
         match message:
             case BevFrame():
                 self._number += 1
@@ -97,7 +97,7 @@ class ScanAssembly:
         self._map = None
 
     def _is_map_shed(self, now_ns: int) -> bool:
-        if not (self._gives_way and self._is_late) or self._map_posted_ns is None:
+        if not (self._sheds_maps and self._is_late) or self._map_posted_ns is None:
             return False
         return now_ns - self._map_posted_ns < LATE_MAP_PERIOD_NS
 
@@ -111,21 +111,21 @@ class ScanAssembly:
 
 
 class Assembly:
-    """Takes messages of a live graph in order of arrival and posts all a page shows. Belongs to one thread."""
+    """Processes messages of a live graph in order of arrival and posts a page's contents. Belongs to one thread."""
 
-    def __init__(self, board: Board, gives_way: bool = False) -> None:
+    def __init__(self, board: Board, sheds_maps: bool = False) -> None:
         self._board = board
-        self._scans = ScanAssembly(board, gives_way)
+        self._scans = ScanAssembly(board, sheds_maps)
         self._watch: Watch | None = None
         self._table_due_ns: int | None = None
 
     @property
     def maps_shed(self) -> int:
-        """Pictures of maps left out so far."""
+        """Number of pictures of maps shed so far."""
         return self._scans.maps_shed
 
     def take(self, message: msgspec.Struct, now_ns: int) -> None:
-        """Take in one message of `TOPICS_SHOWN`; post what it completes."""
+        """Process one message of `TOPICS_SHOWN`; post what it completes."""
         watch = self._watching(now_ns)
         watch.take(message, now_ns)
         self._scans.take(message, now_ns, watch.past, watch.is_late)
@@ -135,13 +135,13 @@ class Assembly:
             post_sensor(self._board, watch.sensor)
 
     def table_due_ns(self, now_ns: int) -> int:
-        """When the node table is to be posted next."""
+        """Return when the node table is to be posted next."""
         if self._table_due_ns is None:
             self._table_due_ns = now_ns
         return self._table_due_ns
 
     def post_table(self, now_ns: int) -> None:
-        """Post the node table and the warnings as they stand."""
+        """Post the current node table and warnings."""
         self._table_due_ns = now_ns + TABLE_PERIOD_NS
         table = self._watching(now_ns).table(now_ns)
         self._board.post("nodes", lambda: (json_text(table),))
@@ -156,12 +156,12 @@ class Assembly:
 
 
 def post_warnings(board: Board, warnings: tuple[DriverWarning, ...], now_ns: int) -> None:
-    """Hang up warnings as they stood at a time."""
+    """Post the warnings of a time."""
     board.post("warnings", lambda: (json_text({"type": "warnings", "warnings": warnings_json(warnings, now_ns)}),))
 
 
 def post_sensor(board: Board, setup: Setup) -> None:
-    """Hang up which sensor a page looks through."""
+    """Post the sensor of a page."""
     board.post("sensor", lambda: (json_text(sensor_json(setup)),))
 
 
@@ -180,5 +180,5 @@ def _map_messages(ra_map: RangeAzimuthMap, latency_ms: float | None, peaks: Peak
 
 
 def _age_ms(stamp_ns: int, now_ns: int) -> float | None:
-    """Time since the first beam, None where stamp and clock have nothing to do with each other."""
+    """Return the time since the first beam, None if stamp and clock are of different clocks."""
     return round(1e-6 * (now_ns - stamp_ns), 1) if on_one_clock(stamp_ns, now_ns) else None

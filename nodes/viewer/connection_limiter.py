@@ -1,7 +1,7 @@
-"""Who stands at the viewer's door, and for how long: connections are few and short until a page is let in.
+"""Limit on connections of the viewer: they are few and short-lived until one becomes a page.
 
-A web server that waits for ever for the end of a request can be shut by a hundred connections that never end theirs,
-and one that accepts them all takes the file descriptors that the graph's own sockets need.
+A web server that waits for ever for the end of a request can be blocked by a hundred connections that never finish
+theirs, and one that accepts them all takes the file descriptors that the graph's own sockets need.
 """
 
 from __future__ import annotations
@@ -14,97 +14,97 @@ from typing import NamedTuple
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
-#: Connections that are no page yet; one more, and the one that has stood there longest has to go.
-MAX_VISITORS = 256
-#: They come from the kernel in no larger groups, so that the newest is heard before its turn to go has come.
+#: Maximum connections that are no page yet; with one more, the oldest is closed.
+MAX_PENDING = 256
+#: The kernel delivers them in no larger groups, so that the newest is read before it would be closed.
 BACKLOG = 128
-#: To ask for a file and to take it, or to become a page.
-VISIT_S = 20.0
-#: A page that was let go has this long to take in why.
-LEAVE_S = 2.0
-#: Nothing a page has to say comes near this, pings and beginnings of messages included.
+#: Time to request a file and to receive it, or to become a page.
+PENDING_S = 20.0
+#: Time for a page that was closed to receive the reason.
+LINGER_S = 2.0
+#: Limit far above any message of a page, pings and beginnings of messages included.
 MAX_CLIENT_BYTES_PER_S = 1 << 16
-#: Nor has any message of a page more than one.
+#: Maximum fragments of a message of a page.
 MAX_FRAGMENTS = 1024
 
-#: What strangers send is no news: a flood of it would be a flood of the log.
+#: Invalid data from strangers is not logged: a flood of it would flood the log.
 _STRANGERS_LOG = logging.getLogger(f"{__name__}.strangers")
 _STRANGERS_LOG.setLevel(logging.ERROR)
 
 
-class Door:
+class ConnectionLimiter:
     """Connections that are no page yet, in order of arrival; belongs to the server's loop."""
 
     def __init__(self) -> None:
-        self._visitors: dict[asyncio.Transport, asyncio.TimerHandle] = {}
+        self._pending: dict[asyncio.Transport, asyncio.TimerHandle] = {}
 
     @property
-    def visitors(self) -> int:
-        """Connections that are no page."""
-        return len(self._visitors)
+    def pending(self) -> int:
+        """Number of connections that are no page."""
+        return len(self._pending)
 
     @property
     def http(self) -> type[asyncio.Protocol]:
-        """What uvicorn is to make of each connection."""
-        return type("Visitor", (_Visitor,), {"door": self})
+        """Protocol class that uvicorn makes of each connection."""
+        return type("TrackedConnection", (_TrackedConnection,), {"limiter": self})
 
-    def enter(self, transport: asyncio.Transport, stay_s: float) -> None:
-        """Let a connection be for so long; where there are too many, the oldest has to go."""
-        self.leave(transport)
-        self._visitors[transport] = asyncio.get_running_loop().call_later(stay_s, self._turn_out, transport)
-        if len(self._visitors) > MAX_VISITORS:
-            self._turn_out(next(iter(self._visitors)))
+    def add(self, transport: asyncio.Transport, timeout_s: float) -> None:
+        """Admit a connection for a limited time; if there are too many, the oldest is closed."""
+        self.discard(transport)
+        self._pending[transport] = asyncio.get_running_loop().call_later(timeout_s, self._abort, transport)
+        if len(self._pending) > MAX_PENDING:
+            self._abort(next(iter(self._pending)))
 
-    def leave(self, transport: asyncio.Transport) -> None:
-        """A connection has gone, or is a page now."""
-        timer = self._visitors.pop(transport, None)
+    def discard(self, transport: asyncio.Transport) -> None:
+        """Forget a connection that has closed or became a page."""
+        timer = self._pending.pop(transport, None)
         if timer is not None:
             timer.cancel()
 
-    def _turn_out(self, transport: asyncio.Transport) -> None:
-        self.leave(transport)
+    def _abort(self, transport: asyncio.Transport) -> None:
+        self.discard(transport)
         transport.abort()
 
 
-class Visit(NamedTuple):
-    """One connection at a door; an ASGI scope has it as `state["visit"]`."""
+class PendingConnection(NamedTuple):
+    """One connection of a limiter; an ASGI scope has it as `state["pending"]`."""
 
-    door: Door
+    limiter: ConnectionLimiter
     transport: asyncio.Transport
 
-    def welcome(self) -> None:
-        """It is a page: it may stay."""
-        self.door.leave(self.transport)
+    def admit(self) -> None:
+        """Keep the connection: it became a page."""
+        self.limiter.discard(self.transport)
 
-    def see_out(self) -> None:
-        """The page has ended: it may take in the last word, and does not keep its socket by not reading it."""
+    def linger(self) -> None:
+        """Close the connection after a time to receive the last message, even if the page does not read it."""
         if self.transport.get_write_buffer_size() or not self.transport.is_closing():
-            self.door.enter(self.transport, LEAVE_S)
+            self.limiter.add(self.transport, LINGER_S)
 
 
-class _Visitor(H11Protocol):
-    """A connection that its door knows of until it has gone, or is a websocket."""
+class _TrackedConnection(H11Protocol):
+    """A connection that its limiter tracks until it has closed, or is a websocket."""
 
-    door: Door
+    limiter: ConnectionLimiter
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         self.logger = _STRANGERS_LOG
-        self.app_state = {**self.app_state, "visit": Visit(self.door, transport)}
+        self.app_state = {**self.app_state, "pending": PendingConnection(self.limiter, transport)}
         super().connection_made(transport)
-        self.door.enter(transport, VISIT_S)
+        self.limiter.add(transport, PENDING_S)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        self.door.leave(self.transport)
+        self.limiter.discard(self.transport)
         super().connection_lost(exc)
 
 
 class PageSocket(WebSocketsSansIOProtocol):
-    """A websocket that ends where its client sends more than a page ever would, whatever it is."""
+    """A websocket that closes when its client sends more than any page would."""
 
     _second, _bytes = 0, 0
 
     def data_received(self, data: bytes) -> None:
-        """Take in what came, or end it."""
+        """Process the received data, or close the connection."""
         second = int(time.monotonic())
         self._second, self._bytes = second, len(data) + (self._bytes if second == self._second else 0)
         if self._bytes > MAX_CLIENT_BYTES_PER_S or len(self.frames) > MAX_FRAGMENTS:
@@ -113,6 +113,6 @@ class PageSocket(WebSocketsSansIOProtocol):
             super().data_received(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The door need not look after it any more."""
-        self.app_state["visit"].door.leave(self.transport)
+        """Remove the connection from the limiter."""
+        self.app_state["pending"].limiter.discard(self.transport)
         super().connection_lost(exc)

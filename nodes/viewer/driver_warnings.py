@@ -1,8 +1,8 @@
-"""What a driver should be told, from what the graph says: rules, and the memory that keeps them from flickering.
+"""Warnings for a driver from the messages of the graph: rules, and the memory that keeps them from flickering.
 
-A rule looks at the facts of one moment and finds conditions; it never guesses: what cannot be told is not said. The
-memory adds hysteresis (a wider limit ends a warning than begins it, and it stays for a moment after), the time of the
-first occurrence, and order. Nothing here knows a page or a clock: `Warner.step` is asked with the time it is.
+A rule checks the facts of one moment for conditions; it never guesses: an undetermined condition gives no warning.
+The memory adds hysteresis (a wider limit ends a warning than begins it, and it stays for a moment after), the time of
+the first occurrence, and order. Nothing here depends on a page or a clock: `Warner.step` is called with the time.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from nodes.inputs.view_latency import ViewFigures, on_one_clock
 
 
 class Level(IntEnum):
-    """How soon something must be done about it."""
+    """Urgency of a warning."""
 
     NOTICE = 1
     CAUTION = 2
@@ -34,12 +34,12 @@ class Level(IntEnum):
 
 
 class WarningParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Limits of the rules; each `until` ends what its neighbour above begins."""
+    """Limits of the rules; each `until` ends the warning that its neighbour above begins."""
 
-    #: An object that comes into direct sight within this time.
+    #: An object that enters direct sight within this time.
     appear_s: float = 3.0
     appear_until_s: float = 4.0
-    #: Ways that come this near, with a standard deviation of the distance no larger than that, within `crossing_s`.
+    #: Paths that come this near, with a standard deviation of the distance no larger than that, within `crossing_s`.
     crossing_m: float = 3.0
     crossing_until_m: float = 4.5
     crossing_s: float = 4.0
@@ -48,9 +48,9 @@ class WarningParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     #: An object moves if it is faster than this and than `moving_sigmas` standard deviations of its speed.
     moving_mps: float = 1.0
     moving_sigmas: float = 2.0
-    #: A track that was not seen in more scans than this begins no warning.
+    #: A track missed in more scans than this begins no warning.
     max_misses: int = 2
-    #: Less of the plane than this is observed in mirrors: it cannot see.
+    #: With a smaller share of the plane observed in mirrors the radar counts as blind.
     blind_m2: float = 10.0
     blind_until_m2: float = 20.0
     #: A radar without scan, a vehicle without state.
@@ -58,13 +58,13 @@ class WarningParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     vehicle_silent_s: float = 0.5
     #: Views late or absent within the window of `live_timing`.
     late_views: int = 2
-    #: Straight ahead reaches this far to either side.
+    #: Lateral limit of "straight ahead".
     ahead_deg: float = 10.0
-    #: What concerns seeing at all must last this long before it is said; a warning stays this long after its end.
+    #: Minimum duration of a visibility condition before its warning; a warning stays this long after its end.
     settle_s: float = 0.5
     stay_s: float = 1.0
-    #: More than this are not shown: the most urgent are.
-    most: int = 12
+    #: Maximum number of warnings shown: the most urgent ones.
+    max_warnings: int = 12
 
     def __post_init__(self) -> None:
         for name in self.__struct_fields__:
@@ -76,7 +76,7 @@ class WarningParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
                 raise ValueError(f"warnings.{stem}_until_{unit} must be at least {name}, got {until!r}")
 
 
-#: Conditions of a view in plain words: what it is, and what follows from it.
+#: Conditions of a view in plain words: the condition, and its consequence.
 FLAG_WORDS = {
     "incoherent": ("Echoes moved during the scan", "bearings are less exact"),
     "missing_beams": ("Beams are missing", "nothing is seen in their directions"),
@@ -87,14 +87,14 @@ FLAG_WORDS = {
     "spurs": ("The radar disturbs itself", "echoes may appear where nothing is"),
     "array_error": ("The antenna is not as calibrated", "bearings may be wrong; calibrate the radar"),
 }
-#: The nearest so many are looked at.
-MOST_TRACKS = 100
-#: Frequent where things move, and no fault.
+#: Maximum number of tracks considered: the nearest.
+MAX_TRACKS = 100
+#: Frequent where objects move, and no fault.
 _HARMLESS_FLAGS = ("incoherent",)
 
 
 class NodeFact(NamedTuple):
-    """A node as its heartbeats say: state, why, messages lost or unreadable in the last seconds."""
+    """A node according to its heartbeats: state, reason, messages lost or unreadable in the last seconds."""
 
     node: str
     state: str
@@ -103,20 +103,20 @@ class NodeFact(NamedTuple):
 
 
 class Facts(NamedTuple):
-    """All that is known at a time; stamps on the clock of `now_ns`, None: never came."""
+    """All facts at a time; stamps on the clock of `now_ns`, None: never received."""
 
     now_ns: int
     since_ns: int
     frame: BevFrame | None = None
     frame_at_ns: int | None = None
-    #: When a radar map last came: tells a silent radar from silent perception.
+    #: When a radar map last came: distinguishes a silent radar from silent perception.
     map_at_ns: int | None = None
     vehicle: VehicleState | None = None
     vehicle_at_ns: int | None = None
     views: ViewFigures | None = None
     nodes: Sequence[NodeFact] = ()
     vehicle_from_radar: Pose2 = Pose2()
-    #: What looks: "radar" or "LiDAR", and how long a scan takes.
+    #: The sensor, "radar" or "LiDAR", and the duration of a scan.
     sensor: str = "radar"
     scan_period_s: float = 0.0
 
@@ -129,19 +129,19 @@ class Finding(NamedTuple):
     title: str
     detail: str
     firm: bool = True
-    #: Time left, None where there is none to speak of.
+    #: Time left, None if there is no meaningful one.
     left_s: float | None = None
-    #: Must last this long before it is said.
+    #: Minimum duration before it is shown.
     after_s: float = 0.0
     tracks: tuple[int, ...] = ()
-    #: What is not firm keeps only a warning of its own kind.
+    #: A finding that is not firm keeps only a warning of its own kind.
     kind: str = ""
 
 
 class DriverWarning(NamedTuple):
-    """A warning as it stands: its key stays while it lasts, title, level and detail follow what is known.
+    """A current warning: its key stays while it lasts; title, level and detail follow the facts.
 
-    `ended`: the condition has just gone. `left_s`: time to the event. `since_ns`: when it became as urgent as now.
+    `ended`: the condition has just ended. `left_s`: time to the event. `since_ns`: when it became as urgent as now.
     """
 
     key: str
@@ -154,10 +154,10 @@ class DriverWarning(NamedTuple):
     ended: bool
 
 
-class _Known(NamedTuple):
-    """What is remembered of a key."""
+class _Memory(NamedTuple):
+    """Memory of a key."""
 
-    #: Since when it has been of that level at least, for each level up to its own.
+    #: Start time of at least that level, for each level up to its own.
     since_ns: dict[Level, int]
     last_ns: int
     said: bool
@@ -165,65 +165,71 @@ class _Known(NamedTuple):
 
 
 class Warner:
-    """Findings made into warnings that do not flicker; asked in order of time, belongs to one thread."""
+    """Findings made into warnings that do not flicker; called in order of time, belongs to one thread."""
 
     def __init__(self, params: WarningParams | None = None) -> None:
         self._params = params or WarningParams()
-        self._known: dict[str, _Known] = {}
+        self._memory: dict[str, _Memory] = {}
         self._now_ns: int | None = None
 
     def step(self, facts: Facts) -> tuple[DriverWarning, ...]:
-        """The warnings at `facts.now_ns`, the most urgent first; a clock that went back begins anew."""
+        """Return the warnings at `facts.now_ns`, the most urgent first; a clock that went back resets the memory."""
         now_ns = facts.now_ns
         if self._now_ns is not None and now_ns < self._now_ns:
-            self._known.clear()
+            self._memory.clear()
         self._now_ns = now_ns
-        heard: set[str] = set()
+        keys: set[str] = set()
         for finding in findings(facts, self._params):
-            # the first that counts speaks for its key
-            if finding.key not in heard and self._hear(finding, now_ns):
-                heard.add(finding.key)
-        self._known = {key: one for key, one in self._known.items() if self._is_kept(one, now_ns)}
-        warnings = [_warning(one, now_ns) for one in self._known.values() if one.said]
-        return tuple(sorted(warnings, key=_by_urgency)[: self._params.most])
+            # the first that counts represents its key
+            if finding.key not in keys and self._store(finding, now_ns):
+                keys.add(finding.key)
+        self._memory = {key: memory for key, memory in self._memory.items() if self._is_kept(memory, now_ns)}
+        warnings = [_warning(memory, now_ns) for memory in self._memory.values() if memory.said]
+        return tuple(sorted(warnings, key=_by_urgency)[: self._params.max_warnings])
 
-    def _hear(self, finding: Finding, now_ns: int) -> bool:
-        """Remember a finding; False where it does not count: too weak to begin, or to take the place of a worse one."""
-        known = self._known.get(finding.key)
-        if not finding.firm and (known is None or known.finding.kind != finding.kind):
+    def _store(self, finding: Finding, now_ns: int) -> bool:
+        """Store a finding; False if it does not count: too weak to begin, or to replace a worse one."""
+        memory = self._memory.get(finding.key)
+        if not finding.firm and (memory is None or memory.finding.kind != finding.kind):
             return False
-        if known is not None and finding.level < known.finding.level and self._stays(known, now_ns):
+        if memory is not None and finding.level < memory.finding.level and self._stays(memory, now_ns):
             return False
-        before = {} if known is None else known.since_ns
+        before = {} if memory is None else memory.since_ns
         since_ns = {level: before.get(level, now_ns) for level in Level if level <= finding.level}
-        said = (known is not None and known.said) or s_from_ns(now_ns - min(since_ns.values())) >= finding.after_s
-        self._known[finding.key] = _Known(since_ns, now_ns, said, finding)
+        said = (memory is not None and memory.said) or s_from_ns(now_ns - min(since_ns.values())) >= finding.after_s
+        self._memory[finding.key] = _Memory(since_ns, now_ns, said, finding)
         return True
 
-    def _stays(self, one: _Known, now_ns: int) -> bool:
-        return one.said and s_from_ns(now_ns - one.last_ns) <= self._params.stay_s
+    def _stays(self, memory: _Memory, now_ns: int) -> bool:
+        return memory.said and s_from_ns(now_ns - memory.last_ns) <= self._params.stay_s
 
-    def _is_kept(self, one: _Known, now_ns: int) -> bool:
-        return one.last_ns == now_ns or self._stays(one, now_ns)
+    def _is_kept(self, memory: _Memory, now_ns: int) -> bool:
+        return memory.last_ns == now_ns or self._stays(memory, now_ns)
 
 
-def _warning(one: _Known, now_ns: int) -> DriverWarning:
-    finding = one.finding
-    left_s = None if finding.left_s is None else max(finding.left_s - s_from_ns(now_ns - one.last_ns), 0.0)
-    since_ns, ended = one.since_ns[finding.level], one.last_ns < now_ns
+def _warning(memory: _Memory, now_ns: int) -> DriverWarning:
+    finding = memory.finding
+    left_s = None if finding.left_s is None else max(finding.left_s - s_from_ns(now_ns - memory.last_ns), 0.0)
+    since_ns, ended = memory.since_ns[finding.level], memory.last_ns < now_ns
     return DriverWarning(
         finding.key, finding.level, finding.title, finding.detail, since_ns, left_s, finding.tracks, ended
     )
 
 
-def _by_urgency(one: DriverWarning) -> tuple[bool, int, float, int, str]:
-    """What has ended goes last, then by level, time left, age."""
-    return one.ended, -one.level, math.inf if one.left_s is None else one.left_s, one.since_ns, one.key
+def _by_urgency(warning: DriverWarning) -> tuple[bool, int, float, int, str]:
+    """Return a sort key: ended warnings last, then by level, time left, age."""
+    return (
+        warning.ended,
+        -warning.level,
+        math.inf if warning.left_s is None else warning.left_s,
+        warning.since_ns,
+        warning.key,
+    )
 
 
 def findings(facts: Facts, params: WarningParams) -> list[Finding]:
-    """All conditions that hold; of several with one key the first that counts is meant."""
-    return [one for rule in RULES for one in rule(facts, params)]
+    """Return all conditions that hold; of several with one key the first that counts is meant."""
+    return [finding for rule in RULES for finding in rule(facts, params)]
 
 
 def _is_fresh(facts: Facts, params: WarningParams) -> bool:
@@ -231,7 +237,7 @@ def _is_fresh(facts: Facts, params: WarningParams) -> bool:
 
 
 def _silent_s(facts: Facts, params: WarningParams) -> float:
-    """How long it takes to be silent: a few scans, where they are slow."""
+    """Return the duration that counts as silence: a few scans, if they are slow."""
     return max(params.silent_s, 3.0 * facts.scan_period_s)
 
 
@@ -247,70 +253,77 @@ def _is_motion_known(facts: Facts, params: WarningParams) -> bool:
 
 
 def hidden_objects(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Of each side whose ways cross, then who comes into sight, then who moves there; the most urgent first.
+    """Return per side: crossing paths, then objects that enter sight, then moving ones; the most urgent first.
 
-    A side, not a track, has the key: one vehicle that is followed twice, or under a new id, is one warning.
+    A side, not a track, has the key: one vehicle that is tracked twice, or under a new id, is one warning.
     """
     frame = facts.frame
     if frame is None or not _is_fresh(facts, params):
         return
-    tracks = [one for one in frame.tracks if _makes_sense(one)]
-    count = Counter(side_of_track(one, params) for one in tracks)
-    tracks = sorted(tracks, key=lambda one: math.hypot(one.x_m, one.y_m))[:MOST_TRACKS]
+    tracks = [track for track in frame.tracks if _is_finite(track)]
+    count = Counter(side_of_track(track, params) for track in tracks)
+    tracks = sorted(tracks, key=lambda track: math.hypot(track.x_m, track.y_m))[:MAX_TRACKS]
     crossings = _crossings(facts, tracks, params)
-    # tracks speak of the scan's stamp, a driver of now
+    # tracks refer to the scan's stamp, warnings to now
     late_s = s_from_ns(facts.now_ns - frame.stamp_ns) if on_one_clock(frame.stamp_ns, facts.now_ns) else 0.0
-    found = [
-        finding._replace(detail=finding.detail + _others(count[side_of_track(one, params)] - 1))
-        for one, crossing in zip(tracks, crossings, strict=True)
-        for finding in _about_track(one, crossing, late_s, params)
+    ranked = [
+        finding._replace(detail=finding.detail + _others(count[side_of_track(track, params)] - 1))
+        for track, crossing in zip(tracks, crossings, strict=True)
+        for finding in _about_track(track, crossing, late_s, params)
     ]
-    yield from sorted(found, key=_what_first)
+    yield from sorted(ranked, key=_by_precedence)
     if not frame.tracks:
         yield from _untracked(frame, params)
 
 
-def _what_first(one: Finding) -> tuple[int, bool, bool, float]:
-    """Ways that meet go before what comes into sight, even where they only keep a warning."""
-    return -one.level, one.kind != "meet", not one.firm, math.inf if one.left_s is None else one.left_s
+def _by_precedence(finding: Finding) -> tuple[int, bool, bool, float]:
+    """Return a sort key: crossing paths precede objects that enter sight, even where they only keep a warning."""
+    return (
+        -finding.level,
+        finding.kind != "meet",
+        not finding.firm,
+        math.inf if finding.left_s is None else finding.left_s,
+    )
 
 
 def _others(count: int) -> str:
     return f"; {count} more on this side" if count > 0 else ""
 
 
-def _makes_sense(one: Track) -> bool:
-    return all(map(math.isfinite, (one.x_m, one.y_m, one.velocity_x_mps, one.velocity_y_mps)))
+def _is_finite(track: Track) -> bool:
+    return all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps)))
 
 
 class Crossing(NamedTuple):
-    """Two ways that come near: when they first do, how near at last, the standard deviation of the distance then."""
+    """Two paths that approach: when they first do, the final distance, the standard deviation of the distance then."""
 
     time_s: float
     distance_m: float
     std_m: float
 
 
-def _about_track(one: Track, crossing: Crossing | None, late_s: float, params: WarningParams) -> Iterable[Finding]:
-    """What is to be said of one track, and, where that is not firm, what is said instead."""
-    place, moves = place_words(one.x_m, one.y_m), is_moving(one, params)
-    side, seen = side_of_track(one, params), one.misses <= params.max_misses
+def _about_track(track: Track, crossing: Crossing | None, late_s: float, params: WarningParams) -> Iterable[Finding]:
+    """Return the findings on one track; if one is not firm, also its replacement."""
+    where, moves = place_words(track.x_m, track.y_m), is_moving(track, params)
+    side, is_current = side_of_track(track, params), track.misses <= params.max_misses
     who = f"{'Hidden road user' if moves else 'Slow or standing hidden object'} {side_words(side)}"
-    detail = f"{place}, {speed_words(one)}" if moves else place
-    about = Finding(f"hidden/{side}", Level.NOTICE, who, detail, seen, after_s=params.settle_s, tracks=(one.id,))
+    detail = f"{where}, {speed_words(track)}" if moves else where
+    about = Finding(
+        f"hidden/{side}", Level.NOTICE, who, detail, is_current, after_s=params.settle_s, tracks=(track.id,)
+    )
     if crossing is not None:
         yield _meeting(about, crossing, late_s, params)
-    if one.time_to_appear_s == 0.0:
-        in_sight = f"now in direct sight, {place}"
+    if track.time_to_appear_s == 0.0:
+        in_sight = f"now in direct sight, {where}"
         yield about._replace(kind="appear", level=Level.CAUTION, detail=in_sight, firm=False)
         return
-    if one.time_to_appear_s is not None and one.time_to_appear_s - late_s <= params.appear_until_s:
-        left_s = max(one.time_to_appear_s - late_s, 0.0)
+    if track.time_to_appear_s is not None and track.time_to_appear_s - late_s <= params.appear_until_s:
+        left_s = max(track.time_to_appear_s - late_s, 0.0)
         yield about._replace(
             kind="appear",
             level=Level.URGENT if moves else Level.CAUTION,
             title=f"{who}: about to appear",
-            firm=seen and left_s <= params.appear_s,
+            firm=is_current and left_s <= params.appear_s,
             left_s=left_s,
             after_s=0.0,
         )
@@ -319,7 +332,7 @@ def _about_track(one: Track, crossing: Crossing | None, late_s: float, params: W
 
 
 def _meeting(about: Finding, crossing: Crossing, late_s: float, params: WarningParams) -> Finding:
-    """Ways that come near each other, firm where that is near, sure and soon."""
+    """Return the finding of paths that approach each other, firm if near, certain and soon."""
     left_s = max(crossing.time_s - late_s, 0.0)
     apart = f"{crossing.distance_m:.1f} m (± {crossing.std_m:.1f} m) apart if both go on so"
     return about._replace(
@@ -336,78 +349,78 @@ def _meeting(about: Finding, crossing: Crossing, late_s: float, params: WarningP
 
 
 def _untracked(frame: BevFrame, params: WarningParams) -> Iterable[Finding]:
-    """Objects of a view without tracks: there, but nobody knows yet how they move."""
-    for one in frame.objects:
-        if math.isfinite(one.x_m) and math.isfinite(one.y_m):
-            side = side_of(one.x_m, one.y_m, params)
+    """Return objects of a view without tracks: present, but with unknown motion."""
+    for item in frame.objects:
+        if math.isfinite(item.x_m) and math.isfinite(item.y_m):
+            side = side_of(item.x_m, item.y_m, params)
             title = f"Hidden object {side_words(side)}"
-            detail = f"{place_words(one.x_m, one.y_m)}; not followed, motion unknown"
+            detail = f"{place_words(item.x_m, item.y_m)}; not followed, motion unknown"
             yield Finding(f"hidden/{side}", Level.NOTICE, title, detail, after_s=params.settle_s)
 
 
-def is_moving(one: Track, params: WarningParams) -> bool:
-    """Whether the speed of a track is beyond doubt not zero."""
-    velocity = np.array([one.velocity_x_mps, one.velocity_y_mps])
+def is_moving(track: Track, params: WarningParams) -> bool:
+    """Return whether the speed of a track is significantly different from zero."""
+    velocity = np.array([track.velocity_x_mps, track.velocity_y_mps])
     speed_mps = float(np.hypot(*velocity))
     if speed_mps <= params.moving_mps:
         return False
-    covariance = one.velocity_cov_m2ps2
+    covariance = track.velocity_cov_m2ps2
     if covariance is None:
         return True
     return speed_mps > params.moving_sigmas * _std_along(velocity / speed_mps, np.array(covariance))
 
 
 def _std_along(direction: np.ndarray, covariance: np.ndarray) -> float:
-    """Standard deviation in a direction [2]; infinite where the covariance [2, 2] is not finite."""
+    """Return the standard deviation in a direction [2]; infinite if the covariance [2, 2] is not finite."""
     if not np.isfinite(covariance).all():
         return math.inf
     return math.sqrt(max(float(direction @ covariance @ direction), 0.0))
 
 
 def _crossings(facts: Facts, tracks: Sequence[Track], params: WarningParams) -> list[Crossing | None]:
-    """Of each track where its way and the radar's first come near; None where they do not, or nobody can tell."""
+    """Return where each track's path and the radar's first approach; None if they do not, or it is undetermined."""
     state = facts.vehicle
     if state is None or not _is_motion_known(facts, params):
         return [None] * len(tracks)
     count = round(params.crossing_until_s / params.crossing_step_s) + 1
     times_s = params.crossing_step_s * np.arange(count)
     radar_m = radar_ahead_m(state, facts.vehicle_from_radar, times_s)
-    return [crossing_of(one, radar_m, times_s, params.crossing_until_m) for one in tracks]
+    return [crossing_of(track, radar_m, times_s, params.crossing_until_m) for track in tracks]
 
 
 def radar_ahead_m(state: VehicleState, vehicle_from_radar: Pose2, times_s: np.ndarray) -> np.ndarray:
-    """Places [N, 2] of the radar in its own axes of now, if the vehicle keeps speed and yaw rate."""
+    """Return positions [N, 2] of the radar in its own axes of now, if the vehicle keeps speed and yaw rate."""
     radar_from_vehicle = vehicle_from_radar.inverse()
     motions = (ego_motion(state.speed_mps, state.yaw_rate_rps, time_s) for time_s in times_s.tolist())
     poses = (radar_from_vehicle @ motion @ vehicle_from_radar for motion in motions)
     return np.array([[pose.x_m, pose.y_m] for pose in poses])
 
 
-def crossing_of(one: Track, radar_m: np.ndarray, times_s: np.ndarray, near_m: float) -> Crossing | None:
-    """The nearest approach of a track to the radar's way [N, 2] at `times_s` [N], and when `near_m` is first reached.
+def crossing_of(track: Track, radar_m: np.ndarray, times_s: np.ndarray, near_m: float) -> Crossing | None:
+    """Return the nearest approach of a track to the radar's path [N, 2] at `times_s` [N], and when it reaches `near_m`.
 
-    None where it never is, where they move apart from the start, or where the velocity's covariance is not known, a
+    None if it never does, if they move apart from the start, or if the velocity's covariance is unknown, a
     covariance is not finite, or they leave the distance less certain than `near_m`.
     """
-    if one.velocity_cov_m2ps2 is None or not np.isfinite((one.cov_m2, one.velocity_cov_m2ps2)).all():
+    if track.velocity_cov_m2ps2 is None or not np.isfinite((track.cov_m2, track.velocity_cov_m2ps2)).all():
         return None
-    start = np.array([one.x_m, one.y_m])
-    offsets = start + times_s[:, None] * np.array([one.velocity_x_mps, one.velocity_y_mps]) - radar_m
+    start = np.array([track.x_m, track.y_m])
+    offsets = start + times_s[:, None] * np.array([track.velocity_x_mps, track.velocity_y_mps]) - radar_m
     distances_m = np.hypot(offsets[:, 0], offsets[:, 1])
     first, nearest = int(np.argmax(distances_m <= near_m)), int(distances_m.argmin())
     if distances_m[nearest] > near_m or nearest == 0:
         return None
-    spread = np.array(one.cov_m2) + times_s[first] ** 2 * np.array(one.velocity_cov_m2ps2)
+    spread = np.array(track.cov_m2) + times_s[first] ** 2 * np.array(track.velocity_cov_m2ps2)
     along = offsets[first] / max(distances_m[first], 1e-9)
     std_m = _std_along(along, spread)
-    # too vague: nobody can tell
+    # too uncertain to decide
     if std_m > near_m:
         return None
     return Crossing(float(times_s[first]), float(distances_m[nearest]), std_m)
 
 
 def side_of(x_m: float, y_m: float, params: WarningParams) -> str:
-    """Side of a place: ahead, left, right, behind."""
+    """Return the side of a position: ahead, left, right, behind."""
     azimuth_deg = math.degrees(math.atan2(y_m, x_m))
     if abs(azimuth_deg) <= params.ahead_deg:
         return "ahead"
@@ -416,37 +429,37 @@ def side_of(x_m: float, y_m: float, params: WarningParams) -> str:
     return "left" if azimuth_deg > 0.0 else "right"
 
 
-def side_of_track(one: Track, params: WarningParams) -> str:
-    """Side of a track; one that is straight ahead and crosses comes from where it came from."""
-    side = side_of(one.x_m, one.y_m, params)
-    crosses = abs(one.velocity_y_mps) > max(abs(one.velocity_x_mps), params.moving_mps)
+def side_of_track(track: Track, params: WarningParams) -> str:
+    """Return the side of a track; for one straight ahead that crosses, the side it came from."""
+    side = side_of(track.x_m, track.y_m, params)
+    crosses = abs(track.velocity_y_mps) > max(abs(track.velocity_x_mps), params.moving_mps)
     if side == "ahead" and crosses:
-        return "left" if one.velocity_y_mps < 0.0 else "right"
+        return "left" if track.velocity_y_mps < 0.0 else "right"
     return side
 
 
 def side_words(side: str) -> str:
-    """ "from the left", "ahead", "behind"."""
+    """Return "from the left", "ahead", "behind"."""
     return f"from the {side}" if side in ("left", "right") else side
 
 
-def speed_words(one: Track) -> str:
-    """Speed over ground: "14 km/h"."""
-    return f"{3.6 * math.hypot(one.velocity_x_mps, one.velocity_y_mps):.0f} km/h"
+def speed_words(track: Track) -> str:
+    """Return the speed over ground: "14 km/h"."""
+    return f"{3.6 * math.hypot(track.velocity_x_mps, track.velocity_y_mps):.0f} km/h"
 
 
 def place_words(x_m: float, y_m: float) -> str:
-    """Distance and bearing: "18 m, 35° left"."""
+    """Return distance and bearing: "18 m, 35° left"."""
     azimuth_deg = round(math.degrees(math.atan2(y_m, x_m)))
     bearing = "straight ahead" if azimuth_deg == 0 else f"{abs(azimuth_deg)}° {'left' if azimuth_deg > 0 else 'right'}"
     return f"{math.hypot(x_m, y_m):.0f} m, {bearing}"
 
 
-# seeing at all
+# visibility
 
 
 def silence(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """No view for longer than a few scans: of a silent radar, or of a perception that does not follow it."""
+    """Return the absence of views for longer than a few scans: of a silent radar, or of a perception behind it."""
     if facts.frame_at_ns is None:
         waited_s = s_from_ns(facts.now_ns - facts.since_ns)
         if waited_s > _silent_s(facts, params):
@@ -457,7 +470,7 @@ def silence(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def _who_is_silent(facts: Facts, quiet: str, params: WarningParams) -> tuple[str, str]:
-    """Title and detail of a silence; where no map ever came nobody can tell whose it is."""
+    """Return title and detail of a silence; if no map ever came its source is undetermined."""
     if facts.map_at_ns is None:
         return "No view", quiet
     map_age_s = s_from_ns(facts.now_ns - facts.map_at_ns)
@@ -467,23 +480,25 @@ def _who_is_silent(facts: Facts, quiet: str, params: WarningParams) -> tuple[str
 
 
 def blindness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Nothing observed in any mirror: an empty view then means nothing."""
+    """Return the finding that no mirror is observed: an empty view is then meaningless."""
     if facts.frame is None or not _is_fresh(facts, params):
         return
     cells = int(np.count_nonzero(facts.frame.visibility == Visibility.MIRRORED))
     area_m2 = cells * facts.frame.grid.cell_m**2
     if area_m2 >= params.blind_until_m2:
         return
-    why = "no wall found to look round with" if not facts.frame.walls else "no wall mirrors what is hidden"
+    reason = "no wall found to look round with" if not facts.frame.walls else "no wall mirrors what is hidden"
     if facts.frame.walls and facts.sensor != "radar":
-        why = "what it would see of an object is not known"
+        reason = "what it would see of an object is not known"
     firm = area_m2 < params.blind_m2
     title = "Cannot see round corners"
-    yield Finding("blind", Level.CAUTION, title, f"{why}; an empty view means nothing", firm, after_s=params.settle_s)
+    yield Finding(
+        "blind", Level.CAUTION, title, f"{reason}; an empty view means nothing", firm, after_s=params.settle_s
+    )
 
 
 def conditions(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """What the scan says of itself."""
+    """Return the conditions that the scan reports."""
     if facts.frame is None or not _is_fresh(facts, params):
         return
     for flag in facts.frame.flags:
@@ -493,7 +508,7 @@ def conditions(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def own_motion(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Without any vehicle state the radar is taken as standing; after the last one nothing can be followed."""
+    """Return a missing vehicle state: without any the radar counts as stationary; after the last tracking stops."""
     age_s = _vehicle_age_s(facts)
     if facts.vehicle is None:
         if facts.frame is not None:
@@ -506,7 +521,7 @@ def own_motion(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def lateness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Views that come too late, or not at all."""
+    """Return views that are late or missing."""
     views = facts.views
     if views is None or views.misses + views.overdue == 0:
         return
@@ -516,7 +531,7 @@ def lateness(facts: Facts, params: WarningParams) -> Iterable[Finding]:
 
 
 def nodes(facts: Facts, params: WarningParams) -> Iterable[Finding]:
-    """Parts of the graph that are not well, and what was lost between them."""
+    """Return faulty parts of the graph, and the losses between them."""
     for node in facts.nodes:
         if node.state in ("degraded", "silent"):
             detail = node.reason or "it gives no reason"
@@ -538,17 +553,17 @@ RULES: tuple[Callable[[Facts, WarningParams], Iterable[Finding]], ...] = (
 
 
 def warnings_json(warnings: Sequence[DriverWarning], now_ns: int) -> list[dict[str, Any]]:
-    """Warnings for a page: how long they have lasted instead of when they began."""
+    """Return warnings for a page, with their duration instead of their start."""
     return [
         {
-            "key": one.key,
-            "level": one.level.name.lower(),
-            "title": one.title,
-            "detail": one.detail,
-            "left_s": None if one.left_s is None else round(one.left_s, 1),
-            "age_s": round(s_from_ns(now_ns - one.since_ns), 1),
-            "tracks": list(one.tracks),
-            "ended": one.ended,
+            "key": warning.key,
+            "level": warning.level.name.lower(),
+            "title": warning.title,
+            "detail": warning.detail,
+            "left_s": None if warning.left_s is None else round(warning.left_s, 1),
+            "age_s": round(s_from_ns(now_ns - warning.since_ns), 1),
+            "tracks": list(warning.tracks),
+            "ended": warning.ended,
         }
-        for one in warnings
+        for warning in warnings
     ]

@@ -1,4 +1,4 @@
-"""The board between the graph and its viewers: the newest of each kind, rendered once, when somebody looks."""
+"""The board between the graph and its viewers: the newest of each kind, rendered once, on request."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Render = Callable[[], tuple[WireMessage, ...]]
 
 
 class Posted(NamedTuple):
-    """What hangs on the board of one kind."""
+    """A post of one kind on the board."""
 
     #: Counts up from 1 with every post of this kind.
     version: int
@@ -25,9 +25,9 @@ class Posted(NamedTuple):
 
 
 class Board:
-    """Newest post of each kind. Posting costs nothing but a swap; any thread may post and read.
+    """Newest post of each kind. A post costs no more than a swap; any thread may post and read.
 
-    No queue stands behind it: who reads late finds the newest, and sees from the version how many it missed.
+    There is no queue: a late reader gets the newest, and sees from the version how many it missed.
     """
 
     def __init__(self) -> None:
@@ -38,19 +38,19 @@ class Board:
         self.on_post: Callable[[], None] = _nobody
 
     def post(self, kind: str, render: Render) -> None:
-        """Hang up the newest of `kind`; `render` is called later, at most once, from a reader's thread."""
+        """Post the newest of `kind`; `render` is called later, at most once, from a reader's thread."""
         with self._lock:
             before = self._posted.get(kind)
             self._posted[kind] = Posted(before.version + 1 if before else 1, time.monotonic_ns(), render)
         self.on_post()
 
-    def newer(self, seen: Mapping[str, int]) -> dict[str, Posted]:
-        """What hangs there that a reader who saw the versions `seen` does not know, in the order of first posts."""
+    def newer(self, versions: Mapping[str, int]) -> dict[str, Posted]:
+        """Return the posts newer than a reader's `versions`, in the order of first posts."""
         with self._lock:
-            return {kind: post for kind, post in self._posted.items() if post.version > seen.get(kind, 0)}
+            return {kind: post for kind, post in self._posted.items() if post.version > versions.get(kind, 0)}
 
     def messages(self, kind: str, posted: Posted) -> tuple[WireMessage, ...]:
-        """The post as websocket messages; rendered once for all readers. For the readers' one thread."""
+        """Return the post as websocket messages; rendered once for all readers. For the readers' one thread."""
         version, messages = self._rendered.get(kind, (0, ()))
         if version != posted.version:
             messages = posted.render()
@@ -59,9 +59,9 @@ class Board:
 
 
 def _nobody() -> None:
-    """Nobody looks at the board."""
+    """Do nothing: no reader is connected."""
 
 
 def json_text(value: Any) -> str:
-    """Compact JSON; numbers that JSON lacks become null."""
+    """Return compact JSON; numbers that JSON lacks become null."""
     return msgspec.json.encode(value).decode()

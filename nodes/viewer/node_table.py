@@ -10,55 +10,55 @@ from msgs.values.diagnostics import NodeState, NodeStatus, StageTime
 from msgs.values.units import NANOSECONDS_PER_SECOND, s_from_ns
 from msgs.values.wording import counted
 
-#: Rates are taken over this: two heartbeats a second against 3.3 scans would make them jump.
+#: Window of the rates: two heartbeats a second against 3.3 scans would make shorter ones jump.
 WINDOW_NS = 10 * NANOSECONDS_PER_SECOND
 #: A node whose last heartbeat is older is shown as silent.
 SILENT_NS = 3 * NANOSECONDS_PER_SECOND
-#: Nodes that ended, or never were (any name may stand on the bus), must not fill the page.
+#: Nodes that ended, or never existed (any name may appear on the bus), must not fill the page.
 MAX_NODES = 64
-#: Two a second are twenty in a window; who sends more says no more by it.
+#: Two a second are twenty in a window; a faster sender adds no information.
 MAX_HEARTBEATS = 64
-#: Stages, topics and shed work of a node that are shown: none has more than a few.
+#: Maximum stages, topics and shed work of a node on the page: none has more than a few.
 MAX_ENTRIES = 32
 _MAX_TEXT = 500
-#: What nodes say about themselves has no rate worth showing.
+#: Topics on which nodes report on themselves have no rate worth showing.
 _SELF_TALK = ("diagnostics/node", "log")
 
 
 def is_of_peer(name: str) -> bool:
-    """Whether a node runs on another host, from which a link brings its heartbeats as those of `<peer>.<node>`."""
+    """Return whether a node is on another host, whose link publishes its heartbeats as those of `<peer>.<node>`."""
     return "." in name
 
 
 class _Heard(NamedTuple):
-    """A heartbeat and when it came."""
+    """A heartbeat and its time of arrival."""
 
     at_ns: int
     status: NodeStatus
 
 
 class NodeTable:
-    """Remembers the heartbeats of the last seconds of each node."""
+    """Keeps the heartbeats of the last seconds of each node."""
 
     def __init__(self) -> None:
         self._heard: dict[str, deque[_Heard]] = {}
         self._stages: dict[str, tuple[StageTime, ...]] = {}
 
     def add(self, status: NodeStatus, now_ns: int) -> None:
-        """Take in a heartbeat; a new process under the same name starts afresh."""
-        heard = self._heard.setdefault(status.node, deque(maxlen=MAX_HEARTBEATS))
-        if heard and heard[-1].status.pid != status.pid:
-            heard.clear()
-        heard.append(_Heard(now_ns, status))
-        while len(heard) > 2 and now_ns - heard[0].at_ns > WINDOW_NS:
-            heard.popleft()
+        """Add a heartbeat; a new process under the same name starts afresh."""
+        heartbeats = self._heard.setdefault(status.node, deque(maxlen=MAX_HEARTBEATS))
+        if heartbeats and heartbeats[-1].status.pid != status.pid:
+            heartbeats.clear()
+        heartbeats.append(_Heard(now_ns, status))
+        while len(heartbeats) > 2 and now_ns - heartbeats[0].at_ns > WINDOW_NS:
+            heartbeats.popleft()
         if status.stages:
             self._stages[status.node] = status.stages
         self._forget_oldest()
 
     def rows(self, now_ns: int) -> list[dict[str, Any]]:
-        """One row a node, in the order of the stream: sources first, who publishes nothing last."""
-        names = sorted(self._heard, key=lambda name: (_place_in_stream(self._heard[name][-1].status), name))
+        """Return one row a node, in the order of the stream: sources first, nodes without publications last."""
+        names = sorted(self._heard, key=lambda name: (_stream_order(self._heard[name][-1].status), name))
         return [self._row(name, now_ns) for name in names]
 
     def _row(self, name: str, now_ns: int) -> dict[str, Any]:
@@ -77,33 +77,33 @@ class NodeTable:
             "lost_lately": _gone(status) - _gone(first.status),
             "shed": [f"{counted(count.count, count.what)} {count.reason}" for count in status.shed[:MAX_ENTRIES]],
             "stages": [
-                {"name": one.name, "mean_ms": round(one.mean_ms, 1), "max_ms": round(one.max_ms, 1)}
-                for one in self._stages.get(name, ())[:MAX_ENTRIES]
+                {"name": stage.name, "mean_ms": round(stage.mean_ms, 1), "max_ms": round(stage.max_ms, 1)}
+                for stage in self._stages.get(name, ())[:MAX_ENTRIES]
             ],
             "rates": _rates(first, last),
         }
 
     def _forget_oldest(self) -> None:
         while len(self._heard) > MAX_NODES:
-            # nodes of this host are not driven out by names that a peer makes up
+            # nodes of this host are not displaced by names that a peer makes up
             oldest = min(self._heard, key=lambda name: (not is_of_peer(name), self._heard[name][-1].at_ns))
             del self._heard[oldest]
             self._stages.pop(oldest, None)
 
 
-def _place_in_stream(status: NodeStatus) -> int:
-    """Place of the first topic that a node publishes in the table of topics."""
+def _stream_order(status: NodeStatus) -> int:
+    """Return the index of the first topic that a node publishes in the table of topics."""
     published = {count.topic for count in status.published}
-    return next((place for place, topic in enumerate(TOPICS) if topic in published - set(_SELF_TALK)), len(TOPICS))
+    return next((index for index, topic in enumerate(TOPICS) if topic in published - set(_SELF_TALK)), len(TOPICS))
 
 
 def _gone(status: NodeStatus) -> int:
-    """Messages lost or unreadable since the node started."""
+    """Return messages lost or unreadable since the node started."""
     return sum(count.lost + count.rejected for count in status.received)
 
 
 def _rates(first: _Heard, last: _Heard) -> list[dict[str, Any]]:
-    """Messages a second of each topic that a node publishes."""
+    """Return messages a second of each topic that a node publishes."""
     before = {count.topic: count.messages for count in first.status.published}
     return [
         {"topic": count.topic, "hz": round(_rate(before.get(count.topic, 0), count.messages, first, last), 1)}
@@ -113,6 +113,6 @@ def _rates(first: _Heard, last: _Heard) -> list[dict[str, Any]]:
 
 
 def _rate(before: float, after: float, first: _Heard, last: _Heard) -> float:
-    """Increase a second by the node's own clock, on which both figures were taken; 0 after one heartbeat only."""
+    """Return the increase a second by the node's own clock, on which both were taken; 0 after one heartbeat only."""
     elapsed_s = last.status.uptime_s - first.status.uptime_s
     return (after - before) / elapsed_s if elapsed_s > 0.0 else 0.0

@@ -1,11 +1,11 @@
 """The viewer's server: one page and one websocket on 127.0.0.1, in a thread of its own.
 
-Who comes in knows the token (it is part of the address), names this host in `Host`, and, for the websocket, comes from
-this very page (`Origin`). A page that lost its server has whoever answers prove first that it knows the token too
-(`/proof/<nonce>`): in the meantime the port may have gone to another program. A client gets an update, acknowledges
+A client must know the token (it is part of the address), name this host in `Host`, and, for the websocket, come from
+this very page (`Origin`). A page that lost its server makes the answering one first prove that it knows the token too
+(`/proof/<nonce>`): in the meantime another program may have taken the port. A client gets an update, acknowledges
 it, and only then gets the next, made of whatever is newest then: between server and client there is never more than
-one update, and a client that does not keep up misses some. Nothing a client does reaches the thread that posts. How
-many may stand at the door, and how long: `door.py`.
+one update, and a slow client misses some. Nothing a client does reaches the thread that posts. The number and
+duration of pending connections are limited in `connection_limiter.py`.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from nodes.viewer.connection_limiter import BACKLOG, Door, PageSocket, Visit
+from nodes.viewer.connection_limiter import BACKLOG, ConnectionLimiter, PageSocket, PendingConnection
 from nodes.viewer.newest import Board, Posted, json_text
 from nodes.viewer.page_token import TokenFile
 from nodes.viewer.view_model import COLOURS
@@ -61,10 +61,10 @@ _HEADERS = [
     ("Cross-Origin-Resource-Policy", "same-origin"),
     ("Cache-Control", "no-store"),
 ]
-#: Nothing a page has to say is longer.
+#: No message of a page is longer.
 MAX_CLIENT_MESSAGE_BYTES = 1024
 MAX_CLIENT_MESSAGES_PER_S = 200
-#: A client that has not taken in an update by then has gone.
+#: A client that has not acknowledged an update by then counts as gone.
 ACKNOWLEDGE_S = 20.0
 STOP_S = 5.0
 _GONE, _POLICY_VIOLATION, _INTERNAL_ERROR, _TRY_AGAIN_LATER = 1001, 1008, 1011, 1013
@@ -77,7 +77,7 @@ class Acknowledge(msgspec.Struct, frozen=True, tag="ack", tag_field="type", forb
 
 
 class Play(msgspec.Struct, frozen=True, tag="play", tag_field="type", forbid_unknown_fields=True):
-    """Play a recording from where it stands; speed 1 is real time, 0 holds it. `loop`: at its end, from the start."""
+    """Play a recording from its position; speed 1 is real time, 0 pauses it. `loop`: at its end, from the start."""
 
     speed: float
     loop: bool = False
@@ -100,10 +100,10 @@ _FROM_CLIENT = msgspec.json.Decoder(Acknowledge | Play | Seek | Step)
 
 
 class ViewerServer:
-    """Serves a board to browsers; a context manager. `commands` receives what a page asks of a recording.
+    """Serves a board to browsers; a context manager. `commands` receives a page's commands for a recording.
 
-    `port` 0 takes a free one; so does a taken port, with a warning. Where `token_file` has the token of an earlier
-    process and its port is to be had, both are taken again, and pages that are open come back. Raises `OSError` where
+    `port` 0 takes a free one; so does a port in use, with a warning. If `token_file` has the token of an earlier
+    process and its port is available, both are reused, and open pages reconnect. Raises `OSError` if
     the host has no port.
     """
 
@@ -121,8 +121,8 @@ class ViewerServer:
         self._hello = json_text(
             {"type": "hello", "protocol": 1, "title": title, "recording": commands is not None, "colours": COLOURS}
         )
-        kept = token_file.recall() if token_file else None
-        self._door = Door()
+        kept = token_file.load() if token_file else None
+        self._limiter = ConnectionLimiter()
         self._clients: set[_Client] = set()
         self._socket = _listen(kept.port if kept else port)
         self.port: int = self._socket.getsockname()[1]
@@ -130,7 +130,7 @@ class ViewerServer:
         self.is_back = kept is not None and kept.port == self.port
         self._token = kept.token if kept and self.is_back else secrets.token_urlsafe(24)
         if token_file:
-            token_file.keep(self.port, self._token)
+            token_file.save(self.port, self._token)
         self._loop: asyncio.AbstractEventLoop | None = None
         self._server = uvicorn.Server(self._config())
         self._thread = threading.Thread(target=self._run, name="viewer", daemon=True)
@@ -144,16 +144,16 @@ class ViewerServer:
 
     @property
     def alive(self) -> bool:
-        """Whether pages are still served."""
+        """Return whether pages are still served."""
         return self._thread.is_alive()
 
     @property
     def clients(self) -> int:
-        """Pages that look at the moment."""
+        """Number of pages open at the moment."""
         return len(self._clients)
 
     def close(self) -> None:
-        """Say goodbye to all clients and end the thread."""
+        """Close all clients with a reason and end the thread."""
         self._server.should_exit = True
         self._thread.join(STOP_S)
         self._socket.close()
@@ -174,7 +174,7 @@ class ViewerServer:
         return uvicorn.Config(
             _Gate(Starlette(routes=routes), self._token),
             loop="asyncio",
-            http=self._door.http,
+            http=self._limiter.http,
             ws=PageSocket,
             lifespan="off",
             log_config=None,
@@ -183,7 +183,7 @@ class ViewerServer:
             server_header=False,
             headers=_HEADERS,
             ws_max_size=MAX_CLIENT_MESSAGE_BYTES,
-            # noise does not compress, and a compressor a client would cost more than loopback
+            # noise does not compress, and a compressor per client would cost more than loopback
             ws_per_message_deflate=False,
             backlog=BACKLOG,
             timeout_graceful_shutdown=1,
@@ -200,7 +200,7 @@ class ViewerServer:
             self._loop = None
 
     def _wake(self) -> None:
-        """Tell the clients that something was posted; called from the posting thread, never waits."""
+        """Notify the clients of a post; called from the posting thread, never waits."""
         loop = self._loop
         if self._clients and loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop has just ended
@@ -211,26 +211,26 @@ class ViewerServer:
             client.news.set()
 
     async def _prove(self, request: HTTPConnection) -> Response:
-        """That this server knows the token, without telling it."""
+        """Prove that this server knows the token, without revealing it."""
         nonce: str = request.path_params["nonce"]
         return PlainTextResponse(hmac.new(self._token.encode(), nonce.encode(), hashlib.sha256).hexdigest())
 
     async def _serve(self, websocket: WebSocket) -> None:
-        """One client, from its door to its end."""
+        """Serve one client, from its connection to its end."""
         await websocket.accept()
         if len(self._clients) >= self._max_clients:
             await websocket.close(_TRY_AGAIN_LATER, f"at most {self._max_clients} pages may look at once")
             return
         client = _Client(websocket, self._board, self._commands)
         self._clients.add(client)
-        visit: Visit = websocket.scope["state"]["visit"]
-        visit.welcome()
+        pending: PendingConnection = websocket.scope["state"]["pending"]
+        pending.admit()
         try:
             errors = await client.run(self._hello)
         finally:
             self._clients.discard(client)
-            # before the last word: whoever reads nothing does not read that either
-            visit.see_out()
+            # before the last message: a client that reads nothing does not read that either
+            pending.linger()
         for error in errors:
             await client.say_goodbye(error)
 
@@ -248,7 +248,7 @@ class _Client:
         self._second, self._heard = 0, 0
 
     async def run(self, hello: str) -> list[Exception]:
-        """Serve until either side ends it; why, where it was not the client that went."""
+        """Serve until either side ends it; return the reasons, unless the client left."""
         tasks = [asyncio.create_task(self._send(hello)), asyncio.create_task(self._listen())]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -259,7 +259,7 @@ class _Client:
         return [end for end in ends if isinstance(end, Exception) and not isinstance(end, WebSocketDisconnect)]
 
     async def say_goodbye(self, error: Exception) -> None:
-        """Close the websocket for a reason; what is nobody's fault but ours is logged."""
+        """Close the websocket for a reason; faults of the server itself are logged."""
         code = _POLICY_VIOLATION if isinstance(error, _ProtocolError) else _GONE
         if not isinstance(error, _ProtocolError | TimeoutError):
             code = _INTERNAL_ERROR
@@ -292,7 +292,7 @@ class _Client:
         self._seen.update({kind: posted.version for kind, posted in newer.items()})
 
     def _announcement(self, newer: dict[str, Posted], messages: int) -> dict[str, object]:
-        """Opens an update: how many messages follow, and of each kind its version, what was skipped, how old it is."""
+        """Return the head of an update: its number of messages, and each kind's version, skipped posts and age."""
         now_ns = time.monotonic_ns()
         kinds = {
             kind: {
@@ -337,7 +337,7 @@ class _ProtocolError(Exception):
 
 
 class _Gate:
-    """Refuses whoever lacks the token or comes from elsewhere, before any route is looked at."""
+    """Refuses clients without the token or from elsewhere, before any route is matched."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:
         self._app, self._token = app, token.encode()
@@ -355,14 +355,14 @@ class _Gate:
             await app(scope, receive, _closing(send))
 
     def _refusal(self, connection: HTTPConnection) -> str:
-        """Why this connection is refused; empty if it is not."""
+        """Return why this connection is refused; empty if it is not."""
         host, origins = connection.headers.get("host", ""), connection.headers.getlist("origin")
         name, _, port = host.partition(":")
         if name not in _LOOPBACK_NAMES or not (port or "0").isdecimal():
             return "this page is for the machine it runs on"
-        # a browser says it of every websocket
-        said = origins or [""] * (connection.scope["type"] == "websocket")
-        if any(origin != f"http://{host}" for origin in said):
+        # a browser sends it with every websocket
+        claimed_origins = origins or [""] * (connection.scope["type"] == "websocket")
+        if any(origin != f"http://{host}" for origin in claimed_origins):
             return "this comes from another page"
         if not _is_of_this_page(connection.headers):
             return "this was asked for by another page"
@@ -376,13 +376,13 @@ class _Gate:
 
 
 def _is_of_this_page(headers: Mapping[str, str]) -> bool:
-    """Whether a browser, where it says so, asks of its own accord: by this page, or for a person who opens it."""
+    """Return whether a browser's request, if it says so, is by this page, or by a person who opens it."""
     is_opened = headers.get("sec-fetch-mode") == "navigate" and headers.get("sec-fetch-dest") == "document"
     return is_opened or headers.get("sec-fetch-site", "none") in ("none", "same-origin")
 
 
 def _closing(send: Send) -> Send:
-    """One answer a connection: none is kept for later."""
+    """Return a `send` that closes the connection after one answer: none is kept for later."""
 
     async def closing(message: MutableMapping[str, Any]) -> None:
         if message["type"] == "http.response.start":
@@ -402,7 +402,7 @@ async def _upgrade_required(request: HTTPConnection) -> Response:
 
 
 def _listen(port: int) -> socket.socket:
-    """A listening socket on the loopback address, at `port` or, where that is taken, a free one."""
+    """Return a listening socket on the loopback address, at `port` or, if that is in use, a free one."""
     listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:

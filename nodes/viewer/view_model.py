@@ -1,4 +1,4 @@
-"""What the page is told: bus messages as compact JSON values and binary tiles. Pure functions.
+"""The page's data: bus messages as compact JSON values and binary tiles. Pure functions.
 
 JSON keeps the project's units and frames (metres, radians, radar frame), rounded to what a screen can show. A tile is
 `TILE_HEADER` and one byte a cell (map) or four cells a byte (mask).
@@ -27,14 +27,14 @@ from nodes.viewer.trails import Past, trail_m
 TILE_HEADER = struct.Struct("<2sBBIHHhH")
 TILE_MAGIC, TILE_VERSION = b"MW", 1
 TILE_MAP, TILE_MASK = 1, 2
-#: Largest tile of a map: native range bins, azimuths at twice what a beam of 9 degrees needs many times over.
+#: Largest tile of a map: native range bins, azimuths at twice the sampling that a beam of 9 degrees needs many times.
 TILE_ROWS, TILE_COLUMNS = 512, 128
-#: Codes 0..255 span 102 dB: over the noise, or where no noise was measured, down from the map's peak.
+#: Codes 0..255 span 102 dB: over the noise, or without a measured noise, down from the map's peak.
 STEP_DB = 0.4
 SPAN_DB = 255 * STEP_DB
-#: What levels over the noise are told in, by the mode of a map where it is another.
+#: Unit of the levels over the noise, for the modes of a map with another one.
 _NOISE_UNITS = {"photons": "dB over ambient σ"}
-#: Tracks told to a page at most: more than anybody can look at.
+#: Maximum number of tracks on a page.
 MAX_TRACKS = 100
 #: Fields of a true object that are no measures.
 _NO_NUMBERS = ("id", "object_class", "hidden")
@@ -52,7 +52,7 @@ COLOURS = (
 def view_json(
     frame: BevFrame, truth: SceneTruth | None, vehicle: VehicleState | None, past: Sequence[Past] = ()
 ) -> dict[str, Any]:
-    """A bird's-eye view with the truth and the vehicle's motion that belong to it; `past` holds its tracks' trails."""
+    """Return a bird's-eye view with its truth and the vehicle's motion; `past` holds its tracks' trails."""
     grid = frame.grid
     return {
         "type": "view",
@@ -70,11 +70,11 @@ def view_json(
         ],
         "los": _metres(frame.los_points_m.ravel()),
         "points": [
-            [*_metres((one.x_m, one.y_m, one.image_x_m, one.image_y_m)), round(one.score, 2), one.wall]
-            for one in frame.points
+            [*_metres((item.x_m, item.y_m, item.image_x_m, item.image_y_m)), round(item.score, 2), item.wall]
+            for item in frame.points
         ],
-        "objects": [_object_json(one, truth) for one in _placed(frame)],
-        "tracks": [_track_json(one, past) for one in _pressing(frame.tracks)],
+        "objects": [_object_json(item, truth) for item in _positioned(frame)],
+        "tracks": [_track_json(item, past) for item in _by_urgency(frame.tracks)],
         "tracks_total": len(frame.tracks),
         "mask": {
             "x_min": grid.x_min_m,
@@ -90,7 +90,7 @@ def view_json(
 
 
 def sensor_json(setup: Setup) -> dict[str, Any]:
-    """Which sensor a page looks through, and how long its scans take."""
+    """Return the sensor of a page, and the duration of its scans."""
     name = "radar" if isinstance(setup, RadarSetup) else "LiDAR"
     return {
         "type": "sensor",
@@ -102,7 +102,7 @@ def sensor_json(setup: Setup) -> dict[str, Any]:
 
 
 def sensor_text(setup: Setup) -> str:
-    """A sensor in a line: "X-band radar, 10 GHz, 25 beams", "SPAD LiDAR, 850 nm, 256 azimuths, 11 gates"."""
+    """Return a sensor in a line: "X-band radar, 10 GHz, 25 beams", "SPAD LiDAR, 850 nm, 256 azimuths, 11 gates"."""
     if isinstance(setup, LidarSetup):
         gates = f", {setup.spad.gates} gates" if setup.spad.gates > 1 else ""
         return f"SPAD LiDAR, {1e9 * setup.spad.wavelength_m:.4g} nm, {setup.grid.azimuth_bins} azimuths{gates}"
@@ -115,19 +115,19 @@ def sensor_text(setup: Setup) -> str:
 
 
 def summary_text(frame: BevFrame) -> str:
-    """One line for people and screen readers: "2 hidden objects at 11.6, 8.5 m and 16.3, 13.7 m"."""
-    places = [f"{one.x_m:.1f}, {one.y_m:.1f} m" for one in _placed(frame)]
-    if not places:
+    """Return one line for people and screen readers: "2 hidden objects at 11.6, 8.5 m and 16.3, 13.7 m"."""
+    positions = [f"{item.x_m:.1f}, {item.y_m:.1f} m" for item in _positioned(frame)]
+    if not positions:
         return "no hidden object"
-    count = "1 hidden object" if len(places) == 1 else f"{len(places)} hidden objects"
-    joined = places[0] if len(places) == 1 else f"{'; '.join(places[:-1])} and {places[-1]}"
+    count = "1 hidden object" if len(positions) == 1 else f"{len(positions)} hidden objects"
+    joined = positions[0] if len(positions) == 1 else f"{'; '.join(positions[:-1])} and {positions[-1]}"
     return f"{count} at {joined}"
 
 
 def ellipse(covariance: Sequence[Sequence[float]]) -> tuple[float, float, float]:
-    """Semi-axes [m] of `ELLIPSE_SIGMAS`, the larger first, and the larger one's direction [rad] in (-pi/2, pi/2].
+    """Return semi-axes [m] of `ELLIPSE_SIGMAS`, larger first, and the larger's direction [rad] in (-pi/2, pi/2].
 
-    Nothing, where the covariance is not finite.
+    Zeros if the covariance is not finite.
     """
     if not np.isfinite(covariance).all():
         return 0.0, 0.0, 0.0
@@ -142,10 +142,10 @@ def ellipse(covariance: Sequence[Sequence[float]]) -> tuple[float, float, float]
 
 
 def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
-    """Geometry, scale and conditions of a map, and the peaks found in it where they are this scan's."""
+    """Return geometry, scale and conditions of a map, and the peaks found in it if they are of this scan."""
     grid = ra_map.grid
     level_db, reference = _level_db(ra_map)
-    mine = peaks if peaks is not None and peaks.scan_id == ra_map.scan_id else None
+    own_peaks = peaks if peaks is not None and peaks.scan_id == ra_map.scan_id else None
     return {
         "type": "map",
         "scan_id": ra_map.scan_id,
@@ -163,15 +163,14 @@ def map_json(ra_map: RangeAzimuthMap, peaks: Peaks | None) -> dict[str, Any]:
         "incoherent_share": round(float(ra_map.incoherent.mean()), 3),
         "saturated_share": round(ra_map.saturated_share, 4),
         "missing_beams": list(ra_map.missing_beams),
-        "peaks": None if mine is None else _peaks_json(mine),
+        "peaks": None if own_peaks is None else _peaks_json(own_peaks),
     }
 
 
 def map_tile(ra_map: RangeAzimuthMap) -> bytes:
-    """The map's levels as codes: row r, column c is the strongest of its `pool` of cells.
+    """Return the map's levels as codes: row r, column c is the strongest of its `pool` of cells.
 
-    Code k stands for `floor + k STEP_DB`, rounded to the nearest; what lies outside the span is clipped, what is not a
-    number is code 0.
+    Code k is `floor + k STEP_DB`, rounded to the nearest; levels outside the span are clipped, a NaN is code 0.
     """
     level_db, reference = _level_db(ra_map)
     floor_db = 0.0 if reference == "noise" else -SPAN_DB
@@ -183,7 +182,7 @@ def map_tile(ra_map: RangeAzimuthMap) -> bytes:
 
 
 def mask_tile(frame: BevFrame) -> bytes:
-    """The observability mask, `Visibility` of four cells a byte, the first in the lowest two bits."""
+    """Return the observability mask, `Visibility` of four cells a byte, the first in the lowest two bits."""
     cells = np.minimum(frame.visibility, max(Visibility)).ravel()
     quads = np.pad(cells, (0, -len(cells) % 4)).reshape(-1, 4)
     packed = (quads << np.array([0, 2, 4, 6], np.uint8)).sum(axis=1, dtype=np.uint8)
@@ -196,9 +195,9 @@ def _tile(kind: int, scan_id: int, shape: tuple[int, ...], floor_db: float, step
 
 
 def _level_db(ra_map: RangeAzimuthMap) -> tuple[np.ndarray, str]:
-    """Power of each cell in dB over the noise, or over the map's peak where no noise is known; and which of the two.
+    """Return each cell's power in dB over the noise, or over the map's peak if no noise is known; and which of the two.
 
-    Cells that are not finite count as empty: one bad cell must not take the scale from all others.
+    Cells that are not finite count as empty: one bad cell must not spoil the scale of all others.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         power = np.square(ra_map.values.real) + np.square(ra_map.values.imag)
@@ -207,12 +206,12 @@ def _level_db(ra_map: RangeAzimuthMap) -> tuple[np.ndarray, str]:
     unit = noise if noise > 0.0 else float(power.max())
     smallest = np.finfo(np.float64).tiny
     level_db = 10.0 * (np.log10(np.maximum(power, smallest)) - math.log10(max(unit, smallest)))
-    # an empty map has no peak to speak of: all its cells lie at the bottom of the scale
+    # an empty map has no meaningful peak: all its cells lie at the bottom of the scale
     return (level_db if unit > 0.0 else np.full_like(level_db, -SPAN_DB)), "noise" if noise > 0.0 else "peak"
 
 
 def _pooling(shape: tuple[int, int]) -> tuple[int, int]:
-    """Range bins and azimuth bins that go into one cell of a tile."""
+    """Return the numbers of range bins and azimuth bins in one cell of a tile."""
     return -(-shape[0] // TILE_ROWS), -(-shape[1] // TILE_COLUMNS)
 
 
@@ -220,68 +219,68 @@ def _metres(values: Any) -> list[float]:
     return [round(float(value), 2) for value in values]
 
 
-def _placed(frame: BevFrame) -> list[HiddenObject]:
-    """Objects that have a place to be shown at: the bus lets any number through."""
+def _positioned(frame: BevFrame) -> list[HiddenObject]:
+    """Return objects with a finite position: the bus accepts any number."""
     return [
-        one
-        for one in frame.objects
-        if all(map(math.isfinite, (one.x_m, one.y_m, one.length_m, one.width_m, one.yaw_rad, one.score)))
+        item
+        for item in frame.objects
+        if all(map(math.isfinite, (item.x_m, item.y_m, item.length_m, item.width_m, item.yaw_rad, item.score)))
     ]
 
 
-def _pressing(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks worth showing, in order of urgency: who comes into sight first, then the nearest."""
-    placed = [one for one in tracks if _has_place(one)]
-    return sorted(placed, key=_urgency)[:MAX_TRACKS]
+def _by_urgency(tracks: Sequence[Track]) -> list[Track]:
+    """Return the tracks worth showing, in order of urgency: those that enter sight first, then the nearest."""
+    finite = [track for track in tracks if _has_position(track)]
+    return sorted(finite, key=_urgency)[:MAX_TRACKS]
 
 
-def _urgency(one: Track) -> tuple[float, float]:
-    appears_s = _appears_s(one)
-    return math.inf if appears_s is None else appears_s, math.hypot(one.x_m, one.y_m)
+def _urgency(track: Track) -> tuple[float, float]:
+    appears_s = _appears_s(track)
+    return math.inf if appears_s is None else appears_s, math.hypot(track.x_m, track.y_m)
 
 
-def _has_place(one: Track) -> bool:
-    return all(map(math.isfinite, (one.x_m, one.y_m, one.velocity_x_mps, one.velocity_y_mps, one.age_s)))
+def _has_position(track: Track) -> bool:
+    return all(map(math.isfinite, (track.x_m, track.y_m, track.velocity_x_mps, track.velocity_y_mps, track.age_s)))
 
 
-def _appears_s(one: Track) -> float | None:
-    appears_s = one.time_to_appear_s
+def _appears_s(track: Track) -> float | None:
+    appears_s = track.time_to_appear_s
     return None if appears_s is None or not math.isfinite(appears_s) else appears_s
 
 
-def _track_json(one: Track, past: Sequence[Past]) -> dict[str, Any]:
-    appears_s, covariance = _appears_s(one), one.velocity_cov_m2ps2
+def _track_json(track: Track, past: Sequence[Past]) -> dict[str, Any]:
+    appears_s, covariance = _appears_s(track), track.velocity_cov_m2ps2
     return {
-        "id": one.id,
-        "at": _metres((one.x_m, one.y_m)),
-        "ellipse": [round(part, 4) for part in ellipse(one.cov_m2)],
-        "velocity": _metres((one.velocity_x_mps, one.velocity_y_mps)),
+        "id": track.id,
+        "at": _metres((track.x_m, track.y_m)),
+        "ellipse": [round(part, 4) for part in ellipse(track.cov_m2)],
+        "velocity": _metres((track.velocity_x_mps, track.velocity_y_mps)),
         "velocity_ellipse": None if covariance is None else [round(part, 4) for part in ellipse(covariance)],
-        "age_s": round(one.age_s, 1),
+        "age_s": round(track.age_s, 1),
         "appears_s": None if appears_s is None else round(appears_s, 1),
-        "misses": one.misses,
-        "trail": _metres(trail_m(one.id, past).ravel()),
+        "misses": track.misses,
+        "trail": _metres(trail_m(track.id, past).ravel()),
     }
 
 
-def _object_json(one: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]:
-    """A recovered object, with the nearest hidden true one and both errors (`models.evaluation.object_error`)."""
+def _object_json(item: HiddenObject, truth: SceneTruth | None) -> dict[str, Any]:
+    """Return a recovered object, with the nearest hidden true one and both errors (`evaluation.object_error`)."""
     return {
-        "nearest": None if truth is None else _nearest_json(one, truth),
-        "id": one.id,
-        "at": _metres((one.x_m, one.y_m)),
-        "size": _metres((one.length_m, one.width_m)),
-        "yaw": round(one.yaw_rad, 4),
-        "score": round(one.score, 3),
-        "ellipse": [round(part, 4) for part in ellipse(one.cov_m2)],
-        "points": one.points,
+        "nearest": None if truth is None else _nearest_json(item, truth),
+        "id": item.id,
+        "at": _metres((item.x_m, item.y_m)),
+        "size": _metres((item.length_m, item.width_m)),
+        "yaw": round(item.yaw_rad, 4),
+        "score": round(item.score, 3),
+        "ellipse": [round(part, 4) for part in ellipse(item.cov_m2)],
+        "points": item.points,
     }
 
 
-def _nearest_json(one: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None:
-    """The hidden true object of the least face error; None where none is hidden, or none has a place."""
-    hidden = [other for other in truth.objects if other.hidden and _is_whole(other)]
-    distances = object_distances([one], truth, hidden)
+def _nearest_json(item: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None:
+    """Return the hidden true object of the least face error; None if none is hidden, or none has a position."""
+    hidden = [other for other in truth.objects if other.hidden and _is_finite(other)]
+    distances = object_distances([item], truth, hidden)
     if not hidden or not np.isfinite(distances.error_m).all():
         return None
     nearest = int(distances.error_m[0].argmin())
@@ -289,34 +288,34 @@ def _nearest_json(one: HiddenObject, truth: SceneTruth) -> dict[str, Any] | None
     return {"class": hidden[nearest].object_class, **{name: round(float(value), 2) for name, value in errors.items()}}
 
 
-def _is_whole(one: TruthObject) -> bool:
-    """Whether all numbers of a true object are such: the bus lets any through."""
-    return all(math.isfinite(getattr(one, name)) for name in one.__struct_fields__ if name not in _NO_NUMBERS)
+def _is_finite(item: TruthObject) -> bool:
+    """Return whether all numbers of a true object are finite: the bus accepts any."""
+    return all(math.isfinite(getattr(item, name)) for name in item.__struct_fields__ if name not in _NO_NUMBERS)
 
 
 def _truth_json(truth: SceneTruth, frame: BevFrame) -> dict[str, Any]:
     return {
-        "objects": [_truth_object_json(one, truth.stamp_ns, frame) for one in truth.objects],
+        "objects": [_truth_object_json(item, truth.stamp_ns, frame) for item in truth.objects],
         "surfaces": [
-            {"role": one.role, "material": one.material, "line": _metres(sum(one.polyline_m, ()))}
-            for one in truth.surfaces
+            {"role": item.role, "material": item.material, "line": _metres(sum(item.polyline_m, ()))}
+            for item in truth.surfaces
         ],
     }
 
 
-def _truth_object_json(one: TruthObject, stamp_ns: int, frame: BevFrame) -> dict[str, Any]:
-    """A true object where it was when the recovered object nearest to it was measured, else at the truth's stamp."""
-    nearest = min(frame.objects, key=lambda other: math.hypot(other.x_m - one.x_m, other.y_m - one.y_m), default=None)
+def _truth_object_json(item: TruthObject, stamp_ns: int, frame: BevFrame) -> dict[str, Any]:
+    """Return a true object at the time the nearest recovered object was measured, else at the truth's stamp."""
+    nearest = min(frame.objects, key=lambda other: math.hypot(other.x_m - item.x_m, other.y_m - item.y_m), default=None)
     elapsed_s = s_from_ns(nearest.stamp_ns - stamp_ns) if nearest is not None and nearest.stamp_ns else 0.0
-    place = one.x_m + elapsed_s * one.velocity_x_mps, one.y_m + elapsed_s * one.velocity_y_mps
+    position = item.x_m + elapsed_s * item.velocity_x_mps, item.y_m + elapsed_s * item.velocity_y_mps
     return {
-        "id": one.id,
-        "class": one.object_class,
-        "at": _metres(place),
-        "size": _metres((one.length_m, one.width_m)),
-        "yaw": round(one.yaw_rad, 4),
-        "velocity": _metres((one.velocity_x_mps, one.velocity_y_mps)),
-        "hidden": one.hidden,
+        "id": item.id,
+        "class": item.object_class,
+        "at": _metres(position),
+        "size": _metres((item.length_m, item.width_m)),
+        "yaw": round(item.yaw_rad, 4),
+        "velocity": _metres((item.velocity_x_mps, item.velocity_y_mps)),
+        "hidden": item.hidden,
     }
 
 
@@ -330,7 +329,7 @@ def _vehicle_json(vehicle: VehicleState) -> dict[str, Any]:
 
 
 def _peaks_json(peaks: Peaks) -> list[list[float]]:
-    """Range [m], azimuth [rad], class, score of each peak."""
+    """Return range [m], azimuth [rad], class, score of each peak."""
     return [
         [round(range_m, 2), round(azimuth_rad, 4), path_class, round(score, 2)]
         for range_m, azimuth_rad, path_class, score in zip(

@@ -1,4 +1,4 @@
-"""What follows from many messages rather than one: trails, warnings, node table, how late views come."""
+"""State derived from many messages rather than one: trails, warnings, node table, latency of views."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from nodes.viewer.driver_warnings import DriverWarning, Facts, NodeFact, Warner,
 from nodes.viewer.node_table import NodeTable
 from nodes.viewer.trails import Past, Trails
 
-#: What it takes in; of maps only the time counts.
+#: Accepted message types; of maps only the time is used.
 TOPICS_WATCHED = (
     "perception/hidden_objects",
     "perception/peaks",
@@ -30,7 +30,7 @@ TOPICS_WATCHED = (
 
 
 class Watch:
-    """Takes messages in order of arrival; belongs to one thread. `start_ns`: when it began to listen."""
+    """Processes messages in order of arrival; belongs to one thread. `start_ns`: when it began to listen."""
 
     def __init__(self, start_ns: int, params: WarningParams | None = None) -> None:
         self._trails = Trails()
@@ -40,18 +40,18 @@ class Watch:
         self._facts = Facts(start_ns, start_ns)
         #: Whether the newest view came after its deadline.
         self.is_late = False
-        #: The set-up of the sensor that it looks through, once it was told.
+        #: The set-up of the sensor, once received.
         self.sensor: Setup | None = None
 
     def take(self, message: msgspec.Struct, now_ns: int) -> None:
-        """Take in one message; of topics that say nothing here, nothing."""
+        """Process one message; topics that are not used here are ignored."""
         match message:
             case BevFrame():
                 self._trails.add_view(message, self._facts.vehicle_from_radar)
                 self.is_late = self._views.add(message.scan_id, message.stamp_ns, now_ns)
                 self._facts = self._facts._replace(frame=message, frame_at_ns=now_ns)
             case Peaks():
-                # how the radar is mounted is told with the peaks of each scan
+                # the radar's mounting comes with the peaks of each scan
                 self._facts = self._facts._replace(vehicle_from_radar=message.vehicle_from_radar)
             case RangeAzimuthMap():
                 self._facts = self._facts._replace(map_at_ns=now_ns)
@@ -68,17 +68,17 @@ class Watch:
 
     @property
     def past(self) -> tuple[Past, ...]:
-        """The scans that trails are drawn from, the newest last."""
+        """The scans of the trails, the newest last."""
         return self._trails.past
 
     def warnings(self, now_ns: int) -> tuple[DriverWarning, ...]:
-        """The warnings at a time, the most urgent first; to be asked often enough for times to be true."""
+        """Return the warnings at a time, the most urgent first; to be called often enough for right times."""
         views = self._views.figures(now_ns)
         nodes = _node_facts(self._nodes.rows(now_ns))
         return self._warner.step(self._facts._replace(now_ns=now_ns, views=views, nodes=nodes))
 
     def table(self, now_ns: int) -> dict[str, Any]:
-        """The node table as the page is told it."""
+        """Return the node table in the page's form."""
         views = self._views.figures(now_ns)
         graph = {"text": views_text(views), "well": views.misses == views.overdue == 0}
         return {"type": "nodes", "graph": graph, "nodes": self._nodes.rows(now_ns)}

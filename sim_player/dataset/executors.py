@@ -1,4 +1,4 @@
-"""Where jobs run: processes of this machine, a Ray cluster, a Slurm cluster; one function behind all.
+"""Executors of jobs: processes of this machine, a Ray cluster, a Slurm cluster, behind one function.
 
 Jobs and results must be able to travel between processes; results come in the order in which they are done. Workers of
 a cluster need the project and the jobs' folder at the same place (a shared file system).
@@ -34,12 +34,13 @@ def map_jobs(
     scratch: Path | None = None,
     slurm: dict[str, Any] | None = None,
 ) -> Iterator[Result]:
-    """Results of `function` over all jobs as they are done; `function` stands at the top of a module.
+    """Yield the results of `function` over all jobs as they are done; `function` is defined at module level.
 
     workers: processes at a time (of Slurm: tasks of the array that run at once). scratch: a folder for Slurm's own
-    files, on the shared file system; it goes when all is done. slurm: parameters of submitit by name (`partition`,
-    `timeout_min`, ...); `cluster` = "local" or "debug" runs the same without Slurm. Raises what a job raised, the rest
-    is called off; ValueError for an unknown executor, no worker, or no cluster; ImportError without its package.
+    files, on the shared file system; it is deleted when all jobs are done. slurm: parameters of submitit by name
+    (`partition`,
+    `timeout_min`, ...); `cluster` = "local" or "debug" runs the same without Slurm. Raises the error of a job and
+    cancels the rest; ValueError for an unknown executor, no worker, or no cluster; ImportError without its package.
     """
     if executor not in EXECUTORS:
         raise ValueError(f"executor must be one of {', '.join(EXECUTORS)}, got {executor!r}")
@@ -53,7 +54,7 @@ def map_jobs(
 
 
 def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """Processes of this machine."""
+    """Run the jobs in processes of this machine."""
     # fresh processes: a fork would copy the locks of threads it does not copy
     context = get_context("spawn")
     listener, lifeline = context.Pipe(duplex=False)
@@ -66,7 +67,7 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
             "a worker process died (out of memory?); the same command goes on where it stopped"
         ) from None
     except BaseException:
-        # whoever waits for an error, or has asked to stop, does not wait for the jobs that run
+        # an error or an interrupt does not wait for running jobs
         lifeline.close()
         raise
     finally:
@@ -76,7 +77,7 @@ def _local(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int)
 
 
 def _follow(listener: Connection) -> None:
-    """In a worker: end with the parent, however that ends; it alone hears the keyboard and the end of the terminal."""
+    """End this worker with its parent, however that ends; the parent alone handles keyboard and terminal signals."""
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
 
@@ -90,35 +91,35 @@ def _follow(listener: Connection) -> None:
 
 
 def _ray(function: Callable[[Job], Result], jobs: Sequence[Job], workers: int) -> Iterator[Result]:
-    """The Ray cluster that RAY_ADDRESS names, else one on this machine for as long as it takes."""
+    """Run the jobs on the Ray cluster of RAY_ADDRESS, else on a temporary one on this machine."""
     # Ray would report its use over the network
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     try:
         import ray
     except ImportError:
         raise ImportError('ray, which --executor ray needs: pip install "mirrorwave[cluster]"') from None
-    ours = not ray.is_initialized()
-    if ours:
+    is_started_here = not ray.is_initialized()
+    if is_started_here:
         _start_ray(ray, workers)
     try:
         remote = ray.remote(num_cpus=1, max_retries=3)(function)
-        left = [remote.remote(job) for job in jobs]
-        while left:
-            ready, left = ray.wait(left)
+        pending = [remote.remote(job) for job in jobs]
+        while pending:
+            ready, pending = ray.wait(pending)
             yield _ray_result(ray, ready[0])
     finally:
-        if ours:
+        if is_started_here:
             ray.shutdown()
 
 
 def _start_ray(ray: Any, workers: int) -> None:
-    """Join the cluster there is, or start one."""
+    """Join the existing cluster, or start one."""
     own = {} if "RAY_ADDRESS" in os.environ else {"num_cpus": workers, "include_dashboard": False}
     ray.init(configure_logging=False, log_to_driver=False, **own)
 
 
 def _ray_result(ray: Any, ready: Any) -> Any:
-    """The result, or what the job itself raised."""
+    """Return the result, or raise the error of the job."""
     try:
         return ray.get(ready)
     except ray.exceptions.RayTaskError as error:
@@ -128,7 +129,7 @@ def _ray_result(ray: Any, ready: Any) -> Any:
 def _slurm(
     function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, scratch: Path, slurm: dict[str, Any]
 ) -> Iterator[Result]:
-    """A job array of Slurm, one task a job."""
+    """Run the jobs as a job array of Slurm, one task a job."""
     try:
         import submitit
     except ImportError:
@@ -153,7 +154,7 @@ def _slurm(
 
 
 def _caught(function: Callable[[Job], Result], job: Job) -> Result | OSError | ValueError:
-    """A result, or the error itself: a task that fails would send its traceback as text."""
+    """Return a result, or the error itself: a task that fails would send its traceback as text."""
     try:
         return function(job)
     except (OSError, ValueError) as error:
@@ -161,7 +162,7 @@ def _caught(function: Callable[[Job], Result], job: Job) -> Result | OSError | V
 
 
 def _slurm_result(task: Any) -> Any:
-    """The result; raises what the job raised, or one line that says where the log of a dead task is."""
+    """Return the result; raises what the job raised, or one line that says where the log of a dead task is."""
     if task.exception() is not None:
         raise RuntimeError(f"job {task.job_id} died, its log is {task.paths.stderr}")
     result = task.result()

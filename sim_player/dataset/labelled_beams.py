@@ -1,4 +1,4 @@
-"""Raw beams of random places with their labels: frames for whoever looks at the whole way from samples to places."""
+"""Raw beams of random places with their labels, for evaluations of the whole chain from samples to positions."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class LabelledPlace:
 
     @cached_property
     def player(self) -> ScenePlayer:
-        """What plays its beams; a scan takes some tenths of a second."""
+        """Player of its beams; a scan takes some tenths of a second."""
         scene = draw_place(self.seed, self.index, "xband", None, self.moving).scene
         gain_db = np.random.default_rng([self.seed, self.index, 7]).uniform(-GAIN_DB, GAIN_DB)
         power_w = ratio_from_db(gain_db) * scene.setup.radar.transmit_power_w
@@ -39,13 +39,13 @@ class LabelledPlace:
         return ScenePlayer(scene, scene_seed(self.seed, self.index), setup, effects=self.effects)
 
     def beams(self) -> Iterator[RadarBeam]:
-        """The beams of one scan, in order."""
+        """Yield the beams of one scan, in order."""
         return (self.player.beam(0, index) for index in range(len(self.player.setup.beams)))
 
     @cached_property
     def labels(self) -> Labels:
         """Its truth points."""
-        classes = tuple(thing.object_class for thing in self.player.scene.objects)
+        classes = tuple(scene_object.object_class for scene_object in self.player.scene.objects)
         return label_points(self.player.setup, self.player.paths(0.0), 1.0, classes)
 
     @cached_property

@@ -1,4 +1,4 @@
-"""One scan of a scene at rest at the kernel level, with its labels: what a data set holds of each scene.
+"""One scan of a scene at rest at the kernel level, with its labels: the record of each scene in a data set.
 
 Basic effects give the signal that `sim_player.signal.fmcw` has after folding, window and FFT, at a thousandth of the
 work: noise is drawn per range bin, with the window's correlation. Any other choice of effects goes through
@@ -17,7 +17,7 @@ from models.physics.waveform import range_profile, window_noise_gain
 from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import Plan, chosen, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
 from sim_player.scene.description import Scene
@@ -32,9 +32,9 @@ from sim_player.trace.truth import best_power_mw, hidden_objects, scene_truth, v
 WINDOW = "hann"
 #: The receiver of the basic signal chain: its converter does not round.
 THERMAL = msgspec.structs.replace(IDEAL, thermal_noise=True)
-#: What the planner decides under a budget, everything, the plain signal chain, or effects by name.
+#: Effects: as planned under a budget, all, the plain signal chain, or by name.
 EffectChoice = Literal["auto", "all", "basic"] | frozenset[str]
-#: What the basic signal chain has: its paths, the array as built, thermal noise.
+#: Effects of the basic signal chain: its paths, the array as built, thermal noise.
 BASIC_USED = BASIC_EFFECTS | {"element_pattern", "quantised_phases", "thermal_noise"}
 #: Class of a labelled point that belongs to no object.
 WALL = "wall"
@@ -42,25 +42,25 @@ WALL = "wall"
 
 @dataclass(frozen=True)
 class Labels:
-    """Truth points of one scene, strongest first, N of them; one for each LOS or mirrored echo that can be told apart.
+    """Truth points of one scene, strongest first, N of them; one for each LOS or mirrored echo that can be resolved.
 
-    Points come from geometric ways alone (`sim_player.trace.truth.labelled`): direct sight, one mirror, two mirrors.
+    Points come from geometric paths alone (`sim_player.trace.truth.labelled`): direct sight, one mirror, two mirrors.
     """
 
     range_m: np.ndarray
     azimuth_rad: np.ndarray
     #: `PathClass` values, uint8.
     path_class: np.ndarray
-    #: True place of each point in the radar's frame, [N, 2]; a direct point's own.
+    #: True position of each point in the radar's frame, [N, 2]; a direct point's own.
     hidden_xy_m: np.ndarray
     #: Power in the beam that sees it best.
     power_mw: np.ndarray
-    #: Mirrors on the way, 0 in direct sight; uint8.
+    #: Number of mirrors on the path, 0 in direct sight; uint8.
     order: np.ndarray
     #: Its cell of the range-azimuth map, int32.
     range_bin: np.ndarray
     azimuth_bin: np.ndarray
-    #: Where the scatterer is and where it seems to be, in the radar's frame (z above the antenna), float32 [N, 3].
+    #: True and apparent position of the scatterer in the radar's frame (z above the antenna), float32 [N, 3].
     point_m: np.ndarray
     image_m: np.ndarray
     #: Index into the scene's objects, -1 for a wall, int32; and its class.
@@ -74,7 +74,7 @@ LABELS = tuple(field.name for field in fields(Labels))
 
 @dataclass(frozen=True)
 class LabelledScan:
-    """Profiles complex64 [beams, 512] with noise, labels, and how they came about."""
+    """Profiles complex64 [beams, 512] with noise, labels, and their effects and plan."""
 
     profiles: np.ndarray
     labels: Labels
@@ -89,23 +89,24 @@ class LabelledScan:
 
 
 def clean_profiles(setup: RadarSetup, paths: Paths, range_bins: int = RANGE_BINS) -> np.ndarray:
-    """Windowed range profiles of all beams without noise, sqrt(mW), complex128 [beams, bins]."""
+    """Return the windowed range profiles of all beams without noise, sqrt(mW), complex128 [beams, bins]."""
     return beam_weights(setup, paths) @ range_profile(setup.radar, paths.length_m, range_bins, WINDOW)
 
 
 def profile_noise(setup: RadarSetup, seed: int, range_bins: int = RANGE_BINS) -> np.ndarray:
-    """Thermal noise of all beams as the profiles see it, and nothing else of the receiver; [beams, bins]."""
+    """Return the thermal noise of all beams as the profiles see it, and nothing else of the receiver; [beams, bins]."""
     return noise_profiles(setup, seed, THERMAL, range_bins=range_bins)
 
 
 def noise_power_mw(setup: RadarSetup) -> float:
-    """Mean thermal noise power of one profile bin, mW."""
+    """Return the mean thermal noise power of one profile bin, mW."""
     radar = setup.radar
     return radar.noise_power_mw * window_noise_gain(WINDOW) / (radar.samples_per_chirp * radar.chirps_per_beam)
 
 
 def simulate_profiles(scene: Scene, seed: int, gain_db: float = 0.0) -> tuple[np.ndarray, float, SceneTruth]:
-    """One scan of a scene at rest, basic effects: (profiles complex64 [beams, 512], noise power a bin in mW, truth).
+    """Return one scan of a scene at rest, basic effects: (profiles complex64 [beams, 512], noise power a bin in mW,
+    truth).
 
     `gain_db` scales the echoes, not the noise. Raises ValueError for a scene that moves.
     """
@@ -116,7 +117,8 @@ def simulate_profiles(scene: Scene, seed: int, gain_db: float = 0.0) -> tuple[np
 def scene_profiles(
     scene: Scene, seed: int, choice: EffectChoice = "auto", budget_db: float = -20.0, gain_db: float = 0.0
 ) -> tuple[np.ndarray, Labels, SceneTruth, Plan | None]:
-    """One scan of a scene at rest: (profiles complex64 [beams, 512] with noise, labels, truth, plan if there is one).
+    """Return one scan of a scene at rest: (profiles complex64 [beams, 512] with noise, labels, truth, plan if there is
+    one).
 
     ValueError for a scene that moves, an unknown effect, a budget that is not negative.
     """
@@ -128,28 +130,28 @@ def scene_profiles(
 def labelled_scan(
     scene: Scene, seed: int, choice: EffectChoice = "auto", budget_db: float = -20.0, gain_db: float = 0.0
 ) -> LabelledScan:
-    """The same as a data set keeps it; ValueError as above."""
+    """Return one scan as a data set stores it; ValueError as above."""
     return _Scan(scene, seed, choice, budget_db, gain_db).labelled()
 
 
 def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tuple[str, ...] | None = None) -> Labels:
-    """The truth points of traced paths as training labels; `classes` are those of the objects, in order."""
-    seen = paths.take(visible_paths(setup, paths))
+    """Return the truth points of traced paths as training labels; `classes` are those of the objects, in order."""
+    visible = paths.take(visible_paths(setup, paths))
     grid = RangeAzimuthGrid()
-    names = np.array([*(classes or ["object"] * (int(seen.thing.max(initial=-1)) + 1)), WALL])
+    names = np.array([*(classes or ["object"] * (int(visible.thing.max(initial=-1)) + 1)), WALL])
     return Labels(
-        range_m=(0.5 * seen.length_m).astype(np.float32),
-        azimuth_rad=seen.azimuth_rad.astype(np.float32),
-        path_class=seen.kind,
-        hidden_xy_m=seen.point_m[:, :2].astype(np.float32),
-        power_mw=(gain * best_power_mw(setup, seen)).astype(np.float32),
-        order=seen.order.astype(np.uint8),
-        range_bin=np.rint(grid.range_index(0.5 * seen.length_m)).astype(np.int32),
-        azimuth_bin=np.rint(grid.azimuth_index(seen.azimuth_rad)).astype(np.int32),
-        point_m=seen.point_m.astype(np.float32),
-        image_m=seen.virtual_m.astype(np.float32),
-        object_index=seen.thing.astype(np.int32),
-        object_class=names[seen.thing],
+        range_m=(0.5 * visible.length_m).astype(np.float32),
+        azimuth_rad=visible.azimuth_rad.astype(np.float32),
+        path_class=visible.kind,
+        hidden_xy_m=visible.point_m[:, :2].astype(np.float32),
+        power_mw=(gain * best_power_mw(setup, visible)).astype(np.float32),
+        order=visible.order.astype(np.uint8),
+        range_bin=np.rint(grid.range_index(0.5 * visible.length_m)).astype(np.int32),
+        azimuth_bin=np.rint(grid.azimuth_index(visible.azimuth_rad)).astype(np.int32),
+        point_m=visible.point_m.astype(np.float32),
+        image_m=visible.virtual_m.astype(np.float32),
+        object_index=visible.thing.astype(np.int32),
+        object_class=names[visible.thing],
     )
 
 
@@ -160,16 +162,16 @@ class _Scan:
         if scene.moves:
             raise ValueError(f"scene {scene.name!r} must be at rest for the kernel level, got one that moves")
         self.scene, self.seed, self.gain = scene, seed, ratio_from_db(gain_db)
-        # the planner must know the level; the basic chain scales its profiles instead, as it always did
+        # the planner needs the level; the basic chain scales its profiles instead
         self.setup = scene.setup if choice == "basic" else _stronger(scene.setup, self.gain)
         self.world = prepare(scene, seed, self.setup)
         self.plan = None if choice == "basic" else _plan(self.world, self.setup, choice, budget_db)
         self.paths = trace(self.world) if self.plan is None else self.plan.paths
 
     def labelled(self) -> LabelledScan:
-        """Profiles and labels."""
+        """Return the profiles and labels."""
         profiles = self._basic_profiles() if self.plan is None else self._planned_profiles(self.plan)
-        classes = tuple(thing.object_class for thing in self.scene.objects)
+        classes = tuple(scene_object.object_class for scene_object in self.scene.objects)
         return LabelledScan(
             profiles=profiles.astype(np.complex64),
             labels=label_points(self.setup, self.paths, self.gain if self.plan is None else 1.0, classes),
@@ -185,7 +187,7 @@ class _Scan:
         return np.asarray(echoes + profile_noise(self.setup, self.seed))
 
     def _planned_profiles(self, plan: Plan) -> np.ndarray:
-        """Echoes and noise under a plan, the converter only where this level can hold it."""
+        """Return the echoes and noise under a plan, the converter only where this level can hold it."""
         objections = kernel_objections(self.setup, self.paths, plan.signal, self.scene.radar.front_end)
         if objections:
             self.plan = plan = without_converter(plan, "; ".join(objections))
@@ -195,14 +197,14 @@ class _Scan:
 
 
 def _plan(world: World, setup: RadarSetup, choice: EffectChoice, budget_db: float) -> Plan:
-    """What is decided about the effects of a scene."""
+    """Return the plan of the effects of a scene."""
     if choice == "auto":
         return plan_world(world, setup, budget_db)
     return chosen(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
 
 
 def without_converter(plan: Plan, reason: str) -> Plan:
-    """A plan whose converter is ideal, and why: rounding or clipping that this level cannot hold."""
+    """Return a plan whose converter is ideal, and why: rounding or clipping that this level cannot hold."""
     left_out = {"used": False, "reason": f"left out at the kernel level: {reason}"}
     effects = (
         msgspec.structs.replace(effect, **left_out) if effect.name == "adc" else effect for effect in plan.effects
@@ -211,6 +213,6 @@ def without_converter(plan: Plan, reason: str) -> Plan:
 
 
 def _stronger(setup: RadarSetup, gain: float) -> RadarSetup:
-    """A set-up whose transmitter has so much more power."""
+    """Return a set-up whose transmitter has so much more power."""
     radar = msgspec.structs.replace(setup.radar, transmit_power_w=gain * setup.radar.transmit_power_w)
     return msgspec.structs.replace(setup, radar=radar)

@@ -1,4 +1,4 @@
-"""Shards of a data set: which scenes a series has, one npz file for some of them, written whole or not at all."""
+"""Shards of a data set: the scenes of a series, one npz file for some of them, written whole or not at all."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
 from sim_player.dataset.labelled_scan import LABELS, EffectChoice, LabelledScan, Labels, labelled_scan, noise_power_mw
-from sim_player.effects.names import check_effects
+from sim_player.effects.table import check_effects
 from sim_player.generate.domain_shift import (
     HARD,
     SHIFTS,
@@ -42,12 +42,12 @@ FORMAT = 2
 GAIN_DB = 3.0
 #: Scene, facts and plan in a shard, as text in UTF-32.
 _SCENE_TEXT_BYTES = 50_000
-#: What a file that is not a whole shard raises when it is read.
+#: Errors of reading a file that is not a whole shard.
 UNREADABLE = (OSError, ValueError, KeyError)
 
 
 class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What fixes the bytes of a data set beside its seed and length; ValueError names what cannot be.
+    """Parameters that fix the bytes of a data set beside its seed and length; ValueError names an invalid one.
 
     effects: "auto" (planned per scene under `budget_db`), "all", "basic" (the chain of `sim_player.signal.fmcw`), or
     names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes. shift: "hard" makes the places
@@ -99,18 +99,20 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     @property
     def scene_bytes(self) -> int:
-        """What a scene takes in a shard, about: its profiles, its YAML, its plan."""
+        """Approximate size of a scene in a shard: its profiles, its YAML, its plan."""
         setup = PRESETS[self.preset]
         return len(setup.beams) * RANGE_BINS * np.dtype(np.complex64).itemsize + _SCENE_TEXT_BYTES
 
     def described(self, seed: int) -> dict[str, Any]:
-        """A series as its folder says it: the generator by name, effects resolved, no budget where none is used."""
+        """Return a series as `series.json` states it: the generator by name, effects resolved, no budget where none is
+        used.
+        """
         choice = self.choice
         plain = msgspec.to_builtins(self) | {"seed": seed}
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
         plain["budget_db"] = self.budget_db if choice == "auto" else None
         plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
-        # series from before there was a shift never said so
+        # series older than the shift have no such field
         del plain["shift"]
         if self.shift == "hard":
             # as JSON gives it back: lists, no tuples
@@ -118,12 +120,12 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         return dict(sorted(plain.items()))
 
     def shard_name(self, first: int) -> str:
-        """File of the scenes from `first` on."""
+        """Return the file name of the shard that starts with scene `first`."""
         return f"shard-{first // self.scenes_per_shard:05d}.npz"
 
 
 class ShardJob(msgspec.Struct, frozen=True, kw_only=True):
-    """One shard to be there: folder, recipe and seed, its first scene and how many; why it must be made again."""
+    """Job of one shard: folder, recipe and seed, first scene and count; the reason to make it again."""
 
     folder: Path
     recipe: Recipe
@@ -139,7 +141,7 @@ class ShardJob(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ShardDone(msgspec.Struct, frozen=True, kw_only=True):
-    """One shard that is there: kept as found, made, or made again with the reason."""
+    """Result of one shard: kept, made, or made again with the reason."""
 
     shard: str
     first_scene: int
@@ -150,13 +152,13 @@ class ShardDone(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def manifest_line(self) -> dict[str, Any]:
-        """Its line of the manifest, which does not tell how it came about."""
+        """Its line of the manifest, which leaves out its state."""
         return {"shard": self.shard, "first_scene": self.first_scene, "scenes": self.scenes, "sha256": self.sha256}
 
 
 def make_shard(job: ShardJob) -> ShardDone:
     """Simulate and write one shard; OSError names the file."""
-    # sums split among threads round in another way: bytes would tell how many there were
+    # sums split among threads round differently: the bytes would depend on the number of threads
     with threadpool_limits(limits=1, user_api="blas"):
         arrays = shard_arrays(job.recipe, job.seed, job.first, job.count)
     write_shard(job.path, arrays)
@@ -164,7 +166,7 @@ def make_shard(job: ShardJob) -> ShardDone:
 
 
 def shard_done(job: ShardJob, state: Literal["kept", "made", "rewritten"]) -> ShardDone:
-    """What is told of a shard that is there."""
+    """Return the result of a shard on disk."""
     return ShardDone(
         shard=job.path.name,
         first_scene=job.first,
@@ -176,7 +178,7 @@ def shard_done(job: ShardJob, state: Literal["kept", "made", "rewritten"]) -> Sh
 
 
 def shard_fault(job: ShardJob, sha256: str | None) -> str | None:
-    """Why a shard must be made: "" where there is none or only its beginning, else what is wrong; None: nothing is.
+    """Return the reason to make a shard: "" where it is missing or incomplete, else its fault; None: no reason.
 
     A shard must be readable to its last array (npz carries CRC-32) and have its checksum where that is known.
     """
@@ -194,17 +196,17 @@ def shard_fault(job: ShardJob, sha256: str | None) -> str | None:
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file, hexadecimal."""
+    """Return the SHA-256 of a file, hexadecimal."""
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def read_shard(path: Path) -> dict[str, np.ndarray]:
-    """All arrays of a shard; raises `ValueError` where it is none, `OSError` where it cannot be read."""
+    """Return all arrays of a shard; raises `ValueError` where it is none, `OSError` where it cannot be read."""
     return load_arrays(path)
 
 
 def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Write a shard so that it is there whole or not at all, whatever happens to the machine."""
+    """Write a shard whole or not at all, whatever happens to the machine."""
     with whole(path) as part, part.open("wb") as file:
         np.savez(file, **arrays)  # type: ignore[arg-type]
         file.flush()
@@ -212,7 +214,7 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 
 def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
-    """Arrays of scenes first..first+count-1 of the series of a seed; `sim_player.dataset.writer` says which."""
+    """Return the arrays of scenes first..first+count-1 of a series, as listed in `sim_player.dataset.writer`."""
     profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
     for index in range(first, first + count):
         scene, place = draw_scene(recipe, seed, index)
@@ -243,7 +245,7 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
 
 
 def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, Any]]:
-    """Scene number `index` of a series, with its type of place and the kinds of its walls."""
+    """Return the scene number `index` of a series, with its type of place and the kinds of its walls."""
     if recipe.places == "street_v1":
         scene, facts = random_street(seed, index), {"place": "street_v1", "relays": []}
     else:
@@ -256,21 +258,21 @@ def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, 
 
 
 def scene_facts(scene: Scene) -> dict[str, Any]:
-    """What statistics need of a scene, so that nobody has to read its YAML."""
+    """Return the facts of a scene that statistics need, so that its YAML need not be read."""
     names = ("role", "material", "roughness_mm", "curvature_per_m")
     return {
-        "objects": [thing.object_class for thing in scene.objects],
+        "objects": [scene_object.object_class for scene_object in scene.objects],
         "surfaces": [{name: getattr(surface, name) for name in names} for surface in scene.surfaces],
     }
 
 
 def scene_seed(seed: int, index: int) -> int:
-    """One integer that names a scene's speckle and noise."""
+    """Return one integer that names a scene's speckle and noise."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1, np.uint64)[0])
 
 
 def _plan_line(recipe: Recipe, scan: LabelledScan) -> bytes:
-    """Which effects a scan has and, where they were planned, why."""
+    """Return the effects of a scan and, where they were planned, the reasons."""
     line: dict[str, Any] = {"used": sorted(scan.used), "paths": scan.paths}
     plan = scan.plan
     if plan is not None:
@@ -281,12 +283,12 @@ def _plan_line(recipe: Recipe, scan: LabelledScan) -> bytes:
 
 
 def _shift_rng(seed: int, index: int, part: int) -> np.random.Generator:
-    """Draws of a scene's shift, apart from all that make the scene: part 0 its place, 1 its board."""
+    """Return the generator of a scene's shift, apart from those of the scene: part 0 its place, 1 its board."""
     return np.random.default_rng([seed, index, 11, part])
 
 
 def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
-    """What a shard says of faulty boards; nothing where there are none."""
+    """Return the arrays of faulty boards; none where there are none."""
     if not boards:
         return {}
     return {
@@ -296,5 +298,5 @@ def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
 
 
 def _joined(labels: list[Labels], name: str) -> np.ndarray:
-    """One array of all scenes' points."""
+    """Return one array of all scenes' points."""
     return np.concatenate([getattr(points, name) for points in labels])

@@ -1,4 +1,6 @@
-"""What a data set holds, counted from its shards: places, walls, objects, ranges, bounces, SNR, roughness, effects."""
+"""Statistics of a data set, counted from its shards: places, walls, objects, ranges, bounces, SNR, roughness,
+effects.
+"""
 
 from __future__ import annotations
 
@@ -85,17 +87,19 @@ _POINTS = ("range_m", "azimuth_rad", "path_class", "power_mw", "order", "object_
 
 
 def series_of(folder: Path) -> dict[str, Any]:
-    """What `series.json` says; ValueError where the folder holds no data set."""
+    """Return the content of `series.json`; ValueError where the folder holds no data set."""
     path = folder / "series.json"
     try:
-        found: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
+        series: dict[str, Any] = msgspec.json.decode(path.read_bytes(), type=dict)
     except (OSError, msgspec.DecodeError) as error:
         raise ValueError(f"{path}: must say which data set the folder holds: {error}") from None
-    return found
+    return series
 
 
 def read_records(folder: Path) -> Iterator[SceneRecord]:
-    """All scenes of a data set in order; ValueError for a folder without shards, or a shard that cannot be read."""
+    """Yield all scenes of a data set in order; ValueError for a folder without shards, or a shard that cannot be
+    read.
+    """
     paths = sorted(folder.glob("shard-*.npz"))
     if not paths:
         raise ValueError(f"{folder} must hold shards (shard-*.npz), found none")
@@ -116,7 +120,7 @@ def dataset_statistics(folder: Path) -> Statistics:
 
 
 def count_up(series: dict[str, Any], records: Iterable[SceneRecord]) -> Statistics:
-    """Statistics of records."""
+    """Return the statistics of records."""
     tally = _Tally()
     for record in records:
         tally.add(record)
@@ -138,7 +142,7 @@ def _records(arrays: dict[str, np.ndarray], first: int) -> Iterator[SceneRecord]
 
 
 class _Tally:
-    """Counters that go from scene to scene."""
+    """Counters over scenes."""
 
     def __init__(self) -> None:
         self.places: Counter[str] = Counter()
@@ -157,7 +161,7 @@ class _Tally:
         self.traced: list[int] = []
 
     def add(self, record: SceneRecord) -> None:
-        """One more scene."""
+        """Add one scene."""
         walls = [surface for surface in record.facts["surfaces"] if surface["role"] != "ground"]
         self.places[record.facts["place"]] += 1
         self.relays.update(record.facts["relays"])
@@ -177,23 +181,23 @@ class _Tally:
         self.orders.update(np.where(mirrored, points["order"], 0).tolist())
         snr_db = 10.0 * np.log10(points["power_mw"] / record.noise_power_mw)
         for kind, name in CLASS_NAMES.items():
-            mine = points["path_class"] == kind
-            self.range_m[name].append(points["range_m"][mine])
-            self.snr_db[name].append(snr_db[mine])
+            of_class = points["path_class"] == kind
+            self.range_m[name].append(points["range_m"][of_class])
+            self.snr_db[name].append(snr_db[of_class])
 
     def _add_objects(self, record: SceneRecord) -> None:
         points, classes = record.points, record.facts["objects"]
         direct = set(points["object_index"][points["path_class"] == PathClass.LOS].tolist())
         mirrored = set(points["object_index"][points["path_class"] == PathClass.MIRRORED].tolist()) - direct - {-1}
         for index, name in enumerate(classes):
-            seen = "direct" if index in direct else "hidden" if index in mirrored else "unseen"
-            self.objects.setdefault(name, Counter())[seen] += 1
+            visibility = "direct" if index in direct else "hidden" if index in mirrored else "unseen"
+            self.objects.setdefault(name, Counter())[visibility] += 1
         self.objects_per_scene[len(classes)] += 1
         self.hidden_per_scene[len(mirrored)] += 1
         self.hidden_in_noise += len(set(record.facts["hidden"]) - mirrored - direct)
 
     def statistics(self, series: dict[str, Any]) -> Statistics:
-        """All counts as they stand; ValueError without a scene."""
+        """Return all counts as they stand; ValueError without a scene."""
         scenes = self.places.total()
         if not scenes:
             raise ValueError("a data set must hold at least one scene, got none")
@@ -221,10 +225,10 @@ class _Tally:
 
 
 def histogram(edges: tuple[float, ...], values: dict[str, np.ndarray]) -> Histogram:
-    """Counts of values between edges; what lies outside goes to the first or the last bin."""
-    inside = {name: np.clip(one, edges[0], np.nextafter(edges[-1], edges[0])) for name, one in values.items()}
+    """Return the counts of values between edges; what lies outside goes to the first or the last bin."""
+    inside = {name: np.clip(array, edges[0], np.nextafter(edges[-1], edges[0])) for name, array in values.items()}
     return Histogram(
-        edges=edges, counts={name: np.histogram(one, np.array(edges))[0].tolist() for name, one in inside.items()}
+        edges=edges, counts={name: np.histogram(array, np.array(edges))[0].tolist() for name, array in inside.items()}
     )
 
 

@@ -2,7 +2,7 @@
 
 A new data set has all four types of place (`sim_player.generate.places.random_place`), and for each scene the effects
 that its map calls for under -20 dB. The first series, random streets with the basic effects, is `places="street_v1"`:
-its profiles and first labels are what this module wrote when it knew no other series. `shift="hard"` is the second test
+its profiles and first labels are those of the first version of this module. `shift="hard"` is the second test
 set: the same places rougher and fuller, seen by a faulty board (`sim_player.generate.domain_shift`).
 
 A folder holds `series.json` (generator, preset, effects, budget, shift: another series is refused), shards, and
@@ -110,7 +110,7 @@ def write_dataset(
     require_room(manifest.path, sum(job.count for job in missing) * recipe.scene_bytes)
     for done in map_jobs(make_shard, missing, executor, workers, out_dir / ".slurm", slurm):
         manifest.add(done, on_shard)
-        # at once: a run that goes on after a kill checks against it
+        # at once: a run resumed after a kill checks against it
         manifest.write()
     manifest.write()
     return manifest.path
@@ -120,15 +120,15 @@ class _Manifest:
     """Lines of the manifest by shard, those of an earlier run until they are replaced."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.lines = path, _known(path)
+        self.path, self.lines = path, _read_manifest(path)
 
     def sha256(self, job: ShardJob) -> str | None:
-        """Checksum of a shard as long as it should be, if it is known."""
+        """Return the checksum of a shard as long as it should be, if it is known."""
         line = self.lines.get(job.path.name, {})
         return line["sha256"] if line.get("scenes") == job.count else None
 
     def add(self, done: ShardDone, on_shard: Callable[[ShardDone], None] | None) -> None:
-        """One more shard is there."""
+        """Add one shard."""
         self.lines[done.shard] = done.manifest_line
         if on_shard is not None:
             on_shard(done)
@@ -139,8 +139,8 @@ class _Manifest:
         write_whole(self.path, b"".join(msgspec.json.encode(line) + b"\n" for line in ordered))
 
 
-def _known(manifest: Path) -> dict[str, dict[str, Any]]:
-    """Lines of a manifest by shard; none where it cannot be read."""
+def _read_manifest(manifest: Path) -> dict[str, dict[str, Any]]:
+    """Return the lines of a manifest by shard; none where it cannot be read."""
     names = ("shard", "first_scene", "scenes", "sha256")
     try:
         lines = [msgspec.json.decode(line) for line in manifest.read_bytes().splitlines()]
@@ -150,7 +150,7 @@ def _known(manifest: Path) -> dict[str, dict[str, Any]]:
 
 
 def _jobs(out_dir: Path, count: int, seed: int, recipe: Recipe) -> list[ShardJob]:
-    """All shards of a data set."""
+    """Return all shards of a data set."""
     size = recipe.scenes_per_shard
     return [
         ShardJob(folder=out_dir, recipe=recipe, seed=seed, first=first, count=min(size, count - first))
@@ -159,7 +159,7 @@ def _jobs(out_dir: Path, count: int, seed: int, recipe: Recipe) -> list[ShardJob
 
 
 def _refuse_to_shrink(out_dir: Path, jobs: list[ShardJob], manifest: _Manifest) -> None:
-    """ValueError where the folder holds scenes beyond those asked for, which training would read all the same."""
+    """Raise ValueError where the folder holds scenes beyond those requested, which training would read too."""
     counts = {job.path.name: job.count for job in jobs}
     beyond = {path.name for path in out_dir.glob("shard-*.npz")} - counts.keys()
     beyond |= {shard for shard, line in manifest.lines.items() if line["scenes"] > counts.get(shard, 0)}
@@ -168,19 +168,19 @@ def _refuse_to_shrink(out_dir: Path, jobs: list[ShardJob], manifest: _Manifest) 
         raise ValueError(f"count must not be below what {out_dir} holds ({max(beyond)}), got {asked}")
 
 
-def _claim(out_dir: Path, wanted: dict[str, Any]) -> None:
-    """Write down whose folder this is; ValueError where it is another series'."""
+def _claim(out_dir: Path, series: dict[str, Any]) -> None:
+    """Write the series of this folder; ValueError where it belongs to another series."""
     path = out_dir / "series.json"
     if not path.exists():
         if any(out_dir.glob("shard-*.npz")):
             raise ValueError(f"{out_dir} holds shards but no series.json that says of which data set")
-        write_whole(path, msgspec.json.encode(wanted))
+        write_whole(path, msgspec.json.encode(series))
         return
     try:
-        found = msgspec.json.decode(path.read_bytes(), type=dict)
+        existing = msgspec.json.decode(path.read_bytes(), type=dict)
     except msgspec.DecodeError:
         raise ValueError(f"{path} must say which data set the folder holds, cannot be read") from None
-    names = sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
+    names = sorted(name for name in existing.keys() | series.keys() if existing.get(name) != series.get(name))
     if names:
-        differs = "; ".join(f"{name} {found.get(name)!r}, wanted {wanted.get(name)!r}" for name in names)
+        differs = "; ".join(f"{name} {existing.get(name)!r}, wanted {series.get(name)!r}" for name in names)
         raise ValueError(f"{out_dir} holds another data set: {differs}")

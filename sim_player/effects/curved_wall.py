@@ -6,25 +6,17 @@ Skipped, a curved piece of wall mirrors like its chord. Also the radar's own ima
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.physics.curved_mirror import bounces
 from sim_player.effects.los_surfaces import flash_weight
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes
 from sim_player.trace.segments import free_passage
 from sim_player.trace.snapshot import Tracing
-
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "curved_wall"
-ABOUT = "objects and the radar seen in curved walls"
-COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -35,14 +27,9 @@ def absent(world: World) -> str | None:
 def apply(tracing: Tracing) -> Echoes:
     """Centres and the radar itself in all arcs."""
     view = tracing.view
-    tracing.routes[NAME] = arc_routes(view, view.centre, tracing.owner)
-    objects = object_echoes(view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
-    return join_echoes([objects, _flashes(view)])
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths and of those that chords would put in their place."""
-    return np.asarray(chain.path_change(NAME) + chain.bound_of(as_chords(Tracing(chain.view))))
+    routes = arc_routes(view, view.centre, tracing.owner)
+    tracing.routes["curved_wall"] = routes
+    return join_echoes([object_echoes(view, routes, cofocal(routes)), _flashes(view)])
 
 
 def as_chords(tracing: Tracing) -> Echoes:
@@ -91,7 +78,7 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
         _direction(point - view.antenna),
         _direction(end - point),
         legs,
-        bit("specular_relay") | bit(NAME),
+        bit("specular_relay") | bit("curved_wall"),
         wall=np.full(len(found), wall),
         other=found.gain,
         whole=whole,

@@ -6,22 +6,15 @@ RCS per area 4 |r|^2 (1 - rho) cos^2 over the height that the antenna lights; pa
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
 from sim_player.trace.routes import dot, straight_routes
 from sim_player.trace.snapshot import Tracing
 
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "diffuse_scattering"
-ABOUT = "diffuse return of rough walls in direct sight"
-COST_S = TONE_S
 #: Two-way elevation beamwidth of four rows: how much of a wall's height a patch stands for.
 LIT_ELEVATION_RAD = 0.3
 
@@ -47,13 +40,8 @@ def apply(tracing: Tracing) -> Echoes:
     lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * routes.length_m)
     rcs = 4.0 * (1.0 - rough**2) * cosine**2 * lit_height * world.speck_length_m[which]
     weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[which]
-    echoes = surface_echoes(view, routes, weight, point, wall, bit(NAME))
+    echoes = surface_echoes(view, routes, weight, point, wall, bit("diffuse_scattering"))
     return _with_reflection(echoes, np.abs(whole), np.abs(front))
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths."""
-    return chain.path_change(NAME)
 
 
 def _with_reflection(echoes: Echoes, whole: np.ndarray, front: np.ndarray) -> Echoes:

@@ -9,24 +9,17 @@ more than two walls meet, bends before or after a mirror, the faces' roughness, 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from models.physics.diffraction import edge_field, wedge_terms
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import Routes, join_routes, make_routes, norm
 from sim_player.trace.segments import Passage, free_passage, passing_factor
 from sim_player.trace.snapshot import Tracing
 
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "edge_diffraction"
-ABOUT = "echoes bent around walls' ends and corners"
-COST_S = TONE_S
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
 LEAST_TURN_RAD = 0.05
 #: Points nearer than this to an edge's faces or to the edge itself are on the wall, not beside it.
@@ -69,17 +62,12 @@ def apply(tracing: Tracing) -> Echoes:
     """Echoes with one bend (out or back, the other way clear) and with two (out and back by the same edge)."""
     view = tracing.view
     bent = edge_routes(view, view.centre, tracing.owner)
-    tracing.routes[NAME] = bent
+    tracing.routes["edge_diffraction"] = bent
     clear = tracing.clear_routes("los_objects", "specular_relay")
     first, second = same_target(bent.target, clear.target)
     both = join_routes([bent, clear])
-    mixed = object_echoes(view, both, (first, second + len(bent)), bit(NAME))
-    return join_echoes([object_echoes(view, bent, cofocal(bent), bit(NAME)), mixed])
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths."""
-    return chain.path_change(NAME)
+    mixed = object_echoes(view, both, (first, second + len(bent)), bit("edge_diffraction"))
+    return join_echoes([object_echoes(view, bent, cofocal(bent), bit("edge_diffraction")), mixed])
 
 
 def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
@@ -140,7 +128,7 @@ def _bent(
         out / source_m[:, None],
         on / target_m[:, None],
         legs,
-        bit(NAME),
+        bit("edge_diffraction"),
         edge=edge,
         whole=edge_field(built, source_m, target_m),
         front=edge_field(front, source_m, target_m),

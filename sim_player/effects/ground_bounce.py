@@ -6,26 +6,17 @@ change the plan of a way, only its heights. Of each chain of walls: ground on on
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from models.physics.fresnel import coherent_power, half_space_reflection
 from models.physics.materials import permittivity
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.description import Surface
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import Routes, dot, join_routes, make_routes, norm, plane_bounces
 from sim_player.trace.segments import Passage, free_passage
 from sim_player.trace.snapshot import Tracing
-
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "ground_bounce"
-ABOUT = "echoes of objects by way of the ground"
-COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -39,20 +30,15 @@ def apply(tracing: Tracing) -> Echoes:
     """Straight and once mirrored ways with the ground on one of the two legs, or on both."""
     view = tracing.view
     ground = join_routes([_straight(view, tracing.owner), _mirrored(view, tracing.owner)])
-    tracing.routes[NAME] = ground
+    tracing.routes["ground_bounce"] = ground
     clear = tracing.clear_routes("los_objects", "specular_relay")
     # the same chain of walls: target and wall agree
     walls = len(view.world.wall_a) + 1
     mine, other = (routes.target.astype(np.int64) * walls + routes.wall + 1 for routes in (ground, clear))
     first, second = same_target(mine, other)
     both = join_routes([ground, clear])
-    mixed = object_echoes(view, both, (first, second + len(ground)), bit(NAME))
-    return join_echoes([object_echoes(view, ground, cofocal(ground), bit(NAME)), mixed])
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths."""
-    return chain.path_change(NAME)
+    mixed = object_echoes(view, both, (first, second + len(ground)), bit("ground_bounce"))
+    return join_echoes([object_echoes(view, ground, cofocal(ground), bit("ground_bounce")), mixed])
 
 
 def _straight(view: Snapshot, owner: np.ndarray) -> Routes:
@@ -114,7 +100,7 @@ def _finish(
         # it rises to its target after the bounce
         arrive * [1.0, 1.0, -1.0] / length[:, None],
         legs,
-        needs | bit(NAME),
+        needs | bit("ground_bounce"),
         wall=-1 if wall is None else wall,
         ground=True,
         whole=whole * at_ground,

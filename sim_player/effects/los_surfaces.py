@@ -7,23 +7,15 @@ scatterers every 1-3 m and at every end; their level is an engineering choice, n
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
 from sim_player.trace.routes import NEAREST_M, dot, make_routes, straight_routes
 from sim_player.trace.segments import passage
 from sim_player.trace.snapshot import Tracing
-
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "los_surfaces"
-ABOUT = "flashes and structure of walls in direct sight"
-COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -34,11 +26,6 @@ def absent(world: World) -> str | None:
 def apply(tracing: Tracing) -> Echoes:
     """Flashes of straight walls, then structure."""
     return join_echoes([_flashes(tracing.view), structure(tracing.view)])
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths."""
-    return chain.path_change(NAME)
 
 
 def flash_weight(view: Snapshot, length_m: np.ndarray) -> np.ndarray:
@@ -56,7 +43,7 @@ def structure(view: Snapshot) -> Echoes:
     seen = which[legs.free]
     routes = routes.take(legs.free)
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[seen], routes.length_m) * world.speck_phasor[seen]
-    return surface_echoes(view, routes, weight, point[legs.free], world.speck_wall[seen], bit(NAME))
+    return surface_echoes(view, routes, weight, point[legs.free], world.speck_wall[seen], bit("los_surfaces"))
 
 
 def _flashes(view: Snapshot) -> Echoes:
@@ -85,7 +72,7 @@ def _flashes(view: Snapshot) -> Echoes:
         rough=np.sqrt(rough),
     )
     weight = flash_weight(view, 2.0 * distance[wall])
-    return surface_echoes(view, routes, weight, point, wall, bit(NAME)).take(legs.free)
+    return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces")).take(legs.free)
 
 
 def _level(view: Snapshot, plan: np.ndarray) -> np.ndarray:

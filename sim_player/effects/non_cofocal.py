@@ -6,21 +6,12 @@ come first. Where transmitter and receiver stand apart, their lengths to an imag
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, object_echoes, same_target
 from sim_player.trace.snapshot import Tracing
-
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "non_cofocal"
-ABOUT = "echoes that return by another way than they went"
-COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -37,16 +28,4 @@ def apply(tracing: Tracing) -> Echoes:
     routes = tracing.clear_routes("los_objects", "specular_relay", "curved_wall", "second_relay")
     out, back = same_target(routes.target, routes.target)
     mixed = np.flatnonzero(out < back)
-    return object_echoes(tracing.view, routes, (out[mixed], back[mixed]), bit(NAME))
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths, and of how far arrays that stand apart turn and shift every echo."""
-    bound = chain.path_change(NAME)
-    if chain.world.scene.radar.separation_m == 0.0:
-        return bound
-    moved_m = np.abs(chain.as_paths().length_m - chain.echoes.out_m - chain.echoes.back_m)
-    turn = np.minimum(2.0 * np.pi * moved_m / chain.world.radar.wavelength_m, 2.0)
-    # the range kernel's slope stays under two a bin
-    shift = moved_m / chain.world.radar.range_bin_m
-    return np.asarray(bound + chain.bound(chain.amplitude * (turn + shift)))
+    return object_echoes(tracing.view, routes, (out[mixed], back[mixed]), bit("non_cofocal"))

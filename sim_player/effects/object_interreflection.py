@@ -7,24 +7,16 @@ sides send such light elsewhere. Either may come first, so the field counts twic
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from msgs.values.perception import PathClass
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, centre_rcs_m2
 from sim_player.trace.routes import NEAREST_M, Routes, dot, norm
 from sim_player.trace.segments import passage
 from sim_player.trace.snapshot import Tracing
-
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "object_interreflection"
-ABOUT = "echoes by way of two objects"
-COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -64,17 +56,12 @@ def apply(tracing: Tracing) -> Echoes:
         rate_mps=_rate(view, one, two, onward),
         kind=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
         order=mirrored.astype(np.uint8),
-        needs=one.needs | two.needs | np.uint32(bit(NAME)),
+        needs=one.needs | two.needs | np.uint32(bit("object_interreflection")),
         surface=one.wall,
         thing=world.centre_object[one.target].astype(np.int32),
         point=start,
     )
     return echoes.take(legs.free & (rcs_one > 0.0) & (rcs_two > 0.0))
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths."""
-    return chain.path_change(NAME)
 
 
 def _pairs(routes: Routes, world: World) -> tuple[np.ndarray, np.ndarray]:

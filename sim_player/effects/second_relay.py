@@ -8,7 +8,6 @@ out. In a right-angled corner the way to the radar's own image meets the apex: e
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numba import njit
@@ -16,19 +15,13 @@ from scipy.special import fresnel
 
 from models.physics.mirror import reflect
 from sim_player.effects.los_surfaces import flash_weight
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, norm, unit
 from sim_player.trace.segments import free_passage
 from sim_player.trace.snapshot import Tracing
 
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "second_relay"
-ABOUT = "objects, the radar and walls seen by way of two walls"
-COST_S = TONE_S
 #: Ends of walls nearer than this are one corner.
 SAME_END_M = 1e-6
 #: Least share of the wave for which a loop by a corner's apex is followed.
@@ -44,14 +37,10 @@ def absent(world: World) -> str | None:
 def apply(tracing: Tracing) -> Echoes:
     """Objects in two walls, the radar in corners, structure in another wall."""
     view = tracing.view
-    tracing.routes[NAME] = two_wall_routes(view, view.centre, tracing.owner)
-    objects = object_echoes(view, tracing.routes[NAME], cofocal(tracing.routes[NAME]))
+    routes = two_wall_routes(view, view.centre, tracing.owner)
+    tracing.routes["second_relay"] = routes
+    objects = object_echoes(view, routes, cofocal(routes))
     return join_echoes([objects, _loops(view), _mirrored_structure(view)])
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths."""
-    return chain.path_change(NAME)
 
 
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
@@ -88,7 +77,7 @@ def _routes(
         depart,
         arrive,
         legs.take(keep),
-        bit("specular_relay") | bit(NAME),
+        bit("specular_relay") | bit("second_relay"),
         wall=first,
         wall2=second,
         whole=one[0] * two[0],
@@ -105,7 +94,7 @@ def _loops(view: Snapshot) -> Echoes:
     routes = join_routes([routes.take(~joined), _corners(view)])
     weight = flash_weight(view, routes.length_m)
     point = np.broadcast_to(view.antenna, (len(routes), 3)).copy()
-    echoes = surface_echoes(view, routes, weight, point, routes.wall, bit(NAME))
+    echoes = surface_echoes(view, routes, weight, point, routes.wall, bit("second_relay"))
     # the loop is one round trip: what is on it is met once
     return replace(
         echoes,
@@ -189,7 +178,8 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     routes = routes.take(legs.free & (world.speck_wall[which[routes.target]] != routes.wall))
     speck = which[routes.target]
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
-    return surface_echoes(view, routes, weight, point[routes.target], routes.wall, bit(NAME) | bit("los_surfaces"))
+    needs = bit("second_relay") | bit("los_surfaces")
+    return surface_echoes(view, routes, weight, point[routes.target], routes.wall, needs)
 
 
 def _cut(start: np.ndarray, end: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:

@@ -3,23 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_player.effects.names import TONE_S, bit
+from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes
 from sim_player.trace.routes import Routes
 from sim_player.trace.segments import Passage
 from sim_player.trace.snapshot import Tracing
-
-if TYPE_CHECKING:
-    from sim_player.planner.ablation import Chain
-
-NAME = "wall_transmission"
-ABOUT = "objects seen through walls"
-COST_S = TONE_S
 
 
 def absent(world: World) -> str | None:
@@ -38,15 +30,10 @@ def apply(tracing: Tracing) -> Echoes:
     direct, mirrored = _behind(*tracing.straight), _behind(*tracing.mirrored)
     return join_echoes(
         [
-            object_echoes(view, direct, cofocal(direct), bit(NAME) | bit("los_objects")),
-            object_echoes(view, mirrored, cofocal(mirrored), bit(NAME)),
+            object_echoes(view, direct, cofocal(direct), bit("wall_transmission") | bit("los_objects")),
+            object_echoes(view, mirrored, cofocal(mirrored), bit("wall_transmission")),
         ]
     )
-
-
-def change(chain: Chain) -> np.ndarray:
-    """Bound of its paths."""
-    return chain.path_change(NAME)
 
 
 def _behind(routes: Routes, legs: Passage) -> Routes:

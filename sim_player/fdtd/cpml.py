@@ -48,7 +48,8 @@ class Cpml:
 def recursion(
     sigma_s_per_m: np.ndarray, kappa: np.ndarray, alpha_s_per_m: np.ndarray, step_s: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Decay b = exp(-x) and drive c = sigma (b - 1) / (kappa (sigma + kappa alpha)), x = (sigma/kappa + alpha) dt/eps0.
+    """Return the decay b = exp(-x) and drive c = sigma (b - 1) / (kappa (sigma + kappa alpha)), x = (sigma/kappa +
+    alpha) dt/eps0.
 
     b - 1 by expm1 in float64: formed as exp(-x) - 1 in float32 it loses every digit once x < 1e-7.
     """
@@ -61,7 +62,7 @@ def recursion(
 def layer(
     params: CpmlParams, depth: np.ndarray, cell_m: float, normal_index: float, step_s: float, frequency_hz: float
 ) -> Cpml:
-    """Coefficients at `depth` (cells into the layer; 0 and less: outside of it), float64, shape of depth.
+    """Return the coefficients at `depth` (cells into the layer; 0 and less: outside of it), float64, shape of depth.
 
     `normal_index` is k_normal / k0 of the wave to be absorbed: sigma_max = -(m + 1) ln(leak) / (2 eta0 d normal_index).
     """

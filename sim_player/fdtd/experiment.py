@@ -15,7 +15,7 @@ from sim_player.fdtd.media import Layers, checked_layers
 from sim_player.fdtd.rough import cell_size
 
 #: Relative standard deviation of the pulse; a run ends at this share of the peak, or after so many batches.
-PULSE_SHARE, DECAY, BATCH_STEPS, MOST_BATCHES = 0.1, 1e-7, 256, 400
+PULSE_SHARE, DECAY, BATCH_STEPS, MAX_BATCHES = 0.1, 1e-7, 256, 400
 #: Pictures add the field once in so many steps: at least this often a period.
 PICTURES_A_PERIOD = 5.0
 
@@ -40,14 +40,14 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Transmission:
-    """What the detectors read and the field at the frequency of interest."""
+    """Detector readings and the field at the frequency of interest."""
 
     #: Power reflected and transmitted by the plane wave at the beam's angle [dB].
     reflection_db: float
     transmission_db: float
     #: Field out of plane as phasor per incident one on the axis at the front face, complex64 [x, z].
     field: np.ndarray
-    #: Places of the picture's rows and columns; the wall spans wall_m of z.
+    #: Positions of the picture's rows and columns; the wall spans wall_m of z.
     x_m: np.ndarray
     z_m: np.ndarray
     wall_m: tuple[float, float]
@@ -129,13 +129,13 @@ class _Bench:
         self.rows = (self.source + before // 2, self.back + behind // 2, self.front)
 
     def run(self, wall: bool, on_step: Callable[[int, float], None] | None) -> tuple[np.ndarray, np.ndarray, YeeGrid]:
-        """Phasors of u on the detector rows [3, nx] and everywhere [nx, nz], and the grid."""
+        """Return the phasors of u on the detector rows [3, nx] and everywhere [nx, nz], and the grid."""
         grid = YeeGrid(self.params, self._media() if wall else Media())
         drive = Drive(self.source, self.profile, 1.0 / (PULSE_SHARE * self.params.phase_per_step))
         every = max(1, int(2.0 * math.pi / (PICTURES_A_PERIOD * self.params.phase_per_step)))
         spectra = np.zeros((3, self.params.cells_x), np.complex128)
         picture = np.zeros((self.params.cells_x, self.params.cells_z), np.complex128)
-        for _ in range(MOST_BATCHES):
+        for _ in range(MAX_BATCHES):
             grid.run(drive, self.rows, BATCH_STEPS, spectra, picture if wall else None, every)
             if on_step is not None:
                 on_step(grid.steps, grid.residue)
@@ -144,11 +144,11 @@ class _Bench:
         return spectra, picture * every, grid
 
     def plane_wave(self, row: np.ndarray) -> complex:
-        """Share of the plane wave with k_par in a row of phasors."""
+        """Return the share of the plane wave with k_par in a row of phasors."""
         return complex(np.sum(row * np.exp(1j * self.along_per_m * self.x_m)))
 
     def _media(self) -> Media:
-        """Layers across the whole width."""
+        """Return the layers across the whole width."""
         shape = (self.params.cells_x, self.params.cells_z)
 
         def column(offset: float, inverse: bool = False) -> np.ndarray:

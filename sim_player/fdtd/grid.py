@@ -21,9 +21,9 @@ from sim_player.fdtd.media import electric_coefficients, real_medium
 
 #: Absorber of a plain grid.
 ABSORBER = CpmlParams(cells=20, leak=1e-6)
-#: Steps between looks at the field's level (and flushes of what nears the subnormal numbers).
+#: Steps between checks of the field's level (and flushes of nearly subnormal numbers).
 LOOK_STEPS = 64
-#: What has sunk below becomes zero, long before subnormal numbers slow the steps.
+#: Smaller values become zero, long before subnormal numbers slow the steps.
 FLUSHED = 1e-30
 #: Below so many cells (of all parts) a step is too short to share between threads on a busy machine.
 PARALLEL_CELLS = 400_000
@@ -78,11 +78,11 @@ class GridParams:
 
     @property
     def grid_wave_number(self) -> float:
-        """(2 / c dt) sin(w dt / 2) [rad/m]: what k0 is on the grid."""
+        """(2 / c dt) sin(w dt / 2) [rad/m]: k0 on the grid."""
         return 2.0 / (self.courant * self.cell_m) * math.sin(0.5 * self.phase_per_step)
 
     def wave_number(self, symbol: float) -> float:
-        """Wave number whose central difference (2/h) sin(k h / 2) is `symbol` [rad/m]."""
+        """Return the wave number whose central difference (2/h) sin(k h / 2) is `symbol` [rad/m]."""
         return 2.0 / self.cell_m * math.asin(0.5 * self.cell_m * symbol)
 
 
@@ -90,7 +90,7 @@ class GridParams:
 class Drive:
     """Pulse on a row of u: row, complex profile along x [nx], deviation [steps], half length in deviations.
 
-    The pulse is odd about its middle: no direct part, which would leave charge standing. A real grid carries the
+    The pulse is odd about its middle: a DC part would leave static charge. A real grid carries the
     real part of profile times the analytic pulse, so a phase along x steers the beam.
     """
 
@@ -185,7 +185,7 @@ class YeeGrid:
         return self.level / self.peak if self.peak > 0.0 else 1.0
 
     def energy(self) -> float:
-        """Electric plus magnetic energy at the present half-staggered instant, arbitrary unit (float64)."""
+        """Return the electric plus magnetic energy at the present half-staggered instant, arbitrary unit (float64)."""
         total = 0.0
         for field, (_, drive) in ((self.u, self.at_u), (self.vx, self.at_vx), (self.vz, self.at_vz)):
             weight = self.params.courant / np.asarray(drive, np.float64)
@@ -193,7 +193,7 @@ class YeeGrid:
         return total
 
     def _medium(self, permittivity: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients a and b of an E component with ghost rows, [nx + 2, nz]."""
+        """Return the coefficients a and b of an E component with ghost rows, [nx + 2, nz]."""
         params = self.params
         shape = (params.cells_x, params.cells_z)
         eps = np.ones(shape, np.complex128) if permittivity is None else np.asarray(permittivity, np.complex128)
@@ -208,17 +208,17 @@ class YeeGrid:
     def _absorbers(
         self, position: np.ndarray, length: float, index: tuple[float, float] | None
     ) -> tuple[np.ndarray, ...]:
-        """Decay, drive, 1/kappa at nodes, then at half places; index None: no absorber."""
+        """Return the decay, drive, 1/kappa at nodes, then at half positions; index None: no absorber."""
         params = self.params
         arrays: list[np.ndarray] = []
-        for place in (position, position + 0.5):
+        for positions in (position, position + 0.5):
             if index is None:
-                arrays += [np.zeros_like(place), np.zeros_like(place), np.ones_like(place)]
+                arrays += [np.zeros_like(positions), np.zeros_like(positions), np.ones_like(positions)]
                 continue
             cells = params.absorber.cells
             ends = [
                 layer(params.absorber, depth, params.cell_m, share, params.step_s, params.frequency_hz)
-                for depth, share in zip((cells - place, place - (length - cells)), index, strict=True)
+                for depth, share in zip((cells - positions, positions - (length - cells)), index, strict=True)
             ]
             arrays += [
                 ends[0].decay + ends[1].decay,
@@ -229,7 +229,7 @@ class YeeGrid:
 
 
 def _pick(coefficient, i, k):  # type: ignore[no-untyped-def]
-    """A coefficient at (i, k), be it one number or a map."""
+    """Return a coefficient at (i, k), from one number or a map."""
     raise NotImplementedError
 
 
@@ -242,7 +242,7 @@ def _pick_overload(coefficient, i, k):  # type: ignore[no-untyped-def]
 
 @numba.njit(parallel=True, fastmath=True, cache=True)
 def _advance_v(u, vx, vz, at_vx, at_vz, along_z, along_x, psi_z, psi_x):  # type: ignore[no-untyped-def]
-    """The two in-plane components, row by row."""
+    """Step the two in-plane components, row by row."""
     _, _, _, decay_z, drive_z, flat_z = along_z
     _, _, _, decay_x, drive_x, flat_x = along_x
     ax, bx = at_vx
@@ -270,7 +270,7 @@ def _advance_v(u, vx, vz, at_vx, at_vz, along_z, along_x, psi_z, psi_x):  # type
 
 @numba.njit(parallel=True, fastmath=True, cache=True)
 def _advance_u(u, vx, vz, at_u, along_z, along_x, psi_z, psi_x):  # type: ignore[no-untyped-def]
-    """The component out of plane, row by row; the outermost nodes of z stay zero."""
+    """Step the component out of plane, row by row; the outermost nodes of z stay zero."""
     decay_z, drive_z, flat_z, _, _, _ = along_z
     decay_x, drive_x, flat_x, _, _, _ = along_x
     a, b = at_u
@@ -314,7 +314,7 @@ def _run(  # type: ignore[no-untyped-def]
     start,
     steps,
 ):
-    """Steps: v, wrap, u, source, wrap, phasors."""
+    """Run the steps: v, wrap, u, source, wrap, phasors."""
     cosine, sine, periodic = wrap
     row, phase, deviation, half_length = shape
     nx, k = u.shape[1] - 2, int(row)
@@ -357,13 +357,13 @@ def _add_picture(u, turn, picture):  # type: ignore[no-untyped-def]
 
 @numba.njit(parallel=True, cache=True)
 def _level_and_flush(u, vx, vz):  # type: ignore[no-untyped-def]
-    """Largest |u|, or NaN; what has sunk below `FLUSHED` becomes zero."""
+    """Return the largest |u|, or NaN; set values below `FLUSHED` to zero."""
     parts, rows, nz = u.shape
     levels = np.zeros(parts * rows)
     for row in numba.prange(parts * rows):
         p, i = row // rows, row % rows
         for k in range(nz):
-            # NaN fails every comparison: it must not pass for a field that has decayed
+            # NaN fails every comparison: it must not count as a field that has decayed
             if not abs(u[p, i, k]) <= levels[row]:
                 levels[row] = abs(u[p, i, k])
             if math.isnan(levels[row]):

@@ -19,7 +19,9 @@ CONDUCTOR_SHARE = 1e-3
 
 
 def checked_layers(layers: Layers) -> Layers:
-    """The layers, front first: passive, Re(eps) >= 1, positive thickness, infinite only the last; else ValueError."""
+    """Return the layers, front first: passive, Re(eps) >= 1, positive thickness, infinite only the last; else
+    ValueError.
+    """
     if not layers:
         raise ValueError("layers must hold at least one (permittivity, thickness_m)")
     for index, (permittivity, thickness_m) in enumerate(layers):
@@ -35,7 +37,7 @@ def checked_layers(layers: Layers) -> Layers:
 
 
 def real_medium(permittivity: complex | np.ndarray, frequency_hz: float) -> tuple[np.ndarray, np.ndarray]:
-    """eps_r and sigma [S/m], float64 of the input's shape, of a complex permittivity at a frequency."""
+    """Return eps_r and sigma [S/m], float64 of the input's shape, of a complex permittivity at a frequency."""
     permittivity = np.asarray(permittivity, np.complex128)
     loss = -permittivity.imag
     sigma = loss * 2.0 * math.pi * frequency_hz * VACUUM_PERMITTIVITY_F_PER_M
@@ -43,7 +45,7 @@ def real_medium(permittivity: complex | np.ndarray, frequency_hz: float) -> tupl
 
 
 def electric_coefficients(eps_r: np.ndarray, sigma: np.ndarray, step_s: float) -> tuple[np.ndarray, np.ndarray]:
-    """E <- a E + b c dt curl(eta0 H): a = (1 - l) / (1 + l), b = 1 / (eps_r (1 + l)), l = sigma dt / (2 eps).
+    """Return E <- a E + b c dt curl(eta0 H): a = (1 - l) / (1 + l), b = 1 / (eps_r (1 + l)), l = sigma dt / (2 eps).
 
     The mean of old and new E carries the current: stable for every sigma, second order in dt.
     """

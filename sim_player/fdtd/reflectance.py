@@ -1,4 +1,4 @@
-"""Tables of what walls reflect by FDTD: specular and total power over angle, roughness, polarisation and band.
+"""Tables of wall reflectance by FDTD: specular and total power over angle, roughness, polarisation and band.
 
 They are the check of the closed form that the ray tracer uses: exact stack of layers times Kirchhoff's factor, alpha =
 |r|^2 exp(-g^2) with g = 4 pi s cos / lambda. Smooth walls come from one column of cells, rough ones from strips of
@@ -48,9 +48,9 @@ WALLS: dict[str, tuple[str, float | None]] = {
 }
 SMOOTH_ANGLES_DEG = np.arange(0.0, 85.1, 0.5)
 ROUGH_ANGLES_DEG = np.array([0.0, 30.0, 60.0])
-#: Rms heights [m] of each band: from where roughness begins to count to where the mirror is all but gone.
+#: Rms heights [m] of each band: from the first visible effect of roughness to the near loss of the mirror.
 ROUGHNESS_M = {10e9: (1e-3, 2e-3, 4e-3), 77e9: (0.1e-3, 0.2e-3, 0.5e-3)}
-#: Rough walls that are run: elsewhere the engine refuses, rings, or the wall says nothing new for its price.
+#: Rough walls that are run: elsewhere the engine refuses, rings, or the result adds too little for its cost.
 ROUGH_RUNS: tuple[tuple[str, float, Polarisation], ...] = (
     ("concrete", 10e9, "te"),
     ("concrete", 10e9, "tm"),
@@ -68,22 +68,22 @@ SPARED_RUNS: tuple[tuple[str, float, Polarisation], ...] = (("brick", 10e9, "te"
 CORRELATION_WAVELENGTHS, SEEDS = 4.0 / 3.0, (0, 1, 2)
 #: Cells per wavelength: smooth, rough dielectric, rough metal (whose stairs want finer cells; none lie inside it).
 SMOOTH_CELLS, ROUGH_CELLS, METAL_CELLS = 20.0, 16.0, 30.0
-#: What beside an entry fixes its result: a stopped build goes on only under the same.
+#: Settings that fix a result beside its entry: a stopped build resumes only under the same.
 SETTINGS = (SMOOTH_CELLS, ROUGH_CELLS, METAL_CELLS, CORRELATION_WAVELENGTHS)
 #: A layer with more loss there and back is cut to a half-space.
 OPAQUE_DB = 80.0
 #: A rough cell is left out where its standard error is above this, or its field is still above this share of its peak.
-MOST_ERROR_DB, MOST_RESIDUE = 1.5, 1e-3
+MAX_ERROR_DB, MAX_RESIDUE = 1.5, 1e-3
 #: Agreement with the closed form that `compare` counts.
 AGREEMENT_DB = 0.5
-#: Why a rough cell is there or not, by the code in the table.
+#: Status of a rough cell by the code in the table.
 MEASURED, NOT_RUN, REFUSED, UNSURE, RINGING = range(5)
 STATUS = (
     "measured",
     "not run: left out for its cost",
     "refused by the engine: stairs of cells on a rough good conductor guide waves in tm",
-    f"specular lobe too weak: its standard error over the seeds is above {MOST_ERROR_DB} dB",
-    f"the field had not left by the end of the run: above {MOST_RESIDUE:g} of its peak",
+    f"specular lobe too weak: its standard error over the seeds is above {MAX_ERROR_DB} dB",
+    f"the field had not left by the end of the run: above {MAX_RESIDUE:g} of its peak",
 )
 
 
@@ -107,7 +107,7 @@ class Entry(msgspec.Struct, frozen=True):
 
 
 class Cell(msgspec.Struct, frozen=True):
-    """What one entry and angle gave; field and powers of rough walls are shares of the smooth wall's.
+    """Result of one entry and angle; field and powers of rough walls are shares of the smooth wall's.
 
     lobe and lobe_spread: mean and standard deviation over the seeds of |r_0|^2 as it is; specular and error_db: power
     of the mean field by the control variate and its standard error.
@@ -124,7 +124,7 @@ class Cell(msgspec.Struct, frozen=True):
 
 
 class Done(msgspec.Struct, frozen=True):
-    """An entry and its cells: one line of the file from which a stopped build goes on."""
+    """An entry and its cells: one line of the file from which a stopped build resumes."""
 
     entry: Entry
     cells: tuple[Cell, ...]
@@ -191,7 +191,7 @@ class ReflectanceTable:
         roughness_m: float = 0.0,
         polarisation: Polarisation = "te",
     ) -> np.ndarray:
-        """alpha of Eq. (2), the power ratio of one bounce in the mirror direction (shape of cos_theta).
+        """Return alpha of Eq. (2), the power ratio of one bounce in the mirror direction (shape of cos_theta).
 
         The smooth wall's r by a spline over angle; what roughness leaves, in dB, linearly over cos^2 and over s^2, in
         which Kirchhoff's factor is straight. ValueError outside the table, and where a cell needed is absent, with why.
@@ -210,7 +210,9 @@ class ReflectanceTable:
     def reflected_power(
         self, wall: str, frequency_hz: float, polarisation: Polarisation = "te"
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Power reflected into all directions and the diffuse share of it, [L, B] each; nan where not measured."""
+        """Return the power reflected into all directions and the diffuse share of it, [L, B] each; nan where not
+        measured.
+        """
         at = self._index(wall, frequency_hz, polarisation)
         present = self.status[at] == MEASURED
         smooth = self._smooth_power(at, self.rough_angle_deg)
@@ -218,20 +220,22 @@ class ReflectanceTable:
         return reflected * smooth, 1.0 - self.specular_share[at] / reflected
 
     def compare(self) -> list[Comparison]:
-        """FDTD minus |r_exact|^2 exp(-g^2), one row a wall, band, polarisation and roughness that was run."""
+        """Return the FDTD minus |r_exact|^2 exp(-g^2), one row a wall, band, polarisation and roughness that was
+        run.
+        """
         return list(self._comparisons())
 
     def absent(self) -> list[tuple[str, float, Polarisation, float, float, str]]:
-        """Rough cells without a value: wall, band [Hz], polarisation, roughness [m], angle [deg], reason."""
-        found = []
+        """Return the rough cells without a value: wall, band [Hz], polarisation, roughness [m], angle [deg], reason."""
+        absent = []
         for w, f, p, level, b in np.argwhere(self.status != MEASURED):
-            place = float(self.roughness_m[f, level]), float(self.rough_angle_deg[b])
+            setting = float(self.roughness_m[f, level]), float(self.rough_angle_deg[b])
             reason = STATUS[self.status[w, f, p, level, b]]
-            found.append((self.walls[w], self.bands_hz[f], POLARISATIONS[p], *place, reason))
-        return found
+            absent.append((self.walls[w], self.bands_hz[f], POLARISATIONS[p], *setting, reason))
+        return absent
 
     def to_bytes(self) -> bytes:
-        """The arrays as npz; equal tables give equal bytes."""
+        """Return the arrays as npz; equal tables give equal bytes."""
         buffer = io.BytesIO()
         np.savez_compressed(buffer, **{name: getattr(self, name) for name in self.ARRAYS})
         return buffer.getvalue()
@@ -247,12 +251,14 @@ class ReflectanceTable:
         for w, f, p in np.ndindex(*self.smooth_r.shape[:3]):
             wall, band_hz, polarisation = self.walls[w], self.bands_hz[f], POLARISATIONS[p]
             smooth_db = _power_db(self.smooth_r[w, f, p])
-            known = np.isfinite(smooth_db)
-            if known.any():
+            is_measured = np.isfinite(smooth_db)
+            if is_measured.any():
                 exact_db = _exact_db(wall, band_hz, polarisation, 0.0, self.smooth_angle_deg)
-                angles_deg, difference_db = self.smooth_angle_deg[known], (smooth_db - exact_db)[known]
+                angles_deg, difference_db = self.smooth_angle_deg[is_measured], (smooth_db - exact_db)[is_measured]
                 zero = np.zeros_like(difference_db)
-                yield Comparison(wall, band_hz, polarisation, 0.0, angles_deg, difference_db, zero, int((~known).sum()))
+                yield Comparison(
+                    wall, band_hz, polarisation, 0.0, angles_deg, difference_db, zero, int((~is_measured).sum())
+                )
             for level, roughness_m in enumerate(self.roughness_m[f]):
                 status = self.status[w, f, p, level]
                 if np.isin(status, (NOT_RUN, REFUSED)).all():
@@ -273,16 +279,18 @@ class ReflectanceTable:
 
     @cached_property
     def _splines(self) -> dict[tuple[int, int, int], CubicSpline]:
-        """Real and imaginary part of r over angle, of every smooth wall that was run."""
-        found = {}
+        """Splines of the real and imaginary part of r over angle, of every smooth wall that was run."""
+        splines = {}
         for at in np.ndindex(*self.smooth_r.shape[:3]):
             r = self.smooth_r[at].astype(np.complex128)
             if np.isfinite(r).all():
-                found[at] = CubicSpline(self.smooth_angle_deg, np.stack([r.real, r.imag], axis=-1))
-        return found
+                splines[at] = CubicSpline(self.smooth_angle_deg, np.stack([r.real, r.imag], axis=-1))
+        return splines
 
     def _roughness_db(self, at: tuple[int, int, int], angle_deg: np.ndarray, roughness_m: float) -> np.ndarray:
-        """What roughness takes [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent cell."""
+        """Return the loss by roughness [dB], bilinear over s^2 (0 dB at s = 0) and cos^2; ValueError at an absent
+        cell.
+        """
         levels = np.concatenate([[0.0], np.square(self.roughness_m[at[1]])])
         upper = int(np.clip(np.searchsorted(levels, roughness_m**2), 1, len(levels) - 1))
         share = (roughness_m**2 - levels[upper - 1]) / (levels[upper] - levels[upper - 1])
@@ -293,7 +301,7 @@ class ReflectanceTable:
         return loss_db
 
     def _level_db(self, at: tuple[int, int, int], level: int, angle_deg: np.ndarray) -> np.ndarray:
-        """What one roughness level takes [dB] over angle."""
+        """Return the loss by one roughness level [dB] over angle."""
         angles_deg, status = self.rough_angle_deg, self.status[(*at, level)]
         needed = np.zeros(len(angles_deg), bool)
         right = np.clip(np.searchsorted(angles_deg, angle_deg), 1, len(angles_deg) - 1)
@@ -323,7 +331,7 @@ class ReflectanceTable:
         return self.walls.index(wall), near[0], POLARISATIONS.index(polarisation)
 
     def _angle_deg(self, cos_theta: np.ndarray, angles_deg: np.ndarray) -> np.ndarray:
-        """Angles [deg] of cosines; ValueError outside the table's."""
+        """Return the angles [deg] of cosines; ValueError outside the table's."""
         least = math.cos(math.radians(angles_deg[-1]))
         if not np.all((cos_theta >= least - 1e-12) & (cos_theta <= 1.0 + 1e-12)):
             raise ValueError(
@@ -333,15 +341,15 @@ class ReflectanceTable:
 
 
 def table_entries() -> list[Entry]:
-    """What the shipped table is made of, short runs first; a rough entry is one angle."""
+    """Return the entries of the shipped table, short runs first; a rough entry is one angle."""
     smooth = tuple(float(angle) for angle in SMOOTH_ANGLES_DEG)
-    found = [Entry(wall, band, pol, 0.0, smooth) for wall in WALLS for band in BANDS_HZ for pol in POLARISATIONS]
+    entries = [Entry(wall, band, pol, 0.0, smooth) for wall in WALLS for band in BANDS_HZ for pol in POLARISATIONS]
     for angle in ROUGH_ANGLES_DEG:
         for run in ROUGH_RUNS:
             if angle == ROUGH_ANGLES_DEG[-1] and run in SPARED_RUNS:
                 continue
-            found += [Entry(*run, roughness_m, (float(angle),)) for roughness_m in ROUGHNESS_M[run[1]]]
-    return found
+            entries += [Entry(*run, roughness_m, (float(angle),)) for roughness_m in ROUGHNESS_M[run[1]]]
+    return entries
 
 
 def build_tables(
@@ -360,11 +368,11 @@ def build_tables(
     todo = [entry for entry in entries if entry not in done]
     if on_progress is not None:
         on_progress(len(done), len(entries))
-    for one in map_jobs(simulate, todo, workers=workers):
-        done[one.entry] = one.cells
+    for result in map_jobs(simulate, todo, workers=workers):
+        done[result.entry] = result.cells
         if partial is not None:
             with partial.open("ab") as file:
-                file.write(msgspec.json.encode(one) + b"\n")
+                file.write(msgspec.json.encode(result) + b"\n")
         if on_progress is not None:
             on_progress(len(done), len(entries))
     return _as_table(entries, done)
@@ -392,7 +400,7 @@ class _Wall(msgspec.Struct):
 
 
 class _Card(msgspec.Struct):
-    """What must stand on a table's card, beside all else that does."""
+    """Required fields of a table's card; it may have more."""
 
     sha256: str
     bands_ghz: list[float]
@@ -409,7 +417,7 @@ def _load_card(path: Path) -> dict[str, Any]:
 
 
 def layers_of(wall: str, frequency_hz: float) -> Layers:
-    """Layers of a table's wall, beyond the range of its material too."""
+    """Return the layers of a table's wall, beyond the range of its material too."""
     material, thickness_m = WALLS[wall]
     return wall_layers(material, thickness_m, frequency_hz, extrapolate=True)
 
@@ -431,9 +439,9 @@ def simulate(entry: Entry) -> Done:
 
 
 def cut_opaque(layers: Layers, frequency_hz: float) -> Layers:
-    """The layers down to the first that nothing comes back through (OPAQUE_DB), which becomes a half-space."""
+    """Return the layers down to the first opaque one (OPAQUE_DB), which becomes a half-space."""
     for index, (eps, depth_m) in enumerate(layers):
-        # the way straight through is the one with least loss
+        # the path straight through has the least loss
         decay_per_m = -2.0 * math.pi * frequency_hz / SPEED_OF_LIGHT_MPS * np.sqrt(complex(eps)).imag
         if 20.0 / math.log(10.0) * 2.0 * decay_per_m * depth_m > OPAQUE_DB:
             return (*layers[:index], (eps, math.inf))
@@ -441,10 +449,11 @@ def cut_opaque(layers: Layers, frequency_hz: float) -> Layers:
 
 
 def mirror_field(ratio: np.ndarray, kirchhoff: np.ndarray, phase_rad: float) -> tuple[complex, float]:
-    """Mean field of a rough wall and its standard error, from r_0 of surfaces and their Kirchhoff sums, both [seeds].
+    """Return the mean field of a rough wall and its standard error, from r_0 of surfaces and their Kirchhoff sums,
+    both [seeds].
 
     With g = phase_rad: mean(r_0) - beta (mean(K) - exp(-g^2/2)), beta the least-squares slope of r_0 on K; the
-    error is that of what K leaves unexplained.
+    error is that of the part that K does not explain.
     """
     slope = np.vdot(kirchhoff, ratio) / np.vdot(kirchhoff, kirchhoff)
     mean = ratio.mean() - slope * (kirchhoff.mean() - math.exp(-0.5 * phase_rad**2))
@@ -454,7 +463,7 @@ def mirror_field(ratio: np.ndarray, kirchhoff: np.ndarray, phase_rad: float) -> 
 
 
 def _rough_cell(entry: Entry, layers: Layers, angle_deg: float) -> Cell:
-    """Surfaces of all seeds at one angle, against the smooth wall."""
+    """Return the surfaces of all seeds at one angle, against the smooth wall."""
     angle_rad, wavelength_m = math.radians(angle_deg), SPEED_OF_LIGHT_MPS / entry.frequency_hz
     cells = METAL_CELLS if any(is_conductor(eps) for eps, _ in layers) else ROUGH_CELLS
     correlation_m = CORRELATION_WAVELENGTHS * wavelength_m
@@ -489,7 +498,7 @@ def _rough_cell(entry: Entry, layers: Layers, angle_deg: float) -> Cell:
 def _reference(
     layers: Layers, angle_rad: float, frequency_hz: float, polarisation: Polarisation, cells: float
 ) -> complex:
-    """Reflection of the smooth wall that a rough one is compared with.
+    """Return the reflection of the smooth wall that a rough one is compared with.
 
     A slab's on the same cells, which move its resonance. A half-space has none, and its face lies on nodes, which a
     rough face does not: there the exact value is nearer.
@@ -502,18 +511,18 @@ def _reference(
 
 
 def _read_partial(path: Path) -> dict[Entry, tuple[Cell, ...]]:
-    """Entries done by an earlier build under the same settings; a line cut off by its end is passed over."""
+    """Return the entries done by an earlier build under the same settings; an incomplete last line is skipped."""
     if not path.exists():
         return {}
-    found = {}
+    cells = {}
     for line in path.read_bytes().splitlines():
         try:
-            one = msgspec.json.decode(line, type=Done)
+            result = msgspec.json.decode(line, type=Done)
         except msgspec.MsgspecError:
             continue
-        if one.settings == SETTINGS:
-            found[one.entry] = one.cells
-    return found
+        if result.settings == SETTINGS:
+            cells[result.entry] = result.cells
+    return cells
 
 
 def _as_table(entries: Sequence[Entry], done: dict[Entry, tuple[Cell, ...]]) -> ReflectanceTable:
@@ -545,9 +554,9 @@ def _as_table(entries: Sequence[Entry], done: dict[Entry, tuple[Cell, ...]]) -> 
 
 
 def _place(cell: Cell, at: tuple[int, ...], status: np.ndarray, values: dict[str, np.ndarray]) -> None:
-    """Put a rough cell into the table; one not to be trusted keeps its lobe alone, its mean field is left out."""
-    unsure = not cell.error_db <= MOST_ERROR_DB
-    status[at] = RINGING if cell.residue > MOST_RESIDUE else UNSURE if unsure else MEASURED
+    """Put a rough cell into the table; an unreliable one keeps its lobe alone, its mean field is left out."""
+    unsure = not cell.error_db <= MAX_ERROR_DB
+    status[at] = RINGING if cell.residue > MAX_RESIDUE else UNSURE if unsure else MEASURED
     if status[at] == RINGING:
         return
     values["lobe_share"][at], values["lobe_spread"][at] = cell.lobe, cell.lobe_spread
@@ -557,7 +566,7 @@ def _place(cell: Cell, at: tuple[int, ...], status: np.ndarray, values: dict[str
 
 
 def _refused(walls: tuple[str, ...], bands_hz: tuple[float, ...]) -> np.ndarray:
-    """Where the engine takes no rough wall, bool [W, F, P]."""
+    """Return the combinations without rough walls in the engine, bool [W, F, P]."""
     metal = [[any(is_conductor(eps) for eps, _ in layers_of(wall, band)) for band in bands_hz] for wall in walls]
     return np.array(metal)[:, :, None] & (np.array(POLARISATIONS) == "tm")
 
@@ -570,7 +579,7 @@ def _described(
     rough_deg: np.ndarray,
     status: np.ndarray,
 ) -> dict[str, Any]:
-    """The card's part that the table knows itself."""
+    """Return the part of the card that follows from the table."""
     return {
         "walls": [{"name": wall, "built_of": _built_of(wall), "bands": _media_of(wall, bands_hz)} for wall in walls],
         "bands_ghz": [band / 1e9 for band in bands_hz],
@@ -597,13 +606,13 @@ def _built_of(wall: str) -> str:
 
 
 def _media_of(wall: str, bands_hz: tuple[float, ...]) -> list[dict[str, Any]]:
-    """Permittivity of the front layer in each band, and what is extrapolated or cut."""
+    """Return the permittivity of the front layer in each band, and what is extrapolated or cut."""
     rows = []
     for band in bands_hz:
         layers = layers_of(wall, band)
         eps = complex(layers[0][0])
-        cut = "opaque: simulated as a half-space" if cut_opaque(layers, band) != layers else ""
-        note = ", ".join(part for part in (extrapolation_note(WALLS[wall][0], band), cut) if part)
+        opacity_note = "opaque: simulated as a half-space" if cut_opaque(layers, band) != layers else ""
+        note = ", ".join(part for part in (extrapolation_note(WALLS[wall][0], band), opacity_note) if part)
         rows.append({"ghz": band / 1e9, "permittivity": [eps.real, eps.imag], "note": note})
     return rows
 
@@ -611,7 +620,7 @@ def _media_of(wall: str, bands_hz: tuple[float, ...]) -> list[dict[str, Any]]:
 def _exact_db(
     wall: str, frequency_hz: float, polarisation: Polarisation, roughness_m: float, angles_deg: np.ndarray
 ) -> np.ndarray:
-    """The closed form of the ray tracer [dB]."""
+    """Return the closed form of the ray tracer [dB]."""
     media, thicknesses_m = zip(*layers_of(wall, frequency_hz), strict=True)
     cosine = np.cos(np.radians(angles_deg))
     r = stack_reflection(media, thicknesses_m, cosine, SPEED_OF_LIGHT_MPS / frequency_hz, polarisation)
@@ -619,7 +628,7 @@ def _exact_db(
 
 
 def _factor_db(roughness_m: float, angles_deg: np.ndarray, frequency_hz: float) -> np.ndarray:
-    """Kirchhoff's factor [dB]."""
+    """Return the Kirchhoff's factor [dB]."""
     cosine = np.cos(np.radians(angles_deg))
     return 10.0 * np.log10(coherent_power(np.asarray(roughness_m), cosine, SPEED_OF_LIGHT_MPS / frequency_hz))
 

@@ -18,12 +18,12 @@ from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
 from sim_player.fdtd.media import Layers, checked_layers
 
-#: Cells between absorber, source row, probe row and whatever comes next.
+#: Cells between absorber, source row, probe row and the next part.
 GAP_CELLS = 3
 #: Sub-columns of a cell over which the surface's height is averaged.
 SUB_COLUMNS = 4
 #: A run ends when the field has fallen to this share of its peak, or after so many pulse lengths.
-DECAY, MOST_PULSES = 1e-5, 10
+DECAY, MAX_PULSES = 1e-5, 10
 #: Pulse: widest relative standard deviation, and distance to the cut-off (c k_par) in deviations.
 WIDEST_SHARE, CUT_OFF_DEVIATIONS = 0.1, 5.0
 #: Spectrum of heights is cut where k correlation = this: exp(-16) of its power is left out.
@@ -54,7 +54,7 @@ class RoughParams:
 
 @dataclass(frozen=True)
 class FloquetOrders:
-    """What leaves a strip: amplitudes of order zero, power shares of all propagating orders and their angles."""
+    """Floquet orders of a strip: amplitudes of order zero, power shares of all propagating orders and their angles."""
 
     r: complex
     t: complex
@@ -67,7 +67,7 @@ class FloquetOrders:
 
 
 def rough_profile(width_m: float, roughness_m: float, correlation_m: float, seed: int, x_m: np.ndarray) -> np.ndarray:
-    """Heights [m] at x of a periodic Gaussian surface with correlation exp(-x^2 / correlation^2).
+    """Return the heights [m] at x of a periodic Gaussian surface with correlation exp(-x^2 / correlation^2).
 
     The same surface for any sampling. Each one is scaled to the wanted rms height exactly, its mean is zero.
     """
@@ -147,7 +147,7 @@ class _Strip:
         self.grid = replace(self.grid, bloch_rad=self.along_per_m * self.width_m)
 
     def media(self) -> Media:
-        """Permittivity where the fields live; tangential and normal E take arithmetic and harmonic means."""
+        """Return the permittivity where the fields live; tangential and normal E take arithmetic and harmonic means."""
         if self.grid.polarisation == "te":
             return Media(out=self._mean(0.0, 0.0))
         return Media(along=self._mean(0.0, 0.5), normal=1.0 / self._mean(0.5, 0.0, inverse=True))
@@ -155,7 +155,7 @@ class _Strip:
     def run(
         self, media: Media | None, on_step: Callable[[int, float], None] | None = None
     ) -> tuple[np.ndarray, YeeGrid]:
-        """Phasors of u at the probe rows, complex128 [2, nx]; without media one column of air."""
+        """Return the phasors of u at the probe rows, complex128 [2, nx]; without media one column of air."""
         params = self.grid
         if media is None:
             index = (params.normal_index[0],) * 2
@@ -165,7 +165,7 @@ class _Strip:
         profile = np.exp(-1j * self.along_per_m * self.cell_m * np.arange(params.cells_x))
         drive = Drive(self.source, profile, 1.0 / (share * params.phase_per_step))
         spectra = np.zeros((2, params.cells_x), np.complex128)
-        while grid.steps < drive.steps or (grid.residue > DECAY and grid.steps < MOST_PULSES * drive.steps):
+        while grid.steps < drive.steps or (grid.residue > DECAY and grid.steps < MAX_PULSES * drive.steps):
             grid.run(drive, (self.probe, self.back), 256, spectra)
             if on_step is not None:
                 on_step(grid.steps, grid.residue)
@@ -174,8 +174,8 @@ class _Strip:
     def orders(self, incident: complex, spectra: np.ndarray, grid: YeeGrid) -> FloquetOrders:
         """Sort the fields at the probe rows into plane waves of the grid."""
         cells = self.grid.cells_x
-        place = np.arange(cells)
-        phase = np.exp(1j * self.along_per_m * self.cell_m * place)
+        columns = np.arange(cells)
+        phase = np.exp(1j * self.along_per_m * self.cell_m * columns)
         # [2, orders]: reflected, transmitted amplitudes at the probe rows per incident one
         waves = np.fft.fft(spectra * phase, axis=1) / (cells * incident)
         waves[0, 0] -= 1.0
@@ -201,7 +201,7 @@ class _Strip:
         )
 
     def _heights(self, cells_x: int, offset: float) -> np.ndarray:
-        """Heights in cells, [nx, sub-columns], of the columns around (i + offset)."""
+        """Return the heights in cells, [nx, sub-columns], of the columns around (i + offset)."""
         if self.rough.roughness_m == 0.0:
             return np.zeros((cells_x, 1))
         inside = (np.arange(SUB_COLUMNS) + 0.5) / SUB_COLUMNS - 0.5
@@ -210,7 +210,9 @@ class _Strip:
         return rough_profile(self.width_m, rough.roughness_m, rough.correlation_m, rough.seed, x_m) / self.cell_m
 
     def _mean(self, offset_x: float, offset_z: float, inverse: bool = False) -> np.ndarray:
-        """Mean of eps (or of 1 / eps) over the cells around (i + offset_x, k + offset_z), complex128 [nx, nz]."""
+        """Return the mean of eps (or of 1 / eps) over the cells around (i + offset_x, k + offset_z), complex128 [nx,
+        nz].
+        """
         top = np.arange(self.grid.cells_z) + offset_z + 0.5
         values = [1.0 + 0j, *(eps for eps, _ in self.layers)] + ([] if self.endless else [1.0 + 0j])
         values = [1.0 / value for value in values] if inverse else values
@@ -219,14 +221,16 @@ class _Strip:
             heights = self._heights(self.grid.cells_x, offset_x) if index == 0 else np.zeros((1, 1))
             share = sum(np.clip(top - face - column[:, None], 0.0, 1.0) for column in heights.T) / heights.shape[1]
             if self.conductor:
-                # a cell part metal would be a poor conductor, and lossy: it is one or the other
+                # a partly metal cell would be a poor, lossy conductor: each cell is metal or not
                 share = np.round(share)
             mean += (values[index + 1] - values[index]) * share
         return mean
 
 
 def cell_size(layers: Layers, wavelength_m: float, cells_per_wavelength: float) -> float:
-    """Cell [m] for so many a wavelength in the densest layer (good conductors apart), a whole number to layer one."""
+    """Return the cell [m] for so many a wavelength in the densest layer (good conductors apart), a whole number to
+    layer one.
+    """
     indices = [math.sqrt(eps.real) if is_conductor(eps) else np.sqrt(eps).real for eps, _ in layers]
     cell_m = wavelength_m / (cells_per_wavelength * max(indices))
     depth_m = layers[0][1]
@@ -234,7 +238,8 @@ def cell_size(layers: Layers, wavelength_m: float, cells_per_wavelength: float) 
 
 
 def quiet_width(least_m: float, sine: float, wavelength_m: float) -> float:
-    """Width [m], up to a wavelength above the least, whose orders keep clear of grazing, where they ring for long.
+    """Return the width [m], up to a wavelength above the least, whose orders keep clear of grazing, where they ring
+    for long.
 
     An order grazes where width (1 - sin) or width (1 + sin) is a whole number of wavelengths.
     """
@@ -245,5 +250,5 @@ def quiet_width(least_m: float, sine: float, wavelength_m: float) -> float:
 
 
 def is_conductor(permittivity: complex) -> bool:
-    """True where the skin is too thin for square cells: loss above ten times the permittivity."""
+    """Return whether the skin is too thin for square cells: loss above ten times the permittivity."""
     return -permittivity.imag > 10.0 * permittivity.real

@@ -1,4 +1,4 @@
-"""Reflection and transmission of walls by FDTD: the one call that tables and commands use."""
+"""Reflection and transmission of walls by FDTD: the interface of tables and commands."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from sim_player.fdtd.media import Layers
 from sim_player.fdtd.rough import FloquetOrders, RoughParams, scatter
 from sim_player.fdtd.strip import StripParams, build_strips, run_strip
 
-#: Steepest planar incidence: nearer to grazing the pulse that keeps clear of the cut-off grows without bound.
-MOST_ANGLE_RAD = math.radians(89.0)
+#: Steepest planar incidence: nearer to grazing, the length of a pulse clear of the cut-off grows without bound.
+MAX_ANGLE_RAD = math.radians(89.0)
 
 
 @dataclass(frozen=True)
 class Scattered:
-    """What a wall makes of a plane wave of unit power."""
+    """Scattering of a plane wave of unit power by a wall."""
 
     #: Complex field reflection of the specular lobe at the front's mean plane, sign of TM as Eq. (13).
     r: complex
@@ -52,7 +52,8 @@ def reflect(
     dtype: str = "float64",
     on_step: Callable[[int, float], None] | None = None,
 ) -> Scattered:
-    """Reflection of a plane wave by layers (permittivity, thickness_m) in air, front first, by time stepping.
+    """Return the reflection of a plane wave by layers (permittivity, thickness_m) in air, front first, by time
+    stepping.
 
     Smooth walls run on one column of cells, rough ones (rms height, correlation exp(-x^2/l^2)) on a periodic strip of
     `width_m`. Angle from the normal, at most 89 deg (86 deg rough). `on_step(steps, residue)` is called now and then.
@@ -78,13 +79,15 @@ def reflect_angles(
     dtype: str = "float64",
     workers: int = 2,
 ) -> list[Scattered]:
-    """`reflect` of a smooth wall at many angles, side by side on threads; same results for any number of workers."""
+    """Return `reflect` of a smooth wall at many angles, side by side on threads; same results for any number of
+    workers.
+    """
 
-    def one(angle_rad: float) -> Scattered:
+    def reflect_at(angle_rad: float) -> Scattered:
         return reflect(layers, float(angle_rad), frequency_hz, polarisation, cells_per_wavelength, dtype=dtype)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
-        return list(pool.map(one, angles_rad))
+        return list(pool.map(reflect_at, angles_rad))
 
 
 def _reflect_smooth(
@@ -95,8 +98,10 @@ def _reflect_smooth(
     params: StripParams,
     on_step: Callable[[int, float], None] | None,
 ) -> Scattered:
-    """Two runs of a column, with and without the wall: their difference at the front face is the reflected wave."""
-    if not 0.0 <= angle_rad <= MOST_ANGLE_RAD:
+    """Return two runs of a column, with and without the wall: their difference at the front face is the reflected
+    wave.
+    """
+    if not 0.0 <= angle_rad <= MAX_ANGLE_RAD:
         raise ValueError(f"angle_rad must lie in [0, 89 deg], got {angle_rad!r}")
     wall, air = build_strips(layers, angle_rad, frequency_hz, params)
     incident = run_strip(air, frequency_hz, polarisation, params)
@@ -112,16 +117,16 @@ def _reflect_smooth(
     return Scattered(r, t, power, power, abs(t) ** 2, orders, total.cells, total.steps, total.residue)
 
 
-def _from_orders(found: FloquetOrders) -> Scattered:
-    """The public form of a wide strip's answer."""
+def _from_orders(orders: FloquetOrders) -> Scattered:
+    """Return the public form of a wide strip's result."""
     return Scattered(
-        found.r,
-        found.t,
-        abs(found.r) ** 2,
-        float(found.reflected.sum()),
-        float(found.transmitted.sum()),
-        (found.reflected_angle_rad, found.reflected),
-        found.cells,
-        found.steps,
-        found.residue,
+        orders.r,
+        orders.t,
+        abs(orders.r) ** 2,
+        float(orders.reflected.sum()),
+        float(orders.transmitted.sum()),
+        (orders.reflected_angle_rad, orders.reflected),
+        orders.cells,
+        orders.steps,
+        orders.residue,
     )

@@ -35,7 +35,7 @@ class SmoothWall:
         return complex(permittivity(self.material, self.frequency_hz, extrapolate=True))
 
     def exact(self, angles_rad: np.ndarray) -> np.ndarray:
-        """Field reflection at angles from the normal, complex128 [angles]."""
+        """Return the field reflection at angles from the normal, complex128 [angles]."""
         wavelength_m = SPEED_OF_LIGHT_MPS / self.frequency_hz
         eps, thickness_m = np.asarray(self.permittivity), np.asarray(self.thickness_m)
         return slab_reflection(eps, np.cos(angles_rad), thickness_m, wavelength_m, self.polarisation)
@@ -43,7 +43,7 @@ class SmoothWall:
     def simulated(
         self, angles_rad: np.ndarray, cells_per_wavelength: float, dtype: str = "float64", workers: int = 2
     ) -> list[Scattered]:
-        """The same by time stepping; cells count per wavelength in the material."""
+        """Return the reflection by time stepping; cells count per wavelength in the material."""
         layers = ((self.permittivity, self.thickness_m),)
         settings = (self.frequency_hz, self.polarisation, cells_per_wavelength, dtype, workers)
         return reflect_angles(layers, angles_rad, *settings)

@@ -1,10 +1,10 @@
-"""Planar walls: one column of Yee cells under a Bloch condition, stepped in time.
+"""Planar walls by FDTD: one column of Yee cells under a Bloch condition.
 
 Every field varies as exp(-j k_par x) along the wall, so one column of cells, as narrow as one pleases, is enough:
 d/dx is -j k_par. The out-of-phase component is carried as j times a real number, so all fields are real. Layer faces
 lie on nodes of tangential E, whose permittivity is the mean over its cell; air cells span as much normal phase as those
 of the finest layer. k_par is that of the grid's own wave in air at the wanted angle: (2/dt) sin(w dt/2) stands for w.
-The reflected wave is what the wall adds to a run without it, read at the front face itself: nothing is carried back.
+The reflected wave is the difference to a run without the wall, read at the front face itself, without propagation back.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from sim_player.fdtd.media import Layers, checked_layers, electric_coefficients,
 
 #: Cells of air between absorber and source, source and wall, and of the last medium before its absorber.
 GAP_CELLS = 3
-#: Absorber of both ends; kappa helps with what does not propagate, the tails of waves guided by a slab.
+#: Absorber of both ends; kappa absorbs evanescent fields: the tails of waves guided by a slab.
 ABSORBER = CpmlParams(kappa_max=8.0)
 #: Courant number along the normal: near 1, where errors of space and time nearly cancel without loss.
 COURANT = 0.99
 #: Pulse: widest relative standard deviation, distance to the cut-off (c k_par) and half length in deviations.
 WIDEST_SHARE, CUT_OFF_DEVIATIONS, HALF_LENGTH_DEVIATIONS = 0.08, 6.0, 6.0
 #: A run ends when the field has fallen to this share of its peak, or after so many pulse lengths.
-DECAY, MOST_PULSES = 1e-6, 40
+DECAY, MAX_PULSES = 1e-6, 40
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Phasors:
-    """Tangential E at the front and back faces at the frequency of interest, and what the run took."""
+    """Tangential E at the front and back faces at the frequency of interest, and the cost of the run."""
 
     front: complex
     back: complex
@@ -81,13 +81,13 @@ class Phasors:
 
 
 def courant_limit_s(cell_m: np.ndarray, eps_r: np.ndarray, transverse_per_m: float) -> float:
-    """Longest stable time step of a column: c dt sqrt(1/h^2 + (k_par/2)^2) <= sqrt(eps_r) in every cell."""
+    """Return the longest stable time step of a column: c dt sqrt(1/h^2 + (k_par/2)^2) <= sqrt(eps_r) in every cell."""
     rate = np.sqrt((1.0 / np.square(cell_m) + (0.5 * transverse_per_m) ** 2) / eps_r)
     return float(1.0 / (SPEED_OF_LIGHT_MPS * rate.max()))
 
 
 def build_strips(layers: Layers, angle_rad: float, frequency_hz: float, params: StripParams) -> tuple[Strip, Strip]:
-    """The column with the wall and the one of air alone, on the same air cells and time step."""
+    """Return the column with the wall and the one of air alone, on the same air cells and time step."""
     layers = checked_layers(layers)
     sine, cosine = math.sin(angle_rad), math.cos(angle_rad)
     if not (0.0 <= angle_rad < 0.5 * math.pi and cosine > 1e-4):
@@ -151,14 +151,16 @@ def run_strip(strip: Strip, frequency_hz: float, polarisation: Polarisation, par
         deviation_steps,
         DECAY,
     )
-    # a field that went past infinity leaves a residue of -1 / inf, which is not below zero: ask the answer too
+    # an overflowed field leaves a residue of -1 / inf, which is not below zero: test the result too
     if not (0.0 <= residue < math.inf and np.isfinite([front, back]).all()):
         raise FloatingPointError(f"the field is not finite after {steps} steps")
     return Phasors(front, back, cells, steps, residue)
 
 
 def _node_mean(per_cell: np.ndarray, cell_m: np.ndarray) -> np.ndarray:
-    """Mean over the cell around each node: tangential E is continuous, so its permittivities add by length."""
+    """Return the mean over the cell around each node: tangential E is continuous, so its permittivities add by
+    length.
+    """
     mean = np.empty(len(per_cell) + 1)
     mean[0], mean[-1] = per_cell[0], per_cell[-1]
     weighted = per_cell * cell_m
@@ -169,7 +171,7 @@ def _node_mean(per_cell: np.ndarray, cell_m: np.ndarray) -> np.ndarray:
 def _absorbers(
     strip: Strip, position: np.ndarray, absorber: CpmlParams, frequency_hz: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Decay, drive and 1/kappa of both ends at positions counted in cells."""
+    """Return the decay, drive and 1/kappa of both ends at positions counted in cells."""
     low = layer(
         absorber,
         absorber.cells - position,
@@ -191,15 +193,15 @@ def _absorbers(
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def _advance_te(coefficients, transverse, nodes, phase_per_step, deviation_steps, decay):  # type: ignore[no-untyped-def]
-    """E along the wall's vertical; H along the wall between nodes, H along the normal (times j) at nodes."""
+    """Step TE: E along the wall's vertical; H along the wall between nodes, H along the normal (times j) at nodes."""
     a, b, _, _, per_dual, per_cell, node_b, node_c, node_k, cell_b, cell_c, cell_k = coefficients
     cells = len(per_cell)
     e, h, normal = np.zeros_like(a), np.zeros_like(per_cell), np.zeros_like(a)
     psi_e, psi_h = np.zeros_like(a), np.zeros_like(per_cell)
     front, back, peak, residue = 0j, 0j, 0.0, 1.0
-    least, most = _run_length(deviation_steps)
+    least, max_steps = _run_length(deviation_steps)
     step = 0
-    while step < most:
+    while step < max_steps:
         for k in range(cells):
             slope = (e[k + 1] - e[k]) * per_cell[k]
             psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
@@ -226,15 +228,15 @@ def _advance_te(coefficients, transverse, nodes, phase_per_step, deviation_steps
 
 @numba.njit(cache=True, fastmath=True, nogil=True)
 def _advance_tm(coefficients, transverse, nodes, phase_per_step, deviation_steps, decay):  # type: ignore[no-untyped-def]
-    """E along the wall at nodes; H along its vertical and E along the normal (times j) between them."""
+    """Step TM: E along the wall at nodes; H along its vertical and E along the normal (times j) between them."""
     a, b, cell_a, cell_e, per_dual, per_cell, node_b, node_c, node_k, cell_b, cell_c, cell_k = coefficients
     cells = len(per_cell)
     e, h, normal = np.zeros_like(a), np.zeros_like(per_cell), np.zeros_like(per_cell)
     psi_e, psi_h = np.zeros_like(a), np.zeros_like(per_cell)
     front, back, peak, residue = 0j, 0j, 0.0, 1.0
-    least, most = _run_length(deviation_steps)
+    least, max_steps = _run_length(deviation_steps)
     step = 0
-    while step < most:
+    while step < max_steps:
         for k in range(cells):
             slope = (e[k + 1] - e[k]) * per_cell[k]
             psi_h[k] = cell_b[k] * psi_h[k] + cell_c[k] * slope
@@ -260,14 +262,14 @@ def _advance_tm(coefficients, transverse, nodes, phase_per_step, deviation_steps
 
 @numba.njit(cache=True, inline="always")
 def _run_length(deviation_steps):  # type: ignore[no-untyped-def]
-    """Steps of the pulse, and the most a run may take."""
+    """Return the steps of the pulse, and the largest number of steps of a run."""
     length = int(2.0 * HALF_LENGTH_DEVIATIONS * deviation_steps)
-    return length, MOST_PULSES * length
+    return length, MAX_PULSES * length
 
 
 @numba.njit(cache=True, inline="always")
 def _pulse(step, phase_per_step, deviation_steps):  # type: ignore[no-untyped-def]
-    """Gaussian pulse on the carrier, odd about its middle: no direct part, which would leave charge standing."""
+    """Return a Gaussian pulse on the carrier, odd about its middle: a DC part would leave static charge."""
     late = step - HALF_LENGTH_DEVIATIONS * deviation_steps
     if late > HALF_LENGTH_DEVIATIONS * deviation_steps:
         return 0.0
@@ -276,7 +278,9 @@ def _pulse(step, phase_per_step, deviation_steps):  # type: ignore[no-untyped-de
 
 @numba.njit(cache=True)
 def _level_and_flush(e, h, normal, psi_e, psi_h):  # type: ignore[no-untyped-def]
-    """Largest |E|, or -1 for NaN; what has sunk below 1e-30 becomes zero, before subnormal numbers slow the steps."""
+    """Return the largest |E|, or -1 for NaN; set values below 1e-30 to zero, before subnormal numbers slow the
+    steps.
+    """
     level = 0.0
     for value in e:
         if math.isnan(value):

@@ -4,9 +4,9 @@ Seen from above, in the frame of the relay wall (u along it, n towards the radar
 
     radar at (-r1 sin, r1 cos), object at (r2 sin, r2 cos), the hiding wall on the line u = 0 between them.
 
-Both legs end at P, so the direct line crosses u = 0 farther from the wall than the way by the mirror does: the hiding
-wall begins between the two. R = r1 + r2 is the range at which the image appears. Everything is drawn from
-(seed, viewpoint) alone, so that the settings of a sweep differ in what is swept and in nothing else.
+Both segments end at P, so the direct line crosses u = 0 farther from the wall than the path by the mirror does: the
+hiding wall begins between the two. R = r1 + r2 is the range at which the image appears. Everything is drawn from
+(seed, viewpoint) alone, so that the settings of a sweep differ in the swept parameter alone.
 """
 
 from __future__ import annotations
@@ -49,12 +49,12 @@ WALLS: dict[str, WallKind] = {
     "plasterboard": WallKind("plasterboard", 12.5, 0.1),
     "wood": WallKind("wood", 20.0, 0.1),
 }
-#: How far poses differ: azimuth of the specular point, heading against the wall, place.
+#: Variation of poses: azimuth of the specular point, heading against the wall, position.
 AZIMUTH_DEG, YAW_DEG, SHIFT_M = 12.0, 10.0, 0.3
 #: The relay wall reaches this far beyond the outermost specular point, and by this share of the image's range.
 REACH_M, REACH_SHARE = 3.0, 0.03
-#: Room between the object and both walls, and between the hiding wall and each of the two ways it stands between.
-CLEARANCE_M, WAY_CLEARANCE_M = 0.3, 0.03
+#: Room between the object and both walls, and between the hiding wall and each of the two paths beside it.
+CLEARANCE_M, PATH_CLEARANCE_M = 0.3, 0.03
 #: The hiding wall reaches so far beyond the outermost direct line.
 HIDING_REACH_M = 2.0
 ATTEMPTS = 200
@@ -63,7 +63,7 @@ TRUTH_SPACING_M = 0.5
 
 
 class Corner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One setting: where the image appears, how the wall is met, what it is made of, what is hidden."""
+    """One setting: range of the image, incidence and material of the wall, hidden object."""
 
     #: R = r1 + r2, and the share of it before the wall.
     range_m: float = 8.0
@@ -93,7 +93,7 @@ class Corner(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 def corner_scene(corner: Corner, seed: int = 0, viewpoint: int = 0) -> Scene:
-    """The scene of a setting at X-band, from one viewpoint of a seeded series; always passes `check_scene`.
+    """Return the scene of a setting at X-band, from one viewpoint of a seeded series; always passes `check_scene`.
 
     Surfaces: relay wall, hiding wall; one object. ValueError for a negative seed or viewpoint, and where the object
     finds no room beside the walls or cannot be hidden (too large for its range or too steep an incidence).
@@ -114,15 +114,15 @@ def corner_scene(corner: Corner, seed: int = 0, viewpoint: int = 0) -> Scene:
 
 
 def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
-    """One attempt; the same numbers are drawn whatever the setting."""
+    """Return one attempt; the same numbers are drawn whatever the setting."""
     azimuth_rad, yaw_rad = np.radians(rng.uniform(-1.0, 1.0, 2) * [AZIMUTH_DEG, YAW_DEG]).tolist()
     shift_m, flip = rng.uniform(-SHIFT_M, SHIFT_M, 2), float(rng.choice([-1.0, 1.0]))
     theta, near_m = math.radians(corner.incidence_deg), corner.wall_share * corner.range_m
     away = np.array([math.sin(theta), math.cos(theta)])
     radar = near_m * away * [-1.0, 1.0]
-    thing = SceneObject(class_=corner.object_class, x_m=0.0, y_m=0.0, yaw_deg=math.degrees(yaw_rad))
+    at_origin = SceneObject(class_=corner.object_class, x_m=0.0, y_m=0.0, yaw_deg=math.degrees(yaw_rad))
     centre = (corner.range_m - near_m) * away + shift_m
-    box = thing.corners_m() + centre
+    box = at_origin.corners_m() + centre
     span = _hiding_span(radar, box)
     if span is None:
         return None
@@ -136,12 +136,14 @@ def _drawn(corner: Corner, rng: np.random.Generator, name: str) -> Scene | None:
     hiding = _wall("concrete", frame.points([[0.0, span[0]], [0.0, span[1]]]), corner.height_m)
     hiding = msgspec.structs.replace(hiding, role="occluder")
     x_m, y_m = frame.points([centre])[0]
-    placed = msgspec.structs.replace(thing, x_m=x_m, y_m=y_m, yaw_deg=math.degrees(frame.heading_rad(yaw_rad)))
-    return Scene(name=name, surfaces=(relay, hiding), objects=(placed,))
+    hidden_object = msgspec.structs.replace(
+        at_origin, x_m=x_m, y_m=y_m, yaw_deg=math.degrees(frame.heading_rad(yaw_rad))
+    )
+    return Scene(name=name, surfaces=(relay, hiding), objects=(hidden_object,))
 
 
 def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
-    """A wall of `WALLS`."""
+    """Return a wall of `WALLS`."""
     kind = WALLS[name]
     return Surface(
         role="relay",
@@ -154,19 +156,19 @@ def _wall(name: str, polyline_m: tuple[Point, ...], height_m: float) -> Surface:
 
 
 def _hiding_span(radar: np.ndarray, box: np.ndarray) -> tuple[float, float] | None:
-    """From where to where on u = 0 the hiding wall stands for a box [4, 2]; None where it cannot hide it all."""
+    """Return the span on u = 0 of a wall that hides a box [4, 2]; None where none hides all of it."""
     if box.min() < CLEARANCE_M:
         return None
     share = -radar[0] / (box[:, 0] - radar[0])
     direct = radar[1] + share * (box[:, 1] - radar[1])
     by_mirror = np.abs(radar[1] - share * (box[:, 1] + radar[1]))
-    low, high = by_mirror.max() + WAY_CLEARANCE_M, direct.min() - WAY_CLEARANCE_M
+    low, high = by_mirror.max() + PATH_CLEARANCE_M, direct.min() - PATH_CLEARANCE_M
     return (0.5 * (low + high), float(direct.max()) + HIDING_REACH_M) if low < high else None
 
 
 @dataclass(frozen=True)
 class _Frame:
-    """From the relay wall's frame to the radar's: u and n as directions, P as origin."""
+    """Transform from the relay wall's frame to the radar's: u and n as directions, P as origin."""
 
     near_m: float
     azimuth_rad: float
@@ -179,20 +181,20 @@ class _Frame:
         return self.azimuth_rad + self.flip * (0.5 * math.pi - self.theta)
 
     def heading_rad(self, angle_rad: float) -> float:
-        """A heading against u as one against x."""
+        """Return a heading against u as one against x."""
         return math.remainder(self.along_rad + self.flip * angle_rad, 2.0 * math.pi)
 
     def points(self, points: np.ndarray | list[list[float]] | list[np.ndarray]) -> tuple[Point, ...]:
-        """Points [N, 2]."""
+        """Return the points [N, 2]."""
         u = np.array([math.cos(self.along_rad), math.sin(self.along_rad)])
         n = self.flip * np.array([-u[1], u[0]])
         origin = self.near_m * np.array([math.cos(self.azimuth_rad), math.sin(self.azimuth_rad)])
-        placed = origin + np.asarray(points, np.float64) @ np.stack([u, n])
-        return tuple((x, y) for x, y in placed.tolist())
+        in_radar_frame = origin + np.asarray(points, np.float64) @ np.stack([u, n])
+        return tuple((x, y) for x, y in in_radar_frame.tolist())
 
 
 def comparison_place(seed: int, index: int, kind: PlaceKind) -> Scene:
-    """A random place of a kind whose materials are known at both bands, with the X-band radar in it.
+    """Return a random place of a kind whose materials are known at both bands, with the X-band radar in it.
 
     ValueError as `draw_place`.
     """
@@ -200,7 +202,7 @@ def comparison_place(seed: int, index: int, kind: PlaceKind) -> Scene:
 
 
 def with_sensor(scene: Scene, preset: str, spad: SpadParams | None = None) -> Scene:
-    """The same place seen by another sensor, without faults, at the same spot.
+    """Return the same place with another sensor, without faults, at the same position.
 
     ValueError where the sensor or a material at its carrier is unknown.
     """
@@ -213,7 +215,7 @@ def with_sensor(scene: Scene, preset: str, spad: SpadParams | None = None) -> Sc
 
 @dataclass(frozen=True)
 class MirrorWay:
-    """The way to an object's middle by one wall: both legs, angle of incidence at the wall, azimuth at the sensor."""
+    """Path to an object's centre by one wall: both segments, angle of incidence at the wall, azimuth at the sensor."""
 
     to_wall_m: float
     beyond_m: float
@@ -222,18 +224,18 @@ class MirrorWay:
 
     @property
     def range_m(self) -> float:
-        """Where the image appears."""
+        """Range of the image."""
         return self.to_wall_m + self.beyond_m
 
 
-def mirror_way(scene: Scene, surface: int = 0, thing: int = 0) -> MirrorWay:
-    """The way from the sensor to an object by the line of a straight wall of two points."""
+def mirror_way(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorWay:
+    """Return the path from the sensor to an object by the line of a straight wall of two points."""
     a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
     normal, offset_m = wall_from_ends(a, b, np.zeros(2))
-    place = np.array([scene.objects[thing].x_m, scene.objects[thing].y_m])
-    image = reflect(place, normal, offset_m)
+    position = np.array([scene.objects[object_index].x_m, scene.objects[object_index].y_m])
+    image = reflect(position, normal, offset_m)
     range_m = math.hypot(*image)
-    share = offset_m / (offset_m + float(normal @ place + offset_m))
+    share = offset_m / (offset_m + float(normal @ position + offset_m))
     return MirrorWay(
         to_wall_m=share * range_m,
         beyond_m=(1.0 - share) * range_m,
@@ -244,7 +246,9 @@ def mirror_way(scene: Scene, surface: int = 0, thing: int = 0) -> MirrorWay:
 
 @dataclass(frozen=True)
 class ShownPoints:
-    """What mirrors show of a scene's objects, whatever the sensor: true places and images [N, 2], object of each."""
+    """Points of a scene's objects that mirrors show, for any sensor: true positions and images [N, 2], object of
+    each.
+    """
 
     place_m: np.ndarray
     image_m: np.ndarray
@@ -257,7 +261,8 @@ class ShownPoints:
 
 
 def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = None) -> ShownPoints:
-    """Points on the sides of objects that one mirror shows within the grid: geometry alone, no power is looked at.
+    """Return the points on the sides of objects that one mirror shows within the grid: by geometry alone, without
+    power.
 
     Scattering centres of the objects, thinned to `TRUTH_SPACING_M` in order; the same for every sensor.
     """
@@ -278,18 +283,18 @@ def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = No
 
 
 def incidences(scene: Scene, shown: ShownPoints, surface: int = 0) -> tuple[float, float]:
-    """Least and largest cosine of incidence at the line of a straight wall, over what it shows."""
+    """Return the least and largest cosine of incidence at the line of a straight wall, over what it shows."""
     a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
     normal, _ = wall_from_ends(a, b, np.zeros(2))
     cosine = -(shown.image_m @ normal) / np.linalg.norm(shown.image_m, axis=1)
     return float(cosine.min()), float(cosine.max())
 
 
-def _apart(points_m: np.ndarray, thing: np.ndarray) -> np.ndarray:
-    """Greedy choice: indices of points at least `TRUTH_SPACING_M` from all kept ones of their object."""
+def _apart(points_m: np.ndarray, object_index: np.ndarray) -> np.ndarray:
+    """Thin points greedily: indices of points at least `TRUTH_SPACING_M` from all kept ones of their object."""
     kept: list[int] = []
     for index, point_m in enumerate(points_m):
-        own = [one for one in kept if thing[one] == thing[index]]
+        own = [earlier for earlier in kept if object_index[earlier] == object_index[index]]
         if not own or np.linalg.norm(points_m[own] - point_m, axis=1).min() >= TRUTH_SPACING_M:
             kept.append(index)
     return np.array(kept, np.int64)

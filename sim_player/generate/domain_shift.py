@@ -1,8 +1,8 @@
 """A harder copy of a series for tests of generalisation: rougher walls, clutter, and a board with faults.
 
-The places are those of the series itself; what changes is drawn anew from the same seed. Clutter scatters, blocks and
-is mirrored as walls do, and has truth points like theirs. The receiver is told which beams are dead and nothing about
-gains and phases.
+The places are those of the series itself; the changes are drawn separately from the same seed. Clutter scatters, blocks
+and is mirrored as walls are, and has truth points like theirs. The receiver knows the dead beams, but no gains and
+phases.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sim_player.scene.description import Scene, Surface, check_scene
 #: `none`: the series as it is.
 Shift = Literal["none", "hard"]
 SHIFTS: tuple[Shift, ...] = get_args(Shift)
-#: Clutter stands this far off radar, walls and road users, at least; and within this sector before the radar.
+#: Least distance of clutter from radar, walls and road users; and its sector before the radar.
 RADAR_ROOM_M, CLEARANCE_M = 3.0, 0.4
 FARTHEST_M, SECTOR_RAD = 40.0, math.radians(58.0)
 #: Places tried for one piece of clutter before it is given up.
@@ -40,14 +40,14 @@ class Clutter:
     height_m: tuple[float, float]
 
 
-#: Of metal, a post is seen by its ends alone and a sign is a mirror about as wide as a Fresnel zone.
+#: A metal post reflects at its ends alone; a metal sign is a mirror about as wide as a Fresnel zone.
 POST = Clutter("metal", (0.06, 0.25), (1.0, 6.0))
 SIGN = Clutter("metal", (0.4, 0.9), (1.5, 2.5))
 BUSH = Clutter("hedge", (0.8, 2.5), (0.8, 3.0))
 
 
 class ShiftParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Bands that one scene's shift is drawn from, ends included; ValueError names what cannot be."""
+    """Bands that one scene's shift is drawn from, ends included; ValueError names an invalid one."""
 
     #: Rms roughness of all walls and of the ground is this much greater, one factor a scene.
     roughness_factor: tuple[float, float] = (2.0, 3.0)
@@ -77,16 +77,18 @@ HARD = ShiftParams()
 
 @dataclass(frozen=True)
 class BoardFaults:
-    """What a board does to the beams of a scan: complex gain of the echoes [beams]; which are dead, bool [beams]."""
+    """Faults of a board in the beams of a scan: complex gain of the echoes [beams]; dead beams, bool [beams]."""
 
     gain: np.ndarray
     dead: np.ndarray
 
 
 def shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = HARD) -> Scene:
-    """The same place with rougher surfaces and clutter; passes `check_scene`."""
+    """Return the same place with rougher surfaces and clutter; passes `check_scene`."""
     factor = float(rng.uniform(*params.roughness_factor))
-    surfaces = tuple(msgspec.structs.replace(one, roughness_mm=factor * one.roughness_mm) for one in scene.surfaces)
+    surfaces = tuple(
+        msgspec.structs.replace(piece, roughness_mm=factor * piece.roughness_mm) for piece in scene.surfaces
+    )
     scene = msgspec.structs.replace(scene, surfaces=surfaces)
     for kind, band in ((POST, params.posts), (SIGN, params.signs), (BUSH, params.bushes)):
         for _ in range(_count(rng, band)):
@@ -96,7 +98,7 @@ def shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = 
 
 
 def draw_faults(rng: np.random.Generator, beams: int, params: ShiftParams = HARD) -> BoardFaults:
-    """Faults of one scan; a board with fewer beams than are to die keeps one."""
+    """Return the faults of one scan; a board with fewer beams than are to die keeps one."""
     gain = rng.uniform(*params.beam_gain, beams)
     phase_rad = math.radians(params.beam_phase_deg) * rng.standard_normal(beams)
     dead = np.zeros(beams, bool)
@@ -105,13 +107,14 @@ def draw_faults(rng: np.random.Generator, beams: int, params: ShiftParams = HARD
 
 
 def faulty_profiles(profiles: np.ndarray, faults: BoardFaults, setup: RadarSetup, seed: int) -> np.ndarray:
-    """Profiles complex64 [beams, bins] as such a board gives them; dead beams hold zeros.
+    """Return the profiles complex64 [beams, bins] of such a board; dead beams hold zeros.
 
-    Weaker echoes meet the same thermal noise: what the gain takes of it is drawn anew, so the noise stays as stated.
+    Weaker echoes have the same thermal noise: fresh noise replaces the part that the gain removes, so the noise power
+    stays as stated.
     """
     # a gain of one may be over it by a rounding
     refill = np.sqrt(np.maximum(1.0 - np.abs(faults.gain[:, None]) ** 2, 0.0))
-    # a seed of its own: the same draw again would add up in amplitude
+    # a seed of its own: the same draw would add up in amplitude
     noise = profile_noise(setup, seed ^ 1, profiles.shape[1])
     changed = faults.gain[:, None] * profiles + refill * noise
     return np.where(faults.dead[:, None], 0.0, changed).astype(np.complex64)
@@ -122,14 +125,14 @@ def _count(rng: np.random.Generator, band: tuple[int, int]) -> int:
 
 
 def _spot(rng: np.random.Generator) -> np.ndarray:
-    """A place before the radar, uniform over the plane's sector, [2]."""
+    """Return a position before the radar, uniform over the plane's sector, [2]."""
     range_m = math.sqrt(rng.uniform(RADAR_ROOM_M**2, FARTHEST_M**2))
     azimuth_rad = rng.uniform(-SECTOR_RAD, SECTOR_RAD)
     return range_m * np.array([math.cos(azimuth_rad), math.sin(azimuth_rad)])
 
 
 def _with_clutter(scene: Scene, kind: Clutter, rng: np.random.Generator) -> Scene:
-    """A scene with one more piece of clutter where it has room; the scene as it is where none was found."""
+    """Return a scene with one more piece of clutter where it has room, else the scene itself."""
     length_m, height_m = float(rng.uniform(*kind.length_m)), float(rng.uniform(*kind.height_m))
     for _ in range(ATTEMPTS):
         start, angle = _spot(rng), float(rng.uniform(0.0, math.pi))
@@ -142,7 +145,7 @@ def _with_clutter(scene: Scene, kind: Clutter, rng: np.random.Generator) -> Scen
 
 
 def _has_room(scene: Scene, outline_m: np.ndarray) -> bool:
-    """Whether an outline [N, 2] keeps its distance from radar, walls and things."""
+    """Return whether an outline [N, 2] keeps its distance from radar, walls and objects."""
     boxes, walls = Boxes.of(scene.objects), _walls(scene.surfaces)
     if np.linalg.norm(outline_m, axis=1).min() < RADAR_ROOM_M or boxes.contain(outline_m).any():
         return False
@@ -154,6 +157,6 @@ def _has_room(scene: Scene, outline_m: np.ndarray) -> bool:
 
 
 def _walls(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Ends [W, 2] of all upright pieces; none where there is only ground."""
-    upright = tuple(one for one in surfaces if one.role != "ground")
+    """Return the ends [W, 2] of all upright pieces; none where there is only ground."""
+    upright = tuple(piece for piece in surfaces if piece.role != "ground")
     return Walls.of(upright).footing if upright else (np.zeros((0, 2)), np.zeros((0, 2)))

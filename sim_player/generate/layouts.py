@@ -1,7 +1,7 @@
-"""Four types of place as plans: where walls stand, where traffic runs, where vehicles are parked.
+"""Plans of four types of place: positions of walls, traffic and parked vehicles.
 
 A plan is drawn with the radar at (0, 0) looking along x, the hidden side on the left; whoever uses it turns it and
-exchanges left and right. It says which kinds of wall suit where, not which one is built.
+exchanges left and right. It lists the kinds of wall that suit each line, not the one that is built.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sim_player.generate.wall_kinds import Line, RelayKind
 
 PlaceKind = Literal["street", "parking_lot", "residential_block", "mixed_intersection"]
 
-#: What lines the side of a road, closes its end, or fronts a building.
+#: Kinds of wall along the side of a road, at its end, and on the front of a building.
 ROADSIDE: tuple[RelayKind, ...] = (
     "facade",
     "concrete_wall",
@@ -64,7 +64,7 @@ class Block:
     height_m: tuple[float, float] = (4.0, 15.0)
 
     def sides(self) -> dict[str, Line]:
-        """The four sides, clockwise, each with its front outside."""
+        """Return the four sides, clockwise, each with its front outside."""
         (x0, x1), (y0, y1) = self.x_m, self.y_m
         corners = {"w": (x0, y0), "n": (x0, y1), "e": (x1, y1), "s": (x1, y0)}
         ends = list(corners.values())
@@ -97,7 +97,7 @@ class Bay:
 
 @dataclass(frozen=True)
 class Layout:
-    """Everything a place is made of before walls have a material."""
+    """Parts of a place before walls have a material."""
 
     blocks: tuple[Block, ...]
     lines: tuple[Line, ...]
@@ -108,12 +108,12 @@ class Layout:
 
 
 def draw_layout(rng: np.random.Generator, kind: PlaceKind) -> Layout:
-    """A random plan of a type of place."""
+    """Return a random plan of a type of place."""
     return _LAYOUTS[kind](rng)
 
 
 def _street(rng: np.random.Generator) -> Layout:
-    """A street with walls along it, a building whose corner hides a side street, and an end of three kinds."""
+    """Return a street with walls along it, a building whose corner hides a side street, and an end of three kinds."""
     left, right = rng.uniform(3.5, 8.0), rng.uniform(3.5, 8.0)
     corner, mouth, depth = rng.uniform(6.0, 15.0), rng.uniform(6.0, 11.0), rng.uniform(10.0, 18.0)
     far = corner + mouth
@@ -141,7 +141,7 @@ def _street(rng: np.random.Generator) -> Layout:
 
 
 def _along(rng: np.random.Generator, y: float, start: float, end: float) -> tuple[Line, ...]:
-    """The right side of a road: one wall, or two with a gap."""
+    """Return the right side of a road: one wall, or two with a gap."""
     if end - start < 22.0 or rng.random() < 0.4:
         return (Line((start, y), (end, y), ROADSIDE),)
     middle = rng.uniform(0.4, 0.6) * (start + end)
@@ -149,7 +149,7 @@ def _along(rng: np.random.Generator, y: float, start: float, end: float) -> tupl
 
 
 def _mixed_intersection(rng: np.random.Generator) -> Layout:
-    """A crossing with buildings on three or four corners and traffic on all arms."""
+    """Return a crossing with buildings on three or four corners and traffic on all arms."""
     left, right = rng.uniform(4.0, 9.0), rng.uniform(4.0, 9.0)
     near, width = rng.uniform(7.0, 15.0), rng.uniform(8.0, 14.0)
     far = near + width
@@ -179,7 +179,7 @@ def _mixed_intersection(rng: np.random.Generator) -> Layout:
 
 
 def _residential_block(rng: np.random.Generator) -> Layout:
-    """A narrow street of houses behind garden walls and hedges, broken by drives, up to a lane on the left.
+    """Return a narrow street of houses behind garden walls and hedges, broken by drives, up to a lane on the left.
 
     Half of them end at a wall or house across the street, behind the lane.
     """
@@ -211,7 +211,9 @@ def _residential_block(rng: np.random.Generator) -> Layout:
 def _plot(
     rng: np.random.Generator, start: float, end: float, kerb: float, drive: float
 ) -> tuple[Block, Line, Zone | None]:
-    """A house set back from the kerb at y, its fence along the street, and a drive (width in metres) at its end."""
+    """Return a house set back from the kerb at y, its fence along the street, and a drive (width in metres) at its
+    end.
+    """
     side = math.copysign(1.0, kerb)
     low, high = sorted((kerb + side * rng.uniform(2.0, 4.0), kerb + side * rng.uniform(11.0, 14.0)))
     stop = end - drive
@@ -223,7 +225,7 @@ def _plot(
 
 
 def _parking_lot(rng: np.random.Generator) -> Layout:
-    """Rows of bays along an aisle, walls around, and containers or a kiosk that hide a part of it."""
+    """Return the rows of bays along an aisle, walls around, and containers or a kiosk that hide a part of it."""
     back, right, left = rng.uniform(24.0, 38.0), rng.uniform(9.0, 16.0), rng.uniform(14.0, 24.0)
     x = rng.uniform(7.0, 12.0)
     angle, length = rng.uniform(0.9, 2.2), rng.uniform(7.0, 14.0)
@@ -250,7 +252,7 @@ def _parking_lot(rng: np.random.Generator) -> Layout:
 
 
 def _row(rng: np.random.Generator, y: float, start: float, end: float, heading_deg: float) -> list[Bay]:
-    """Bays side by side along x."""
+    """Return the bays side by side along x."""
     return [Bay(x, y, heading_deg) for x in np.arange(start + rng.uniform(0.0, 3.0), end, BAY_WIDTH_M)]
 
 

@@ -1,7 +1,7 @@
-"""What hides, what mirrors, and where in a place a road user fits: many candidate spots at once.
+"""Placement of road users: occlusion, mirrors and free room at many candidate spots at once.
 
-Seen from above, with arcs as chords. Only straight opaque walls and vehicles count as hiding something: not glass, not
-plants, not arcs. Everything counts as in the way of a path by a mirror. What is visible in the end is traced.
+The geometry is in plan, with arcs as chords. Only straight opaque walls and vehicles hide objects: not glass, plants or
+arcs. Every wall blocks a path by a mirror. The final visibility is traced.
 """
 
 from __future__ import annotations
@@ -62,13 +62,13 @@ class Boxes:
     corners: np.ndarray
 
     @classmethod
-    def of(cls, things: tuple[SceneObject, ...]) -> Boxes:
-        """Boxes of objects."""
-        return cls(np.array([thing.corners_m() for thing in things]).reshape(-1, 4, 2))
+    def of(cls, objects: tuple[SceneObject, ...]) -> Boxes:
+        """Return the boxes of objects."""
+        return cls(np.array([scene_object.corners_m() for scene_object in objects]).reshape(-1, 4, 2))
 
     @classmethod
     def at(cls, spot: np.ndarray, yaw_deg: np.ndarray, length_m: float, width_m: float) -> Boxes:
-        """Boxes of one size at N spots [N, 2] and headings [N]."""
+        """Return the boxes of one size at N spots [N, 2] and headings [N]."""
         along = np.column_stack([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))])
         across = np.column_stack([-along[:, 1], along[:, 0]])
         signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
@@ -81,13 +81,13 @@ class Boxes:
         return self.corners.reshape(-1, 2), np.roll(self.corners, -1, axis=1).reshape(-1, 2)
 
     def contain(self, points: np.ndarray) -> np.ndarray:
-        """Which boxes hold which points [P, 2]; [N, P]."""
+        """Return which boxes hold which points [P, 2]; [N, P]."""
         edge = np.roll(self.corners, -1, axis=1) - self.corners  # [N, 4, 2]
         offset = points[None, :, None] - self.corners[:, None]  # [N, P, 4, 2]
         return (edge[:, None, :, 0] * offset[..., 1] - edge[:, None, :, 1] * offset[..., 0] >= 0.0).all(axis=-1)
 
     def cut(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        """Which boxes have segments a -> b [M, 2] through or in them; [N]."""
+        """Return which boxes have segments a -> b [M, 2] through or in them; [N]."""
         if not len(a) or not len(self.corners):
             return np.zeros(len(self.corners), bool)
         start, end = self.faces
@@ -97,7 +97,7 @@ class Boxes:
 
 @dataclass(frozen=True)
 class Images:
-    """What mirrors show: P pairs of a spot's index and the specular point that shows it."""
+    """Mirror images of spots: P pairs of a spot's index and its specular point."""
 
     spot: np.ndarray
     specular: np.ndarray
@@ -105,7 +105,7 @@ class Images:
 
 
 def chords(surface: Surface) -> np.ndarray:
-    """A wall's points, [N, 2], with arcs cut into chords."""
+    """Return a wall's points, [N, 2], with arcs cut into chords."""
     points = np.array(surface.polyline_m, np.float64).reshape(-1, 2)
     if surface.curvature_per_m == 0.0:
         return points
@@ -114,7 +114,7 @@ def chords(surface: Surface) -> np.ndarray:
 
 
 def _arc(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> np.ndarray:
-    """Points on an arc from a (left out) to b; positive curvature has its centre on the left."""
+    """Return the points on an arc from a (left out) to b; positive curvature has its centre on the left."""
     chord = b - a
     length = math.hypot(*chord)
     half_turn = math.asin(0.5 * length * curvature_per_m)
@@ -126,20 +126,20 @@ def _arc(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> np.ndarray:
 
 
 def hidden(points: np.ndarray, walls: Walls, boxes: Boxes) -> np.ndarray:
-    """Which points [N, 2] the radar cannot see past opaque walls and other road users."""
+    """Return which points [N, 2] the radar cannot see past opaque walls and other road users."""
     start, end = boxes.faces
     a, b = np.concatenate([walls.a[walls.hides], start]), np.concatenate([walls.b[walls.hides], end])
     return blocked(ORIGIN, points, a, b)
 
 
 def clear(start: np.ndarray, end: np.ndarray, walls: Walls, boxes: Boxes) -> np.ndarray:
-    """Which legs [N] pass by everything."""
+    """Return which segments [N] are free."""
     face_a, face_b = boxes.faces
     return ~blocked(start, end, np.concatenate([walls.a, face_a]), np.concatenate([walls.b, face_b]))
 
 
 def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, range_m: tuple[float, float]) -> Images:
-    """Mirror images of spots [N, 2] that the radar sees: both legs free, within its range and angle."""
+    """Return the mirror images of spots [N, 2] that the radar sees: both segments free, within its range and angle."""
     a, b = walls.a[walls.mirrors], walls.b[walls.mirrors]
     along = b - a
     along = along / np.hypot(*along.T)[:, None]
@@ -150,11 +150,11 @@ def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, rang
     height = spot @ normal.T + offset  # [N, W]
     foot, radar_foot = spot @ along.T - (along * a).sum(axis=1), -(along * a).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        place = (radar_foot * height + foot * offset) / (height + offset)
-        shown = (height > 1e-3) & (offset > 1e-3) & (place >= 0.0) & (place <= np.hypot(*(b - a).T))
+        along_wall = (radar_foot * height + foot * offset) / (height + offset)
+        shown = (height > 1e-3) & (offset > 1e-3) & (along_wall >= 0.0) & (along_wall <= np.hypot(*(b - a).T))
     index, wall = np.nonzero(shown)
     image = spot[index] - 2.0 * height[index, wall, None] * normal[wall]
-    specular = a[wall] + place[index, wall, None] * along[wall]
+    specular = a[wall] + along_wall[index, wall, None] * along[wall]
     distance = np.hypot(*image.T)
     good = (np.abs(np.arctan2(image[:, 1], image[:, 0])) < widest_rad) & (image[:, 0] > 0.0)
     good &= (distance > range_m[0]) & (distance < range_m[1])
@@ -166,7 +166,9 @@ def images(spot: np.ndarray, walls: Walls, boxes: Boxes, widest_rad: float, rang
 
 
 def indoors(points: np.ndarray, rings: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Which points [N, 2] lie within some ring of points (a building, a container), by counting crossings; [N]."""
+    """Return which points [N, 2] lie within some ring of points (a building, a container), by counting crossings;
+    [N].
+    """
     inside = np.zeros(len(points), bool)
     far = points + np.array([1e4, 137.0])
     for ring in rings:

@@ -1,8 +1,7 @@
 """Random places from a seed (section 2.1.2): streets, parking lots, residential blocks, mixed intersections.
 
-A plan of the place, walls on it, parked vehicles, then road users out of sight whose mirror image the radar sees, then
-others in the open; at last the radar's faults and the weather. Where nothing finds a place to hide, a new plan is
-drawn.
+The steps are: a plan of the place, walls, parked vehicles, hidden road users with a mirror image, others in the open,
+the radar's faults and the weather. Where no road user can hide, a new plan is drawn.
 """
 
 from __future__ import annotations
@@ -32,12 +31,12 @@ from sim_player.scene.description import (
 )
 from sim_player.scene.front_end import FrontEnd, Spur
 
-#: How often each class is tried first in hiding: long vehicles fit more rarely.
+#: Probability of each class to be tried first in hiding: long vehicles fit more rarely.
 HIDING_SHARE = {"car": 0.28, "van": 0.17, "truck": 0.22, "bus": 0.17, "bicycle": 0.08, "pedestrian": 0.08}
 PLACE_KINDS: tuple[PlaceKind, ...] = get_args(PlaceKind)
 #: Share of places that are given no hidden object.
 EMPTY_SHARE = 0.12
-#: Share, among places with two hidden objects or more, where the second one's image is sought beside the first one's.
+#: Share, among places with two hidden objects or more, where the second image is to lie beside the first.
 OVERLAP_SHARE, OVERLAP_M = 0.4, 1.5
 GROUND_SHARE, FAULTY_SHARE, RAIN_SHARE, SEPARATED_SHARE = 0.8, 0.3, 0.25, 0.3
 #: Each fault of a faulty front end is there with this probability.
@@ -45,9 +44,9 @@ FAULT_SHARE = 0.6
 #: Plans drawn until something hides.
 ATTEMPTS = 4
 CANDIDATES = 160
-#: Candidates that pass the quick tests and are looked at whole.
+#: Largest number of candidates that are tested in full after the quick tests.
 SHORTLIST = 24
-#: The radar stands at least this far off every wall, and off the circle around every road user.
+#: Least distance of the radar from every wall, and from the circle around every road user.
 WALL_ROOM_M, RADAR_ROOM_M = 1.0, 2.0
 #: The place is turned under the radar by this much, rms.
 TURN_RAD = math.radians(4.0)
@@ -57,8 +56,8 @@ GROUNDS: dict[str, tuple[float, tuple[float, float]]] = {
     "concrete": (0.3, (0.2, 1.0)),
     "medium_dry_ground": (0.1, (1.0, 3.0)),
 }
-#: Most speed by class, m/s.
-MOST_SPEED_MPS = {"car": 15.0, "van": 15.0, "truck": 15.0, "bus": 15.0, "bicycle": 7.0, "pedestrian": 2.0}
+#: Largest speed by class, m/s.
+MAX_SPEED_MPS = {"car": 15.0, "van": 15.0, "truck": 15.0, "bus": 15.0, "bicycle": 7.0, "pedestrian": 2.0}
 
 
 #: A wall's kind (None: a building's plain sides) and its surfaces.
@@ -67,7 +66,7 @@ Built = tuple[RelayKind | None, tuple[Surface, ...]]
 
 @dataclass(frozen=True)
 class Place:
-    """A scene and what it was made of."""
+    """A scene with the parts it was made from."""
 
     scene: Scene
     kind: PlaceKind
@@ -85,7 +84,8 @@ def random_place(
     kind: PlaceKind | None = None,
     motion: bool = False,
 ) -> Scene:
-    """Scene number `index` of the series `seed`: a place of a kind (None: any of the four), at rest unless `motion`.
+    """Return the scene number `index` of the series `seed`: a place of a kind (None: any of the four), at rest unless
+    `motion`.
 
     Fixed by its arguments, whatever was drawn before; always passes `check_scene`. A 77 GHz scene has only materials
     known there, so it also stands at X-band. ValueError for a negative seed or index and an unknown preset or kind.
@@ -100,17 +100,17 @@ def draw_place(
     kind: PlaceKind | None = None,
     motion: bool = False,
 ) -> Place:
-    """`random_place` with what the scene was made of."""
+    """Return `random_place` with the parts of the scene."""
     _check(seed, index, preset, kind)
     rng = np.random.default_rng([seed, index])
     drawn: PlaceKind = PLACE_KINDS[rng.integers(len(PLACE_KINDS))]
     kind = drawn if kind is None else kind
-    wanted = 0 if rng.random() < EMPTY_SHARE else int(rng.integers(1, 4))
-    overlap = wanted > 1 and bool(rng.random() < OVERLAP_SHARE)
+    hidden_count = 0 if rng.random() < EMPTY_SHARE else int(rng.integers(1, 4))
+    overlap = hidden_count > 1 and bool(rng.random() < OVERLAP_SHARE)
     for _ in range(ATTEMPTS):
         crowd = _walls_and_parked(rng, kind, preset)
-        _hide(rng, crowd, wanted, overlap)
-        if crowd.hidden or not wanted:
+        _hide(rng, crowd, hidden_count, overlap)
+        if crowd.hidden or not hidden_count:
             break
     for _ in range(int(rng.integers(0, 4))):
         crowd.add(rng, hide=False)
@@ -118,7 +118,7 @@ def draw_place(
         name=f"{kind}_{seed}_{index}",
         radar=draw_radar(rng, preset),
         surfaces=(*crowd.surfaces, *draw_ground(rng, preset)),
-        objects=_moving(rng, crowd) if motion else tuple(crowd.things),
+        objects=_moving(rng, crowd) if motion else tuple(crowd.objects),
         ego=_ego(rng) if motion else Ego(),
         weather=draw_weather(rng),
     )
@@ -127,7 +127,7 @@ def draw_place(
 
 
 def _check(seed: int, index: int, preset: str, kind: str | None) -> None:
-    """Arguments at the door."""
+    """Check the arguments."""
     for name, number in (("seed", seed), ("index", index)):
         if number < 0:
             raise ValueError(f"{name} must not be negative, got {number!r}")
@@ -139,23 +139,23 @@ def _check(seed: int, index: int, preset: str, kind: str | None) -> None:
 
 @dataclass(frozen=True)
 class _Turn:
-    """From the plan to the radar's frame: turned, then left and right exchanged."""
+    """Transform from the plan to the radar's frame: turned, then left and right exchanged."""
 
     angle_rad: float
     flip: bool
 
     def points(self, points: np.ndarray) -> np.ndarray:
-        """Points [N, 2]."""
+        """Return the points [N, 2]."""
         c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
         return points @ np.array([[c, s], [-s, c]]) * np.array([1.0, -1.0 if self.flip else 1.0])
 
     def heading_deg(self, heading_deg: np.ndarray) -> np.ndarray:
-        """Headings [N]."""
+        """Return the headings [N]."""
         turned = heading_deg + math.degrees(self.angle_rad)
         return -turned if self.flip else turned
 
     def surface(self, piece: Surface) -> Surface:
-        """A wall."""
+        """Return a wall."""
         return replace(
             piece,
             polyline_m=tuple((x, y) for x, y in self.points(np.array(piece.polyline_m)).tolist()),
@@ -165,7 +165,7 @@ class _Turn:
 
 @dataclass
 class _Crowd:
-    """Walls, and the road users that stand among them so far."""
+    """Walls, and the road users placed among them so far."""
 
     surfaces: tuple[Surface, ...]
     relays: tuple[RelayKind, ...]
@@ -174,58 +174,60 @@ class _Crowd:
     walls: Walls
     #: Outlines of buildings and containers.
     rings: tuple[np.ndarray, ...]
-    things: list[SceneObject] = field(default_factory=list)
+    objects: list[SceneObject] = field(default_factory=list)
     hidden: list[int] = field(default_factory=list)
     parked: int = 0
     overlapping: bool = False
-    #: Ranges of the images of hidden objects, and the legs [L, 2] of the paths that show them.
+    #: Ranges of the images of hidden objects, and the segments [L, 2] of the paths that show them.
     image_m: list[float] = field(default_factory=list)
-    leg_a: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
-    leg_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    segment_a: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    segment_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def add(self, rng: np.random.Generator, hide: bool, beside_m: float | None = None) -> bool:
-        """A road user out of sight (with an image at about a range) or in the open; False where none fits."""
+        """Add a road user out of sight (with an image at about a range) or in the open; return False where none
+        fits.
+        """
         spot, heading = _candidates(rng, self.layout, self.turn, CANDIDATES)
-        boxes = Boxes.of(tuple(self.things))
+        boxes = Boxes.of(tuple(self.objects))
         keep = ~indoors(spot, self.rings) & (np.hypot(*spot.T) > IMAGE_RANGE_M[0])
         keep[keep] = hidden(spot[keep], self.walls, boxes) == hide
         spot, heading = spot[keep], heading[keep]
         if hide:
-            seen = images(spot, self.walls, boxes, IMAGE_AZIMUTH_RAD, IMAGE_RANGE_M)
-            near = np.full(len(seen.spot), beside_m is None) | (np.abs(seen.range_m - (beside_m or 0.0)) < OVERLAP_M)
-            fits = np.unique(seen.spot[near])
+            shown = images(spot, self.walls, boxes, IMAGE_AZIMUTH_RAD, IMAGE_RANGE_M)
+            near = np.full(len(shown.spot), beside_m is None) | (np.abs(shown.range_m - (beside_m or 0.0)) < OVERLAP_M)
+            fits = np.unique(shown.spot[near])
         else:
             fits = np.flatnonzero(np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD)
         share = HIDING_SHARE if hide else CLASS_SHARE
         for name in rng.choice(list(share), len(share), replace=False, p=list(share.values())):
             yaw_deg = _yaw_deg(rng, str(name), heading)
-            for chosen in fits[self._stand(str(name), spot[fits], yaw_deg[fits], boxes, hide)][:1]:
+            for index in fits[self._stand(str(name), spot[fits], yaw_deg[fits], boxes, hide)][:1]:
                 if hide:
-                    which = (seen.spot == chosen) & near
-                    self._remember(seen.specular[which], spot[chosen], float(seen.range_m[which].min()))
-                self.things.append(_thing(str(name), spot[chosen], yaw_deg[chosen]))
+                    is_shown = (shown.spot == index) & near
+                    self._add_hidden(shown.specular[is_shown], spot[index], float(shown.range_m[is_shown].min()))
+                self.objects.append(_road_user(str(name), spot[index], yaw_deg[index]))
                 return True
         return False
 
     def park(self, rng: np.random.Generator) -> None:
-        """Vehicles in some of the bays."""
+        """Park vehicles in some of the bays."""
         low, high = self.layout.parked
         count = int(rng.integers(low, high + 1))
-        for bay in rng.permutation(len(self.layout.bays)):
-            if len(self.things) == count:
+        for index in rng.permutation(len(self.layout.bays)):
+            if len(self.objects) == count:
                 break
-            place = self.layout.bays[bay]
-            name = str(rng.choice(["car", "van", "truck"] if place.large else ["car", "car", "van"]))
-            spot = self.turn.points(np.array([[place.x_m, place.y_m]]) + rng.normal(0.0, 0.1, (1, 2)))
+            bay = self.layout.bays[index]
+            name = str(rng.choice(["car", "van", "truck"] if bay.large else ["car", "car", "van"]))
+            spot = self.turn.points(np.array([[bay.x_m, bay.y_m]]) + rng.normal(0.0, 0.1, (1, 2)))
             yaw_deg = self.turn.heading_deg(
-                np.array([place.heading_deg + rng.choice([0.0, 180.0]) + rng.normal(0.0, 2.0)])
+                np.array([bay.heading_deg + rng.choice([0.0, 180.0]) + rng.normal(0.0, 2.0)])
             )
-            if not indoors(spot, self.rings)[0] and self._stand(name, spot, yaw_deg, Boxes.of(tuple(self.things)))[0]:
-                self.things.append(_thing(name, spot[0], yaw_deg[0]))
-        self.parked = len(self.things)
+            if not indoors(spot, self.rings)[0] and self._stand(name, spot, yaw_deg, Boxes.of(tuple(self.objects)))[0]:
+                self.objects.append(_road_user(name, spot[0], yaw_deg[0]))
+        self.parked = len(self.objects)
 
     def _stand(self, name: str, spot: np.ndarray, yaw_deg: np.ndarray, boxes: Boxes, hide: bool = False) -> np.ndarray:
-        """Which spots [N] leave room to walls, others, the radar, and to the paths that show hidden ones."""
+        """Return which spots [N] leave room to walls, road users, the radar, and to the paths that show hidden ones."""
         size = OBJECT_KINDS[name]
         fits = np.hypot(*spot.T) > 0.5 * math.hypot(size.length_m, size.width_m) + RADAR_ROOM_M
         fits[np.flatnonzero(fits)[SHORTLIST:]] = False
@@ -237,23 +239,23 @@ class _Crowd:
         own = grown(0.0)
         good = ~grown(WALL_CLEARANCE_M).cut(*self.walls.footing)
         good &= ~grown(CLEARANCE_M).cut(*boxes.faces) & ~boxes.contain(spot).any(axis=0)
-        good &= ~own.cut(self.leg_a, self.leg_b)
+        good &= ~own.cut(self.segment_a, self.segment_b)
         if hide:
             outline = _outline(own)
             good[good] = hidden(outline[good].reshape(-1, 2), self.walls, boxes).reshape(-1, outline.shape[1]).all(1)
         fits[fits] = good
         return fits
 
-    def _remember(self, specular: np.ndarray, spot: np.ndarray, range_m: float) -> None:
-        """A hidden object and the paths that show it."""
-        self.hidden.append(len(self.things))
+    def _add_hidden(self, specular: np.ndarray, spot: np.ndarray, range_m: float) -> None:
+        """Record a hidden object and the paths that show it."""
+        self.hidden.append(len(self.objects))
         self.image_m.append(range_m)
-        self.leg_a = np.concatenate([self.leg_a, np.zeros_like(specular), specular])
-        self.leg_b = np.concatenate([self.leg_b, specular, np.broadcast_to(spot, specular.shape)])
+        self.segment_a = np.concatenate([self.segment_a, np.zeros_like(specular), specular])
+        self.segment_b = np.concatenate([self.segment_b, specular, np.broadcast_to(spot, specular.shape)])
 
 
 def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset) -> _Crowd:
-    """A place without road users but for the parked; drawn anew until the radar has room."""
+    """Return a place with parked vehicles alone; drawn again until the radar has room."""
     while True:
         layout = draw_layout(rng, kind)
         turn = _Turn(float(rng.normal(0.0, TURN_RAD)), bool(rng.random() < 0.5))
@@ -274,7 +276,7 @@ def _walls_and_parked(rng: np.random.Generator, kind: PlaceKind, preset: Preset)
 
 
 def _block(rng: np.random.Generator, block: Block, preset: Preset) -> list[Built]:
-    """A building: its fronts, and one plain wall around the rest."""
+    """Return a building: its fronts, and one plain wall around the rest."""
     sides = block.sides()
     built: list[Built] = [build(rng, sides[side], preset) for side in block.fronts]
     order = "wnes" * 2
@@ -287,13 +289,13 @@ def _block(rng: np.random.Generator, block: Block, preset: Preset) -> list[Built
 
 
 def _footprint(block: Block) -> np.ndarray:
-    """Corners of a building, [4, 2]."""
+    """Return the corners of a building, [4, 2]."""
     return np.array([side.start for side in block.sides().values()])
 
 
-def _hide(rng: np.random.Generator, crowd: _Crowd, wanted: int, overlap: bool) -> None:
-    """Road users out of sight, the second beside the first one's image if overlap is asked for."""
-    for _ in range(wanted):
+def _hide(rng: np.random.Generator, crowd: _Crowd, count: int, overlap: bool) -> None:
+    """Add road users out of sight, the second beside the first one's image if overlap is requested."""
+    for _ in range(count):
         beside = crowd.image_m[0] if overlap and len(crowd.image_m) == 1 else None
         if crowd.add(rng, True, beside):
             crowd.overlapping |= beside is not None
@@ -302,7 +304,7 @@ def _hide(rng: np.random.Generator, crowd: _Crowd, wanted: int, overlap: bool) -
 
 
 def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Spots [count, 2] all over the zones, and the heading of traffic there (NaN: any)."""
+    """Return the spots [count, 2] all over the zones, and the heading of traffic there (NaN: any)."""
     zone = rng.integers(len(layout.zones), size=count)
     share = rng.random((count, 2))
     low = np.array([(z.x_m[0], z.y_m[0]) for z in layout.zones])
@@ -316,14 +318,14 @@ def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: in
 
 
 def _yaw_deg(rng: np.random.Generator, name: str, heading_deg: np.ndarray) -> np.ndarray:
-    """Headings [N]: with the traffic, either way; pedestrians, and all in a yard, anyhow."""
+    """Return the headings [N]: along the traffic, either way; random for pedestrians and in yards."""
     free = np.isnan(heading_deg) | (name == "pedestrian")
     along = heading_deg + rng.choice([0.0, 180.0], len(heading_deg)) + rng.normal(0.0, 6.0, len(heading_deg))
     return np.where(free, rng.uniform(0.0, 360.0, len(heading_deg)), along)
 
 
-def _thing(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
-    """An object at rest."""
+def _road_user(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
+    """Return an object at rest."""
     return SceneObject(
         class_=name,  # type: ignore[arg-type]
         x_m=float(spot[0]),
@@ -333,14 +335,14 @@ def _thing(name: str, spot: np.ndarray, yaw_deg: float) -> SceneObject:
 
 
 def _outline(boxes: Boxes) -> np.ndarray:
-    """Points all around boxes, [N, 16, 2]."""
+    """Return the points all around boxes, [N, 16, 2]."""
     ends = np.roll(boxes.corners, -1, axis=1)
     share = np.array([0.0, 0.25, 0.5, 0.75])[:, None]
     return (boxes.corners[:, :, None] + share * (ends - boxes.corners)[:, :, None]).reshape(len(boxes.corners), 16, 2)
 
 
 def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]:
-    """The ground of most places."""
+    """Return the ground of most places."""
     if rng.random() >= GROUND_SHARE:
         return ()
     names = [name for name in GROUNDS if known(name, preset)]
@@ -357,7 +359,7 @@ def draw_ground(rng: np.random.Generator, preset: Preset) -> tuple[Surface, ...]
 
 
 def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
-    """Mounting, and the faults of some radars."""
+    """Return the mounting, and the faults of some radars."""
     return SceneRadar(
         preset=preset,
         height_m=float(rng.uniform(0.5, 1.5)),
@@ -367,7 +369,7 @@ def draw_radar(rng: np.random.Generator, preset: Preset) -> SceneRadar:
 
 
 def _faulty(rng: np.random.Generator) -> FrontEnd:
-    """A front end with some of the faults that real ones have."""
+    """Return a front end with some typical faults."""
     coupled, skewed, flickers, leaks, spurs = rng.random(5) < FAULT_SHARE
     return FrontEnd(
         coupling_db=float(rng.uniform(-30.0, -18.0)) if coupled else None,
@@ -385,7 +387,7 @@ def _faulty(rng: np.random.Generator) -> FrontEnd:
 
 
 def draw_weather(rng: np.random.Generator) -> Weather:
-    """Dry or rainy air, cold to hot."""
+    """Draw the weather: dry or rainy, cold to hot."""
     return Weather(
         rain_mm_per_h=float(rng.uniform(0.0, 30.0)) if rng.random() < RAIN_SHARE else 0.0,
         temperature_c=float(rng.uniform(-5.0, 30.0)),
@@ -393,15 +395,15 @@ def draw_weather(rng: np.random.Generator) -> Weather:
 
 
 def _moving(rng: np.random.Generator, crowd: _Crowd) -> tuple[SceneObject, ...]:
-    """All but the parked set in motion."""
+    """Return all but the parked set in motion."""
     return tuple(
-        thing
+        road_user
         if index < crowd.parked
-        else replace(thing, speed_mps=float(rng.uniform(0.0, MOST_SPEED_MPS[str(thing.class_)])))
-        for index, thing in enumerate(crowd.things)
+        else replace(road_user, speed_mps=float(rng.uniform(0.0, MAX_SPEED_MPS[str(road_user.class_)])))
+        for index, road_user in enumerate(crowd.objects)
     )
 
 
 def _ego(rng: np.random.Generator) -> Ego:
-    """The radar's own motion."""
+    """Return the radar's own motion."""
     return Ego(speed_mps=float(rng.uniform(0.0, 15.0)), yaw_rate_dps=float(rng.uniform(-10.0, 10.0)))

@@ -1,8 +1,8 @@
 """Random drives past a side street from a seed: streets, walls, parked and moving road users, speeds, sight lines.
 
 The vehicle starts at (0, 0) along x; a side street opens on the left (on the right in half of the scenes), and a road
-user comes down it towards the main street. It is hidden at first and comes into direct sight within the drive. Nothing
-is asked of the mirrors: in some streets no wall ever shows the road user before it is in direct sight.
+user comes down it towards the main street. It is hidden at first and comes into direct sight within the drive. Mirrors
+are not required: in some streets no wall shows the road user before it is in direct sight.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ from sim_player.trace.truth import labelled
 
 #: Index of the road user that comes down the side street.
 CROSSING = 0
-#: What closes the view across the junction: the main street's other side, its bend, or the end of a T-junction.
+#: View across the junction: the main street's other side, its bend, or the end of a T-junction.
 Layout = Literal["parallel", "bend", "across"]
 LAYOUTS: tuple[Layout, ...] = ("parallel", "bend", "across")
-#: How the vehicle drives past.
+#: Manner of driving past.
 Manner = Literal["steady", "braking", "turning"]
 MANNERS: tuple[Manner, ...] = ("steady", "braking", "turning")
-#: How often each class comes down the side street, and its band of speeds [m/s].
+#: Probability of each class in the side street, and its band of speeds [m/s].
 CLASS_SHARE = {"car": 0.45, "van": 0.15, "truck": 0.08, "bus": 0.05, "bicycle": 0.15, "pedestrian": 0.12}
 SPEED_MPS = {
     "car": (3.0, 12.0),
@@ -47,9 +47,9 @@ SPEED_MPS = {
     "pedestrian": (0.8, 2.5),
 }
 EGO_SPEED_MPS, BRAKING_MPS2, TURN_DPS = (2.0, 12.0), (1.0, 3.0), (3.0, 12.0)
-#: Direct sight comes this long after the start [s]; sight is looked for at this step.
+#: Time of direct sight after the start [s], and the step of the search for it.
 SIGHT_S, STEP_S = (2.1, 7.5), 0.3
-#: Drives go on for so long [s], a little more than the latest sight.
+#: Duration of a drive [s], a little more than the latest sight.
 DURATION_S = 9.0
 #: Share of scenes with a low wall at the corner in place of a house, a parked vehicle in the side street, an oncoming
 #: vehicle and a pedestrian in plain sight; share of parking bays that are taken.
@@ -57,13 +57,13 @@ LOW_CORNER, PARKED_ASIDE, ONCOMING, WALKER, TAKEN = 0.25, 0.4, 0.3, 0.4, 0.35
 MASONRY = ("concrete", "painted", "rendered", "brick")
 #: Room between the vehicle's path and walls, between its path and road users, and between road users and walls [m].
 WALL_ROOM_M, USER_ROOM_M, FOOTING_M = 1.2, 1.8, 0.3
-#: Streets drawn before a seed is given up: about one in three suits.
+#: Streets drawn before an error: about one in three is suitable.
 ATTEMPTS = 2000
 
 
 @dataclass(frozen=True)
 class SideStreet:
-    """A scene in the vehicle's frame at the start, and how the vehicle drives; object `CROSSING` comes out."""
+    """A scene in the vehicle's frame at the start, and the vehicle's drive; object `CROSSING` comes out."""
 
     scene: Scene
     drive: Drive
@@ -100,12 +100,12 @@ def random_side_street(seed: int, index: int = 0) -> SideStreet:
 
 
 def direct_sight(paths: Paths) -> bool:
-    """Whether the crossing object has a direct path, through no wall and round no edge."""
+    """Return whether the crossing object has a direct path, through no wall and round no edge."""
     return bool((labelled(paths) & (paths.kind == PathClass.LOS) & (paths.thing == CROSSING)).any())
 
 
 def _draw(rng: np.random.Generator, name: str) -> SideStreet:
-    """One street, whether it suits or not."""
+    """Return one street, suitable or not."""
     speed_mps = float(rng.uniform(*EGO_SPEED_MPS))
     near_m = 4.0 + speed_mps * float(rng.uniform(1.5, 5.0))
     layout = LAYOUTS[rng.integers(len(LAYOUTS))]
@@ -124,7 +124,7 @@ def _draw(rng: np.random.Generator, name: str) -> SideStreet:
 
 
 def _walls(rng: np.random.Generator, plan: _Plan) -> tuple[Surface, ...]:
-    """The corner that hides the side street, the house beyond it, and what may mirror it."""
+    """Return the corner that hides the side street, the house beyond it, and the possible mirrors."""
     start = -float(rng.uniform(0.0, 4.0))
     corner = [(start, plan.left_m), (plan.near_m, plan.left_m), (plan.near_m, plan.left_m + rng.uniform(12.0, 30.0))]
     low = rng.random() < LOW_CORNER
@@ -142,14 +142,14 @@ def _wall(
     height_m: tuple[float, float],
     role: Literal["relay", "occluder"],
 ) -> Surface:
-    """A masonry wall along points."""
+    """Return a masonry wall along points."""
     finish = FINISHES[MASONRY[rng.integers(len(MASONRY))]]
     plain = tuple((float(x), float(y)) for x, y in points)
     return surface(rng, finish, plain, float(rng.uniform(*height_m)), role=role)
 
 
 def _mirrors(rng: np.random.Generator, plan: _Plan) -> tuple[Surface, ...]:
-    """The right side of the main street, and the wall that bends with it or ends it."""
+    """Return the right side of the main street, and the wall that bends with it or ends it."""
     right, start = -plan.right_m, float(rng.uniform(1.0, 6.0))
     if plan.layout == "parallel":
         return _built(rng, (start, right), (plan.far_m + float(rng.uniform(4.0, 20.0)), right), ROADSIDE)
@@ -168,23 +168,23 @@ def _mirrors(rng: np.random.Generator, plan: _Plan) -> tuple[Surface, ...]:
 
 
 def _built(rng: np.random.Generator, start: tuple, end: tuple, kinds: tuple) -> tuple[Surface, ...]:
-    """A wall of one of some kinds; none where it would be shorter than a door."""
+    """Return a wall of one of some kinds; none where it would be shorter than a door."""
     if math.dist(start, end) < 2.0:
         return ()
     return build(rng, Line(start, end, kinds), "xband")[1]
 
 
 def _clutter(rng: np.random.Generator, plan: _Plan) -> tuple[Surface, ...]:
-    """Posts, signs and bushes at the kerbs."""
+    """Return the posts, signs and bushes at the kerbs."""
     pieces = []
-    for kind, most in ((POST, 4), (SIGN, 2), (BUSH, 1)):
-        for _ in range(int(rng.integers(0, most + 1))):
+    for kind, max_count in ((POST, 4), (SIGN, 2), (BUSH, 1)):
+        for _ in range(int(rng.integers(0, max_count + 1))):
             pieces.append(_piece(rng, plan, kind))
     return tuple(pieces)
 
 
 def _piece(rng: np.random.Generator, plan: _Plan, kind: Clutter) -> Surface:
-    """One piece of clutter."""
+    """Return one piece of clutter."""
     side = (plan.left_m - 0.5, 0.5 - plan.right_m)[rng.integers(2)]
     x, angle = float(rng.uniform(4.0, plan.far_m + 6.0)), float(rng.uniform(0.0, math.pi))
     length_m, height_m = float(rng.uniform(*kind.length_m)), float(rng.uniform(*kind.height_m))
@@ -193,7 +193,7 @@ def _piece(rng: np.random.Generator, plan: _Plan, kind: Clutter) -> Surface:
 
 
 def _users(rng: np.random.Generator, plan: _Plan) -> tuple[SceneObject, ...]:
-    """The crossing road user first, then others, parked and moving."""
+    """Return the crossing road user first, then others, parked and moving."""
     crossing = _crossing(rng, plan)
     users = [crossing]
     if rng.random() < PARKED_ASIDE:
@@ -212,14 +212,14 @@ def _users(rng: np.random.Generator, plan: _Plan) -> tuple[SceneObject, ...]:
 
 
 def _kind(rng: np.random.Generator) -> str:
-    """Class of a vehicle that parks or drives on the main street."""
+    """Return the class of a vehicle that parks or drives on the main street."""
     return str(rng.choice(["car", "van", "truck"], p=[0.75, 0.17, 0.08]))
 
 
 def _user(
     rng: np.random.Generator, name: str, spot: tuple[float, float], heading_deg: float, speed_mps: float = 0.0
 ) -> SceneObject:
-    """A road user near a heading."""
+    """Return a road user near a heading."""
     return SceneObject(
         class_=name,  # type: ignore[arg-type]
         x_m=float(spot[0]),
@@ -230,7 +230,7 @@ def _user(
 
 
 def _crossing(rng: np.random.Generator, plan: _Plan) -> SceneObject:
-    """The road user that comes down the side street."""
+    """Return the road user that comes down the side street."""
     name = str(rng.choice(list(CLASS_SHARE), p=list(CLASS_SHARE.values())))
     speed_mps = float(rng.uniform(*SPEED_MPS[name]))
     kind = OBJECT_KINDS[name]
@@ -243,9 +243,9 @@ def _crossing(rng: np.random.Generator, plan: _Plan) -> SceneObject:
 
 
 def _drive(rng: np.random.Generator, manner: Manner, speed_mps: float) -> Drive:
-    """Speed and yaw rate over the drive, [s], [m/s], [rad/s]."""
+    """Return the speed and yaw rate over the drive, [s], [m/s], [rad/s]."""
     time_s = np.arange(0.0, DURATION_S + 0.05, 0.05)
-    # nobody holds the wheel quite still
+    # the steering wheel is never quite still
     sway_rps = math.radians(rng.uniform(0.0, 1.0))
     yaw_rate_rps = sway_rps * np.sin(2.0 * np.pi * (rng.uniform(0.1, 0.4) * time_s + rng.random()))
     speeds = np.full(len(time_s), speed_mps)
@@ -259,7 +259,7 @@ def _drive(rng: np.random.Generator, manner: Manner, speed_mps: float) -> Drive:
 
 
 def _mirrored(street: SideStreet) -> SideStreet:
-    """Left and right exchanged."""
+    """Return the street with left and right exchanged."""
     scene, drive = street.scene, street.drive
 
     def wall(piece: Surface) -> Surface:
@@ -272,20 +272,20 @@ def _mirrored(street: SideStreet) -> SideStreet:
 
 
 def _has_room(street: SideStreet, until_s: float) -> bool:
-    """Whether vehicle and road users keep off walls and each other up to a time."""
+    """Return whether vehicle and road users keep off walls and each other up to a time."""
     scene, times_s = street.scene, np.arange(0.0, until_s + STEP_S, STEP_S)
     walls = Walls.of(_upright(scene))
     poses = [street.drive.pose(float(time_s)) for time_s in times_s]
-    way_m = np.array([[pose.x_m, pose.y_m] for pose in poses])
-    if segment_distance_m(way_m, *walls.footing).min() < WALL_ROOM_M:
+    path_m = np.array([[pose.x_m, pose.y_m] for pose in poses])
+    if segment_distance_m(path_m, *walls.footing).min() < WALL_ROOM_M:
         return False
     boxes = [_boxes_at(scene.objects, float(time_s)) for time_s in times_s]
-    near = (segment_distance_m(at[None], *box.faces).min() for at, box in zip(way_m, boxes, strict=True))
+    near = (segment_distance_m(at[None], *box.faces).min() for at, box in zip(path_m, boxes, strict=True))
     return min(near) >= USER_ROOM_M and not any(_collides(box, walls) for box in boxes)
 
 
 def _boxes_at(users: tuple[SceneObject, ...], time_s: float) -> Boxes:
-    """Outlines of all road users at a time, grown by the room they keep."""
+    """Return the outlines of all road users at a time, grown by the room they keep."""
 
     def outline(user: SceneObject) -> np.ndarray:
         turn = math.radians(user.yaw_deg)
@@ -297,7 +297,7 @@ def _boxes_at(users: tuple[SceneObject, ...], time_s: float) -> Boxes:
 
 
 def _collides(boxes: Boxes, walls: Walls) -> bool:
-    """Whether any road user stands in a wall or in another."""
+    """Return whether any road user stands in a wall or in another."""
     if boxes.cut(*walls.footing).any():
         return True
     corners = boxes.corners
@@ -309,7 +309,7 @@ def _collides(boxes: Boxes, walls: Walls) -> bool:
 
 
 def _is_legal(scene: Scene) -> bool:
-    """Whether the simulator takes the scene."""
+    """Return whether the simulator takes the scene."""
     try:
         check_scene(scene)
     except ValueError:
@@ -318,7 +318,7 @@ def _is_legal(scene: Scene) -> bool:
 
 
 def _sight_s(street: SideStreet) -> float | None:
-    """When the crossing object comes into direct sight; None where it is there too early, or not in time."""
+    """Return when the crossing object comes into direct sight; None where it is there too early, or not in time."""
     walls, first_s, last_s = Walls.of(_upright(street.scene)), *SIGHT_S
     # seen from above first: most draws are refused here
     if not _is_hidden(street, walls, 0.0):
@@ -331,12 +331,12 @@ def _sight_s(street: SideStreet) -> float | None:
 
 
 def _is_hidden(street: SideStreet, walls: Walls, time_s: float) -> bool:
-    """Whether walls stand before the middle of the crossing object."""
+    """Return whether walls stand before the middle of the crossing object."""
     pose = street.drive.pose(time_s)
     middle = _boxes_at(street.scene.objects[:1], time_s).corners[0].mean(axis=0)
     return bool(blocked(np.array([pose.x_m, pose.y_m]), middle[None], walls.a, walls.b)[0])
 
 
 def _upright(scene: Scene) -> tuple[Surface, ...]:
-    """All surfaces but the ground."""
+    """Return all surfaces but the ground."""
     return tuple(surface for surface in scene.surfaces if surface.role != "ground")

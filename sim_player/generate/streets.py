@@ -1,7 +1,7 @@
 """Random street scenes from a seed: relay walls, corners, hidden and open road users, empty places.
 
 Roughness is drawn where the choice of wavelength matters (0.1-2 mm rms), thickness by material. An object meant to
-hide is placed where its centre is out of sight and seen in a wall; what is visible in the end is traced, not assumed.
+hide is placed where its centre is out of sight and seen in a wall; the final visibility is traced, not assumed.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ THICKNESS_MM: dict[str, tuple[float, float]] = {
     "wood": (18.0, 60.0),
 }
 ROUGHNESS_MM = (0.1, 2.0)
-#: Share of scenes that are given no hidden object (in about as many more, none finds a place to hide).
+#: Share of scenes without a hidden object by design (in about as many more, none can be hidden).
 EMPTY_SHARE = 0.15
-#: Where images of hidden objects are asked to lie.
+#: Required range and azimuth of images of hidden objects.
 IMAGE_RANGE_M, IMAGE_AZIMUTH_RAD = (5.0, 60.0), math.radians(55.0)
-#: Candidate places drawn for one object before it is given up.
+#: Largest number of candidate positions drawn for one object.
 CANDIDATES = 256
-#: How often each class is drawn: cars are most common, in the scene as in the street.
+#: Probability of each class: cars are most common, as on real streets.
 CLASS_SHARE: dict[str, float] = {
     "car": 0.35,
     "van": 0.15,
@@ -41,22 +41,24 @@ ORIGIN = np.zeros(2)
 
 
 def random_street(seed: int, index: int = 0) -> Scene:
-    """Scene number `index` of the series `seed`: any of four layouts, either side; always passes `check_scene`."""
+    """Return the scene number `index` of the series `seed`: any of four layouts, either side; always passes
+    `check_scene`.
+    """
     rng = np.random.default_rng([seed, index])
     layout = (_across, _oblique, _parallel, _bend)[rng.integers(4)]
     surfaces = _flipped(layout(rng), flip=bool(rng.random() < 0.5))
     hidden_count = 0 if rng.random() < EMPTY_SHARE else int(rng.integers(1, 4))
-    things: tuple[SceneObject, ...] = ()
+    objects: tuple[SceneObject, ...] = ()
     for hidden in [True] * hidden_count + [False] * int(rng.integers(0, 4)):
-        placed = _place(rng, surfaces, things, hidden)
-        things += () if placed is None else (placed,)
-    scene = Scene(name=f"street_{seed}_{index}", surfaces=surfaces, objects=things)
+        road_user = _place(rng, surfaces, objects, hidden)
+        objects += () if road_user is None else (road_user,)
+    scene = Scene(name=f"street_{seed}_{index}", surfaces=surfaces, objects=objects)
     check_scene(scene)
     return scene
 
 
 def _wall(rng: np.random.Generator, role: str, polyline: list[Point]) -> Surface:
-    """A wall of random material along a polyline."""
+    """Return a wall of random material along a polyline."""
     material = str(rng.choice(list(THICKNESS_MM)))
     roughness_mm = math.exp(rng.uniform(math.log(ROUGHNESS_MM[0]), math.log(ROUGHNESS_MM[1])))
     return Surface(
@@ -70,13 +72,13 @@ def _wall(rng: np.random.Generator, role: str, polyline: list[Point]) -> Surface
 
 
 def _corner(rng: np.random.Generator, wall_x_m: float) -> Surface:
-    """A building on the left whose corner hides the side street."""
+    """Return a building on the left whose corner hides the side street."""
     x, y = rng.uniform(0.25, 0.5) * wall_x_m, rng.uniform(2.5, 5.5)
     return _wall(rng, "occluder", [(0.5, y), (x, y), (x, y + rng.uniform(12.0, 25.0))])
 
 
 def _across(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """T-junction: a facade across the end of the street."""
+    """Return the T-junction: a facade across the end of the street."""
     x, lean = rng.uniform(12.0, 35.0), math.tan(rng.uniform(-0.12, 0.12))
     low, high = -rng.uniform(4.0, 15.0), rng.uniform(6.0, 22.0)
     relay = _wall(rng, "relay", [(x + lean * low, low), (x + lean * high, high)])
@@ -84,7 +86,7 @@ def _across(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _oblique(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """A free-standing wall turned towards the hidden side."""
+    """Return a free-standing wall turned towards the hidden side."""
     distance, bearing = rng.uniform(10.0, 28.0), rng.uniform(-0.35, 0.25)
     turn, half = rng.uniform(-0.65, -0.15), 0.5 * rng.uniform(8.0, 20.0)
     middle = distance * np.array([math.cos(bearing), math.sin(bearing)])
@@ -95,7 +97,7 @@ def _oblique(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _parallel(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """A street wall along the right side, and something big ahead."""
+    """Return a street wall along the right side, and something big ahead."""
     y, lean = -rng.uniform(3.0, 9.0), math.tan(rng.uniform(-0.08, 0.08))
     start, end = rng.uniform(3.0, 8.0), rng.uniform(25.0, 60.0)
     relay = _wall(rng, "relay", [(start, y + lean * start), (end, y + lean * end)])
@@ -105,7 +107,7 @@ def _parallel(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _bend(rng: np.random.Generator) -> tuple[Surface, ...]:
-    """A bend to the left: the far wall turns with the street."""
+    """Return a bend to the left: the far wall turns with the street."""
     x, y = rng.uniform(10.0, 24.0), -rng.uniform(4.0, 10.0)
     turn, length = rng.uniform(0.7, 1.3), rng.uniform(10.0, 24.0)
     far = (x + length * math.cos(turn), y + length * math.sin(turn))
@@ -114,7 +116,7 @@ def _bend(rng: np.random.Generator) -> tuple[Surface, ...]:
 
 
 def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
-    """The same street with plain floats, left and right exchanged if asked."""
+    """Return the same street with plain floats, left and right exchanged if `flip`."""
     sign = -1.0 if flip else 1.0
     return tuple(
         Surface(
@@ -130,39 +132,39 @@ def _flipped(surfaces: tuple[Surface, ...], flip: bool) -> tuple[Surface, ...]:
 
 
 def _place(
-    rng: np.random.Generator, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
+    rng: np.random.Generator, surfaces: tuple[Surface, ...], objects: tuple[SceneObject, ...], hidden: bool
 ) -> SceneObject | None:
-    """A random road user at the first candidate place that fits; None where none does."""
+    """Return a random road user at the first candidate position that fits; None where none does."""
     name = str(rng.choice(list(CLASS_SHARE), p=list(CLASS_SHARE.values())))
     spot = np.column_stack([rng.uniform(4.0, 50.0, CANDIDATES), rng.uniform(-35.0, 35.0, CANDIDATES)])
     yaw_deg = rng.choice([0.0, 90.0, 180.0, 270.0], CANDIDATES) + rng.normal(0.0, 12.0, CANDIDATES)
     fits = _in_mirror(spot, surfaces) if hidden else _in_open(spot, surfaces)
     for index in np.flatnonzero(fits):
-        thing = SceneObject(
+        road_user = SceneObject(
             class_=name,  # type: ignore[arg-type]
             x_m=float(spot[index, 0]),
             y_m=float(spot[index, 1]),
             yaw_deg=float(yaw_deg[index]),
         )
-        if _stands_well(thing, surfaces, things, hidden):
-            return thing
+        if _stands_well(road_user, surfaces, objects, hidden):
+            return road_user
     return None
 
 
 def _stands_well(
-    thing: SceneObject, surfaces: tuple[Surface, ...], things: tuple[SceneObject, ...], hidden: bool
+    road_user: SceneObject, surfaces: tuple[Surface, ...], objects: tuple[SceneObject, ...], hidden: bool
 ) -> bool:
-    """Clear of radar, walls and others; if hidden, out of sight as a whole and not only its centre."""
+    """Return whether a road user is clear of radar, walls and others and, if hidden, out of sight as a whole."""
     return (
-        math.hypot(thing.x_m, thing.y_m) > thing.kind.length_m
-        and all(_apart(thing, other) for other in things)
-        and wall_inside(thing, surfaces) is None
-        and (not hidden or bool(blocked(ORIGIN, thing.corners_m(), *_pieces(surfaces)).all()))
+        math.hypot(road_user.x_m, road_user.y_m) > road_user.kind.length_m
+        and all(_apart(road_user, other) for other in objects)
+        and wall_inside(road_user, surfaces) is None
+        and (not hidden or bool(blocked(ORIGIN, road_user.corners_m(), *_pieces(surfaces)).all()))
     )
 
 
 def _pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of all straight pieces of wall, [W, 2] each."""
+    """Return the ends of all straight pieces of wall, [W, 2] each."""
     return (
         np.array([point for surface in surfaces for point in surface.polyline_m[:-1]]),
         np.array([point for surface in surfaces for point in surface.polyline_m[1:]]),
@@ -170,13 +172,13 @@ def _pieces(surfaces: tuple[Surface, ...]) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _in_open(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
-    """Places in direct sight within the radar's field of view."""
+    """Return whether spots are in direct sight within the radar's field of view."""
     ahead = np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD
     return ahead & (np.hypot(*spot.T) > IMAGE_RANGE_M[0]) & ~blocked(ORIGIN, spot, *_pieces(surfaces))
 
 
 def _in_mirror(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
-    """Places out of direct sight that some wall shows, at a range and azimuth the radar covers."""
+    """Return whether spots are out of direct sight and shown by a wall at a range and azimuth that the radar covers."""
     a, b = _pieces(surfaces)
     shown = np.zeros(len(spot), bool)
     for start, end in zip(a, b, strict=True):
@@ -191,7 +193,7 @@ def _in_mirror(spot: np.ndarray, surfaces: tuple[Surface, ...]) -> np.ndarray:
     return shown & blocked(ORIGIN, spot, a, b)
 
 
-def _apart(one: SceneObject, other: SceneObject) -> bool:
-    """Whether the circles around two objects stay apart."""
-    reach = 0.5 * sum(math.hypot(thing.kind.length_m, thing.kind.width_m) for thing in (one, other))
-    return math.hypot(one.x_m - other.x_m, one.y_m - other.y_m) > reach
+def _apart(first: SceneObject, second: SceneObject) -> bool:
+    """Return whether the circles around two objects stay apart."""
+    reach = 0.5 * sum(math.hypot(road_user.kind.length_m, road_user.kind.width_m) for road_user in (first, second))
+    return math.hypot(first.x_m - second.x_m, first.y_m - second.y_m) > reach

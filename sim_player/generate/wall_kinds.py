@@ -47,7 +47,7 @@ CORRELATION_MM = (5.0, 100.0)
 CONTAINER_M, CONTAINER_WIDTH_M, CONTAINER_HEIGHT_M = (6.06, 12.19), 2.44, 2.59
 CURVATURE_PER_M = (0.005, 0.06)
 #: An arc turns by no more than this, |curvature| x chord.
-MOST_TURN = 1.4
+MAX_TURN = 1.4
 #: Sound barriers follow roads, whose bends are wide.
 BARRIER_CURVATURE_PER_M = 0.008
 
@@ -68,7 +68,7 @@ RelayKind = Literal[
 
 @dataclass(frozen=True)
 class Line:
-    """Where a wall is to stand: from start to end in metres, its front on the left of that way."""
+    """Line of a wall in plan: from start to end in metres, its front on the left of that direction."""
 
     start: Point
     end: Point
@@ -85,7 +85,7 @@ class Line:
         return math.dist(self.start, self.end)
 
     def at(self, along_m: float, left_m: float = 0.0) -> Point:
-        """The point so far along the line and so far in front of it."""
+        """Return the point so far along the line and so far in front of it."""
         x, y = ((b - a) / self.length_m for a, b in zip(self.start, self.end, strict=True))
         return (
             float(self.start[0] + along_m * x - left_m * y),
@@ -95,7 +95,7 @@ class Line:
 
 @lru_cache(maxsize=64)
 def known(material: str, preset: Preset) -> bool:
-    """Whether a scene with this radar may have a wall of a material."""
+    """Return whether a scene with this radar may have a wall of a material."""
     wall = Surface(role="relay", material=material, polyline_m=((9.0, -1.0), (9.0, 1.0)), thickness_mm=100.0)
     try:
         check_scene(Scene(name=material, radar=SceneRadar(preset=preset), surfaces=(wall,)))
@@ -105,12 +105,12 @@ def known(material: str, preset: Preset) -> bool:
 
 
 def kinds_at(preset: Preset) -> tuple[RelayKind, ...]:
-    """Kinds of wall of which some finish is known with a radar."""
+    """Return the kinds of wall of which some finish is known with a radar."""
     return tuple(kind for kind, (_, finishes) in _BUILDERS.items() if _finishes(finishes, preset))
 
 
 def build(rng: np.random.Generator, line: Line, preset: Preset) -> tuple[RelayKind, tuple[Surface, ...]]:
-    """A wall of one of the line's kinds, of concrete where none of them is known with this radar."""
+    """Return a wall of one of the line's kinds, of concrete where none of them is known with this radar."""
     allowed = kinds_at(preset)
     kinds = [kind for kind in line.kinds if kind in allowed] or ["concrete_wall"]
     kind: RelayKind = kinds[rng.integers(len(kinds))]
@@ -127,7 +127,7 @@ def surface(
     curvature_per_m: float = 0.0,
     role: Literal["relay", "occluder"] = "relay",
 ) -> Surface:
-    """An upright wall of a finish, thickness and roughness drawn from its bands."""
+    """Return an upright wall of a finish, thickness and roughness drawn from its bands."""
     return Surface(
         role=role,
         material=finish.material,
@@ -141,13 +141,13 @@ def surface(
 
 
 def closed_box(rng: np.random.Generator, line: Line, depth_m: float, finish: Finish, height_m: float) -> Surface:
-    """Four walls around a box whose front is the line."""
+    """Return four walls around a box whose front is the line."""
     back = line.at(line.length_m, -depth_m), line.at(0.0, -depth_m)
     return surface(rng, finish, (line.start, line.end, *back, line.start), height_m)
 
 
 def _facade(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """Piers of the finish with windows between, all in one plane."""
+    """Return the piers of the finish with windows between, all in one plane."""
     count = int(np.clip(line.length_m / rng.uniform(3.0, 5.5), 1, 5))
     share = rng.uniform(0.3, 0.6)  # of the front that is glass
     pier, window = (1.0 - share) * line.length_m / (count + 1), share * line.length_m / count
@@ -161,19 +161,19 @@ def _facade(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surfa
 
 
 def _plain(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """One straight wall."""
+    """Return one straight wall."""
     return (surface(rng, finish, (line.start, line.end), float(rng.uniform(*line.height_m))),)
 
 
 def _sound_barrier(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """Panels of metal or concrete, half of them along a slight curve."""
+    """Return the panels of metal or concrete, half of them along a slight curve."""
     widest = min(BARRIER_CURVATURE_PER_M, 8.0 * line.room_m / line.length_m**2)
     curvature = float(rng.uniform(-widest, widest)) if rng.random() < 0.5 else 0.0
     return (surface(rng, finish, (line.start, line.end), float(rng.uniform(2.5, 5.0)), curvature),)
 
 
 def _containers(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """Containers of one length in a row along the line, as many as fit, at least one."""
+    """Return the containers of one length in a row along the line, as many as fit, at least one."""
     length_m = CONTAINER_M[int(line.length_m > CONTAINER_M[1] and rng.random() < 0.5)]
     count = max(int(line.length_m / (length_m + 0.5)), 1)
     starts = np.arange(min(count, 3)) * (length_m + rng.uniform(0.1, 0.5))
@@ -183,12 +183,12 @@ def _containers(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[S
 
 
 def _hedge(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """A clipped hedge: a volume that scatters and absorbs."""
+    """Return a clipped hedge: a volume that scatters and absorbs."""
     return (surface(rng, finish, (line.start, line.end), float(rng.uniform(1.2, 2.5))),)
 
 
 def _trees(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """A row of trees, each a short piece as wide as its crown."""
+    """Return a row of trees, each a short piece as wide as its crown."""
     height_m, spacing = float(rng.uniform(4.0, 10.0)), rng.uniform(4.0, 8.0)
     starts = np.arange(0.0, max(line.length_m - 2.5, 0.1), spacing)
     return tuple(
@@ -197,17 +197,17 @@ def _trees(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surfac
 
 
 def _curved_wall(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """One arc, hollow or bulging towards its front; shortened where its bulge would not find room."""
-    least, most = CURVATURE_PER_M
+    """Return one arc, hollow or bulging towards its front; shortened where its bulge would not find room."""
+    least, widest = CURVATURE_PER_M
     chord = min(line.length_m, math.sqrt(8.0 * line.room_m / least))
-    most = max(min(most, MOST_TURN / chord, 8.0 * line.room_m / chord**2), least)
-    curvature = _log_uniform(rng, least, most) * (1.0 if rng.random() < 0.5 else -1.0)
+    widest = max(min(widest, MAX_TURN / chord, 8.0 * line.room_m / chord**2), least)
+    curvature = _log_uniform(rng, least, widest) * (1.0 if rng.random() < 0.5 else -1.0)
     height_m = float(rng.uniform(*line.height_m))
     return (surface(rng, finish, (line.start, line.at(chord)), height_m, curvature),)
 
 
 def _corner(rng: np.random.Generator, line: Line, finish: Finish) -> tuple[Surface, ...]:
-    """Two walls that meet at a right angle at the line's end, open to the front."""
+    """Return two walls that meet at a right angle at the line's end, open to the front."""
     wing = line.at(line.length_m, float(rng.uniform(0.5, 1.0)) * line.wing_m)
     return (surface(rng, finish, (line.start, line.end, wing), float(rng.uniform(*line.height_m))),)
 
@@ -230,10 +230,10 @@ _BUILDERS: dict[RelayKind, tuple[Builder, tuple[str, ...]]] = {
 
 
 def _finishes(names: tuple[str, ...], preset: Preset) -> list[str]:
-    """Those finishes whose material is known with a radar."""
+    """Return those finishes whose material is known with a radar."""
     return [name for name in names if known(FINISHES[name].material, preset)]
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
-    """A number whose logarithm is uniform."""
+    """Return a number whose logarithm is uniform."""
     return math.exp(rng.uniform(math.log(low), math.log(high)))

@@ -1,4 +1,5 @@
-"""What a level ray of light can meet in a frozen world, and the patches of objects that scattered light reaches.
+"""Surfaces that a level ray of light can meet in a frozen world, and the patches of objects that scattered light
+reaches.
 
 Walls with their faces at 850 nm, objects as matt surfaces: classes as boxes, meshes by their faces.
 """
@@ -49,7 +50,7 @@ class Surfaces:
 
     @classmethod
     def of_walls(cls, world: World) -> Surfaces:
-        """All pieces of wall, in the order of the world."""
+        """Return all pieces of wall, in the order of the world."""
         built = [world.scene.surfaces[surface] for surface in world.wall_surface]
         optics = [optical_material(surface.material) for surface in built]
         return cls(
@@ -58,87 +59,87 @@ class Surfaces:
             curvature_per_m=world.wall_curvature_per_m,
             level=np.ones(len(built)),
             thing=np.full(len(built), -1, np.int32),
-            index=np.array([one.index for one in optics], np.complex128),
-            albedo=np.array([one.albedo for one in optics], np.float64),
+            index=np.array([material.index for material in optics], np.complex128),
+            albedo=np.array([material.albedo for material in optics], np.float64),
             roughness_m=world.wall_roughness_m,
             matt=np.array([is_volume(surface.material) for surface in built], bool),
         )
 
     @classmethod
-    def of_object(cls, thing: int, a: np.ndarray, b: np.ndarray, level: np.ndarray, albedo: float) -> Surfaces:
-        """Matt pieces of one object."""
+    def of_object(cls, object_index: int, a: np.ndarray, b: np.ndarray, level: np.ndarray, albedo: float) -> Surfaces:
+        """Return the matt pieces of one object."""
         count, zero = len(a), np.zeros(len(a))
         return cls(
             a=a,
             b=b,
             curvature_per_m=zero,
             level=level,
-            thing=np.full(count, thing, np.int32),
+            thing=np.full(count, object_index, np.int32),
             index=np.ones(count, np.complex128),
             albedo=np.full(count, albedo),
             roughness_m=zero,
             matt=np.ones(count, bool),
         )
 
-    def take(self, which: np.ndarray) -> Surfaces:
-        """The pieces of an index or mask."""
-        return Surfaces(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+    def take(self, selection: np.ndarray) -> Surfaces:
+        """Return the pieces of an index or mask."""
+        return Surfaces(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
     def diffuse(self, cosine: np.ndarray, wavelength_m: float, fresnel: FresnelMean) -> np.ndarray:
-        """Share of the light that each piece scatters at a cosine of incidence."""
+        """Return the share of the light that each piece scatters at a cosine of incidence."""
         bare = diffuse_reflectance(self.index, self.albedo, cosine, self.roughness_m, wavelength_m, fresnel)
         return np.where(self.matt, self.albedo, bare)
 
     def mirror(self, cosine: np.ndarray, wavelength_m: float, fresnel: FresnelMean) -> np.ndarray:
-        """Share that each piece mirrors at a cosine of incidence: R_s of Eq. (16)."""
+        """Return the share that each piece mirrors at a cosine of incidence: R_s of Eq. (16)."""
         whole = optical_reflectance(self.index, cosine, self.roughness_m, wavelength_m, fresnel)
         return np.where(self.matt, 0.0, whole)
 
 
 def all_surfaces(view: Snapshot, height_m: float) -> Surfaces:
-    """Everything in a frozen world that reaches the sensor's height."""
+    """Return everything in a frozen world that reaches the sensor's height."""
     world, blockers = view.world, view.blockers
     walls = len(world.wall_a)
     parts = [Surfaces.of_walls(world).take(world.wall_height_m > height_m)]
-    for index, thing in enumerate(world.scene.objects):
+    for index, scene_object in enumerate(world.scene.objects):
         sides = slice(walls + 4 * index, walls + 4 * index + 4)
         a, b, level = blockers.a[sides], blockers.b[sides], np.ones(4)
-        if thing.class_ is None:
+        if scene_object.class_ is None:
             a, b, level = _cut(_triangles(view, index), height_m)
-        elif thing.kind.height_m <= height_m:
+        elif scene_object.kind.height_m <= height_m:
             continue
-        parts.append(Surfaces.of_object(index, a, b, level, thing_albedo(thing)))
+        parts.append(Surfaces.of_object(index, a, b, level, object_albedo(scene_object)))
     return Surfaces(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Surfaces)}
     )
 
 
-def thing_albedo(thing: SceneObject) -> float:
-    """Share that an object scatters: its class's, or its material's as a rough piece."""
-    if thing.class_ is not None:
-        return OBJECT_ALBEDO[thing.class_]
-    return matt_albedo(optical_material(thing.material))
+def object_albedo(scene_object: SceneObject) -> float:
+    """Return the share that an object scatters: its class's, or its material's as a rough piece."""
+    if scene_object.class_ is not None:
+        return OBJECT_ALBEDO[scene_object.class_]
+    return matt_albedo(optical_material(scene_object.material))
 
 
 def _triangles(view: Snapshot, index: int) -> np.ndarray:
-    """Corners of a mesh's faces where it stands, heights over the ground, [F, 3, 3]."""
+    """Return the corners of a mesh's faces at its pose, heights over the ground, [F, 3, 3]."""
     mesh = view.world.scene.objects[index].shape
     corners = np.zeros((0, 3, 3)) if mesh is None else mesh.corners_m
-    thing = view.world.scene.objects[index]
-    shift = view.blockers.a[len(view.world.wall_a) + 4 * index] - thing.corners_m()[0]
-    return np.concatenate([thing.place(corners[..., :2]) + shift, corners[..., 2:]], axis=-1)
+    scene_object = view.world.scene.objects[index]
+    shift = view.blockers.a[len(view.world.wall_a) + 4 * index] - scene_object.corners_m()[0]
+    return np.concatenate([scene_object.place(corners[..., :2]) + shift, corners[..., 2:]], axis=-1)
 
 
 def _cut(corners: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Cut of triangles [F, 3, 3] at a height: ends [M, 2] of the segments, and the level part of their normals [M]."""
+    """Cut triangles [F, 3, 3] at a height: ends [M, 2] of the segments, and the level part of their normals [M]."""
     above = corners[..., 2] >= height_m
     # the corner that lies alone on its side comes first
     alone = np.where(above.sum(axis=1) == 1, above.argmax(axis=1), (~above).argmax(axis=1))
     met = above.any(axis=1) & ~above.all(axis=1)
     turned = np.take_along_axis(corners, (alone[:, None] + np.arange(3))[..., None] % 3, axis=1)[met]
-    tip, others = turned[:, :1], turned[:, 1:]
-    share = (height_m - tip[..., 2]) / (others[..., 2] - tip[..., 2])
-    ends = tip[..., :2] + share[..., None] * (others[..., :2] - tip[..., :2])
+    tip, base = turned[:, :1], turned[:, 1:]
+    share = (height_m - tip[..., 2]) / (base[..., 2] - tip[..., 2])
+    ends = tip[..., :2] + share[..., None] * (base[..., :2] - tip[..., :2])
     normal = np.cross(turned[:, 1] - turned[:, 0], turned[:, 2] - turned[:, 0])
     level = np.hypot(normal[:, 0], normal[:, 1]) / np.linalg.norm(normal, axis=1)
     long = np.hypot(*(ends[:, 1] - ends[:, 0]).T) > CLEARANCE_M
@@ -147,9 +148,9 @@ def _cut(corners: np.ndarray, height_m: float) -> tuple[np.ndarray, np.ndarray, 
 
 @dataclass(frozen=True)
 class Patches:
-    """Q matt patches of all objects: place and outward normal [Q, 3], area, albedo, object; owner as `Blockers`."""
+    """Q matt patches of all objects: position and outward normal [Q, 3], area, albedo, object; owner as `Blockers`."""
 
-    place_m: np.ndarray
+    position_m: np.ndarray
     normal: np.ndarray
     area_m2: np.ndarray
     albedo: np.ndarray
@@ -158,24 +159,24 @@ class Patches:
 
 
 def patches_of(view: Snapshot) -> Patches:
-    """The patches of a frozen world: sides and roofs of classes, faces of meshes."""
-    things = view.world.scene.objects
-    made = [_box_patches(view, i) if thing.class_ else _mesh_patches(view, i) for i, thing in enumerate(things)]
+    """Return the patches of a frozen world: sides and roofs of classes, faces of meshes."""
+    objects = view.world.scene.objects
+    is_mesh = np.array([scene_object.class_ is None for scene_object in objects], bool)
+    made = [_mesh_patches(view, i) if is_mesh[i] else _box_patches(view, i) for i in range(len(objects))]
     count = np.array([len(area) for *_, area in made], int)
-    thing = np.repeat(np.arange(len(things), dtype=np.int32), count)
-    mesh = np.array([thing.class_ is None for thing in things], bool)
+    object_index = np.repeat(np.arange(len(objects), dtype=np.int32), count)
     return Patches(
-        place_m=np.concatenate([np.zeros((0, 3)), *(place for place, _, _ in made)]),
+        position_m=np.concatenate([np.zeros((0, 3)), *(positions for positions, _, _ in made)]),
         normal=np.concatenate([np.zeros((0, 3)), *(normal for _, normal, _ in made)]),
         area_m2=np.concatenate([np.zeros(0), *(area for *_, area in made)]),
-        albedo=np.repeat([thing_albedo(thing) for thing in things], count),
-        thing=thing,
-        owner=np.where(mesh[thing], thing, -1).astype(np.int32),
+        albedo=np.repeat([object_albedo(scene_object) for scene_object in objects], count),
+        thing=object_index,
+        owner=np.where(is_mesh[object_index], object_index, -1).astype(np.int32),
     )
 
 
 def _box_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places, normals and areas of the patches of a box: four sides and the roof."""
+    """Return the positions, normals and areas of the patches of a box: four sides and the roof."""
     height_m = view.world.scene.objects[index].kind.height_m
     start = len(view.world.wall_a) + 4 * index
     corners = np.column_stack([view.blockers.a[start : start + 4], np.zeros(4)])
@@ -187,18 +188,20 @@ def _box_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 def _cells(corner: np.ndarray, along: np.ndarray, up: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A rectangle in equal cells of at most `PATCH_M`: their middles [Q, 3], normals along x up, areas [Q]."""
+    """Return a rectangle in equal cells of at most `PATCH_M`: their middles [Q, 3], normals along x up, areas [Q]."""
     columns, rows = (max(math.ceil(float(np.linalg.norm(edge)) / PATCH_M), 1) for edge in (along, up))
     across, high = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
-    place = corner + across.reshape(-1, 1) * along + high.reshape(-1, 1) * up
+    positions = corner + across.reshape(-1, 1) * along + high.reshape(-1, 1) * up
     normal = np.cross(along, up)
     area = float(np.linalg.norm(normal))
-    count = len(place)
-    return place, np.broadcast_to(normal / area, (count, 3)), np.full(count, area / count)
+    count = len(positions)
+    return positions, np.broadcast_to(normal / area, (count, 3)), np.full(count, area / count)
 
 
 def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places, normals and areas of a mesh: pieces of its faces, joined where one cube holds some that face alike."""
+    """Return the positions, normals and areas of a mesh: pieces of its faces, merged where they share a cube and face
+    alike.
+    """
     corners = _split(_triangles(view, index))
     doubled = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     if not view.world.scene.objects[index].shape.closed:  # type: ignore[union-attr]
@@ -212,13 +215,13 @@ def _mesh_patches(view: Snapshot, index: int) -> tuple[np.ndarray, np.ndarray, n
     _, owner = np.unique(key, axis=0, return_inverse=True)
     owner = owner.ravel()
     total = np.bincount(owner, area)
-    place = np.column_stack([np.bincount(owner, area * centre[:, axis]) for axis in range(3)]) / total[:, None]
+    positions = np.column_stack([np.bincount(owner, area * centre[:, axis]) for axis in range(3)]) / total[:, None]
     normal = np.column_stack([np.bincount(owner, doubled[:, axis]) for axis in range(3)])
-    return place, normal / np.linalg.norm(normal, axis=1)[:, None], total
+    return positions, normal / np.linalg.norm(normal, axis=1)[:, None], total
 
 
 def _split(corners: np.ndarray) -> np.ndarray:
-    """Triangles [F, 3, 3] halved across their longest edge until none is longer than `PATCH_M`."""
+    """Return the triangles [F, 3, 3] halved across their longest edge until none is longer than `PATCH_M`."""
     done = []
     while len(corners):
         edges = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)

@@ -1,4 +1,4 @@
-"""A scene played as a single-photon LiDAR: photon histograms scan by scan, truth, and the vehicle's own motion."""
+"""Player of a scene as a single-photon LiDAR: photon histograms scan by scan, truth, and the vehicle's own motion."""
 
 from __future__ import annotations
 
@@ -39,11 +39,11 @@ class LidarPlayer:
         self._still = None if scene.moves else optical_paths(self._world, self.setup, 0.0, options)
 
     def stamp_ns(self, scan: int, azimuth: int = 0) -> int:
-        """When the measurement of an azimuth starts."""
+        """Return when the measurement of an azimuth starts."""
         return int(self._start_ns(scan) + ns_from_s(azimuth * self.setup.spad.measurement_time_s))
 
     def paths(self, scan: int) -> OpticalPaths:
-        """All paths of light of a scan."""
+        """Return all paths of light of a scan."""
         if self._still is not None:
             return self._still
         starts = range(0, self.setup.grid.azimuth_bins, BLOCK)
@@ -62,7 +62,7 @@ class LidarPlayer:
         )
 
     def scan(self, scan: int) -> PhotonHistograms:
-        """One scan's histograms, as measured; ValueError for a negative number."""
+        """Return one scan's histograms, as measured; ValueError for a negative number."""
         if scan < 0:
             raise ValueError(f"scan must not be negative, got {scan!r}")
         stamps = [self.stamp_ns(scan, azimuth) for azimuth in range(self.setup.grid.azimuth_bins)]
@@ -74,13 +74,13 @@ class LidarPlayer:
         )
 
     def truth(self, scan: int) -> SceneTruth:
-        """What is there when a scan starts, as the X-band radar at the same place would see it."""
+        """Return the truth at the start of a scan, for the X-band radar at the same position."""
         stamp_ns = self.stamp_ns(scan)
         time_s = self._elapsed_s(stamp_ns)
         return scene_truth(self._world, self.scene.setup, trace(self._world, time_s), time_s, stamp_ns, scan)
 
     def vehicle_state(self, stamp_ns: int) -> VehicleState:
-        """The vehicle's constant motion, as its bus would report it."""
+        """Return the vehicle's constant motion, as its bus would report it."""
         ego = self.scene.ego
         return VehicleState(stamp_ns=stamp_ns, speed_mps=ego.speed_mps, yaw_rate_rps=math.radians(ego.yaw_rate_dps))
 

@@ -1,9 +1,9 @@
 """A scene seen by a single-photon LiDAR: level rays at the sensor's height, optical paths, photon histograms.
 
-Each azimuth of the grid is one ray. Where it first meets something, that surface's scattered light comes straight back.
-A wall's smooth face sends the rest on as a mirror, over up to `MIRRORS` walls, to surfaces whose scattered light comes
-back the same way. And from the laser's spot on a wall scattered light reaches hidden objects, which scatter it back to
-the spot: the confocal return of Eq. (8), in patches. Ranges are half the way there and back.
+Each azimuth of the grid is one ray. The first surface on it scatters light straight back. A wall's smooth face sends
+the rest on as a mirror, over up to `MIRRORS` walls, to surfaces whose scattered light comes back the same way. And from
+the laser's spot on a wall scattered light reaches hidden objects, which scatter it back to the spot: the confocal
+return of Eq. (8), in patches. Ranges are half the way there and back.
 
 Walls and foliage are opaque, foliage is a matt surface where its line runs, objects are matt. Left out: light through
 panes, the glint of a wall seen head-on, matt returns of hidden walls, and three bounces after a mirror.
@@ -39,22 +39,22 @@ from models.physics.photons.optics import (
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import PathClass
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.lidar.optical_surfaces import PATCH_M, Patches, Surfaces, all_surfaces, patches_of, thing_albedo
+from sim_player.lidar.optical_surfaces import PATCH_M, Patches, Surfaces, all_surfaces, object_albedo, patches_of
 from sim_player.scene.world import Snapshot, World, radar_pose, snapshot, wall_lines
 from sim_player.trace.paths import Paths
 from sim_player.trace.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_passage
 from sim_player.trace.truth import visible_paths
 
-#: Walls that a ray may be mirrored by, one after the other.
+#: Largest number of mirrors on a ray.
 MIRRORS = 2
-#: Rays times surfaces, or spots times patches, that are held at a time.
-MOST_PAIRS = 1 << 18
+#: Largest number of rays times surfaces, or spots times patches, in memory at a time.
+MAX_PAIRS = 1 << 18
 #: Detections over a whole scan below which a contribution is left out.
 BUDGET = 1e-3
 
 Contribution = Literal["mirror", "diffuse"]
 
-#: What the options of words may say.
+#: Allowed words of each option.
 WORDS = {
     "fresnel": ("mean", "printed"),
     "nlos": ("mirror", "diffuse"),
@@ -64,7 +64,7 @@ WORDS = {
 
 
 class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is simulated, and how where the text leaves or prints two ways."""
+    """Options of the simulation, with a choice where the text leaves or prints two variants."""
 
     #: Eq. (14) as the mean of both powers, or as printed.
     fresnel: FresnelMean = "mean"
@@ -73,10 +73,10 @@ class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     #: `photon_map` refuses.
     merge: bool = True
     nlos: tuple[Contribution, ...] = ("mirror", "diffuse")
-    #: What happens to paths beyond the unambiguous range.
+    #: Treatment of paths beyond the unambiguous range.
     beyond: Literal["discard", "wrap"] = "discard"
-    #: In closed form wherever that is exact, event by event elsewhere; or one of them (`draw_histogram` says what the
-    #: closed form keeps where it is not exact: the means).
+    #: In closed form wherever that is exact, event by event elsewhere; or one of them (`draw_histogram`: where the
+    #: closed form is not exact, it keeps the means).
     engine: Literal["auto", "closed", "events"] = "auto"
     #: Expected detections a scan below which a contribution is skipped; 0: none is.
     budget: float = BUDGET
@@ -94,8 +94,8 @@ class SpadOptions(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 DEFAULT = SpadOptions()
 
 
-class Way(IntEnum):
-    """How the light came: straight, over mirrors, or scattered by a wall on both ways."""
+class LightRoute(IntEnum):
+    """Route of the light: straight, over mirrors, or scattered by a wall in both directions."""
 
     DIRECT = 0
     MIRROR = 1
@@ -110,26 +110,26 @@ class OpticalPaths:
     range_m: np.ndarray
     #: Mean detected signal photons per pulse, Eq. (10).
     photons: np.ndarray
-    #: `PathClass` and `Way` values, uint8.
+    #: `PathClass` and `LightRoute` values, uint8.
     kind: np.ndarray
-    way: np.ndarray
+    route: np.ndarray
     #: Object it comes from, -1 for a wall; int32.
     thing: np.ndarray
 
     def __len__(self) -> int:
         return len(self.range_m)
 
-    def take(self, which: np.ndarray) -> OpticalPaths:
-        """The paths of an index or mask."""
-        return OpticalPaths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+    def take(self, selection: np.ndarray) -> OpticalPaths:
+        """Return the paths of an index or mask."""
+        return OpticalPaths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 class OpticPlan(msgspec.Struct, frozen=True, kw_only=True):
-    """What was decided about one contribution, and why."""
+    """Decision about one contribution, with its reason."""
 
     name: str
     used: bool
-    #: The most detections it can bring, or move, over all azimuths of a scan.
+    #: Upper bound of the detections that it adds, or moves, over all azimuths of a scan.
     bound: float
     reason: str
 
@@ -141,7 +141,7 @@ def optical_paths(
     options: SpadOptions = DEFAULT,
     azimuths: np.ndarray | None = None,
 ) -> OpticalPaths:
-    """All paths of light at a time after start, for all azimuths of the grid or those of an index array.
+    """Return all paths of light at a time after start, for all azimuths of the grid or those of an index array.
 
     Contributions that `plan_optics` skips are left out, and so are paths beyond the unambiguous range unless they wrap.
     Raises ValueError for a time that is not finite.
@@ -159,9 +159,9 @@ def optical_paths(
 def plan_optics(
     world: World, lidar: LidarSetup, time_s: float = 0.0, options: SpadOptions = DEFAULT
 ) -> tuple[OpticPlan, ...]:
-    """Which contributions a scene calls for, and which engine counts: a bound and a reason each.
+    """Return the contributions that a scene needs and the counting engine, each with a bound and a reason.
 
-    A bound leaves out what hides and takes every cosine as 1; raises ValueError as `optical_paths`.
+    A bound ignores occlusion and takes every cosine as 1; raises ValueError as `optical_paths`.
     """
     return *_contributions(_Sight.of(world, lidar, time_s, options, None)), *_counting(lidar, options)
 
@@ -169,29 +169,33 @@ def plan_optics(
 def label_paths(
     world: World, lidar: LidarSetup, paths: Paths, time_s: float = 0.0, options: SpadOptions = DEFAULT
 ) -> OpticalPaths:
-    """The supplement's reading: one path of light for each labelled point of the radar's map.
+    """Return one path of light for each labelled point of the radar's map, as the supplement reads.
 
     `paths` are the radar's, traced in `world` at the same time. Mirrored ones carry the two-bounce factor R_s^2 of
-    their first wall, once for each of their mirrors; an arc counts as its chord. Labels know no normals of objects:
-    these are lit head-on. A label stands at the azimuth nearest to it.
+    their first wall, once for each of their mirrors; an arc counts as its chord. Labels have no normals of objects:
+    objects are lit head-on. A label goes to the azimuth nearest to it.
     """
-    chosen = paths.take(visible_paths(world.setup, paths, lidar.grid))
-    of_wall, at_wall = chosen.thing < 0, chosen.surface >= 0
-    albedo, factor, cosine = np.zeros(len(chosen)), np.ones(len(chosen)), np.ones(len(chosen))
-    walls = Surfaces.of_walls(world).take(chosen.surface[at_wall])
-    incidence = _label_cosines(world, chosen.take(at_wall), time_s)
+    visible = paths.take(visible_paths(world.setup, paths, lidar.grid))
+    of_wall, at_wall = visible.thing < 0, visible.surface >= 0
+    albedo, factor, cosine = np.zeros(len(visible)), np.ones(len(visible)), np.ones(len(visible))
+    walls = Surfaces.of_walls(world).take(visible.surface[at_wall])
+    incidence = _label_cosines(world, visible.take(at_wall), time_s)
     albedo[at_wall] = walls.diffuse(incidence, lidar.spad.wavelength_m, options.fresnel)
-    factor[at_wall] = walls.mirror(incidence, lidar.spad.wavelength_m, options.fresnel) ** (2.0 * chosen.order[at_wall])
+    factor[at_wall] = walls.mirror(incidence, lidar.spad.wavelength_m, options.fresnel) ** (
+        2.0 * visible.order[at_wall]
+    )
     cosine[at_wall & of_wall] = incidence[of_wall[at_wall]]
-    albedo[~of_wall] = np.array([thing_albedo(thing) for thing in world.scene.objects])[chosen.thing[~of_wall]]
-    range_m = 0.5 * chosen.length_m
+    albedo[~of_wall] = np.array([object_albedo(scene_object) for scene_object in world.scene.objects])[
+        visible.thing[~of_wall]
+    ]
+    range_m = 0.5 * visible.length_m
     made = OpticalPaths(
-        azimuth_index=np.rint(lidar.grid.azimuth_index(chosen.azimuth_rad)).astype(np.int64),
+        azimuth_index=np.rint(lidar.grid.azimuth_index(visible.azimuth_rad)).astype(np.int64),
         range_m=range_m,
         photons=factor * direct_photons(lidar.spad, range_m, albedo, cosine),
-        kind=chosen.kind,
-        way=np.where(chosen.kind == PathClass.LOS, Way.DIRECT, Way.MIRROR).astype(np.uint8),
-        thing=chosen.thing,
+        kind=visible.kind,
+        route=np.where(visible.kind == PathClass.LOS, LightRoute.DIRECT, LightRoute.MIRROR).astype(np.uint8),
+        thing=visible.thing,
     )
     return _within(made, lidar.spad, options)
 
@@ -199,27 +203,27 @@ def label_paths(
 def spad_histograms(
     lidar: LidarSetup, paths: OpticalPaths, seed: Sequence[int], options: SpadOptions = DEFAULT
 ) -> np.ndarray:
-    """Photon histograms of all azimuths, uint32 [azimuth, bins].
+    """Return the photon histograms of all azimuths, uint32 [azimuth, bins].
 
-    Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends on no other, nor on how many threads
-    count. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
+    Each azimuth draws from its own stream, [*seed, azimuth]: its histogram depends neither on others nor on the number
+    of threads. Raises ValueError for paths off the grid, and as the engines (`models.physics.photons.counting`).
     """
     spad, closed = lidar.spad, _closed(lidar.spad, options)
     draw = draw_histogram if closed else event_histogram
     measured = _measured(lidar, paths, options)
 
-    def one(azimuth: int) -> np.ndarray:
+    def histogram(azimuth: int) -> np.ndarray:
         rng = np.random.default_rng([*seed, azimuth])
         drawn = [draw(spad, _delay_s(group), group.photons, rng) for group in measured[azimuth]]
         return np.sum(drawn, axis=0) if drawn else np.zeros(spad.bins, np.int64)
 
-    # counting events lets go of the interpreter; a draw in closed form is too short for that
+    # counting events releases the interpreter lock; a draw in closed form is too short for that
     with ThreadPoolExecutor(1 if closed else len(os.sched_getaffinity(0))) as pool:
-        return _as_counts(list(pool.map(one, range(len(measured)))))
+        return _as_counts(list(pool.map(histogram, range(len(measured)))))
 
 
 def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
-    """Histograms as they are sent, uint32; ValueError where paths counted apart make more."""
+    """Return the histograms as they are sent, uint32; ValueError where paths counted apart make more."""
     counts = np.array(rows)
     if counts.max(initial=0) > np.iinfo(np.uint32).max:
         raise ValueError(f"spad.measurement_time_s must bring counts that fit 32 bits, got {counts.max()}")
@@ -227,7 +231,7 @@ def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
 
 
 def expected_histograms(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions = DEFAULT) -> np.ndarray:
-    """Mean of `spad_histograms`, float64 [azimuth, bins]; raises ValueError for paths off the grid."""
+    """Return the mean of `spad_histograms`, float64 [azimuth, bins]; raises ValueError for paths off the grid."""
     spad, rows = lidar.spad, np.zeros((lidar.grid.azimuth_bins, lidar.spad.bins))
     for row, groups in zip(rows, _measured(lidar, paths, options), strict=True):
         for group in groups:
@@ -236,7 +240,7 @@ def expected_histograms(lidar: LidarSetup, paths: OpticalPaths, options: SpadOpt
 
 
 def join_paths(parts: Sequence[OpticalPaths]) -> OpticalPaths:
-    """All paths of one or more sets, in order."""
+    """Return all paths of one or more sets, in order."""
     return OpticalPaths(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(OpticalPaths)}
     )
@@ -247,62 +251,64 @@ def join_paths(parts: Sequence[OpticalPaths]) -> OpticalPaths:
 
 @dataclass(frozen=True)
 class _Rays:
-    """N level rays on their way."""
+    """N level rays, traced so far."""
 
     azimuth_index: np.ndarray
     origin: np.ndarray
     direction: np.ndarray
-    #: So far: way, share of the mirrors passed on the way out and back, width per radian of divergence and its slope.
+    #: So far: path length, two-way share of the mirrors passed, width per radian of divergence and its slope.
     range_m: np.ndarray
     share: np.ndarray
     spread_m: np.ndarray
     slope: np.ndarray
 
-    def take(self, which: np.ndarray) -> _Rays:
-        """The rays of an index or mask."""
-        return _Rays(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+    def take(self, selection: np.ndarray) -> _Rays:
+        """Return the rays of an index or mask."""
+        return _Rays(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 @dataclass(frozen=True)
 class _Hits:
-    """What N rays met: `rays` led on to there, the piece, its level normal towards the ray, cosine of incidence."""
+    """First hits of N rays: `rays` moved to the hit, the piece, its level normal towards the ray, cosine of
+    incidence.
+    """
 
     rays: _Rays
     piece: np.ndarray
     normal: np.ndarray
     cosine: np.ndarray
 
-    def take(self, which: np.ndarray) -> _Hits:
-        """The hits of an index or mask."""
-        return _Hits(self.rays.take(which), self.piece[which], self.normal[which], self.cosine[which])
+    def take(self, selection: np.ndarray) -> _Hits:
+        """Return the hits of an index or mask."""
+        return _Hits(self.rays.take(selection), self.piece[selection], self.normal[selection], self.cosine[selection])
 
 
 def _first_hits(surfaces: Surfaces, rays: _Rays) -> _Hits:
-    """The first piece each ray meets; rays that meet none are left out."""
+    """Return the first hit of each ray; rays without one are left out."""
     range_m, piece = _nearest(surfaces, rays.origin, rays.direction)
     met = np.isfinite(range_m)
     rays, range_m, piece = rays.take(met), range_m[met], piece[met]
     point = rays.origin + range_m[:, None] * rays.direction
     normal = _normals(surfaces, piece, point, rays.direction)
-    there = replace(rays, origin=point, range_m=rays.range_m + range_m, spread_m=rays.spread_m + rays.slope * range_m)
+    moved = replace(rays, origin=point, range_m=rays.range_m + range_m, spread_m=rays.spread_m + rays.slope * range_m)
     cosine = surfaces.level[piece] * np.abs(np.sum(normal * rays.direction, axis=1))
-    return _Hits(there, piece, normal, np.minimum(cosine, 1.0))
+    return _Hits(moved, piece, normal, np.minimum(cosine, 1.0))
 
 
 def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance [N] to the nearest piece (infinite: none) and which it is."""
+    """Return the distance [N] to the nearest piece (infinite: none) and its index."""
     range_m, piece = np.full(len(origin), np.inf), np.zeros(len(origin), np.int64)
     straight = np.flatnonzero(surfaces.curvature_per_m == 0.0)
-    step = max(MOST_PAIRS // max(len(straight), 1), 1)
+    step = max(MAX_PAIRS // max(len(straight), 1), 1)
     a, b = surfaces.a[straight], surfaces.b[straight]
     reach = CLEARANCE_M / np.maximum(np.hypot(*(b - a).T), CLEARANCE_M)
     for start in range(0, len(origin) if len(straight) else 0, step):
-        some = slice(start, start + step)
-        along, share = crossing_parameters(origin[some], origin[some] + direction[some], a, b)
+        block = slice(start, start + step)
+        along, share = crossing_parameters(origin[block], origin[block] + direction[block], a, b)
         # comparisons with NaN (parallel) are false: not met
         met = (along > CLEARANCE_M) & (share >= -reach) & (share <= 1.0 + reach)
         along = np.where(met, along, np.inf)
-        range_m[some], piece[some] = along.min(axis=1), straight[along.argmin(axis=1)]
+        range_m[block], piece[block] = along.min(axis=1), straight[along.argmin(axis=1)]
     for index in np.flatnonzero(surfaces.curvature_per_m != 0.0):
         along = _arc_ranges(surfaces.a[index], surfaces.b[index], surfaces.curvature_per_m[index], origin, direction)
         nearer = along < range_m
@@ -313,11 +319,11 @@ def _nearest(surfaces: Surfaces, origin: np.ndarray, direction: np.ndarray) -> t
 def _arc_ranges(
     a: np.ndarray, b: np.ndarray, curvature_per_m: float, origin: np.ndarray, direction: np.ndarray
 ) -> np.ndarray:
-    """Distance [N] to one arc, infinite where a ray misses it."""
+    """Return the distance [N] to one arc, infinite where a ray misses it."""
     centre, radius_m, _, _ = arc_from_ends(a, b, curvature_per_m)
-    way = origin - centre
-    half = np.sum(way * direction, axis=1)
-    root = np.sqrt(np.maximum(half**2 - np.sum(way**2, axis=1) + radius_m**2, 0.0))
+    from_centre = origin - centre
+    half = np.sum(from_centre * direction, axis=1)
+    root = np.sqrt(np.maximum(half**2 - np.sum(from_centre**2, axis=1) + radius_m**2, 0.0))
     along = -half[:, None] + root[:, None] * np.array([-1.0, 1.0])
     point = origin[:, None] + along[..., None] * direction[:, None]
     # an arc less than a half circle is the part of its circle beyond the chord, seen from the centre
@@ -327,7 +333,7 @@ def _arc_ranges(
 
 
 def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Unit normals [N, 2] of pieces at points, against the rays."""
+    """Return the unit normals [N, 2] of pieces at points, against the rays."""
     along = surfaces.b[piece] - surfaces.a[piece]
     normal = np.column_stack([-along[:, 1], along[:, 0]])
     for index in np.unique(piece[surfaces.curvature_per_m[piece] != 0.0]):
@@ -339,7 +345,9 @@ def _normals(surfaces: Surfaces, piece: np.ndarray, point: np.ndarray, direction
 
 
 def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
-    """Rays after a mirror that leaves them a share of their power on each of both ways; the ones left without drop."""
+    """Return the rays after a mirror that leaves a share of their power in each direction; rays without power are
+    dropped.
+    """
     rays, level = hits.rays, np.sum(hits.normal * hits.rays.direction, axis=1)
     along = surfaces.b[hits.piece] - surfaces.a[hits.piece]
     left = along[:, 0] * hits.normal[:, 1] - along[:, 1] * hits.normal[:, 0] > 0.0
@@ -359,14 +367,14 @@ def _reflected(surfaces: Surfaces, hits: _Hits, share: np.ndarray) -> _Rays:
 
 @dataclass(frozen=True)
 class _Sight:
-    """A world frozen at a time, and what the laser's rays meet first."""
+    """A world frozen at a time, and the first hits of the laser's rays."""
 
     view: Snapshot
     lidar: LidarSetup
     options: SpadOptions
     surfaces: Surfaces
     first: _Hits
-    #: Share of the scan's azimuths that is looked at.
+    #: Share of the scan's azimuths in use.
     part: float
 
     @classmethod
@@ -393,32 +401,32 @@ class _Sight:
         part = len(index) / lidar.grid.azimuth_bins
         return cls(view, lidar, options, surfaces, _first_hits(surfaces, rays), part)
 
-    def returns(self, hits: _Hits, way: Way) -> OpticalPaths:
-        """What the surfaces that were hit scatter straight back along the rays."""
+    def returns(self, hits: _Hits, route: LightRoute) -> OpticalPaths:
+        """Return the light that the surfaces hit scatter straight back along the rays."""
         rays, met = hits.rays, self.surfaces.take(hits.piece)
         spad = self.lidar.spad
         albedo = met.diffuse(hits.cosine, spad.wavelength_m, self.options.fresnel)
         photons = rays.share * direct_photons(spad, rays.range_m, albedo, hits.cosine, rays.spread_m)
-        return _optical_paths(rays.azimuth_index, rays.range_m, photons, way, met.thing)
+        return _optical_paths(rays.azimuth_index, rays.range_m, photons, route, met.thing)
 
     def direct(self) -> OpticalPaths:
-        """The first surface of every azimuth."""
-        return self.returns(self.first, Way.DIRECT)
+        """Return the first surface of every azimuth."""
+        return self.returns(self.first, LightRoute.DIRECT)
 
     def mirrored(self) -> list[OpticalPaths]:
-        """What is seen in one mirror and in two."""
-        found, hits = [], self.first
+        """Return the paths by one mirror and by two."""
+        parts, hits = [], self.first
         for _ in range(MIRRORS):
             share = self.surfaces.take(hits.piece).mirror(
                 hits.cosine, self.lidar.spad.wavelength_m, self.options.fresnel
             )
             hits = _first_hits(self.surfaces, _reflected(self.surfaces, hits, share))
-            found.append(self.returns(hits, Way.MIRROR))
-        return found
+            parts.append(self.returns(hits, LightRoute.MIRROR))
+        return parts
 
     @property
     def spots(self) -> _Hits:
-        """Where the laser falls on walls."""
+        """Spots of the laser on walls."""
         return self.first.take(self.surfaces.thing[self.first.piece] < 0)
 
     @cached_property
@@ -427,71 +435,72 @@ class _Sight:
         return patches_of(self.view)
 
     def confocal(self) -> list[OpticalPaths]:
-        """Confocal returns of all patches, per azimuth and object in cells of half the timing's width."""
+        """Return the confocal returns of all patches, per azimuth and object in cells of half the timing's width."""
         patches, spots = self.patches, self.spots
         if not len(patches.area_m2) or not len(spots.piece):
             return []
         blockers = _opaque(self.view.blockers)
-        # a million patches still go one spot at a time
-        step = max(MOST_PAIRS // len(patches.area_m2), 1)
+        # at least one spot at a time, however many patches there are
+        step = max(MAX_PAIRS // len(patches.area_m2), 1)
         parts = np.split(np.arange(len(spots.piece)), range(step, len(spots.piece), step))
         return [self._confocal(spots.take(part), patches, blockers) for part in parts]
 
     def _confocal(self, spots: _Hits, patches: Patches, blockers: Blockers) -> OpticalPaths:
         spad, height_m = self.lidar.spad, self.lidar.lidar_height_m
         spot = np.column_stack([spots.rays.origin, np.full(len(spots.piece), height_m)])
-        way = patches.place_m - spot[:, None]
-        leg_m = np.linalg.norm(way, axis=-1)
-        wall_cosine = np.einsum("nqi,ni->nq", way[..., :2], spots.normal) / leg_m
-        object_cosine = -np.einsum("nqi,qi->nq", way, patches.normal) / leg_m
+        to_patch = patches.position_m - spot[:, None]
+        spot_range_m = np.linalg.norm(to_patch, axis=-1)
+        wall_cosine = np.einsum("nqi,ni->nq", to_patch[..., :2], spots.normal) / spot_range_m
+        object_cosine = -np.einsum("nqi,qi->nq", to_patch, patches.normal) / spot_range_m
         n, q = np.nonzero((wall_cosine > 0.0) & (object_cosine > 0.0))
-        free = free_passage((spot[n], patches.place_m[q]), blockers, patches.owner[q]).free
+        free = free_passage((spot[n], patches.position_m[q]), blockers, patches.owner[q]).free
         n, q = n[free], q[free]
         wall_albedo = self.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, self.options.fresnel)
         photons = confocal_photons(
             spad,
             spots.rays.range_m[n],
             wall_albedo[n],
-            leg_m[n, q],
+            spot_range_m[n, q],
             np.minimum(wall_cosine[n, q], 1.0),
             np.minimum(object_cosine[n, q], 1.0),
             patches.area_m2[q],
             patches.albedo[q],
         )
-        range_m = spots.rays.range_m[n] + leg_m[n, q]
+        range_m = spots.rays.range_m[n] + spot_range_m[n, q]
         return _condensed(spots.rays.azimuth_index[n], range_m, photons, patches.thing[q], spad)
 
 
 def _optical_paths(
-    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, way: Way, thing: np.ndarray
+    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, route: LightRoute, object_index: np.ndarray
 ) -> OpticalPaths:
-    """Paths that came one way."""
-    kind = PathClass.LOS if way == Way.DIRECT else PathClass.MIRRORED
+    """Return the paths of one route."""
+    kind = PathClass.LOS if route == LightRoute.DIRECT else PathClass.MIRRORED
     count = len(range_m)
     return OpticalPaths(
-        azimuth_index, range_m, photons, np.full(count, kind, np.uint8), np.full(count, way, np.uint8), thing
+        azimuth_index, range_m, photons, np.full(count, kind, np.uint8), np.full(count, route, np.uint8), object_index
     )
 
 
 def _condensed(
-    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, thing: np.ndarray, spad: SpadParams
+    azimuth_index: np.ndarray, range_m: np.ndarray, photons: np.ndarray, object_index: np.ndarray, spad: SpadParams
 ) -> OpticalPaths:
-    """Diffuse paths, those of one object and azimuth that the timing cannot tell apart as one at their mean range.
+    """Return the diffuse paths, with those of one object and azimuth within the timing resolution merged at their mean
+    range.
 
     Cells are half the timing's standard deviation wide, which widens it by 1 % at most.
     """
     cell_m = 0.25 * SPEED_OF_LIGHT_MPS * spad.timing_rms_s
-    key = np.stack([azimuth_index, thing, np.floor(range_m / cell_m).astype(np.int64)])
+    key = np.stack([azimuth_index, object_index, np.floor(range_m / cell_m).astype(np.int64)])
     cells, owner = np.unique(key, axis=1, return_inverse=True)
     owner, count = owner.ravel(), cells.shape[1]
     weight = np.bincount(owner, photons, count)
     lit = weight > 0.0
     mean_m = np.bincount(owner, photons * range_m, count)[lit] / weight[lit]
-    return _optical_paths(cells[0, lit], mean_m, weight[lit], Way.DIFFUSE, cells[1, lit].astype(np.int32))
+    return _optical_paths(cells[0, lit], mean_m, weight[lit], LightRoute.DIFFUSE, cells[1, lit].astype(np.int32))
 
 
 def _opaque(blockers: Blockers) -> Blockers:
-    """The same to light: foliage blocks."""
+    """Return the blockers for light: foliage blocks."""
     return replace(blockers, kind=np.where(blockers.kind == VOLUME, WALL, blockers.kind).astype(np.int8))
 
 
@@ -499,7 +508,7 @@ def _opaque(blockers: Blockers) -> Blockers:
 
 
 def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
-    """What hidden things can bring in two ways, from what the first rays met."""
+    """Return the bounds of the mirror and diffuse contributions of hidden objects, from the first hits."""
     bounds = {"mirror": _mirror_bound(sight), "diffuse": _diffuse_bound(sight)}
     plans = []
     for name, bound in bounds.items():
@@ -511,7 +520,7 @@ def _contributions(sight: _Sight) -> tuple[OpticPlan, ...]:
 
 
 def _mirror_bound(sight: _Sight) -> float:
-    """Detections by way of mirrors if behind each mirror white things stood at its own range."""
+    """Return the detections by mirrors if each mirror showed white surfaces at its own range."""
     met, spad, hits = sight.surfaces.take(sight.first.piece), sight.lidar.spad, sight.first
     share = np.square(met.mirror(hits.cosine, spad.wavelength_m, sight.options.fresnel))
     # arcs may focus
@@ -521,26 +530,28 @@ def _mirror_bound(sight: _Sight) -> float:
 
 
 def _diffuse_bound(sight: _Sight) -> float:
-    """Detections of confocal returns if each object showed all of its faces, head-on, at its nearest point."""
+    """Return the detections of confocal returns if each object showed all of its faces, head-on, at its nearest
+    point.
+    """
     spots, patches, spad = sight.spots, sight.patches, sight.lidar.spad
     albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, sight.options.fresnel)
     total = 0.0
     for index in np.unique(patches.thing):
         own = patches.thing == index
-        place = patches.place_m[own, :2]
-        middle = place.mean(axis=0)
-        reach_m = PATCH_M + np.hypot(*(place - middle).T).max()
-        way = middle - spots.rays.origin
-        leg_m = np.maximum(np.hypot(*way.T) - reach_m, CLEARANCE_M)
-        before = np.clip((np.sum(way * spots.normal, axis=1) + reach_m) / leg_m, 0.0, 1.0)
+        positions = patches.position_m[own, :2]
+        middle = positions.mean(axis=0)
+        reach_m = PATCH_M + np.hypot(*(positions - middle).T).max()
+        to_middle = middle - spots.rays.origin
+        spot_range_m = np.maximum(np.hypot(*to_middle.T) - reach_m, CLEARANCE_M)
+        before = np.clip((np.sum(to_middle * spots.normal, axis=1) + reach_m) / spot_range_m, 0.0, 1.0)
         area_m2, white = patches.area_m2[own].sum(), patches.albedo[own][0]
-        photons = confocal_photons(spad, spots.rays.range_m, albedo, leg_m, before, 1.0, area_m2, white)
+        photons = confocal_photons(spad, spots.rays.range_m, albedo, spot_range_m, before, 1.0, area_m2, white)
         total += float(photons.sum())
     return spad.pulses * total
 
 
 def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, OpticPlan]:
-    """Dead time that reaches into the next period, and the engine."""
+    """Return the plans of the dead time that reaches into the next period, and of the engine."""
     spad = lidar.spad
     exact, closed = exact_closed_form(spad), _closed(spad, options)
     carried = "periods are independent" if exact else f"arming 'free', dead time {spad.dead_time_s:g} s"
@@ -558,32 +569,32 @@ def _counting(lidar: LidarSetup, options: SpadOptions) -> tuple[OpticPlan, Optic
 
 
 def _closed(spad: SpadParams, options: SpadOptions) -> bool:
-    """Whether histograms are drawn in closed form."""
+    """Return whether histograms are drawn in closed form."""
     return options.engine == "closed" or (options.engine == "auto" and exact_closed_form(spad))
 
 
 def _measured(lidar: LidarSetup, paths: OpticalPaths, options: SpadOptions) -> list[list[OpticalPaths]]:
-    """Paths of every azimuth, in the sets that are counted together."""
+    """Return the paths of every azimuth, in the sets that are counted together."""
     count = lidar.grid.azimuth_bins
     if len(paths) and not 0 <= paths.azimuth_index.min() <= paths.azimuth_index.max() < count:
         raise ValueError(f"azimuth_index must lie in 0..{count - 1}, got {paths.azimuth_index.tolist()!r}")
     order = np.argsort(paths.azimuth_index, kind="stable")
     borders = np.searchsorted(paths.azimuth_index[order], np.arange(1, count))
-    each = [paths.take(which) for which in np.split(order, borders)]
+    each = [paths.take(selection) for selection in np.split(order, borders)]
     if options.merge:
-        return [[one] for one in each]
-    return [_by_cell(one, lidar.grid.range_bin_m) for one in each]
+        return [[group] for group in each]
+    return [_by_cell(group, lidar.grid.range_bin_m) for group in each]
 
 
 def _by_cell(paths: OpticalPaths, range_bin_m: float) -> list[OpticalPaths]:
-    """Paths of one azimuth by class and cell of the radar's range axis: the k of Eq. (17)."""
+    """Return the paths of one azimuth by class and cell of the radar's range axis: the k of Eq. (17)."""
     key = np.stack([paths.kind.astype(np.int64), np.rint(paths.range_m / range_bin_m).astype(np.int64)])
     cells, owner = np.unique(key, axis=1, return_inverse=True)
     return [paths.take(owner.ravel() == cell) for cell in range(cells.shape[1])]
 
 
 def _within(paths: OpticalPaths, spad: SpadParams, options: SpadOptions) -> OpticalPaths:
-    """Paths within the unambiguous range, or all where they wrap; without those that bring no light."""
+    """Return the paths within the unambiguous range, or all where they wrap; without those of zero power."""
     kept = paths.photons > 0.0
     if options.beyond == "discard":
         kept &= paths.range_m < spad.unambiguous_range_m
@@ -594,9 +605,9 @@ def _delay_s(paths: OpticalPaths) -> np.ndarray:
     return 2.0 * paths.range_m / SPEED_OF_LIGHT_MPS
 
 
-def _label_cosines(world: World, chosen: Paths, time_s: float) -> np.ndarray:
-    """Cosine of incidence of labelled paths at their walls, from where they seem to come."""
+def _label_cosines(world: World, visible: Paths, time_s: float) -> np.ndarray:
+    """Return the cosine of incidence of labelled paths at their walls, from where they seem to come."""
     pose = radar_pose(world.scene, time_s)
     normal, _ = wall_lines(world, np.array([pose.x_m, pose.y_m]))
-    level = pose.rotate(chosen.virtual_m[:, :2]) / np.linalg.norm(chosen.virtual_m, axis=1)[:, None]
-    return np.minimum(np.abs(np.sum(level * normal[chosen.surface], axis=1)), 1.0)
+    level = pose.rotate(visible.virtual_m[:, :2]) / np.linalg.norm(visible.virtual_m, axis=1)[:, None]
+    return np.minimum(np.abs(np.sum(level * normal[visible.surface], axis=1)), 1.0)

@@ -1,7 +1,7 @@
-"""The chain from all effects to the planned ones: what is left, what was dropped, and bounds of the next step.
+"""The ablation from all effects to the planned ones: what is left, what was dropped, and bounds of the next step.
 
-Bounds add up magnitudes (`sim_player.planner.bounds`) with everything else as it stands in the chain, so the sum of all
-steps bounds the whole difference, whatever the phases.
+Bounds add up magnitudes (`sim_player.planner.bounds`) with everything else as it stands in the ablation, so the sum of
+all steps bounds the whole difference, whatever the phases.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import msgspec
 import numpy as np
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.names import ALL_EFFECTS, SIGNAL_EFFECTS, bit
+from sim_player.effects.names import bit
+from sim_player.effects.table import ALL_EFFECTS, SIGNAL
 from sim_player.planner.bounds import STEPS, Envelope, swept_pattern
 from sim_player.planner.cells import cells_of
 from sim_player.scene.world import World, snapshot
@@ -29,11 +30,11 @@ STEADY = dict.fromkeys(("squint", "chirp_overlap", "motion", "iq_imbalance", "le
 
 def signal_effects(names: frozenset[str]) -> SignalEffects:
     """The switches of the signal for a set of effects; range migration goes with motion."""
-    return SignalEffects(**{name: name in names for name in SIGNAL_EFFECTS}, range_migration="motion" in names)
+    return SignalEffects(**{name: name in names for name in SIGNAL}, range_migration="motion" in names)
 
 
-class Chain:
-    """State of the chain for one scene at one instant: starts with every effect and every path."""
+class EffectAblation:
+    """State of the ablation for one scene at one instant: starts with every effect and every path."""
 
     def __init__(self, world: World, setup: RadarSetup, time_s: float) -> None:
         self.world, self.setup = world, setup
@@ -91,7 +92,7 @@ class Chain:
         return self.envelope.of_terms(self.magnitude[:, :, which] * scale, self.step[which])
 
     def bound_of(self, echoes: Echoes) -> np.ndarray:
-        """Bound of echoes that are not in the chain."""
+        """Bound of echoes that are not in the ablation."""
         paths = self.as_paths(echoes)
         pattern = swept_pattern(self.setup, paths, self.flags(), self.front_end)
         return self.envelope.of_terms(pattern.magnitudes() * np.abs(paths.amplitude), self.envelope.step(paths))

@@ -1,10 +1,11 @@
 """Which effects a scene calls for: bounds of what each could change in the map, and the least that keeps a budget.
 
 The law: |RA(planned) - RA(all)| / max(noise rms, strongest |RA(all)| within one range bin and half a beam) stays under
-the budget in every cell, for the same noise. It is kept by construction: from all effects to the planned ones leads a
-chain of steps, each of which drops an effect, or only the paths for which it is too weak to matter. What a step changes
-is bounded in every cell by magnitudes added up (`sim_player.planner.bounds`) with all others as they then stand, and
-the sum of these bounds over a lower bound of the denominator stays under the budget.
+the budget in every cell, for the same noise. It is kept by construction: an ablation goes from all effects to the
+planned ones in steps, each of which drops an effect, or only the paths for which it is too weak to matter. What a step
+changes is bounded in every cell by magnitudes added up (`sim_player.planner.bounds`, by kind of effect in
+`sim_player.planner.changes`) with all others as they then stand, and the sum of these bounds over a lower bound of the
+denominator stays under the budget.
 
 Cells are range bins of every steering angle, as the radar measures them and section 2.1.1 assembles them, and of every
 azimuth of the map that the co-array inversion makes of them (`sim_player.planner.cells`). Rays are cheap: all paths are
@@ -24,10 +25,10 @@ import msgspec
 import numpy as np
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects import EFFECTS, PATHS
 from sim_player.effects.curved_wall import as_chords
-from sim_player.effects.names import ALL_EFFECTS, check_effects
-from sim_player.planner.ablation import Chain, signal_effects
+from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
+from sim_player.planner.ablation import EffectAblation, signal_effects
+from sim_player.planner.changes import change_bound
 from sim_player.scene.description import Scene
 from sim_player.scene.world import Snapshot, World, prepare, snapshot
 from sim_player.signal.levels import kernel_objections, kernel_profiles, noise_profiles
@@ -132,7 +133,7 @@ def plan_world(
     if not (math.isfinite(budget_db) and budget_db < 0.0):
         raise ValueError(f"budget_db must be finite and negative, got {budget_db!r}")
     start = time.perf_counter()
-    planner = _Planner(Chain(world, setup, time_s), 10.0 ** (budget_db / 20.0), thorough)
+    planner = _Planner(EffectAblation(world, setup, time_s), 10.0 ** (budget_db / 20.0), thorough)
     planner.timing_s["trace"] = time.perf_counter() - start
     planner.run()
     return planner.plan(budget_db)
@@ -218,24 +219,24 @@ def clean_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str 
 
 
 class _Planner:
-    """Walks the chain down, books every step, and writes down why."""
+    """Takes the steps of the ablation, books each one, and states why."""
 
-    def __init__(self, chain: Chain, budget: float, thorough: bool) -> None:
-        self.chain, self.budget, self.thorough = chain, budget, thorough
+    def __init__(self, ablation: EffectAblation, budget: float, thorough: bool) -> None:
+        self.ablation, self.budget, self.thorough = ablation, budget, thorough
         self.found: dict[str, EffectPlan] = {}
-        self.traced = len(chain.echoes)
+        self.traced = len(ablation.echoes)
         self.timing_s: dict[str, float] = {}
 
     def run(self) -> None:
         """All steps in turn."""
         for name, effect in EFFECTS.items():
-            reason = effect.absent(self.chain.world)
+            reason = effect.absent(self.ablation.world)
             if reason is not None:
                 self._row(name, False, None, 0, reason)
         if self.traced < WORTH_ASKING and not self.thorough:
             self._take_all()
             return
-        self._timed("floor", lambda: self.chain.begin(exact=self.thorough))
+        self._timed("floor", lambda: self.ablation.begin(exact=self.thorough))
         for name, step in (
             ("paths", self._paths),
             ("prune", self._prune),
@@ -246,16 +247,16 @@ class _Planner:
 
     def plan(self, budget_db: float) -> Plan:
         """What was decided, in the order of the effects."""
-        chain = self.chain
+        ablation = self.ablation
         return Plan(
             budget_db=budget_db,
             effects=tuple(self.found[name] for name in EFFECTS),
-            view=chain.view,
-            echoes=chain.echoes,
-            squints=chain.squints,
-            overlaps=chain.overlaps,
+            view=ablation.view,
+            echoes=ablation.echoes,
+            squints=ablation.squints,
+            overlaps=ablation.overlaps,
             traced=self.traced,
-            spent_db=self._ratio_db(chain.spent),
+            spent_db=self._ratio_db(ablation.spent),
             timing_s=self.timing_s,
         )
 
@@ -267,100 +268,100 @@ class _Planner:
     def _take_all(self) -> None:
         """Use everything that the scene has: to ask would cost more."""
         for name in (name for name in EFFECTS if name not in self.found):
-            reason = f"not asked, {self.traced} paths cost less than the question: {EFFECTS[name].ABOUT}"
+            reason = f"not asked, {self.traced} paths cost less than the question: {EFFECTS[name].about}"
             self._row(name, True, None, self.traced, reason)
 
     def _paths(self) -> None:
         """Effects that make paths, the weakest first."""
         names = [name for name in PATHS if name not in self.found]
-        peak = {name: self.chain.strongest(name) for name in names}
+        peak = {name: self.ablation.strongest(name) for name in names}
         for name in sorted(names, key=peak.__getitem__):
-            mine = self.chain.made_by(name)
+            mine = self.ablation.made_by(name)
             count = int(mine.sum())
-            what = f"{count} path{'' if count == 1 else 's'}: {PATHS[name].ABOUT}"
+            what = f"{count} path{'' if count == 1 else 's'}: {PATHS[name].about}"
             if not self.thorough and peak[name] > self.budget:
                 self._row(name, True, None, count, f"one path alone is over the budget; {what}")
             elif not self._decide(name, count, what):
-                self.chain.keep(~mine)
+                self.ablation.keep(~mine)
                 if name == "curved_wall":
-                    self.chain.add(as_chords(Tracing(self.chain.view)))
+                    self.ablation.add(as_chords(Tracing(self.ablation.view)))
 
     def _prune(self) -> None:
         """Drop the paths that are too weak to matter even together: effects used in part."""
-        chain = self.chain
-        strength = chain.magnitude.sum(axis=0).max(axis=0)
-        chain.keep(~self._weakest(strength, lambda which: chain.bound(chain.amplitude * which), DROPPED_SHARE))
+        ablation = self.ablation
+        strength = ablation.magnitude.sum(axis=0).max(axis=0)
+        ablation.keep(~self._weakest(strength, lambda which: ablation.bound(ablation.amplitude * which), DROPPED_SHARE))
 
     def _sweep(self) -> None:
         """Squint and overlap for those paths alone that call for them."""
-        chain = self.chain
+        ablation = self.ablation
         if "chirp_overlap" not in self.found:
             # the missing rise of the window grows with the cube of the delay
-            strength = chain.magnitude.sum(axis=0).max(axis=0) * (1.0 + chain.step) ** 3
-            self._in_part("chirp_overlap", chain.overlaps, strength, chain.overlap_change)
+            strength = ablation.magnitude.sum(axis=0).max(axis=0) * (1.0 + ablation.step) ** 3
+            self._in_part("chirp_overlap", ablation.overlaps, strength, ablation.overlap_change)
         if "squint" not in self.found:
-            strength = (chain.pattern.squint() * chain.amplitude).sum(axis=0).max(axis=0)
-            self._in_part("squint", chain.squints, strength, chain.squint_change)
+            strength = (ablation.pattern.squint() * ablation.amplitude).sum(axis=0).max(axis=0)
+            self._in_part("squint", ablation.squints, strength, ablation.squint_change)
 
     def _in_part(
         self, name: str, mask: np.ndarray, strength: np.ndarray, change_of: Callable[[np.ndarray], np.ndarray]
     ) -> None:
         """Spare as many paths as the budget allows one effect of the sweep."""
-        bound_db = self._ratio_db(EFFECTS[name].change(self.chain))
+        bound_db = self._ratio_db(change_bound(self.ablation, name))
         mask[self._weakest(strength, change_of, SWEPT_SHARE)] = False
         left = int(mask.sum())
-        self._row(name, bool(left), bound_db, left, f"{left} of {len(mask)} paths: {EFFECTS[name].ABOUT}")
+        self._row(name, bool(left), bound_db, left, f"{left} of {len(mask)} paths: {EFFECTS[name].about}")
 
     def _free(self) -> None:
         """Effects that cost nothing: used, or in a thorough plan bounded like the others."""
         names = [name for name in EFFECTS if name not in self.found]
         if not self.thorough:
             for name in names:
-                self._row(name, True, None, 0, f"costs nothing: {EFFECTS[name].ABOUT}")
+                self._row(name, True, None, 0, f"costs nothing: {EFFECTS[name].about}")
             return
-        size = {name: self.chain.ratio(EFFECTS[name].change(self.chain)) for name in names}
+        size = {name: self.ablation.ratio(change_bound(self.ablation, name)) for name in names}
         for name in sorted(names, key=size.__getitem__):
-            if not self._decide(name, 0, EFFECTS[name].ABOUT):
-                self.chain.look()
+            if not self._decide(name, 0, EFFECTS[name].about):
+                self.ablation.look()
 
     def _decide(self, name: str, count: int, what: str) -> bool:
         """Use an effect, or skip it and book its bound; whether it is used."""
-        chain = self.chain
-        bound = EFFECTS[name].change(chain)
-        fits = chain.fits(bound, self.budget)
+        ablation = self.ablation
+        bound = change_bound(ablation, name)
+        fits = ablation.fits(bound, self.budget)
         if fits:
-            chain.spent = chain.spent + bound
+            ablation.spent = ablation.spent + bound
         self._row(name, not fits, self._ratio_db(bound), count, what)
         return not fits
 
     def _weakest(self, strength: np.ndarray, bound_of: Callable[[np.ndarray], np.ndarray], share: float) -> np.ndarray:
         """As many of the weakest as a share of the budget allows, bool [E]; booked."""
-        chain, order = self.chain, np.argsort(strength, kind="stable")
-        low, high, best = 0, len(order) + 1, np.zeros_like(chain.spent)
+        ablation, order = self.ablation, np.argsort(strength, kind="stable")
+        low, high, best = 0, len(order) + 1, np.zeros_like(ablation.spent)
         for _ in range(ROUNDS):
             middle = (low + high) // 2
             if middle == low:
                 break
             bound = bound_of(_first(order, middle))
-            if chain.fits(bound, self.budget, share):
+            if ablation.fits(bound, self.budget, share):
                 low, best = middle, bound
             else:
                 high = middle
-        chain.spent = chain.spent + best
+        ablation.spent = ablation.spent + best
         return _first(order, low)
 
     def _ratio_db(self, bound: np.ndarray) -> float | None:
-        return _decibel(self.chain.ratio(bound)) if bound.any() else None
+        return _decibel(self.ablation.ratio(bound)) if bound.any() else None
 
     def _row(self, name: str, used: bool, bound_db: float | None, count: int, what: str) -> None:
         """Write down one decision."""
         if not used:
-            self.chain.used.discard(name)
+            self.ablation.used.discard(name)
         if bound_db is not None:
             budget_db = 20.0 * math.log10(self.budget)
             side = "over" if bound_db > budget_db else "under" if not used else "within, but not beside others in,"
             what = f"bound {bound_db:.0f} dB {side} budget {budget_db:g} dB: {what}"
-        cost_s = count * EFFECTS[name].COST_S
+        cost_s = count * EFFECTS[name].cost_s
         self.found[name] = EffectPlan(name=name, used=used, bound_db=bound_db, cost_s=cost_s, reason=what)
 
 

@@ -1,7 +1,7 @@
-"""A scene: upright walls, objects and the radar's own motion, as YAML says it, checked at the door.
+"""Description of a scene in YAML: upright walls, objects and the radar's own motion, validated on input.
 
-All in the radar frame at start (x forward, y left, metres; heights above the ground). Every complaint is one line:
-file, field, value, rule.
+All in the radar frame at start (x forward, y left, metres; heights above the ground). Every error is one line: file,
+field, value, rule.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ from sim_player.scene.meshes import Mesh, Unit, UpAxis, load_mesh, primitive_mes
 
 #: Larger files are no scenes.
 MAX_BYTES = 1 << 20
-#: The radar stands at least this far from every wall.
+#: Least distance of the radar from every wall.
 RADAR_CLEARANCE_M = 0.1
-#: Straight pieces that stand for an arc in checks leave it by at most this.
+#: Largest deviation from an arc of the straight pieces that replace it in checks.
 ARC_ERROR_M = 1e-3
 #: A mesh without thickness counts as this thick in plan.
 THINNEST_M = 0.01
-#: Weather that some place on Earth has had, with room to spare.
+#: Valid ranges of the weather, wider than observed on Earth.
 WEATHER_RANGES: dict[str, tuple[float, float]] = {
     "rain_mm_per_h": (0.0, 200.0),
     "temperature_c": (-60.0, 60.0),
@@ -45,7 +45,7 @@ WEATHER_RANGES: dict[str, tuple[float, float]] = {
     "water_vapour_g_per_m3": (0.0, 50.0),
 }
 
-#: No place or size of a scene lies farther from the radar: a number beyond is a slip.
+#: Largest coordinate or size in a scene: a larger number is an input error.
 FARTHEST_M = 1e4
 
 Point = tuple[float, float]
@@ -77,7 +77,7 @@ OBJECT_KINDS: dict[str, ObjectKind] = {
 
 
 class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which radar, and how high above the ground it is mounted."""
+    """The radar of a scene and its height above the ground."""
 
     preset: Literal["xband", "77ghz", "spad"] = "xband"
     height_m: float = 1.0
@@ -85,7 +85,7 @@ class SceneRadar(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     spad: SpadParams = SpadParams()
     #: Time from one scan of the LiDAR to the next; None: as long as its measurements take.
     spad_scan_period_s: float | None = None
-    #: Distance between the transmitting and the receiving array, along y; the radar stands in the middle.
+    #: Distance between the transmitting and the receiving array, along y; the radar's position is the middle.
     separation_m: float = 0.0
     #: The receiver's, over the preset's; None: the preset's.
     noise_figure_db: float | None = None
@@ -104,7 +104,8 @@ class Surface(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     roughness_mm: float = 0.0
     #: Distance along the wall over which its heights stay alike.
     correlation_mm: float = 30.0
-    #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the way it runs.
+    #: Every piece of the polyline is an arc of this curvature; positive: its centre lies left of the direction of the
+    #: polyline.
     curvature_per_m: float = 0.0
 
 
@@ -115,10 +116,10 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """
 
     class_: ObjectClass | None = msgspec.field(name="class", default=None)
-    #: File, relative to the scene's; `sim_player.scene.meshes.load_mesh` says what is read.
+    #: File, relative to the scene's; formats as in `sim_player.scene.meshes.load_mesh`.
     mesh: str | None = None
     unit: Unit = "m"
-    #: None: what the format says, else z.
+    #: None: as defined by the format, else z.
     up: UpAxis | None = None
     #: Sizes that `sim_player.scene.meshes.PRIMITIVES` lists for it.
     primitive: Primitive | None = None
@@ -143,47 +144,47 @@ class SceneObject(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     @property
     def shape(self) -> Mesh | None:
-        """Its mesh in its own frame, lifted to `z_m`; None for a class. ValueError where it cannot be had."""
+        """Its mesh in its own frame, lifted to `z_m`; None for a class. ValueError where it cannot be loaded."""
         return None if self.class_ else _shape_of(self._key())
 
     def _key(self) -> SceneObject:
-        """The same shape standing still at the origin: what its mesh depends on, and nothing else."""
+        """Return the same shape at rest at the origin: the fields that its mesh depends on."""
         return msgspec.structs.replace(self, x_m=0.0, y_m=0.0, yaw_deg=0.0, speed_mps=0.0)
 
     def corners_m(self) -> np.ndarray:
-        """Corners of the box in the plane at start, counter-clockwise from front left, [4, 2]."""
+        """Return the corners of the box in the plane at start, counter-clockwise from front left, [4, 2]."""
         half = 0.5 * np.array([self.kind.length_m, self.kind.width_m])
         corners = half * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
         return self.place(corners)
 
     def place(self, points_m: np.ndarray) -> np.ndarray:
-        """Points [..., 2] of the object's own frame in the scene at start."""
+        """Return the points [..., 2] of the object's own frame in the scene at start."""
         c, s = math.cos(math.radians(self.yaw_deg)), math.sin(math.radians(self.yaw_deg))
         return points_m @ np.array([[c, s], [-s, c]]) + np.array([self.x_m, self.y_m])
 
     def contains(self, points_m: np.ndarray) -> np.ndarray:
-        """Which points [N, 2] of the scene lie inside the box at start."""
+        """Return which points [N, 2] of the scene lie inside the box at start."""
         c, s = math.cos(math.radians(self.yaw_deg)), math.sin(math.radians(self.yaw_deg))
         own = (points_m - np.array([self.x_m, self.y_m])) @ np.array([[c, -s], [s, c]])
         return (np.abs(own) <= 0.5 * np.array([self.kind.length_m, self.kind.width_m])).all(axis=-1)
 
 
 @lru_cache(maxsize=16)
-def _shape_of(thing: SceneObject) -> Mesh:
-    """Mesh of a mesh or primitive object, read once."""
-    if thing.primitive:
-        mesh = primitive_mesh(thing.primitive, thing.size_m, thing.material)
+def _shape_of(scene_object: SceneObject) -> Mesh:
+    """Return the mesh of a mesh or primitive object, read once."""
+    if scene_object.primitive:
+        mesh = primitive_mesh(scene_object.primitive, scene_object.size_m, scene_object.material)
     else:
-        mesh = load_mesh(Path(thing.mesh or ""), thing.unit, thing.material, thing.up)
-    return dataclasses.replace(mesh, vertices_m=mesh.vertices_m + np.array([0.0, 0.0, thing.z_m]))
+        mesh = load_mesh(Path(scene_object.mesh or ""), scene_object.unit, scene_object.material, scene_object.up)
+    return dataclasses.replace(mesh, vertices_m=mesh.vertices_m + np.array([0.0, 0.0, scene_object.z_m]))
 
 
 @lru_cache(maxsize=256)
-def _kind_of(thing: SceneObject) -> ObjectKind:
-    """Box and mean RCS of a mesh or primitive object."""
-    length, width, height = np.maximum(_shape_of(thing).extent_m, THINNEST_M).tolist()
+def _kind_of(scene_object: SceneObject) -> ObjectKind:
+    """Return the box and mean RCS of a mesh or primitive object."""
+    length, width, height = np.maximum(_shape_of(scene_object).extent_m, THINNEST_M).tolist()
     surface = 2.0 * (length * width + width * height + height * length)
-    return ObjectKind(length, width, thing.z_m + height, db_from_ratio(surface / 4.0))
+    return ObjectKind(length, width, scene_object.z_m + height, db_from_ratio(surface / 4.0))
 
 
 class Ego(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -203,7 +204,7 @@ class Weather(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
 
 class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Everything the simulator is told about a place."""
+    """A scene: the complete input of the simulator."""
 
     name: str
     radar: SceneRadar = SceneRadar()
@@ -214,8 +215,10 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def moves(self) -> bool:
-        """Whether anything changes with time."""
-        return bool(self.ego.speed_mps or self.ego.yaw_rate_dps or any(thing.speed_mps for thing in self.objects))
+        """True where the radar or an object moves."""
+        return bool(
+            self.ego.speed_mps or self.ego.yaw_rate_dps or any(scene_object.speed_mps for scene_object in self.objects)
+        )
 
     @property
     def setup(self) -> RadarSetup:
@@ -238,7 +241,7 @@ class Scene(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def load_scene(path: Path) -> Scene:
     """Read and check a scene file; ValueError in one line that names file, field, value and rule."""
     try:
-        # before it is read: a scene from elsewhere must not take the memory of a graph
+        # check before reading: a foreign scene must not exhaust the memory of a graph
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"a scene holds at most {MAX_BYTES} bytes, got {path.stat().st_size}")
         return scene_from_yaml(path.read_text(encoding="utf-8"), path.parent)
@@ -253,7 +256,7 @@ def load_scene(path: Path) -> Scene:
 
 
 def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
-    """A checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
+    """Return a checked scene from YAML text; `folder` is put before its mesh files. ValueError in one line."""
     try:
         content = yaml.load(text, Loader=BoundedLoader)
     except yaml.YAMLError as error:
@@ -264,17 +267,19 @@ def scene_from_yaml(text: str, folder: Path = Path()) -> Scene:
         scene = msgspec.convert(content, Scene)
     except msgspec.ValidationError as error:
         raise ValueError(_field_first(with_known_names(error, Scene))) from None
-    things = tuple(
-        msgspec.structs.replace(thing, mesh=str(folder / thing.mesh)) if thing.mesh else thing
-        for thing in scene.objects
+    objects = tuple(
+        msgspec.structs.replace(scene_object, mesh=str(folder / scene_object.mesh))
+        if scene_object.mesh
+        else scene_object
+        for scene_object in scene.objects
     )
-    scene = msgspec.structs.replace(scene, objects=things)
+    scene = msgspec.structs.replace(scene, objects=objects)
     check_scene(scene)
     return scene
 
 
 def scene_to_yaml(scene: Scene) -> str:
-    """YAML text that `scene_from_yaml` reads back to the same scene."""
+    """Return the YAML text that `scene_from_yaml` reads back to the same scene."""
     return yaml.safe_dump(msgspec.json.decode(msgspec.json.encode(scene)), sort_keys=False, allow_unicode=True)
 
 
@@ -295,17 +300,19 @@ def check_scene(scene: Scene) -> None:
         _ = scene.lidar
     except ValueError as error:
         raise ValueError(f"radar.spad_scan_period_s: {error}") from None
-    for field, (least, most) in WEATHER_RANGES.items():
-        if not least <= getattr(scene.weather, field) <= most:
-            raise ValueError(f"weather.{field}: must lie in {least:g}..{most:g}, got {getattr(scene.weather, field)!r}")
+    for field, (least, greatest) in WEATHER_RANGES.items():
+        if not least <= getattr(scene.weather, field) <= greatest:
+            raise ValueError(
+                f"weather.{field}: must lie in {least:g}..{greatest:g}, got {getattr(scene.weather, field)!r}"
+            )
     for index, surface in enumerate(scene.surfaces):
         _check_surface(f"surfaces[{index}]", surface, scene.setup.radar.carrier_hz)
-    for index, thing in enumerate(scene.objects):
-        _check_object(f"objects[{index}]", thing, scene)
+    for index, scene_object in enumerate(scene.objects):
+        _check_object(f"objects[{index}]", scene_object, scene)
 
 
 def _check_radar(radar: SceneRadar) -> None:
-    """Mounting, and faults that a front end can have."""
+    """Check the mounting and the faults of the front end."""
     front_end = radar.front_end
     if not radar.height_m > 0.0:
         raise ValueError(f"radar.height_m: must be positive, got {radar.height_m!r}")
@@ -324,7 +331,7 @@ def _check_radar(radar: SceneRadar) -> None:
 
 
 def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
-    """Material, sizes, polyline, and the radar's distance of one surface."""
+    """Check material, sizes and polyline of one surface, and its distance from the radar."""
     if surface.thickness_mm is not None and not surface.thickness_mm > 0.0:
         raise ValueError(f"{field}.thickness_mm: must be positive, got {surface.thickness_mm!r}")
     _check_material(field, surface, carrier_hz)
@@ -343,7 +350,7 @@ def _check_surface(field: str, surface: Surface, carrier_hz: float) -> None:
 
 
 def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
-    """A build that is known at the carrier; foliage stands upright, it is no ground."""
+    """Check that the build is known at the carrier, and that foliage is no ground."""
     thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
     try:
         if not is_volume(surface.material):
@@ -355,7 +362,7 @@ def _check_material(field: str, surface: Surface, carrier_hz: float) -> None:
 
 
 def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Point) -> None:
-    """Length of one piece of wall, its arc, and the radar's distance from it."""
+    """Check the length of one piece of wall, its arc, and the radar's distance from it."""
     chord = math.dist(a, b)
     if not chord > SHORTEST_WALL_M:
         raise ValueError(f"{field}.polyline_m[{index + 1}]: a piece of wall must have a length, got {a} to {b}")
@@ -365,64 +372,68 @@ def _check_piece(field: str, index: int, curvature_per_m: float, a: Point, b: Po
             f"half circle, got {curvature_per_m!r} for polyline_m[{index}] to [{index + 1}] of {chord:g} m"
         )
     pieces = _arc_pieces(a, b, curvature_per_m)
-    if min(_distance_to_origin(np.array(one), np.array(other)) for one, other in pieces) < RADAR_CLEARANCE_M:
+    if min(_distance_to_origin(np.array(start), np.array(end)) for start, end in pieces) < RADAR_CLEARANCE_M:
         raise ValueError(
             f"{field}.polyline_m[{index}]: the radar at (0, 0) must stand {RADAR_CLEARANCE_M} m off every wall, "
             f"got {a} to {b}" + (f" with curvature {curvature_per_m!r}" if curvature_per_m else "")
         )
 
 
-def _check_object(field: str, thing: SceneObject, scene: Scene) -> None:
-    """One form, a mesh that can be had, the radar outside the object, the object clear of all walls."""
-    _check_form(field, thing, scene.setup.radar.carrier_hz)
-    if thing.contains(np.zeros((1, 2)))[0]:
-        raise ValueError(f"{field}.x_m: the radar at (0, 0) must stand outside, got a {thing.object_class} around it")
-    index = wall_inside(thing, scene.surfaces)
+def _check_object(field: str, scene_object: SceneObject, scene: Scene) -> None:
+    """Check that an object has one form, a loadable mesh, the radar outside it, and no wall through it."""
+    _check_form(field, scene_object, scene.setup.radar.carrier_hz)
+    if scene_object.contains(np.zeros((1, 2)))[0]:
+        raise ValueError(
+            f"{field}.x_m: the radar at (0, 0) must stand outside, got a {scene_object.object_class} around it"
+        )
+    index = wall_inside(scene_object, scene.surfaces)
     if index is not None:
         raise ValueError(
             f"{field}.x_m: must stand clear of surfaces[{index}], "
-            f"got a {thing.object_class} at ({thing.x_m:g}, {thing.y_m:g}) in its wall"
+            f"got a {scene_object.object_class} at ({scene_object.x_m:g}, {scene_object.y_m:g}) in its wall"
         )
 
 
-def _check_form(field: str, thing: SceneObject, carrier_hz: float) -> None:
-    """Class, mesh or primitive, with the fields that belong to it; its material and shape."""
-    given = [name for name in ("class", "mesh", "primitive") if getattr(thing, "class_" if name == "class" else name)]
+def _check_form(field: str, scene_object: SceneObject, carrier_hz: float) -> None:
+    """Check class, mesh or primitive with its fields, its material and shape."""
+    given = [
+        name for name in ("class", "mesh", "primitive") if getattr(scene_object, "class_" if name == "class" else name)
+    ]
     if len(given) != 1:
         raise ValueError(f"{field}: must have one of class, mesh, primitive, got {' and '.join(given) or 'none'}")
     allowed = {"class": (), "mesh": ("unit", "up", "material", "z_m"), "primitive": ("size_m", "material", "z_m")}
     plain = SceneObject(x_m=0.0, y_m=0.0)
     for name in ("unit", "up", "size_m", "material", "z_m"):
-        if name not in allowed[given[0]] and getattr(thing, name) != getattr(plain, name):
-            raise ValueError(f"{field}.{name}: does not belong to a {given[0]}, got {getattr(thing, name)!r}")
-    if thing.z_m < 0.0:
-        raise ValueError(f"{field}.z_m: must not be negative, got {thing.z_m!r}")
-    if thing.class_:
+        if name not in allowed[given[0]] and getattr(scene_object, name) != getattr(plain, name):
+            raise ValueError(f"{field}.{name}: does not belong to a {given[0]}, got {getattr(scene_object, name)!r}")
+    if scene_object.z_m < 0.0:
+        raise ValueError(f"{field}.z_m: must not be negative, got {scene_object.z_m!r}")
+    if scene_object.class_:
         return
     try:
-        permittivity(thing.material, carrier_hz)
+        permittivity(scene_object.material, carrier_hz)
     except ValueError as error:
         raise ValueError(f"{field}.material: {error}") from None
     try:
-        _ = thing.shape
+        _ = scene_object.shape
     except ValueError as error:
-        raise ValueError(f"{field}.mesh: {error}" if thing.mesh else f"{field}.{error}") from None
+        raise ValueError(f"{field}.mesh: {error}" if scene_object.mesh else f"{field}.{error}") from None
 
 
-def wall_inside(thing: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
-    """Index of the first surface that runs through an object's box, None where it stands clear."""
+def wall_inside(scene_object: SceneObject, surfaces: tuple[Surface, ...]) -> int | None:
+    """Return the index of the first surface that runs through an object's box, None for none."""
     pieces = [(index, *piece) for index, surface in enumerate(surfaces) for piece in _segments(surface)]
     if not pieces:
         return None
     owner, a, b = (np.array(column) for column in zip(*pieces, strict=True))
-    corners = thing.corners_m()
-    cut = crosses(a, b, corners, np.roll(corners, -1, axis=0)).any(axis=1)
-    inside = cut | thing.contains(a) | thing.contains(b)
+    corners = scene_object.corners_m()
+    crossed = crosses(a, b, corners, np.roll(corners, -1, axis=0)).any(axis=1)
+    inside = crossed | scene_object.contains(a) | scene_object.contains(b)
     return int(owner[inside][0]) if inside.any() else None
 
 
 def _segments(surface: Surface) -> list[tuple[Point, Point]]:
-    """The straight pieces of a wall, or those that stand for its arcs; none for the ground."""
+    """Return the straight pieces of a wall, or those that replace its arcs; none for the ground."""
     if surface.role == "ground":
         return []
     ends = pairwise(surface.polyline_m)
@@ -430,7 +441,7 @@ def _segments(surface: Surface) -> list[tuple[Point, Point]]:
 
 
 def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point, Point]]:
-    """Straight pieces that follow an arc to `ARC_ERROR_M`; the chord itself where the wall is straight."""
+    """Return the straight pieces that follow an arc to `ARC_ERROR_M`; the chord itself where the wall is straight."""
     if not curvature_per_m:
         return [(a, b)]
     half_angle = math.asin(0.5 * math.dist(a, b) * abs(curvature_per_m))
@@ -441,14 +452,14 @@ def _arc_pieces(a: Point, b: Point, curvature_per_m: float) -> list[tuple[Point,
 
 
 def _distance_to_origin(a: np.ndarray, b: np.ndarray) -> float:
-    """Distance of the segment a -> b from (0, 0)."""
+    """Return the distance of the segment a -> b from (0, 0)."""
     along = b - a
     share = np.clip(-(a @ along) / (along @ along), 0.0, 1.0)
     return float(np.linalg.norm(a + share * along))
 
 
 def _numbers(value: Any, field: str) -> Iterator[tuple[str, float]]:
-    """All floats below a plain value with the path that leads to them."""
+    """Yield all floats below a plain value with their paths."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from _numbers(inner, f"{field}.{key}" if field else str(key))
@@ -460,7 +471,7 @@ def _numbers(value: Any, field: str) -> Iterator[tuple[str, float]]:
 
 
 def _field_first(message: str) -> str:
-    """A validation message ("Expected `float`, got `str` - at `$.a[0].b`") as "a[0].b: expected ..."."""
+    """Return a validation message ("Expected `float`, got `str` - at `$.a[0].b`") as "a[0].b: expected ..."."""
     text, _, path = message.partition(" - at `$")
     field = path.rstrip("`").lstrip(".")
     text = text[0].lower() + text[1:]

@@ -1,6 +1,6 @@
-"""What a real front end does to the signal: faults that a scene may give its radar, all absent unless stated.
+"""Faults of a real front end that a scene may give its radar, all absent unless stated.
 
-Perception is never told these values; each is the parameter of one effect in `sim_player/effects/`.
+Perception never gets these values; each is the parameter of one effect in `sim_player/effects/`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Triangle meshes as objects: read from OBJ, PLY, STL or glTF, or built as primitives; checked at the door.
+"""Triangle meshes as objects: read from OBJ, PLY, STL or glTF, or built as primitives; validated on input.
 
-A mesh stands in its own frame like an object class: x forward, y left, z up, on the ground (min z = 0) and centred in
-plan by its box.
+A mesh has its own frame like an object class: x forward, y left, z up, on the ground (min z = 0) and centred in plan by
+its box.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ UpAxis = Literal["y", "z"]
 
 #: Formats and the axis that is up in them unless a scene says otherwise; glTF 2.0 fixes +y.
 UP_AXIS: dict[str, UpAxis] = {".obj": "z", ".ply": "z", ".stl": "z", ".glb": "y", ".gltf": "y"}
-#: Longest extent of a plausible object. The same numbers read in metres and in millimetres never both pass.
+#: Longest extent of a plausible object. The same numbers never pass both as metres and as millimetres.
 EXTENT_M = (0.05, 40.0)
-MOST_FACES = 1_000_000
-MOST_BYTES = 256 * 2**20
+MAX_FACES = 1_000_000
+MAX_BYTES = 256 * 2**20
 #: Vertices nearer than this share of the longest extent are one.
 WELD_SHARE = 1e-7
-#: A triangle whose height is less than this share of its longest edge has no area worth the name.
+#: A triangle whose height is less than this share of its longest edge counts as degenerate.
 FLAT_SHARE = 1e-6
 
 
@@ -62,7 +62,7 @@ class Mesh:
 
     @cached_property
     def closed(self) -> bool:
-        """Whether every edge joins exactly two faces that are wound alike, so that there is an inside."""
+        """True where every edge joins exactly two faces that are wound alike, so that there is an inside."""
         edges = _directed_edges(self.faces)
         _, count = np.unique(np.sort(edges, axis=1), axis=0, return_counts=True)
         return bool((count == 2).all()) and len(np.unique(edges, axis=0)) == len(edges)
@@ -79,7 +79,7 @@ class Mesh:
 
 
 def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis | None = None) -> Mesh:
-    """A mesh from an OBJ, PLY, STL, GLB or glTF file, in metres, z up, on the ground, centred in plan.
+    """Return a mesh from an OBJ, PLY, STL, GLB or glTF file, in metres, z up, on the ground, centred in plan.
 
     glTF is y up with its front along +z: turned so that the front is x and up is z (also for other formats read with
     `up="y"`). Closed parts are wound outward; open ones keep the file's winding, made consistent. ValueError in one
@@ -102,7 +102,8 @@ def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis 
 
 
 def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, name: str) -> Mesh:
-    """A mesh from plain arrays: welded, faces without area dropped, wound outward, on the ground, centred in plan.
+    """Return a mesh from plain arrays: welded, faces without area dropped, wound outward, on the ground, centred in
+    plan.
 
     Raises ValueError where no face has an area.
     """
@@ -116,27 +117,27 @@ def mesh_from_arrays(vertices_m: np.ndarray, faces: np.ndarray, material: str, n
 
 
 def grounded(mesh: Mesh) -> Mesh:
-    """The mesh on the ground (min z = 0), the middle of its box over the origin."""
-    least, most = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
-    middle = 0.5 * (least + most)
+    """Return the mesh on the ground (min z = 0), the middle of its box over the origin."""
+    least, greatest = mesh.vertices_m.min(axis=0), mesh.vertices_m.max(axis=0)
+    middle = 0.5 * (least + greatest)
     return replace(mesh, vertices_m=mesh.vertices_m - np.array([middle[0], middle[1], least[2]]))
 
 
 def box(length_m: float, width_m: float, height_m: float, material: str = "metal") -> Mesh:
-    """A closed box: length along x, width along y."""
+    """Return a closed box: length along x, width along y."""
     unit = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float64)
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     return _primitive("box", unit * (length_m, width_m, height_m), _halved(quads), material)
 
 
 def plate(width_m: float, height_m: float, material: str = "metal") -> Mesh:
-    """An upright plate without thickness that faces +x; both sides reflect."""
+    """Return an upright plate without thickness that faces +x; both sides reflect."""
     y, z = np.array([0.0, width_m, width_m, 0.0]), np.array([0.0, 0.0, height_m, height_m])
     return _primitive("plate", np.column_stack([np.zeros(4), y, z]), _halved([(0, 1, 2, 3)]), material)
 
 
 def dihedral(width_m: float, height_m: float, material: str = "metal") -> Mesh:
-    """Two upright plates of a width that meet at 90 degrees along z and open towards +x."""
+    """Return two upright plates of a width that meet at 90 degrees along z and open towards +x."""
     reach = width_m / math.sqrt(2.0)
     plan = np.array([[0.0, 0.0], [reach, reach], [reach, -reach]])
     vertices = np.concatenate([np.column_stack([plan, np.full(3, z)]) for z in (0.0, height_m)])
@@ -144,7 +145,7 @@ def dihedral(width_m: float, height_m: float, material: str = "metal") -> Mesh:
 
 
 def trihedral(edge_m: float, material: str = "metal") -> Mesh:
-    """A triangular corner reflector of three faces at right angles, its axis of symmetry along +x."""
+    """Return a triangular corner reflector of three faces at right angles, its axis of symmetry along +x."""
     axis = np.array([1.0, 1.0, 1.0]) / math.sqrt(3.0)
     left = np.array([-1.0, 1.0, 0.0]) / math.sqrt(2.0)
     vertices = np.concatenate([np.zeros((1, 3)), edge_m * np.eye(3)]) @ np.stack([axis, left, np.cross(axis, left)]).T
@@ -152,7 +153,7 @@ def trihedral(edge_m: float, material: str = "metal") -> Mesh:
 
 
 def cylinder(diameter_m: float, height_m: float, material: str = "metal", sides: int = 192) -> Mesh:
-    """A closed upright cylinder of flat sides."""
+    """Return a closed upright cylinder of flat sides."""
     angle = 2.0 * np.pi * np.arange(sides) / sides
     ring = 0.5 * diameter_m * np.column_stack([np.cos(angle), np.sin(angle), np.zeros(sides)])
     top_middle = np.array([[0.0, 0.0, height_m]])
@@ -165,7 +166,7 @@ def cylinder(diameter_m: float, height_m: float, material: str = "metal", sides:
 
 
 def sphere(diameter_m: float, material: str = "metal", rounds: int = 4) -> Mesh:
-    """A closed sphere: an icosahedron whose faces are cut in four `rounds` times (20 * 4^rounds faces)."""
+    """Return a closed sphere: an icosahedron whose faces are cut in four `rounds` times (20 * 4^rounds faces)."""
     golden = 0.5 * (1.0 + math.sqrt(5.0))
     corners = [(0.0, a, b * golden) for a in (-1.0, 1.0) for b in (-1.0, 1.0)]
     vertices = np.array([np.roll(corner, turn) for turn in range(3) for corner in corners])
@@ -179,7 +180,7 @@ def sphere(diameter_m: float, material: str = "metal", rounds: int = 4) -> Mesh:
     return _primitive("sphere", triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3), material)
 
 
-#: What a scene may call a primitive: its constructor and what its `size_m` lists.
+#: Primitives by name: constructor and meaning of `size_m`.
 PRIMITIVES: dict[str, tuple[Any, tuple[str, ...]]] = {
     "box": (box, ("length", "width", "height")),
     "plate": (plate, ("width", "height")),
@@ -191,7 +192,7 @@ PRIMITIVES: dict[str, tuple[Any, tuple[str, ...]]] = {
 
 
 def primitive_mesh(name: str, size_m: tuple[float, ...], material: str = "metal") -> Mesh:
-    """A primitive by name; ValueError where the sizes do not fit it or the extent is not plausible."""
+    """Return a primitive by name; ValueError where the sizes do not fit it or the extent is not plausible."""
     if name not in PRIMITIVES:
         raise ValueError(f"primitive: must be one of {', '.join(PRIMITIVES)}, got {name!r}")
     build, sizes = PRIMITIVES[name]
@@ -206,31 +207,31 @@ def primitive_mesh(name: str, size_m: tuple[float, ...], material: str = "metal"
 
 
 def _quartered(triangles: np.ndarray) -> np.ndarray:
-    """Triangles [N, 3, 3] cut in four at the middles of their edges, [4 N, 3, 3], same winding."""
+    """Return the triangles [N, 3, 3] cut in four at the middles of their edges, [4 N, 3, 3], same winding."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     ab, bc, ca = 0.5 * (a + b), 0.5 * (b + c), 0.5 * (c + a)
     return np.concatenate([np.stack(t, axis=1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
 
 
 def _primitive(name: str, vertices_m: np.ndarray, faces: np.ndarray, material: str) -> Mesh:
-    """A primitive through the same door as files."""
+    """Return a primitive, built and checked like a mesh from a file."""
     return mesh_from_arrays(vertices_m, faces, material, name)
 
 
 def _halved(quads: list[tuple[int, int, int, int]]) -> np.ndarray:
-    """Two triangles of each quadrangle."""
+    """Return two triangles of each quadrangle."""
     return np.array([half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))])
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices [V, 3] and faces [F, 3] as the file has them, all parts of it in one."""
+    """Return the vertices [V, 3] and faces [F, 3] as the file has them, all parts of it in one."""
     import trimesh
 
     if not path.is_file():
         raise ValueError(f"{path}: no such mesh file")
     size = path.stat().st_size
-    if size > MOST_BYTES:
-        raise ValueError(f"{path}: size: at most {MOST_BYTES // 2**20} MiB are read, got {size / 2**20:.0f}")
+    if size > MAX_BYTES:
+        raise ValueError(f"{path}: size: at most {MAX_BYTES // 2**20} MiB are read, got {size / 2**20:.0f}")
     try:
         _refuse_cut_obj(path)
         whole = trimesh.load_scene(path, process=False, skip_materials=True).to_mesh()
@@ -240,7 +241,9 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refuse_cut_obj(path: Path) -> None:
-    """An OBJ whose last line is a face of fewer than three corners was cut off; readers drop such a line silently."""
+    """Raise ValueError where the last face of an OBJ has fewer than three corners; readers drop such a line
+    silently.
+    """
     if path.suffix.lower() != ".obj":
         return
     with path.open("rb") as file:
@@ -251,13 +254,13 @@ def _refuse_cut_obj(path: Path) -> None:
 
 
 def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
-    """Faces there, not too many, no vertex that is not a number, three of each."""
+    """Check shapes, the number of faces, finite vertices and valid corner indices."""
     if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,):
         raise ValueError(f"vertices and faces: must have three numbers each, got {vertices.shape} and {faces.shape}")
     if not len(faces):
         raise ValueError("faces: must hold at least one triangle, got 0 (empty, or cut off)")
-    if len(faces) > MOST_FACES:
-        raise ValueError(f"faces: at most {MOST_FACES}, got {len(faces)}: simplify the mesh")
+    if len(faces) > MAX_FACES:
+        raise ValueError(f"faces: at most {MAX_FACES}, got {len(faces)}: simplify the mesh")
     bad = ~np.isfinite(vertices).all(axis=1)
     if bad.any():
         raise ValueError(f"vertices[{bad.argmax()}]: must be finite, got {vertices[bad.argmax()].tolist()}")
@@ -266,7 +269,7 @@ def _check_arrays(vertices: np.ndarray, faces: np.ndarray) -> None:
 
 
 def _check_extent(extent_m: float, unit: Unit) -> None:
-    """The longest extent must be an object's; metres and millimetres cannot both pass."""
+    """Check that the longest extent is plausible for an object in this unit."""
     if EXTENT_M[0] <= extent_m <= EXTENT_M[1]:
         return
     other_unit, other_m = ("mm", extent_m * 1e-3) if unit == "m" else ("m", extent_m * 1e3)
@@ -277,14 +280,14 @@ def _check_extent(extent_m: float, unit: Unit) -> None:
 
 
 def _weld(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices at one place become one, so that faces know their neighbours."""
+    """Merge vertices at one position, so that faces share them with their neighbours."""
     step = WELD_SHARE * max(float(np.ptp(vertices, axis=0).max()), 1e-12)
     _, first, label = np.unique(np.round(vertices / step), axis=0, return_index=True, return_inverse=True)
     return vertices[first], label.ravel()[faces]
 
 
 def _have_area(corners: np.ndarray) -> np.ndarray:
-    """Which triangles [F, 3, 3] are more than a line."""
+    """Return which triangles [F, 3, 3] are more than a line."""
     edges = np.roll(corners, -1, axis=1) - corners
     longest = np.linalg.norm(edges, axis=2).max(axis=1)
     doubled = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1)
@@ -292,18 +295,18 @@ def _have_area(corners: np.ndarray) -> np.ndarray:
 
 
 def _used(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Only the vertices that some face has."""
+    """Return the vertices that faces use, and the faces renumbered."""
     kept, label = np.unique(faces, return_inverse=True)
     return vertices[kept], label.reshape(faces.shape)
 
 
 def _directed_edges(faces: np.ndarray) -> np.ndarray:
-    """The three edges of every face, in the order of its corners, [3 F, 2]."""
+    """Return the three edges of every face, in the order of its corners, [3 F, 2]."""
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=2).reshape(-1, 2)
 
 
 def _wind_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Faces of each connected part wound alike, and outward where the part encloses a volume."""
+    """Return the faces of each connected part wound alike, and outward where the part encloses a volume."""
     part, flipped, closed = _parts(faces)
     faces = np.where(flipped[:, None], faces[:, ::-1], faces)
     a, b, c = np.moveaxis(vertices[faces] - vertices.mean(axis=0), 1, 0)
@@ -313,7 +316,8 @@ def _wind_outward(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Connected part of each face, which faces to turn over so that a part is wound alike, which parts are closed.
+    """Return the connected part of each face, which faces to turn over so that a part is wound alike, which parts are
+    closed.
 
     Two nodes a face, as it is and turned over; neighbours join the nodes that are wound alike. A part then falls into
     two components, one the other turned over (a Moebius strip into one: its winding stays as it is). Only edges of
@@ -325,12 +329,14 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     label = label.ravel()
     order = np.argsort(label, kind="stable")
     pairs = order[shared[label[order]] == 2].reshape(-1, 2)
-    one, other = pairs[:, 0] // 3, pairs[:, 1] // 3
+    first_face, second_face = pairs[:, 0] // 3, pairs[:, 1] // 3
     alike = edges[pairs[:, 0], 0] != edges[pairs[:, 1], 0]
-    _, part = _components(count, one, other)
+    _, part = _components(count, first_face, second_face)
     same = np.where(alike, 0, count)
     _, sheet = _components(
-        2 * count, np.concatenate([one, one + count]), np.concatenate([other + same, other + count - same])
+        2 * count,
+        np.concatenate([first_face, first_face + count]),
+        np.concatenate([second_face + same, second_face + count - same]),
     )
     # the sheet of each part's first face stays as it is
     _, first = np.unique(part, return_index=True)
@@ -339,18 +345,18 @@ def _parts(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return part, flipped, closed
 
 
-def _components(count: int, one: np.ndarray, other: np.ndarray) -> tuple[int, np.ndarray]:
-    """Connected components of an undirected graph: their number and the label of each node."""
-    # here: most scenes have no mesh
+def _components(count: int, first: np.ndarray, second: np.ndarray) -> tuple[int, np.ndarray]:
+    """Return the connected components of an undirected graph: their number and the label of each node."""
+    # imported here: most scenes have no mesh
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_array((np.ones(len(one), np.int8), (one, other)), shape=(count, count))
+    graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(count, count))
     number, label = connected_components(graph, directed=False)
     return int(number), label
 
 
 def _signed_volume(corners: np.ndarray) -> float:
-    """Volume enclosed by triangles [F, 3, 3], positive where they are wound outward."""
+    """Return the volume enclosed by triangles [F, 3, 3], positive where they are wound outward."""
     a, b, c = np.moveaxis(corners, 1, 0)
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

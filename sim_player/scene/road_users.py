@@ -1,7 +1,7 @@
 """Road users as boxes of scattering centres: along the faces, stronger at corners and wheels, random in phase.
 
-What it leaves out: curved bodies, cavities (wheel arches, windows), multiple scattering inside an object, roofs,
-micro-motion of legs and wheels. The mean over all aspects is held to the class's RCS; speckle does the rest.
+Not modelled: curved bodies, cavities (wheel arches, windows), multiple scattering inside an object, roofs,
+micro-motion of legs and wheels. The mean over all aspects equals the class's RCS; speckle gives the variation.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from msgs.values.units import ratio_from_db
 from sim_player.scene.description import OBJECT_KINDS, ObjectKind
 
-#: Centres stand about this far apart along a face.
+#: Mean spacing of the centres along a face.
 CENTRE_SPACING_M = 0.28
 #: Heights of the centres above ground: sills, bumpers, lamps.
 CENTRE_HEIGHT_M = (0.3, 1.0)
@@ -38,12 +38,14 @@ class ScatteringCentres:
     phase_rad: np.ndarray
     #: Exponent of the lobe; 0 for centres without one.
     lobe_exponent: np.ndarray
-    #: Share of the peak that is seen from everywhere in front.
+    #: Share of the peak in all directions in front.
     lobe_floor: float = LOBE_FLOOR
 
 
 def scattering_centres(object_class: str, seed: int, index: int) -> ScatteringCentres:
-    """Centres of an object, fixed by (seed, index of the object in its scene), so consecutive scans agree."""
+    """Return the centres of an object, fixed by (seed, index of the object in its scene), so consecutive scans
+    agree.
+    """
     kind = OBJECT_KINDS[object_class]
     rng = np.random.default_rng([seed, 1, index])
     position, normals, gain, exponent = _layout(kind, object_class in WHEELED, rng)
@@ -68,7 +70,9 @@ def seen_rcs_m2(
     direction: np.ndarray,
     lobe_floor: np.ndarray | float = LOBE_FLOOR,
 ) -> np.ndarray:
-    """RCS towards unit vectors `direction` [..., K, 3] (or [..., K, 2], level) from the centres; 0 if turned away."""
+    """Return the RCS towards unit vectors `direction` [..., K, 3] (or [..., K, 2], level) from the centres; 0 if
+    turned away.
+    """
     axes = direction.shape[-1]
     first = np.einsum("...ki,ki->...k", direction, normals[:, 0, :axes])
     second = np.einsum("...ki,ki->...k", direction, normals[:, 1, :axes])
@@ -78,7 +82,7 @@ def seen_rcs_m2(
 
 
 def mean_rcs_m2(centres: ScatteringCentres) -> float:
-    """RCS averaged over all aspects and over speckle: the incoherent sum of the centres."""
+    """Return the RCS averaged over all aspects and over speckle: the incoherent sum of the centres."""
     normals, exponent = (np.asarray(values, np.float64) for values in (centres.normals, centres.lobe_exponent))
     lobes = _lobes(normals.shape, normals.tobytes(), exponent.tobytes())
     return float((centres.peak_rcs_m2 * lobes).sum(axis=1).mean())
@@ -86,7 +90,7 @@ def mean_rcs_m2(centres: ScatteringCentres) -> float:
 
 @lru_cache(maxsize=8)
 def _lobes(shape: tuple[int, ...], normals: bytes, lobe_exponent: bytes) -> np.ndarray:
-    """Share of their peak that centres show at 720 aspects, [720, K]; objects of a class are alike in it."""
+    """Return the share of their peak that centres show at 720 aspects, [720, K]; objects of a class are alike in it."""
     aspect = np.linspace(0.0, 2.0 * np.pi, 720, endpoint=False)
     direction = np.column_stack([np.cos(aspect), np.sin(aspect)])[:, None, :]
     faces = np.frombuffer(normals, np.float64).reshape(shape)
@@ -96,7 +100,7 @@ def _lobes(shape: tuple[int, ...], normals: bytes, lobe_exponent: bytes) -> np.n
 def _layout(
     kind: ObjectKind, wheeled: bool, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Plan positions [K, 2], normals [K, 2, 2], relative RCS [K] and lobe exponents [K] of a class."""
+    """Return the plan positions [K, 2], normals [K, 2, 2], relative RCS [K] and lobe exponents [K] of a class."""
     half = 0.5 * np.array([kind.length_m, kind.width_m])
     outward = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     position, normals, gain, exponent = [], [], [], []
@@ -105,8 +109,8 @@ def _layout(
         reach = abs(along @ half)
         count = max(round(float(2.0 * reach / CENTRE_SPACING_M)) - 1, 1)
         # jittered: even spacing would make a grating
-        place = np.linspace(-reach, reach, count + 2)[1:-1] + rng.uniform(-0.25, 0.25, count) * CENTRE_SPACING_M
-        position.append(normal * half + np.clip(place, -reach, reach)[:, None] * along)
+        offset = np.linspace(-reach, reach, count + 2)[1:-1] + rng.uniform(-0.25, 0.25, count) * CENTRE_SPACING_M
+        position.append(normal * half + np.clip(offset, -reach, reach)[:, None] * along)
         normals.append(np.tile(normal, (count, 2, 1)))
         gain.append(np.ones(count))
         exponent.append(np.full(count, kind.lobe_exponent))

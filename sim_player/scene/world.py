@@ -1,4 +1,4 @@
-"""A scene made ready for tracing: flat arrays, randomness drawn; and the same frozen at a time."""
+"""A scene prepared for tracing: flat arrays with drawn scatterers, and its snapshot at a time."""
 
 from __future__ import annotations
 
@@ -66,9 +66,10 @@ class World:
     face_b: np.ndarray
     face_height_m: np.ndarray
     velocity_mps: np.ndarray
-    #: Wall scatterers: place [Q, 2], piece of wall, length of wall it stands for (0: structure), RCS, unit phasor.
+    #: Wall scatterers: position [Q, 2], piece of wall, length of wall that it represents (0: structure), RCS, unit
+    #: phasor.
     speck_m: np.ndarray
-    #: Across the wall where a scatterer sits, either way, [Q, 2].
+    #: Normal of the wall at the scatterer, either sign, [Q, 2].
     speck_normal: np.ndarray
     speck_wall: np.ndarray
     speck_length_m: np.ndarray
@@ -77,18 +78,18 @@ class World:
 
     @property
     def is_mirror(self) -> np.ndarray:
-        """Which pieces of wall are walls, not foliage; bool [W]."""
+        """Mask of the pieces that are walls, not foliage; bool [W]."""
         return self.wall_stack >= 0
 
     @property
     def is_curved(self) -> np.ndarray:
-        """Which pieces of wall bend enough to matter; bool [W]."""
+        """Mask of the pieces with a relevant curvature; bool [W]."""
         chord = np.hypot(*(self.wall_b - self.wall_a).T)
         return self.is_mirror & (np.abs(self.wall_curvature_per_m) * chord >= STRAIGHT)
 
     @property
     def is_flat(self) -> np.ndarray:
-        """Which pieces of wall are mirrors that do not bend; bool [W]."""
+        """Mask of the straight mirrors; bool [W]."""
         return self.is_mirror & ~self.is_curved
 
     @property
@@ -108,16 +109,18 @@ class World:
         return table
 
     def reflection(self, wall: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """One bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by roughness)."""
+        """Return one bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by
+        roughness).
+        """
         cosine, stack = np.minimum(cosine, 1.0), self.wall_stack[wall]
         whole, front = np.zeros(len(wall), np.complex128), np.zeros(len(wall), np.complex128)
         permittivity, thickness_m, layers = self._faces
         solid = stack >= 0
         front[solid] = half_space_reflection(permittivity[stack[solid]], cosine[solid])
-        one = solid & (layers[stack] == 1)
-        slab = permittivity[stack[one]], cosine[one], thickness_m[stack[one]]
-        whole[one] = slab_reflection(*slab, self.radar.wavelength_m)
-        for build in np.unique(stack[solid & ~one]):
+        is_slab = solid & (layers[stack] == 1)
+        slab = permittivity[stack[is_slab]], cosine[is_slab], thickness_m[stack[is_slab]]
+        whole[is_slab] = slab_reflection(*slab, self.radar.wavelength_m)
+        for build in np.unique(stack[solid & ~is_slab]):
             here = stack == build
             whole[here] = _reflection(self.stacks[build], cosine[here], self.radar.wavelength_m)
         rough = np.sqrt(coherent_power(self.wall_roughness_m[wall], cosine, self.radar.wavelength_m))
@@ -168,13 +171,13 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
 
 
 def radar_pose(scene: Scene, time_s: float) -> Pose2:
-    """`start_from_now`: where the radar is after a time."""
+    """Return `start_from_now`: the pose of the radar after a time."""
     return ego_motion(scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps), time_s)
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """A world frozen at a time: the radar and everything that moves at its place, in the scene's frame."""
+    """A world frozen at a time: the radar and all moving objects at their positions, in the scene's frame."""
 
     world: World
     pose: Pose2
@@ -190,7 +193,7 @@ class Snapshot:
 
     @property
     def origin(self) -> np.ndarray:
-        """The antenna's place in the plane, [2]."""
+        """The antenna's position in the plane, [2]."""
         return self.antenna[:2]
 
 
@@ -205,8 +208,8 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
     walls, faces = len(world.wall_a), len(world.face_a)
-    meshes = np.array([thing.class_ is None for thing in world.scene.objects], bool)
-    things = np.repeat(np.arange(len(meshes)), 4)
+    meshes = np.array([scene_object.class_ is None for scene_object in world.scene.objects], bool)
+    object_index = np.repeat(np.arange(len(meshes)), 4)
     return Snapshot(
         world=world,
         pose=pose,
@@ -221,7 +224,9 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
             curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(faces)]),
             kind=np.concatenate([np.where(world.is_mirror, WALL, VOLUME), np.full(faces, BODY)]).astype(np.int8),
             # the patches of a mesh lie inside its box
-            owner=np.concatenate([np.full(walls, -1), np.where(meshes[things], things, -1)]).astype(np.int32),
+            owner=np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)]).astype(
+                np.int32
+            ),
             passing=np.concatenate([world.passing, np.zeros((faces, TABLE_STEPS + 1))]),
         ),
         normal=normal,
@@ -230,7 +235,7 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
 
 
 def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit normals [W, 2] towards a place and offsets [W] of all pieces of wall."""
+    """Return the unit normals [W, 2] towards a point and offsets [W] of all pieces of wall."""
     along = world.wall_b - world.wall_a
     normal = np.column_stack([-along[:, 1], along[:, 0]]) / np.hypot(*along.T)[:, None]
     middle = 0.5 * (world.wall_a + world.wall_b)
@@ -240,8 +245,8 @@ def wall_lines(world: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, ...], np.ndarray]:
-    """The distinct builds of all walls, and which of them each piece has."""
-    known: dict[Layers, int] = {}
+    """Return the distinct builds of all walls, and the index of each piece's build."""
+    stack_index: dict[Layers, int] = {}
     index = []
     for surface in surfaces:
         if is_volume(surface.material):
@@ -249,18 +254,18 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
             continue
         thickness_m = None if surface.thickness_mm is None else 1e-3 * surface.thickness_mm
         layers = wall_layers(surface.material, thickness_m, carrier_hz)
-        index.append(known.setdefault(layers, len(known)))
-    return tuple(known), np.array(index, np.int32)
+        index.append(stack_index.setdefault(layers, len(stack_index)))
+    return tuple(stack_index), np.array(index, np.int32)
 
 
 def _reflection(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Field reflection of a build of wall, vertical polarisation (TE)."""
+    """Return the field reflection of a build of wall, vertical polarisation (TE)."""
     permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
     return np.asarray(stack_reflection(permittivities, thicknesses, cosine, wavelength_m))
 
 
 def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
+    """Return the field transmission of a build of wall against the same stretch of air; 0 where it has no back."""
     permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
     if np.isinf(thicknesses).any():
         return np.zeros(len(cosine), np.complex128)
@@ -270,56 +275,58 @@ def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np
 
 
 def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndarray:
-    """Field left after one way through a hedge."""
+    """Return the field left after one way through a hedge."""
     depth_m = 1e-3 * (surface.thickness_mm or 1000.0) / np.maximum(cosine, 0.05)
     return np.asarray(10.0 ** (-vegetation_db(carrier_hz, depth_m) / 20.0))
 
 
 def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np.ndarray]:
-    """The object fields of `World`."""
-    things = list(scene.objects)
-    centres = [_centres(thing, wavelength_m, seed, index) for index, thing in enumerate(things)]
-    corners = [thing.corners_m() for thing in things]
-    yaw = np.radians([thing.yaw_deg for thing in things])
-    speed = np.array([thing.speed_mps for thing in things])
+    """Return the object fields of `World`."""
+    objects = list(scene.objects)
+    centres = [_centres(scene_object, wavelength_m, seed, index) for index, scene_object in enumerate(objects)]
+    corners = [scene_object.corners_m() for scene_object in objects]
+    yaw = np.radians([scene_object.yaw_deg for scene_object in objects])
+    speed = np.array([scene_object.speed_mps for scene_object in objects])
 
     def joined(arrays: list[np.ndarray], *shape: int) -> np.ndarray:
         return np.concatenate(arrays) if arrays else np.zeros((0, *shape))
 
-    def on_plan(thing: SceneObject, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
-        """Points or vectors of the object's frame, their third coordinate kept."""
-        return np.concatenate([thing.place(points[..., :2]) - origin, points[..., 2:]], axis=-1)
+    def on_plan(scene_object: SceneObject, points: np.ndarray, origin: np.ndarray) -> np.ndarray:
+        """Return the points or vectors of the object's frame, their third coordinate kept."""
+        return np.concatenate([scene_object.place(points[..., :2]) - origin, points[..., 2:]], axis=-1)
 
-    places = [np.array([thing.x_m, thing.y_m]) for thing in things]
-    own = list(zip(things, centres, places, strict=True))
+    positions = [np.array([scene_object.x_m, scene_object.y_m]) for scene_object in objects]
+    own = list(zip(objects, centres, positions, strict=True))
     return {
-        "centre_m": joined([on_plan(thing, centre.position_m, np.zeros(2)) for thing, centre, _ in own], 3),
-        "centre_normals": joined([on_plan(thing, centre.normals, place) for thing, centre, place in own], 2, 3),
-        "centre_rcs_m2": joined([centre.peak_rcs_m2 for centre in centres]),
-        "centre_phase_rad": joined([centre.phase_rad for centre in centres]),
-        "centre_exponent": joined([centre.lobe_exponent for centre in centres]),
-        "centre_floor": joined([np.full(len(centre.phase_rad), centre.lobe_floor) for centre in centres]),
-        "centre_object": np.repeat(np.arange(len(things)), np.array([len(one.phase_rad) for one in centres], int)),
+        "centre_m": joined([on_plan(scene_object, drawn.position_m, np.zeros(2)) for scene_object, drawn, _ in own], 3),
+        "centre_normals": joined(
+            [on_plan(scene_object, drawn.normals, position) for scene_object, drawn, position in own], 2, 3
+        ),
+        "centre_rcs_m2": joined([drawn.peak_rcs_m2 for drawn in centres]),
+        "centre_phase_rad": joined([drawn.phase_rad for drawn in centres]),
+        "centre_exponent": joined([drawn.lobe_exponent for drawn in centres]),
+        "centre_floor": joined([np.full(len(drawn.phase_rad), drawn.lobe_floor) for drawn in centres]),
+        "centre_object": np.repeat(np.arange(len(objects)), np.array([len(one.phase_rad) for one in centres], int)),
         "face_a": joined(corners, 2),
         "face_b": joined([np.roll(box, -1, axis=0) for box in corners], 2),
-        "face_height_m": np.repeat(np.array([thing.kind.height_m for thing in things], float), 4),
+        "face_height_m": np.repeat(np.array([scene_object.kind.height_m for scene_object in objects], float), 4),
         "velocity_mps": np.column_stack([speed * np.cos(yaw), speed * np.sin(yaw)]),
     }
 
 
-def _centres(thing: SceneObject, wavelength_m: float, seed: int, index: int) -> ScatteringCentres:
-    """The scattering centres of one object: drawn for a class, computed for a mesh."""
-    mesh = thing.shape
+def _centres(scene_object: SceneObject, wavelength_m: float, seed: int, index: int) -> ScatteringCentres:
+    """Return the scattering centres of one object: drawn for a class, computed for a mesh."""
+    mesh = scene_object.shape
     if mesh is None:
-        return scattering_centres(thing.object_class, seed, index)
-    found = mesh_centres(mesh, wavelength_m)
+        return scattering_centres(scene_object.object_class, seed, index)
+    centres = mesh_centres(mesh, wavelength_m)
     return ScatteringCentres(
-        position_m=found.position_m,
-        normals=np.stack([found.normal, found.normal], axis=1),
-        peak_rcs_m2=found.peak_rcs_m2,
-        # what tells the patches of a mesh apart is their place
-        phase_rad=np.zeros(len(found.peak_rcs_m2)),
-        lobe_exponent=found.lobe_exponent,
+        position_m=centres.position_m,
+        normals=np.stack([centres.normal, centres.normal], axis=1),
+        peak_rcs_m2=centres.peak_rcs_m2,
+        # the phase of a patch of a mesh comes from its position
+        phase_rad=np.zeros(len(centres.peak_rcs_m2)),
+        lobe_exponent=centres.lobe_exponent,
         lobe_floor=0.0,
     )
 
@@ -327,8 +334,8 @@ def _centres(thing: SceneObject, wavelength_m: float, seed: int, index: int) -> 
 def _wall_specks(
     wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int
 ) -> dict[str, np.ndarray]:
-    """The wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
-    place, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
+    """Return the wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
+    position, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
     normal = [np.zeros((0, 2))]
     rng = np.random.default_rng([seed, 2])
     for index, (a, b) in enumerate(zip(wall_a, wall_b, strict=True)):
@@ -340,7 +347,7 @@ def _wall_specks(
         # the ends a hand's breadth inside, where a real edge has its depth
         joints = np.clip(joints, 0.02 / wall_length, max(1.0 - 0.02 / wall_length, 0.5))
         share = np.concatenate([patch, joints])
-        place.append(arc_points(a, b, curvature_per_m[index], share))
+        position.append(arc_points(a, b, curvature_per_m[index], share))
         normal.append(arc_normals(a, b, curvature_per_m[index], share))
         owner.append(np.full(len(share), index))
         length.append(np.concatenate([np.full(count, wall_length / count), np.zeros(len(joints))]))
@@ -348,7 +355,7 @@ def _wall_specks(
         rcs.append(np.concatenate([np.zeros(count), 10.0 ** (level_db / 10.0)]))
     phase = rng.uniform(0.0, 2.0 * np.pi, sum(map(len, rcs)))
     return {
-        "speck_m": np.concatenate(place),
+        "speck_m": np.concatenate(position),
         "speck_normal": np.concatenate(normal),
         "speck_wall": np.concatenate(owner),
         "speck_length_m": np.concatenate(length),

@@ -1,1 +1,1 @@
-"""From paths to samples and range profiles: array, waveform, receiver."""
+"""Samples and range profiles from paths: array, waveform, receiver."""

@@ -1,4 +1,4 @@
-"""From paths to beats: tones summed on a grid, slow time of moving paths in a few terms, noise, int16 codes.
+"""Beats from paths: tones summed on a grid, slow time of moving paths in a few terms, noise, int16 codes.
 
 Beats follow the recorded convention m(t) = sum conj(W) exp{+j(2 pi S tau t + 2 pi f_c tau - pi S tau^2)}.
 Left out by this plain signal chain: range migration within one beam (a path moves under 1/10 of a range bin in 0.7 ms
@@ -25,19 +25,22 @@ from sim_player.trace.paths import Paths
 KERNEL_WIDTH, OVERSAMPLING = 12, 2
 #: Samples that the noise and rounding kernel works on at a time.
 BLOCK = 2048
-#: What the slow-time basis may miss of any path, relative to that path.
+#: Largest error of the slow-time basis for any path, relative to that path.
 SLOW_TIME_TOLERANCE = 1e-5
 
 
 def beam_weights(setup: RadarSetup, paths: Paths, beams: slice = slice(None)) -> np.ndarray:
-    """Recorded weights conj(W) of all paths, antenna included, in sqrt(mW); complex128 [beams, paths]."""
+    """Return the recorded weights conj(W) of all paths, antenna included, in sqrt(mW); complex128 [beams, paths]."""
     there = departure(paths)
     pattern = two_way_pattern(setup, setup_weights(setup)[beams], paths.azimuth_rad, paths.elevation_rad, *there)
     return np.conj(paths.amplitude * pattern)
 
 
 def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Azimuth and elevation of departure; (None, None) where all paths return the way they went (half the work)."""
+    """Return the azimuth and elevation of departure; (None, None) where all paths return along their outbound route
+    (half the
+    work).
+    """
     azimuth_rad, elevation_rad = paths.departure_azimuth_rad, paths.departure_elevation_rad
     if np.array_equal(azimuth_rad, paths.azimuth_rad) and np.array_equal(elevation_rad, paths.elevation_rad):
         return None, None
@@ -45,13 +48,13 @@ def departure(paths: Paths) -> tuple[np.ndarray | None, np.ndarray | None]:
 
 
 def chirp_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray) -> np.ndarray:
-    """Sums of beats over one chirp, one per row of `weights` [rows, paths]; complex128 [rows, samples]."""
+    """Return the sums of beats over one chirp, one per row of `weights` [rows, paths]; complex128 [rows, samples]."""
     cycles = beat_frequency_hz(radar, length_m) / radar.sample_rate_hz
     return sum_tones(cycles, weights * np.exp(1j * beat_phase_rad(radar, length_m)), radar.samples_per_chirp)
 
 
 def sum_tones(cycles_per_sample: np.ndarray, weights: np.ndarray, count: int) -> np.ndarray:
-    """sum_p w_p exp(2 pi j x_p n) for n = 0..count-1, by gridding and one FFT per row; complex128 [rows, count].
+    """Return sum_p w_p exp(2 pi j x_p n) for n = 0..count-1, by gridding and one FFT per row; complex128 [rows, count].
 
     A non-uniform FFT: each tone is spread over the `KERNEL_WIDTH` nearest steps of an oversampled spectrum by a
     Kaiser-Bessel kernel, whose own transform is divided out afterwards. Cost does not grow with paths x samples.
@@ -73,33 +76,33 @@ def sum_tones(cycles_per_sample: np.ndarray, weights: np.ndarray, count: int) ->
 
 
 def grid_spread(position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The grid steps next to each position, and the kernel's value there; [tones, KERNEL_WIDTH] each."""
+    """Return the grid steps next to each position, and the kernel's value there; [tones, KERNEL_WIDTH] each."""
     first = np.floor(position).astype(np.int64) - KERNEL_WIDTH // 2 + 1
     steps = first[:, None] + np.arange(KERNEL_WIDTH)
     return steps, _kaiser_bessel(position[:, None] - steps)
 
 
 def _kernel_shape() -> float:
-    """Beta of the Kaiser-Bessel kernel at this width and oversampling."""
+    """Return the beta of the Kaiser-Bessel kernel at this width and oversampling."""
     return math.pi * KERNEL_WIDTH * (1.0 - 0.5 / OVERSAMPLING) * 0.98
 
 
 def _kaiser_bessel(offset: np.ndarray) -> np.ndarray:
-    """Kernel at offsets in grid steps, zero beyond half its width."""
+    """Return the kernel at offsets in grid steps, zero beyond half its width."""
     inside = np.maximum(1.0 - np.square(2.0 * offset / KERNEL_WIDTH), 0.0)
     return np.i0(_kernel_shape() * np.sqrt(inside))
 
 
 @lru_cache(maxsize=8)
 def kernel_transform(count: int) -> np.ndarray:
-    """Transform of the kernel at the centred samples, [count]."""
+    """Return the transform of the kernel at the centred samples, [count]."""
     turns = np.pi * KERNEL_WIDTH * (np.arange(count) - count // 2) / (OVERSAMPLING * count)
     argument = np.sqrt(_kernel_shape() ** 2 - turns**2)
     return KERNEL_WIDTH * np.sinh(argument) / argument
 
 
 def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Phases of moving paths over a beam's chirps: exp(j w_p c) = carrier[c] sum_r share[r, p] basis[r, c].
+    """Return the phases of moving paths over a beam's chirps: exp(j w_p c) = carrier[c] sum_r share[r, p] basis[r, c].
 
     Chirps count from the middle of the beam. Returns carrier complex128 [chirps], basis float64 [terms, chirps] and
     share complex128 [terms, paths]. A common turn is taken out first, then the band that is left needs only as many
@@ -115,7 +118,9 @@ def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[n
 
 
 def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
-    """exp(j w_p c), c counted from the middle, [chirps, paths]: sixteenths times single steps, few exponentials."""
+    """Return exp(j w_p c), c counted from the middle, [chirps, paths]: sixteenths times single steps, few
+    exponentials.
+    """
     step = 16
     coarse = np.arange(-(-chirps // step)) * step - 0.5 * (chirps - 1)
     coarse_phasors = np.exp(1j * np.multiply.outer(coarse, turn))
@@ -125,8 +130,10 @@ def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
 
 @lru_cache(maxsize=64)
 def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
-    """Orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the tolerance."""
-    # here, because what it brings along takes half a second, of which a player that starts again has no need
+    """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the
+    tolerance.
+    """
+    # imported here: the import takes half a second, which a restarted player does not need
     from scipy.signal.windows import dpss
 
     chirp = np.arange(chirps) - 0.5 * (chirps - 1)
@@ -141,12 +148,13 @@ def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
 
 
 def _rounded_up(value: float) -> float:
-    """The next of few values (six in an octave), so that beams share their cached basis; zero stays zero."""
+    """Return the next of few values (six in an octave), so that beams share their cached basis; zero stays zero."""
     return 2.0 ** (math.ceil(6.0 * math.log2(value)) / 6.0) if value > 1e-9 else 0.0
 
 
 def noise_bank(radar: RadarParams, seed: int) -> np.ndarray:
-    """White complex noise of power k T0 f_s F, float32 [2, slots * samples] in sqrt(mW): what `chirp_codes` reads.
+    """Return the white complex noise of power k T0 f_s F, float32 [2, slots * samples] in sqrt(mW): what `chirp_codes`
+    reads.
 
     One slot more than a beam's chirps (64 at least): a beam reads its slots without overlap at a random shift.
     """
@@ -156,7 +164,9 @@ def noise_bank(radar: RadarParams, seed: int) -> np.ndarray:
 
 
 def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Where in the bank each chirp of a beam reads its noise, int64 [chirps], and the phasor that turns it [chirps]."""
+    """Return where in the bank each chirp of a beam reads its noise, int64 [chirps], and the phasor that turns it
+    [chirps].
+    """
     rng = np.random.default_rng(seed)
     slots = bank.shape[1] // radar.samples_per_chirp - 1
     start = rng.permutation(slots)[: radar.chirps_per_beam] * radar.samples_per_chirp
@@ -167,7 +177,7 @@ def noise_reads(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> tuple[
 def beam_codes(
     setup: RadarSetup, beats: np.ndarray, carrier: np.ndarray, basis: np.ndarray, bank: np.ndarray, seed: list[int]
 ) -> np.ndarray:
-    """int16 I/Q codes of one beam, [chirps, samples, 2]: sum_r carrier basis[r] beats[r] plus noise.
+    """Return int16 I/Q codes of one beam, [chirps, samples, 2]: sum_r carrier basis[r] beats[r] plus noise.
 
     `beats` [terms, samples] in sqrt(mW). Rounded to nearest (ties to even), saturated at the ends of int16. Every
     chirp reads its own stretch of the bank, turned by its own phase: `seed` names the beam.
@@ -206,7 +216,7 @@ def _fill_codes(
     terms, count = beat_re.shape
     re, im = np.empty(BLOCK, np.float32), np.empty(BLOCK, np.float32)
     both = np.empty(2 * BLOCK, np.float32)
-    least, most = np.float32(-32768.0), np.float32(32767.0)
+    least, greatest = np.float32(-32768.0), np.float32(32767.0)
     # block by block: the terms of a block stay in the nearest cache for all chirps
     for first in range(0, count, BLOCK):
         size = min(BLOCK, count - first)
@@ -228,14 +238,15 @@ def _fill_codes(
             for n in range(size):
                 i = c * re[n] - s * im[n] + p * noise_re[n] - q * noise_im[n]
                 j = sign * (s * re[n] + c * im[n]) + q * noise_re[n] + p * noise_im[n]
-                both[2 * n] = min(max(np.rint(i), least), most)
-                both[2 * n + 1] = min(max(np.rint(j), least), most)
+                both[2 * n] = min(max(np.rint(i), least), greatest)
+                both[2 * n + 1] = min(max(np.rint(j), least), greatest)
             for n in range(2 * size):
                 out[n] = np.int16(np.int32(both[n]))
 
 
 def literal_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray, chirps: int = 1) -> np.ndarray:
-    """The reference: transmit Eq. (6), delay, mix with the conjugate; complex128 [chirps, samples], for few samples.
+    """Return the reference: transmit Eq. (6), delay, mix with the conjugate; complex128 [chirps, samples], for few
+    samples.
 
     Written out in time with no closed form: g(t) g*(t - tau) summed over paths with recorded weights conj(W)
     [paths]. Complex mixing leaves no sum frequency, so the low pass has nothing to remove. Chirps repeat.
@@ -249,10 +260,12 @@ def literal_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray,
 
 
 def chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
-    """Phase of Eq. (6) in turns, f_c t + S t^2 / 2; to be reduced to a fraction before it becomes an angle."""
+    """Return the phase of Eq. (6) in turns, f_c t + S t^2 / 2; to be reduced to a fraction before it becomes an
+    angle.
+    """
     return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
 
 
 def _chirp(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
-    """Eq. (6): g(t) = exp(j(2 pi f_c t + pi S t^2)), phase reduced before the exponential."""
+    """Return the Eq. (6): g(t) = exp(j(2 pi f_c t + pi S t^2)), phase reduced before the exponential."""
     return np.exp(2j * np.pi * (chirp_turns(radar, time_s) % 1.0))

@@ -68,7 +68,8 @@ def kernel_profiles(
     precision: str = "float64",
     seed: int = 0,
 ) -> np.ndarray:
-    """Hann-windowed range profiles of all beams without noise, sqrt(mW); complex [beams, bins] of the precision.
+    """Return the Hann-windowed range profiles of all beams without noise, sqrt(mW); complex [beams, bins] of the
+    precision.
 
     Echoes, leakage and spurs (`seed` draws their phases), with I/Q imbalance; noise is `noise_profiles`'. Agrees with
     the beat level to 1e-9 in float64, 1e-5 in float32. ValueError where this level cannot hold the signal, with the
@@ -90,19 +91,23 @@ def kernel_profiles(
 def kernel_objections(
     setup: RadarSetup, paths: Paths, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
 ) -> list[str]:
-    """Why the kernel level cannot hold a signal, empty where it can: motion, too little dither, a clipping converter.
+    """Return the reasons why the kernel level cannot hold a signal, empty where it can: motion, little dither, a
+    clipping
+    converter.
 
     The converter's peak is first bounded by the sum of amplitudes; only beams over that are summed up in time.
     """
-    found = [motion_objection(paths, effects)]
+    objections = [motion_objection(paths, effects)]
     if effects.adc:
-        found.append(dither_objection(setup, front_end, effects.thermal_noise))
-        found.append(overload_objection(setup, _peak(setup, paths, effects, front_end)))
-    return [reason for reason in found if reason is not None]
+        objections.append(dither_objection(setup, front_end, effects.thermal_noise))
+        objections.append(overload_objection(setup, _peak(setup, paths, effects, front_end)))
+    return [reason for reason in objections if reason is not None]
 
 
 def motion_objection(paths: Paths, effects: SignalEffects) -> str | None:
-    """Why Doppler has no place in one profile a beam, if so: the former looks for the strongest Doppler bin."""
+    """Return the reason why one profile a beam cannot hold Doppler, or None: the former searches the strongest Doppler
+    bin.
+    """
     if not effects.motion or not np.any(paths.radial_speed_mps):
         return None
     fastest = float(np.abs(paths.radial_speed_mps).max())
@@ -115,12 +120,12 @@ def _refuse(reason: str | None) -> None:
 
 
 def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
-    """Hann-windowed profiles of swept echoes in their precision, complex [rows, bins].
+    """Return the Hann-windowed profiles of swept echoes in their precision, complex [rows, bins].
 
     Each echo is spread over the `KERNEL_WIDTH` nearest half bins; the grid is convolved with the spectrum of
     window x cardinal function, once per instant. The overlapped start is corrected in time.
     """
-    # here: basic effects have no sweep
+    # imported here: basic effects have no sweep
     from scipy.sparse import csr_array
 
     radar, (instants, rows) = echoes.radar, echoes.weights.shape[:2]
@@ -146,7 +151,7 @@ def echo_profiles(echoes: SweptEchoes, bins: range) -> np.ndarray:
 
 @lru_cache(maxsize=16)
 def _range_kernels(count: int, instants: int, bins: range, blocks: int, precision: str) -> np.ndarray:
-    """Transforms of the kernels that carry the half-bin grid to the bins, complex [frequencies, instants].
+    """Return the transforms of the kernels that carry the half-bin grid to the bins, complex [frequencies, instants].
 
     H_l = sum_n w(n) l_k(n) / K(n) exp(2 pi j l (n - N/2) / 2N) / N for a grid step l half bins over the bin, K the
     transform of the spreading kernel. Laid out so that out[2 a] of a circular convolution is bin `bins[a]`.
@@ -167,7 +172,10 @@ def _range_kernels(count: int, instants: int, bins: range, blocks: int, precisio
 
 
 def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BINS)) -> np.ndarray:
-    """Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero. Complex [rows, bins]."""
+    """Return the Hann-windowed profiles of a chirp of `count` samples; what `samples` lacks is zero.
+
+    Complex [rows, bins].
+    """
     window = (1.0 - np.cos(2.0 * np.pi * np.arange(samples.shape[1]) / count)).astype(samples.real.dtype) / count
     return fft.fft(samples * window, count, axis=1)[:, np.arange(bins.start, bins.stop) % count]
 
@@ -175,7 +183,7 @@ def hann_profiles(samples: np.ndarray, count: int, bins: range = range(RANGE_BIN
 def _fixed_profiles(
     setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd, bins: range, seed: Sequence[int]
 ) -> Iterator[np.ndarray]:
-    """Profiles of what the electronics add to one beam: leakage and spurs."""
+    """Yield the profiles of leakage and spurs of one beam."""
     if effects.leakage and front_end.leakage_dbm is not None:
         yield leakage_profile(setup.radar, front_end.leakage_dbm, bins)
     if not effects.spurs or not front_end.spurs:
@@ -184,7 +192,7 @@ def _fixed_profiles(
         if setup.beat_sign > 0:
             yield spur_profile(setup.radar, spur, turns, bins)
         else:
-            # the receiver conjugates all it gets: the tone stands at -f
+            # the receiver conjugates its input: the tone lies at -f
             mirrored = range(1 - bins.stop, 1 - bins.start)
             yield np.conj(spur_profile(setup.radar, spur, turns, mirrored)[::-1])
 
@@ -196,7 +204,7 @@ def noise_profiles(
     front_end: FrontEnd = NO_FAULTS,
     range_bins: int = RANGE_BINS,
 ) -> np.ndarray:
-    """Noise of all beams as Hann-windowed profiles: thermal, flicker, rounding; complex128 [beams, bins].
+    """Return the noise of all beams as Hann-windowed profiles: thermal, flicker, rounding; complex128 [beams, bins].
 
     Independent draws per bin, scaled to `noise_density_mw`, then the window's taps.
     """
@@ -211,7 +219,7 @@ def noise_profiles(
 def noise_density_mw(
     setup: RadarSetup, bins: np.ndarray, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS
 ) -> np.ndarray:
-    """Noise power per bin before the window, after the mean over chirps; mW, float64 [bins].
+    """Return the noise power per bin before the window, after the mean over chirps; mW, float64 [bins].
 
     (thermal + flicker) (|mu|^2 + |nu|^2) + rounding, over N N_c. ValueError where rounding is no white noise.
     """
@@ -231,14 +239,16 @@ def noise_density_mw(
 def noise_rms(
     setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS, range_bins: int = RANGE_BINS
 ) -> np.ndarray:
-    """Rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [bins]."""
+    """Return the rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [bins]."""
     density = noise_density_mw(setup, np.arange(range_bins), effects, front_end)
     return np.sqrt(density * window_noise_gain("hann"))
 
 
 def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd) -> float:
-    """Largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is harmless."""
-    # the overlap exchanges echoes for their like
+    """Return the largest magnitude at the converter in any beam, noise at five sigma; an upper bound where it is
+    harmless.
+    """
+    # the overlap exchanges echoes for similar ones
     lone = msgspec.structs.replace(effects, chirp_overlap=False)
     echoes = swept_echoes(setup, paths, lone, front_end, precision="float32")
     fixed = sum(np.abs(tone).max() for tone, _ in _fixed_beats(setup, effects, front_end, [0]))
@@ -263,7 +273,7 @@ def beam_beats(
     front_end: FrontEnd = NO_FAULTS,
     beams: slice = slice(None),
 ) -> np.ndarray:
-    """Echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
+    """Return the echoes of one chirp of each beam of a scene at rest, in sqrt(mW); complex128 [beams, samples]."""
     return echo_beats(swept_echoes(setup, paths, effects, front_end, beams))
 
 
@@ -275,7 +285,7 @@ def beat_terms(
     beam: int = 0,
     seed: Sequence[int] = (0,),
 ) -> Terms:
-    """All that reaches the receiver in one beam but noise: sum_r carrier[c] basis[r, c] beats[r].
+    """Return the noise-free input of the receiver in one beam: sum_r carrier[c] basis[r, c] beats[r].
 
     Echoes in slow-time terms, leakage and spurs as two more terms each. Returns beats complex128 [terms, samples],
     carrier complex128 [chirps], basis float64 [terms, chirps]. `seed` names the beam.
@@ -291,7 +301,7 @@ def echo_terms(
     beam: int = 0,
     precision: str = "float64",
 ) -> Terms:
-    """The echoes of one beam alone, which stay the same from scan to scan while nothing moves."""
+    """Return the echoes of one beam alone, which stay the same from scan to scan while nothing moves."""
     echoes, carrier, basis = moving_echoes(setup, paths, effects, front_end, beam, precision)
     return echo_beats(echoes), carrier, basis
 
@@ -299,7 +309,7 @@ def echo_terms(
 def with_electronics(
     setup: RadarSetup, terms: Terms, effects: SignalEffects, front_end: FrontEnd, seed: Sequence[int] = (0,)
 ) -> Terms:
-    """Terms with those of leakage and spurs added; `seed` names the beam."""
+    """Return the terms with those of leakage and spurs added; `seed` names the beam."""
     carrier = terms[1]
     beats, rows = [terms[0]], [terms[2]]
     for tone, phasor in _fixed_beats(setup, effects, front_end, seed):
@@ -317,7 +327,7 @@ def record_beam(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
 ) -> np.ndarray:
-    """int16 I/Q codes of one beam from `beat_terms`, [chirps, samples, 2]; the converter always has int16 codes.
+    """Return int16 I/Q codes of one beam from `beat_terms`, [chirps, samples, 2]; the converter always has int16 codes.
 
     Without flicker, I/Q imbalance and a coarser converter these are the codes of `sim_player.signal.fmcw.beam_codes`.
     """
@@ -338,7 +348,7 @@ def received_samples(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
 ) -> np.ndarray:
-    """What the converter gets: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
+    """Return the input of the converter: echoes, noise and I/Q imbalance, in sqrt(mW); complex64 [chirps, samples]."""
     beats, carrier, basis = terms
     samples = (carrier[:, None] * basis.T).astype(np.complex64) @ beats.astype(np.complex64)
     if setup.beat_sign < 0:
@@ -351,7 +361,7 @@ def received_samples(
 
 
 def echo_beats(echoes: SweptEchoes) -> np.ndarray:
-    """Samples of swept echoes over one chirp, complex128 [rows, samples]."""
+    """Return the samples of swept echoes over one chirp, complex128 [rows, samples]."""
     radar, count = echoes.radar, echoes.radar.samples_per_chirp
     cycles = beat_frequency_hz(radar, echoes.length_m) / radar.sample_rate_hz
     slow = cardinal_functions(echoes.instants, np.arange(count) / count)
@@ -365,7 +375,7 @@ def echo_beats(echoes: SweptEchoes) -> np.ndarray:
 def _fixed_beats(
     setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd, seed: Sequence[int]
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Leakage and spurs of one beam: one chirp of each and its phasor per chirp."""
+    """Yield leakage and spurs of one beam: one chirp of each and its phasor per chirp."""
     radar = setup.radar
     if effects.leakage and front_end.leakage_dbm is not None:
         yield leakage_beat(radar, front_end.leakage_dbm), np.ones(radar.chirps_per_beam)
@@ -373,5 +383,5 @@ def _fixed_beats(
         return
     for spur, turns in zip(front_end.spurs, spur_turns(front_end.spurs, seed), strict=True):
         tone, phasor = spur_beat(radar, spur, turns)
-        # spurs do not pass the mixer: the hardware's sign, which is applied to all terms later, is not theirs
+        # spurs do not pass the mixer: undo the hardware's sign, which is applied to all terms later
         yield (tone, phasor) if setup.beat_sign > 0 else (np.conj(tone), np.conj(phasor))

@@ -1,4 +1,5 @@
-"""The literal level, reference of all others: chirps in time, delayed, mixed, a pattern at every sample.
+"""The literal level, reference of all others: chirps in time, delayed and mixed, with the antenna pattern at every
+sample.
 
 Nothing is expanded, gridded or summed in closed form; float64, phases reduced to fractions of a turn. For few paths,
 beams and chirps: every path costs its samples times the columns of the array.
@@ -28,7 +29,7 @@ def literal_echoes(
     beam: int = 0,
     chirps: Sequence[int] = (0,),
 ) -> np.ndarray:
-    """The reference: chirps of Eq. (6) back to back, delayed, mixed; complex128 [chirps, samples], in sqrt(mW).
+    """Return the reference: chirps of Eq. (6) back to back, delayed, mixed; complex128 [chirps, samples], in sqrt(mW).
 
     Every transmitted chirp is Eq. (6) with t from its own start; the transmitter was on before the beam. Delays
     change sample by sample with range migration, chirp by chirp in phase alone without. Low pass: `sampled`.
@@ -50,7 +51,7 @@ def literal_profiles(
     front_end: FrontEnd = NO_FAULTS,
     beams: Sequence[int] = (0,),
 ) -> np.ndarray:
-    """Hann-windowed range profiles of one chirp of each of some beams, sqrt(mW); complex128 [beams, 512]."""
+    """Return the Hann-windowed range profiles of one chirp of each of some beams, sqrt(mW); complex128 [beams, 512]."""
     samples = [literal_echoes(setup, paths, effects, front_end, int(beam)) for beam in beams]
     return hann_profiles(np.concatenate(samples), setup.radar.samples_per_chirp)
 
@@ -58,7 +59,7 @@ def literal_profiles(
 def _literal_echo(
     setup: RadarSetup, columns: np.ndarray, path: Paths, effects: SignalEffects, chirp: int
 ) -> np.ndarray:
-    """One path in one chirp, [samples]."""
+    """Return one path in one chirp, [samples]."""
     radar = setup.radar
     time_s = np.arange(radar.samples_per_chirp) / radar.sample_rate_hz
     since_middle_s = (chirp - 0.5 * (radar.chirps_per_beam - 1)) * radar.chirp_period_s
@@ -85,7 +86,9 @@ def _literal_pattern(
     elevation_rad: np.ndarray,
     ratio: float | np.ndarray,
 ) -> np.ndarray:
-    """One-way field of one direction, element by element, at every sample's frequency ratio; [samples] or [1]."""
+    """Return the one-way field of one direction, element by element, at every sample's frequency ratio; [samples] or
+    [1].
+    """
     array, wavelength_m = setup.array, setup.radar.wavelength_m
     phased = columns * column_response(array, wavelength_m, azimuth_rad, elevation_rad, ratio)
     field = phased.sum(axis=-1) / np.sqrt(array.columns) * row_field(array, wavelength_m, elevation_rad, ratio)

@@ -1,4 +1,4 @@
-"""Receiver: what it adds to the echoes and what it does to them, sample by sample and, where it can be, per bin.
+"""Receiver: signals added to the echoes and distortions of them, sample by sample and, where possible, per bin.
 
 Order: echoes and leakage, spurs, thermal and flicker noise; then I/Q imbalance; then the converter. Per-bin laws
 hold for profiles as the plain mean over chirps and the FFT / N make them.
@@ -25,23 +25,25 @@ DITHER_STEPS = 1.0
 
 
 def leakage_beat(radar: RadarParams, power_dbm: float) -> np.ndarray:
-    """Transmitter straight into the receiver: a beat at nearly zero range, the same in all beams; [samples]."""
+    """Return the leakage of the transmitter into the receiver: a beat at nearly zero range, the same in all beams;
+    [samples].
+    """
     return math.sqrt(ratio_from_db(power_dbm)) * beat_samples(radar, np.array([LEAKAGE_LENGTH_M]))[0]
 
 
 def leakage_profile(radar: RadarParams, power_dbm: float, bins: range) -> np.ndarray:
-    """The same as a Hann-windowed profile, complex128 [bins]."""
+    """Return the leakage as a Hann-windowed profile, complex128 [bins]."""
     profile = range_profile(radar, np.array([LEAKAGE_LENGTH_M]), len(bins), first_bin=bins.start)[0]
     return math.sqrt(ratio_from_db(power_dbm)) * profile
 
 
 def spur_turns(spurs: Sequence[Spur], seed: Sequence[int]) -> np.ndarray:
-    """Phase of each spur at a beam's start in turns: spurs run free of the beams; `seed` names the beam."""
+    """Return the phase of each spur at a beam's start in turns: spurs run free of the beams; `seed` names the beam."""
     return np.random.default_rng([*seed, 8]).random(len(spurs))
 
 
 def spur_beat(radar: RadarParams, spur: Spur, start_turns: float) -> tuple[np.ndarray, np.ndarray]:
-    """A free-running tone: one chirp of it [samples], and its phasor at each chirp's start [chirps].
+    """Return a free-running tone: one chirp of it [samples], and its phasor at each chirp's start [chirps].
 
     The phase turns by 2 pi f T_c from chirp to chirp: a mean over chirps takes sin(pi f T_f) / (N_c sin(pi f T_c)).
     """
@@ -51,7 +53,7 @@ def spur_beat(radar: RadarParams, spur: Spur, start_turns: float) -> tuple[np.nd
 
 
 def spur_profile(radar: RadarParams, spur: Spur, start_turns: float, bins: range) -> np.ndarray:
-    """The same after the mean over chirps, Hann-windowed, complex128 [bins]."""
+    """Return a spur after the mean over chirps, Hann-windowed, complex128 [bins]."""
     tone_bin = np.array([spur.frequency_hz * radar.chirp_period_s])
     chirps = spur_beat(radar, spur, start_turns)[1].mean()
     amplitude = math.sqrt(ratio_from_db(spur.power_dbm))
@@ -59,12 +61,14 @@ def spur_profile(radar: RadarParams, spur: Spur, start_turns: float, bins: range
 
 
 def flicker_ratio(radar: RadarParams, frequency_hz: np.ndarray, corner_hz: float) -> np.ndarray:
-    """Density of 1/f noise over the white noise's: f_corner / |f|, flat below what a beam resolves, 1 / T_f."""
+    """Return the density of 1/f noise over the white noise's: f_corner / |f|, flat below what a beam resolves, 1 /
+    T_f.
+    """
     return corner_hz / np.maximum(np.abs(frequency_hz), 1.0 / radar.beam_duration_s)
 
 
 def flicker_noise(radar: RadarParams, corner_hz: float, seed: Sequence[int]) -> np.ndarray:
-    """1/f noise of one beam in sqrt(mW), coloured over the whole beam; complex64 [chirps, samples]."""
+    """Return 1/f noise of one beam in sqrt(mW), coloured over the whole beam; complex64 [chirps, samples]."""
     count = radar.chirps_per_beam * radar.samples_per_chirp
     frequency_hz = np.fft.fftfreq(count, 1.0 / radar.sample_rate_hz)
     draws = np.random.default_rng([*seed, 9]).standard_normal((2, count), np.float32)
@@ -74,14 +78,16 @@ def flicker_noise(radar: RadarParams, corner_hz: float, seed: Sequence[int]) -> 
 
 
 def thermal_noise(radar: RadarParams, bank: np.ndarray, seed: list[int]) -> np.ndarray:
-    """White noise of one beam as `beam_codes` reads it from the bank, in sqrt(mW); complex64 [chirps, samples]."""
+    """Return the white noise of one beam as `beam_codes` reads it from the bank, in sqrt(mW); complex64 [chirps,
+    samples].
+    """
     start, turn = noise_reads(radar, bank, seed)
     index = start[:, None] + np.arange(radar.samples_per_chirp)
     return turn.astype(np.complex64)[:, None] * (bank[0][index] + 1j * bank[1][index])
 
 
 def iq_factors(front_end: FrontEnd) -> tuple[complex, complex]:
-    """(mu, nu) of y = mu m + nu conj(m): I = Re m, Q = g (cos(phi) Im m + sin(phi) Re m).
+    """Return (mu, nu) of y = mu m + nu conj(m): I = Re m, Q = g (cos(phi) Im m + sin(phi) Re m).
 
     mu = (1 + g e^{j phi}) / 2, nu = (1 - g e^{-j phi}) / 2; the image lies |nu / mu|^2 below, at -f.
     """
@@ -90,7 +96,7 @@ def iq_factors(front_end: FrontEnd) -> tuple[complex, complex]:
 
 
 def iq_imbalance(values: np.ndarray, mirrored: np.ndarray, front_end: FrontEnd, beat_sign: int = 1) -> np.ndarray:
-    """Imbalance of samples (`mirrored` = the same) or of profiles (`mirrored` = the bins at -f).
+    """Return the imbalance of samples (`mirrored` = the same) or of profiles (`mirrored` = the bins at -f).
 
     Profiles are those of conjugated beats where `beat_sign` is -1: both factors are then conjugates.
     """
@@ -101,25 +107,29 @@ def iq_imbalance(values: np.ndarray, mirrored: np.ndarray, front_end: FrontEnd, 
 
 
 def converter_step(front_end: FrontEnd) -> int:
-    """Step of the converter in int16 codes, 2^(16 - bits); ValueError unless bits are 2..16."""
+    """Return the step of the converter in int16 codes, 2^(16 - bits); ValueError unless bits are 2..16."""
     if not 2 <= front_end.adc_bits <= 16:
         raise ValueError(f"front_end.adc_bits must be 2..16, got {front_end.adc_bits!r}")
     return 2 ** (16 - front_end.adc_bits)
 
 
 def convert(codes: np.ndarray, step: int = 1) -> np.ndarray:
-    """Complex samples in codes to int16 I and Q, [..., 2]: rounded to the nearest step, saturated at the ends."""
+    """Return the complex samples in codes to int16 I and Q, [..., 2]: rounded to the nearest step, saturated at the
+    ends.
+    """
     both = np.stack([codes.real, codes.imag], axis=-1)
     return (np.clip(np.rint(both / step), -32768 // step, 32768 // step - 1) * step).astype(np.int16)
 
 
 def quantisation_power_mw(setup: RadarSetup, step: int) -> float:
-    """Rounding noise of one complex sample: step^2 / 12 per component, white while the input dithers; mW."""
+    """Return the rounding noise of one complex sample: step^2 / 12 per component, white while the input dithers; mW."""
     return step**2 / 6.0 * setup.milliwatt_per_code_squared
 
 
 def dither_objection(setup: RadarSetup, front_end: FrontEnd, thermal: bool) -> str | None:
-    """Why rounding is no white noise here, if so: thermal noise under `DITHER_STEPS` steps per component."""
+    """Return the reason why rounding is no white noise, or None: thermal noise under `DITHER_STEPS` steps per
+    component.
+    """
     step = converter_step(front_end)
     rms = math.sqrt(0.5 * setup.radar.noise_power_mw / setup.milliwatt_per_code_squared) if thermal else 0.0
     if rms >= DITHER_STEPS * step:
@@ -128,7 +138,9 @@ def dither_objection(setup: RadarSetup, front_end: FrontEnd, thermal: bool) -> s
 
 
 def overload_objection(setup: RadarSetup, peak_mw_root: float) -> str | None:
-    """Why a converter would clip, if so: a component's peak over full scale; `peak_mw_root` in sqrt(mW)."""
+    """Return the reason why a converter would clip, or None: a component's peak over full scale; `peak_mw_root` in
+    sqrt(mW).
+    """
     codes = peak_mw_root / math.sqrt(setup.milliwatt_per_code_squared)
     if codes < 32767.0:
         return None

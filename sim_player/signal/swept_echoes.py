@@ -29,9 +29,9 @@ from sim_player.signal.switches import (
 )
 from sim_player.trace.paths import Paths
 
-#: What interpolation along the chirp may miss, relative to the array's peak.
+#: Largest error of the interpolation along the chirp, relative to the array's peak.
 TOLERANCE = {"float64": 1e-11, "float32": 1e-5}
-#: Samples of the overlapped start that are worked on at a time.
+#: Samples of the overlapped start that are processed at a time.
 CHUNK = 64
 
 
@@ -51,13 +51,13 @@ class SweptEchoes:
     head_instants: np.ndarray
     head_own: np.ndarray
     head_previous: np.ndarray
-    #: Bound of half the phase that the slow factor runs through in a chirp; precision of the weights.
+    #: Bound of half the phase sweep of the slow factor in a chirp; precision of the weights.
     swing_rad: float
     precision: str
 
 
 def cardinal_functions(instants: np.ndarray, share: np.ndarray, span: float = 1.0) -> np.ndarray:
-    """Polynomials that are 1 at one Chebyshev instant and 0 at the others; float64 [instants, shares].
+    """Return the polynomials that are 1 at one Chebyshev instant and 0 at the others; float64 [instants, shares].
 
     l_k(x) = (1 + 2 sum_m T_m(x_k) T_m(x)) / K on [0, span], without divisions.
     """
@@ -72,7 +72,7 @@ def cardinal_functions(instants: np.ndarray, share: np.ndarray, span: float = 1.
 
 
 def chebyshev_instants(swing_rad: float, tolerance: float, span: float = 1.0) -> np.ndarray:
-    """As many Chebyshev points of [0, span] as interpolate exp(j swing x), |x| <= 1, to a tolerance."""
+    """Return the fewest Chebyshev points of [0, span] that interpolate exp(j swing x), |x| <= 1, to a tolerance."""
     orders = np.abs(jv(np.arange(int(2.0 * swing_rad) + 60), swing_rad))
     left = 4.0 * np.cumsum(orders[::-1])[::-1]
     count = max(int(np.argmax(left <= tolerance)), 1) if swing_rad > 0.0 else 1
@@ -80,7 +80,7 @@ def chebyshev_instants(swing_rad: float, tolerance: float, span: float = 1.0) ->
 
 
 def squint_swing_rad(setup: RadarSetup, paths: Paths) -> float:
-    """Half the two-way phase that the sweep adds across the array, largest over the paths."""
+    """Return half the two-way phase that the sweep adds across the array, largest over the paths."""
     array, wavelength_m = setup.array, setup.radar.wavelength_m
     across = np.abs(np.sin(paths.azimuth_rad) * np.cos(paths.elevation_rad))
     across += np.abs(np.sin(paths.departure_azimuth_rad) * np.cos(paths.departure_elevation_rad))
@@ -91,7 +91,7 @@ def squint_swing_rad(setup: RadarSetup, paths: Paths) -> float:
 
 
 def migration_swing_rad(radar: RadarParams, radial_speed_mps: np.ndarray) -> float:
-    """Half the phase by which the fastest path's Doppler differs over the sweep and the beam."""
+    """Return half the phase by which the fastest path's Doppler differs over the sweep and the beam."""
     stretch = 2.0 * np.abs(radial_speed_mps).max(initial=0.0) / SPEED_OF_LIGHT_MPS
     turns = 0.5 * radar.bandwidth_hz * radar.beam_duration_s + (radar.carrier_hz + radar.bandwidth_hz) * (
         radar.chirp_period_s
@@ -107,7 +107,9 @@ def swept_echoes(
     beams: slice = slice(None),
     precision: str = "float64",
 ) -> SweptEchoes:
-    """Echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown precision."""
+    """Return the echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown
+    precision.
+    """
     if precision not in TOLERANCE:
         raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
     return _sweep(_Factors(setup, paths, effects, front_end, beams), None, precision)
@@ -121,7 +123,8 @@ def moving_echoes(
     beam: int,
     precision: str = "float64",
 ) -> tuple[SweptEchoes, np.ndarray, np.ndarray]:
-    """Echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows, chirps].
+    """Return the echoes of one beam, one row per slow-time term, with the terms' carrier [chirps] and basis [rows,
+    chirps].
 
     ValueError for an unknown precision.
     """
@@ -133,7 +136,7 @@ def moving_echoes(
 
 
 class _Factors:
-    """The slow factor of every echo: the antenna's conj(B_t B_r) at an instant of the chirp."""
+    """Slow factor of every echo: the antenna's conj(B_t B_r) at an instant of the chirp."""
 
     def __init__(
         self, setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beams: slice
@@ -146,17 +149,17 @@ class _Factors:
         self._out = departure(paths)
 
     def swing_rad(self) -> float:
-        """Bound of the factor's phase swing over a whole sweep."""
+        """Return the bound of the factor's phase swing over a whole sweep."""
         squint = squint_swing_rad(self.setup, self.paths) if self.effects.squint else 0.0
         moves = self.effects.motion and self.effects.range_migration
         return squint + (migration_swing_rad(self.setup.radar, self.paths.radial_speed_mps) if moves else 0.0)
 
     def since_sent_s(self, share: float, previous: bool) -> np.ndarray:
-        """t - tau at an instant of the chirp, from the start of the chirp that the echo belongs to."""
+        """Return t - tau at an instant of the chirp, from the start of the chirp that the echo belongs to."""
         return (share + previous) * self.setup.radar.chirp_period_s - self._delay_s
 
     def at(self, share: float, previous: bool) -> np.ndarray:
-        """Recorded pattern of all beams at an instant of the chirp, complex128 [beams, P]."""
+        """Return the recorded pattern of all beams at an instant of the chirp, complex128 [beams, P]."""
         radar, paths = self.setup.radar, self.paths
         ratio = sweep_ratio(radar, self.since_sent_s(share, previous)) if self.effects.squint else 1.0
         pattern = two_way_pattern(
@@ -165,7 +168,9 @@ class _Factors:
         return np.conj(pattern)
 
     def recorded(self, previous: bool) -> np.ndarray:
-        """What does not change along the chirp: conj(W), turned by the phase of the beat; complex128 [P]."""
+        """Return the factor that is constant along the chirp: conj(W), turned by the phase of the beat; complex128
+        [P].
+        """
         radar, length_m = self.setup.radar, self.paths.length_m
         if not previous:
             return np.conj(self.paths.amplitude) * np.exp(1j * beat_phase_rad(radar, length_m))
@@ -196,23 +201,23 @@ class _SlowTime:
         self._share = np.broadcast_to(share, (len(since_sent_s), *share.shape[1:]))
 
     def at(self, index: int, share_of_chirp: float, since_sent_s: np.ndarray) -> np.ndarray:
-        """Share of each term at an instant, complex128 [terms, P]."""
+        """Return the share of each term at an instant, complex128 [terms, P]."""
         if not self._migrates:
             return self._share[index]
-        # the way moved since the chirp's start, as a phase
+        # the distance moved since the chirp's start, as a phase
         elapsed_s = share_of_chirp * self._radar.chirp_period_s
         turns = 2.0 * self._doppler(since_sent_s) / self._radar.wavelength_m * elapsed_s
         return self._share[index] * np.exp(2j * np.pi * turns)
 
     def _doppler(self, since_sent_s: np.ndarray) -> np.ndarray:
-        """Speed whose Doppler at f_c is the path's at the frequency of the moment."""
+        """Return the speed whose Doppler at f_c is the path's at the frequency of the moment."""
         if not self._migrates:
             return self._speed_mps
         return self._speed_mps * (1.0 + self._radar.chirp_slope_hz_per_s * since_sent_s / self._radar.carrier_hz)
 
 
 def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEchoes:
-    """Weights at all instants, over the chirp and over its overlapped start."""
+    """Return the weights at all instants, over the chirp and over its overlapped start."""
     radar, length_m = factors.setup.radar, factors.paths.length_m
     overlaps = factors.effects.chirp_overlap
     head_samples = int(overlap_samples(radar, length_m).max(initial=0)) if overlaps else 0
@@ -221,8 +226,8 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
     instants = chebyshev_instants(swing_rad, tolerance)
     head = chebyshev_instants(swing_rad * span, tolerance, span) if head_samples else np.zeros(0)
     # the chirp's own echo over the chirp and over its start, then the previous chirp's over the start
-    places = [(share, False) for share in (*instants, *head)] + [(share, True) for share in head]
-    values = _values(factors, slow, places, np.complex64 if precision == "float32" else np.complex128)
+    steps = [(share, False) for share in (*instants, *head)] + [(share, True) for share in head]
+    values = _values(factors, slow, steps, np.complex64 if precision == "float32" else np.complex128)
     own, previous = len(instants), len(instants) + len(head)
     return SweptEchoes(
         radar=radar,
@@ -239,24 +244,25 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
     )
 
 
-def _values(factors: _Factors, slow: _SlowTime | None, places: list[tuple[float, bool]], kind: type) -> np.ndarray:
-    """Recorded weights at (share of the chirp, previous chirp's?) places, [places, R, P]."""
+def _values(factors: _Factors, slow: _SlowTime | None, instants: list[tuple[float, bool]], kind: type) -> np.ndarray:
+    """Return the recorded weights at instants (share of the chirp, previous chirp's?), [instants, R, P]."""
     recorded = {previous: factors.recorded(previous) for previous in (False, True)}
     if slow is None:
         rows = factors.beams
     else:
-        slow.prepare([factors.since_sent_s(*place) for place in places])
+        slow.prepare([factors.since_sent_s(*instant) for instant in instants])
         rows = len(slow.basis)
-    values: np.ndarray = np.empty((len(places), rows, len(factors.paths)), kind)
-    for index, place in enumerate(places):
-        values[index] = factors.at(*place) * recorded[place[1]]
+    values: np.ndarray = np.empty((len(instants), rows, len(factors.paths)), kind)
+    for index, instant in enumerate(instants):
+        values[index] = factors.at(*instant) * recorded[instant[1]]
         if slow is not None:
-            values[index] *= slow.at(index, place[0], factors.since_sent_s(*place))
+            values[index] *= slow.at(index, instant[0], factors.since_sent_s(*instant))
     return values
 
 
 def overlap_correction(echoes: SweptEchoes) -> np.ndarray:
-    """Samples to add at the start of the chirp: previous chirp's echo minus this one's, for t < tau; [R, head].
+    """Return the samples to add at the start of the chirp: previous chirp's echo minus this one's, for t < tau; [R,
+    head].
 
     Paths sorted by delay, so that in every chunk of samples the active ones are the first: one matrix product a
     chunk, over the few instants that its short stretch of the sweep needs.
@@ -294,11 +300,11 @@ def _add_head(
 
 
 def _tones(cycles_per_sample: np.ndarray, sample: np.ndarray) -> np.ndarray:
-    """exp(2 pi j x n), complex128 [tones, samples]."""
+    """Return exp(2 pi j x n), complex128 [tones, samples]."""
     return np.exp(2j * np.pi * (np.multiply.outer(cycles_per_sample, sample) % 1.0))
 
 
 def _stepped_tones(cycles_per_sample: np.ndarray, count: int) -> np.ndarray:
-    """The same for n < count, a multiple of 8: coarse steps times fine ones, few exponentials."""
+    """Return exp(2 pi j x n) for n < count, a multiple of 8: coarse steps times fine ones, few exponentials."""
     coarse, fine = _tones(cycles_per_sample, np.arange(0, count, 8)), _tones(cycles_per_sample, np.arange(8))
     return (coarse[:, :, None] * fine[:, None]).reshape(len(coarse), count)

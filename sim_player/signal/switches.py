@@ -1,4 +1,4 @@
-"""Effects of array, waveform and receiver as switches, and what each does to a set-up; off means the ideal.
+"""Effects of array, waveform and receiver as switches, and the change of a set-up by each; off means ideal.
 
 Antenna and waveform (an echo's own, `sim_player/signal/swept_echoes.py`):
 - element_pattern: gain falls off the element's axis; off: peak gain everywhere in front (`isotropic`).
@@ -26,7 +26,7 @@ from sim_player.scene.front_end import FrontEnd
 
 
 class SignalEffects(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which effects a signal has; the defaults are the plain signal chain of `sim_player.signal.fmcw`."""
+    """Switches of the effects of a signal; the defaults are the plain signal chain of `sim_player.signal.fmcw`."""
 
     element_pattern: bool = True
     quantised_phases: bool = True
@@ -43,25 +43,27 @@ class SignalEffects(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     spurs: bool = False
 
 
-#: Today's chain, nothing but the phases of still echoes, and everything.
+#: The plain chain, only the phases of echoes at rest, and all effects.
 PLAIN = SignalEffects()
 IDEAL = SignalEffects(**dict.fromkeys(SignalEffects.__struct_fields__, False))
 ALL = SignalEffects(**dict.fromkeys(SignalEffects.__struct_fields__, True))
 
 
 def isotropic(setup: RadarSetup) -> RadarSetup:
-    """The set-up with elements of the same peak gain in every direction of the front hemisphere."""
+    """Return the set-up with elements of the same peak gain in every direction of the front hemisphere."""
     element = msgspec.structs.replace(setup.element, azimuth_hpbw_deg=math.inf, elevation_hpbw_deg=math.inf)
     return msgspec.structs.replace(setup, element=element)
 
 
 def exact_phases(setup: RadarSetup) -> RadarSetup:
-    """The set-up with phase shifters without steps; measured weights that the set-up brings stay as they are."""
+    """Return the set-up with phase shifters without steps; measured weights that the set-up brings stay as they are."""
     return msgspec.structs.replace(setup, array=msgspec.structs.replace(setup.array, phase_bits=0))
 
 
 def column_weights(setup: RadarSetup, effects: SignalEffects, front_end: FrontEnd) -> np.ndarray:
-    """Excitation of the columns: steering weights, exact or in steps, coupled or not; complex128 [beams, columns]."""
+    """Return the excitation of the columns: steering weights, exact or in steps, coupled or not; complex128 [beams,
+    columns].
+    """
     weights = setup_weights(setup if effects.quantised_phases else exact_phases(setup))
     if not effects.mutual_coupling or front_end.coupling_db is None:
         return weights
@@ -70,7 +72,7 @@ def column_weights(setup: RadarSetup, effects: SignalEffects, front_end: FrontEn
 
 
 def sweep_ratio(radar: RadarParams, since_sent_s: np.ndarray) -> np.ndarray:
-    """f / f_c seen by the array when an echo comes in, `since_sent_s` = t - tau after its chirp began.
+    """Return f / f_c seen by the array when an echo comes in, `since_sent_s` = t - tau after its chirp began.
 
     The array is made for the middle of the sweep: the band lies around f_c. (Eq. (6) counts phases from f_c at the
     chirp's start: pi B tau apart, a turn of each echo that no pattern sees.) The delay between columns acts through
@@ -80,7 +82,8 @@ def sweep_ratio(radar: RadarParams, since_sent_s: np.ndarray) -> np.ndarray:
 
 
 def overlap_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Samples at the start of a chirp in which an echo is still the previous chirp's: those with t < tau; int64.
+    """Return the samples at the start of a chirp in which an echo is still the previous chirp's: those with t < tau;
+    int64.
 
     ValueError for an echo later than a chirp. tau is that of the beam's middle: at 30 m/s it moves by a tenth of a
     sample within a beam, so at most one sample of a chirp falls on the wrong side.
@@ -93,10 +96,14 @@ def overlap_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
 
 
 def previous_length_m(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
-    """Length whose beat is that of the previous chirp's echo: tau - T_c in place of tau, every chirp being Eq. (6)."""
+    """Return the length whose beat is that of the previous chirp's echo: tau - T_c in place of tau, every chirp
+    being Eq. (6).
+    """
     return np.asarray(length_m, np.float64) - SPEED_OF_LIGHT_MPS * radar.chirp_period_s
 
 
 def sampled(radar: RadarParams, beat_hz: np.ndarray) -> np.ndarray:
-    """Which beats pass the low pass of Eq. (7): the converter's anti-alias filter, ideal, +-f_s / 2 (complex)."""
+    """Return which beats pass the low pass of Eq. (7): the converter's anti-alias filter, ideal, +-f_s / 2
+    (complex).
+    """
     return np.abs(beat_hz) <= 0.5 * radar.sample_rate_hz

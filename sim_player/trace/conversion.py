@@ -1,4 +1,4 @@
-"""Echoes as the radar has them: weights under the effects asked for, directions as angles, its own frame."""
+"""Conversion of echoes to paths in the radar's frame: weights under the given effects, directions as angles."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import math
 
 import numpy as np
 
-from sim_player.effects import WEIGHTS
+from sim_player.effects.table import WEIGHTS
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.paths import Paths
 
 
 def weights(echoes: Echoes, world: World, effects: frozenset[str]) -> np.ndarray:
-    """Complex weight of every echo under some weight effects, sqrt(mW)."""
+    """Return the complex weight of every echo under some weight effects, sqrt(mW)."""
     weight = echoes.weight
     for name, effect in WEIGHTS.items():
         weight = weight * effect.apply(echoes, world, name in effects)
@@ -21,7 +21,7 @@ def weights(echoes: Echoes, world: World, effects: frozenset[str]) -> np.ndarray
 
 
 def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
-    """Echoes as the radar has them: its own frame, directions as angles, weights under the effects."""
+    """Return the echoes as paths in the radar's frame: directions as angles, weights under the effects."""
     out_m, back_m = echoes.out_m, echoes.back_m
     if "non_cofocal" in effects and view.world.scene.radar.separation_m > 0.0:
         out_m, back_m = _separated(view, echoes)
@@ -46,17 +46,19 @@ def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
 
 
 def _separated(view: Snapshot, echoes: Echoes) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths from the transmitting and to the receiving array, half the separation left and right of the radar."""
+    """Return the lengths from the transmitting and to the receiving array, half the separation left and right of the
+    radar.
+    """
     yaw = view.pose.yaw_rad
     half = 0.5 * view.world.scene.radar.separation_m * np.array([-math.sin(yaw), math.cos(yaw), 0.0])
-    # the virtual point stays where it is; the array moves against it
+    # the virtual point stays; the array moves against it
     out = np.linalg.norm(echoes.depart * echoes.out_m[:, None] - half, axis=1)
     back = np.linalg.norm(echoes.arrive * echoes.back_m[:, None] + half, axis=1)
     return out, back
 
 
 def _to_radar(view: Snapshot, direction: np.ndarray) -> np.ndarray:
-    """Directions [E, 3] of the scene's frame in the radar's."""
+    """Return the directions [E, 3] of the scene's frame in the radar's."""
     plan = view.pose.inverse().rotate(direction[:, :2])
     return np.column_stack([plan, direction[:, 2]])
 

@@ -1,7 +1,7 @@
-"""Echoes: a way out, a scatterer, a way back; their weights with and without each effect; their form as `Paths`.
+"""Echoes: an outbound route, a scatterer, a return route; their weights with and without each effect.
 
-Weight of an echo in sqrt(mW), without the antenna: sqrt(P lambda^2 sigma / (4 pi)^3) times the factors of both ways
-over both lengths, so 1/R^2 for one way there and back (Eq. (5)), and two bounces square the field of one.
+Weight of an echo in sqrt(mW), without the antenna: sqrt(P lambda^2 sigma / (4 pi)^3) times the factors of both routes
+over both lengths: 1/R^2 for the same route there and back (Eq. (5)); two bounces square the field of one.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Echoes:
     front: np.ndarray
     rough: np.ndarray
     foliage: np.ndarray
-    #: Lengths of both ways, and unit vectors of travel where they leave and (reversed) return, [E, 3].
+    #: Lengths of both routes, and unit vectors of travel at departure and (reversed) at arrival, [E, 3].
     out_m: np.ndarray
     back_m: np.ndarray
     depart: np.ndarray
@@ -45,26 +45,28 @@ class Echoes:
     def __len__(self) -> int:
         return len(self.weight)
 
-    def take(self, which: np.ndarray) -> Echoes:
-        """The echoes of an index or mask."""
-        return Echoes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+    def take(self, selection: np.ndarray) -> Echoes:
+        """Return the echoes of an index or mask."""
+        return Echoes(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def join_echoes(parts: list[Echoes]) -> Echoes:
-    """All echoes of several sets, in order."""
+    """Return all echoes of several sets, in order."""
     return Echoes(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Echoes)}
     )
 
 
 def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) -> np.ndarray:
-    """Radar equation without the antenna, as a field in sqrt(mW): sqrt(P lambda^2 sigma / ((4 pi)^3 R^4))."""
+    """Return the radar equation without the antenna, as a field in sqrt(mW): sqrt(P lambda^2 sigma / ((4 pi)^3
+    R^4)).
+    """
     power_mw = 1e3 * radar.transmit_power_w * radar.wavelength_m**2 * rcs_m2 / (4.0 * np.pi) ** 3
     return np.asarray(np.sqrt(power_mw) / np.square(range_m))
 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
-    """Echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different ways count twice (either first)."""
+    """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different routes count twice."""
     out, back = routes.take(pairs[0]), routes.take(pairs[1])
     world, centre = view.world, out.target
     rcs = np.sqrt(centre_rcs_m2(world, centre, -out.arrive) * centre_rcs_m2(world, centre, -back.arrive))
@@ -93,13 +95,13 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
 
 
 def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
-    """Each route taken out and back."""
+    """Return each route taken out and back."""
     every = np.arange(len(routes))
     return every, every
 
 
 def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """All index pairs (i, j) with first[i] == second[j]."""
+    """Return all index pairs (i, j) with first[i] == second[j]."""
     order = np.argsort(second, kind="stable")
     low = np.searchsorted(second[order], first, "left")
     count = np.searchsorted(second[order], first, "right") - low
@@ -111,7 +113,7 @@ def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def surface_echoes(
     view: Snapshot, routes: Routes, weight: np.ndarray, point: np.ndarray, wall: np.ndarray, needs: int
 ) -> Echoes:
-    """Echoes of places on walls, out and back by the same route; `weight` already divided by the lengths."""
+    """Return the echoes of points on walls, out and back by the same route; `weight` already divided by the lengths."""
     count = len(routes)
     return Echoes(
         weight=weight * routes.other**2,
@@ -134,7 +136,7 @@ def surface_echoes(
 
 
 def _rate(view: Snapshot, routes: Routes, still: bool = False) -> np.ndarray:
-    """Rate of change of a route's length: by Fermat only its ends' motion counts."""
+    """Return the rate of change of a route's length: by Fermat's principle only the motion of its ends matters."""
     own = dot(routes.depart[:, :2], view.radar_velocity)
     if still:
         return np.asarray(-own)
@@ -145,12 +147,12 @@ def _order(routes: Routes) -> np.ndarray:
     return ((routes.wall >= 0).astype(np.uint8) + (routes.wall2 >= 0)).astype(np.uint8)
 
 
-def centre_rcs_m2(world: World, which: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """RCS of some centres of a world towards unit vectors [N, 3]."""
+def centre_rcs_m2(world: World, centre: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Return the RCS of some centres of a world towards unit vectors [N, 3]."""
     return seen_rcs_m2(
-        world.centre_rcs_m2[which],
-        world.centre_normals[which],
-        world.centre_exponent[which],
+        world.centre_rcs_m2[centre],
+        world.centre_normals[centre],
+        world.centre_exponent[centre],
         direction,
-        world.centre_floor[which],
+        world.centre_floor[centre],
     )

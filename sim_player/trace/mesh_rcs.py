@@ -3,7 +3,7 @@
 Fields are square roots of RCS with a phase: |field|^2 is the RCS in m^2, and far away the phase of a point p is
 exp(+j k (s + r).p), s and r unit vectors to source and receiver (e^{+jwt}, origin of the mesh's frame at its foot).
 
-What it leaves out: diffraction by edges beyond what physical optics has of it, creeping waves, transmission through
+Not modelled: diffraction by edges beyond physical optics, creeping waves, transmission through
 thin dielectric faces, and, in patches and centres, shadow and reflection between parts of the object.
 """
 
@@ -20,12 +20,12 @@ from models.physics.materials import permittivity
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.meshes import Mesh
 
-#: Rays stand at most this share of a wavelength apart unless told otherwise.
+#: Default largest spacing of rays as a share of a wavelength.
 RAY_SPACING = 1.0 / 8.0
 MOST_RAYS = 16_000_000
-#: Patches: their size, at most so many of a mesh, and what share of the scattered energy the centres keep.
-PATCH_M, MOST_PATCHES, KEPT_SHARE = 0.12, 400, 0.999
-#: Directions of the half space over a patch in which it may be seen.
+#: Patches: their size, their largest number per mesh, and the share of the scattered energy that the centres keep.
+PATCH_M, MAX_PATCHES, KEPT_SHARE = 0.12, 400, 0.999
+#: Number of directions of the half space over a patch that are tested for visibility.
 LOOKS = 32
 #: Faces of a leaf of the search tree, and entries of the reflection table over the cosine.
 LEAF_FACES, TABLE_SIZE = 4, 2049
@@ -41,11 +41,11 @@ class Patches:
     area_m2: np.ndarray
     #: Edge vectors of the parallelogram, [K, 2, 3].
     edges_m: np.ndarray
-    #: How far normals spread within the patch along two directions, covariance [K, 2, 2].
+    #: Spread of the normals within the patch along two directions, covariance [K, 2, 2].
     normal_spread: np.ndarray
-    #: Size that the patches have, grown from the size asked for until they were few enough.
+    #: Size of the patches: grown from the requested size until they are few enough.
     patch_m: float
-    #: Triangles of the mesh that went into the patches, and area that no direction outside sees.
+    #: Triangles of the mesh in the patches, and area that is visible from no direction outside.
     merged_faces: int
     unseen_area_m2: float
 
@@ -68,34 +68,35 @@ class MeshCentres:
     kept_share: float
 
 
-def patches(mesh: Mesh, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> Patches:
-    """Cut and merge a mesh's faces into patches of about `patch_m`, larger if there would be more than `most`.
+def patches(mesh: Mesh, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES) -> Patches:
+    """Cut and merge a mesh's faces into patches of about `patch_m`, larger if there would be more than `max_patches`.
 
-    Pieces of one cell of space and alike in normal become one patch. Faces of an open mesh count on both sides; what
-    nothing outside can see (interiors) is left out and its area told. Raises ValueError for a size that is not
+    Pieces of one cell of space with similar normals become one patch. Faces of an open mesh count on both sides;
+    surfaces invisible from outside (interiors) are left out and their area reported. Raises ValueError for a size that
+    is not
     positive, or for fewer patches than the faces have directions.
     """
     if not (math.isfinite(patch_m) and patch_m > 0.0):
         raise ValueError(f"patch_m must be finite and positive, got {patch_m!r}")
-    if most < 1:
-        raise ValueError(f"most must be at least 1, got {most!r}")
-    # four times as many as wanted at first: whether a piece can be seen is asked in small
-    patch_m = max(patch_m, math.sqrt(mesh.areas_m2.sum() / (4.0 * most)))
+    if max_patches < 1:
+        raise ValueError(f"most must be at least 1, got {max_patches!r}")
+    # four times as many pieces at first: visibility is tested on small pieces
+    patch_m = max(patch_m, math.sqrt(mesh.areas_m2.sum() / (4.0 * max_patches)))
     pieces, normal, unseen_area_m2 = _outside(mesh, patch_m)
     middle = mesh.vertices_m.mean(axis=0)
-    while (label := _cells(pieces, normal, middle, patch_m)).max() >= most:
+    while (label := _cells(pieces, normal, middle, patch_m)).max() >= max_patches:
         if patch_m > 2.0 * mesh.extent_m.max():
             raise ValueError(
-                f"most: the faces of {mesh.name} point {label.max() + 1} ways, got {most!r} patches for them"
+                f"most: the faces of {mesh.name} point {label.max() + 1} ways, got {max_patches!r} patches for them"
             )
         patch_m *= 1.1
-    found = _gather(pieces, normal, label)
+    gathered = _gather(pieces, normal, label)
     return Patches(
-        centre_m=found.centre_m,
-        normal=found.normal,
-        area_m2=found.area_m2,
-        edges_m=found.edges_m,
-        normal_spread=found.normal_spread,
+        centre_m=gathered.centre_m,
+        normal=gathered.normal,
+        area_m2=gathered.area_m2,
+        edges_m=gathered.edges_m,
+        normal_spread=gathered.normal_spread,
         patch_m=patch_m,
         merged_faces=len(mesh.faces),
         unseen_area_m2=unseen_area_m2,
@@ -105,7 +106,8 @@ def patches(mesh: Mesh, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> P
 def patch_field(
     pieces: Patches, wavelength_m: float, to_source: np.ndarray, to_receiver: np.ndarray | None = None
 ) -> np.ndarray:
-    """Coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3] far away.
+    """Return the coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3]
+    far away.
 
     Each gives sqrt(4 pi) A cos / lambda times the sinc lobe of its parallelogram, where source and receiver (None: the
     source) both see its face; cos is the mean of both, so that the two may be exchanged.
@@ -120,8 +122,10 @@ def patch_field(
     return math.sqrt(4.0 * math.pi) / wavelength_m * ((cosine * lobe * phasor) @ pieces.area_m2)
 
 
-def mesh_centres(mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, most: int = MOST_PATCHES) -> MeshCentres:
-    """Scattering centres of a mesh at rest in its own frame, for tracers that know points with lobes.
+def mesh_centres(
+    mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES
+) -> MeshCentres:
+    """Return the scattering centres of a mesh at rest in its own frame, for tracers of points with lobes.
 
     A patch of area A sends the energy pi A |r|^2 (its RCS summed over all directions of a monostatic radar), whatever
     its shape. The lobe's solid angle is that of diffraction, lambda^2 / 4A, widened by the spread of its normals: a
@@ -132,7 +136,7 @@ def mesh_centres(mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, most
     Bias: few points stand for a smooth body, so where several of their lobes overlap (curved sides; flat ones from
     within 2 patch^2 / lambda) their coherent sum swings as speckle around the right mean.
     """
-    pieces = patches(mesh, patch_m, most)
+    pieces = patches(mesh, patch_m, max_patches)
     energy = math.pi * pieces.area_m2 * _normal_reflectance(mesh.material, wavelength_m)
     diffraction = wavelength_m**2 / (4.0 * pieces.area_m2)
     widths = diffraction[:, None, None] * np.eye(2) + 12.0 * pieces.normal_spread
@@ -159,7 +163,9 @@ def mesh_rcs_m2(
     ray_spacing_m: float | None = None,
     polarisation: Polarisation = "te",
 ) -> float:
-    """Monostatic RCS [m^2] towards a radar in `direction` [3], by shooting and bouncing rays: |`mesh_field`|^2."""
+    """Return the monostatic RCS [m^2] towards a radar in `direction` [3], by shooting and bouncing rays:
+    |`mesh_field`|^2.
+    """
     return abs(mesh_field(mesh, direction, wavelength_m, bounces, ray_spacing_m, polarisation)) ** 2
 
 
@@ -171,12 +177,13 @@ def mesh_field(
     ray_spacing_m: float | None = None,
     polarisation: Polarisation = "te",
 ) -> complex:
-    """Square root of the monostatic RCS with its phase: physical optics of the rays' currents at every bounce.
+    """Return the square root of the monostatic RCS with its phase: physical optics of the rays' currents at every
+    bounce.
 
     A grid of rays no wider than `ray_spacing_m` (None: lambda / 8) falls on the mesh from `direction` and is followed
     through up to `bounces` faces, both sides of which reflect. At each, the total field n x H, E x n of the ray's tube
-    radiates back if nothing stands before the radar; the tube's footprint is integrated in closed form on the face's
-    plane, so the spacing only limits how well edges are met. Materials reflect as half-spaces (TE and TM apart).
+    radiates back if nothing blocks the radar; the tube's footprint is integrated in closed form on the face's
+    plane, so the spacing only limits the accuracy at edges. Materials reflect as half-spaces (TE and TM apart).
     `te`: the radar's field is as upright as it can be. Raises ValueError for more than 16 million rays.
     """
     towards = np.asarray(direction, np.float64)
@@ -204,7 +211,7 @@ def mesh_field(
 
 
 def _aperture_axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors across the line of sight: level, and as upright as possible."""
+    """Return the unit vectors across the line of sight: level, and as upright as possible."""
     across = np.cross([0.0, 0.0, 1.0], towards)
     # straight from above there is no level axis; y is as good as any
     across = np.array([0.0, 1.0, 0.0]) if np.linalg.norm(across) < 1e-9 else across / np.linalg.norm(across)
@@ -214,12 +221,14 @@ def _aperture_axes(towards: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def _ray_grid(
     mesh: Mesh, towards: np.ndarray, across: np.ndarray, up: np.ndarray, spacing_m: float
 ) -> tuple[np.ndarray, tuple[float, float]]:
-    """Starts of all rays [N, 3] on a plane before the mesh, in the middles of cells that tile its outline's box."""
+    """Return the starts of all rays [N, 3] on a plane before the mesh, in the middles of cells that tile its
+    outline's box.
+    """
     if not (math.isfinite(spacing_m) and spacing_m > 0.0):
         raise ValueError(f"ray_spacing_m must be finite and positive, got {spacing_m!r}")
-    seen = mesh.vertices_m @ np.stack([across, up, towards]).T
-    least, size = seen.min(axis=0), np.ptp(seen, axis=0)
-    # even numbers: no ray runs into the middle edge of a symmetric corner
+    projected = mesh.vertices_m @ np.stack([across, up, towards]).T
+    least, size = projected.min(axis=0), np.ptp(projected, axis=0)
+    # even numbers: no ray hits the middle edge of a symmetric corner
     count = 2.0 * np.maximum(np.ceil(0.5 * size[:2] / spacing_m * (1.0 - 1e-9)), 1.0)
     if count.prod() > MOST_RAYS:
         raise ValueError(
@@ -234,35 +243,38 @@ def _ray_grid(
 
 
 def _reflection_table(material: str, wavelength_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Half-space reflection of TE and TM over cosines 0..1 in `TABLE_SIZE` steps; TM with the sign of Eq. (13)."""
+    """Return the half-space reflection of TE and TM over cosines 0..1 in `TABLE_SIZE` steps; TM with the sign of Eq.
+    (13).
+    """
     epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
     cosine = np.linspace(0.0, 1.0, TABLE_SIZE)
     return half_space_reflection(np.array(epsilon), cosine), half_space_reflection(np.array(epsilon), cosine, "tm")
 
 
 def _normal_reflectance(material: str, wavelength_m: float) -> float:
-    """|r|^2 at normal incidence."""
+    """Return |r|^2 at normal incidence."""
     epsilon = permittivity(material, SPEED_OF_LIGHT_MPS / wavelength_m)
     return float(np.abs(half_space_reflection(np.array(epsilon), np.array(1.0))) ** 2)
 
 
 def _outside(mesh: Mesh, patch_m: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Pieces [P, 3, 3] no longer than half a patch that can be seen, outward normals [P, 3], area that cannot.
+    """Return the visible pieces [P, 3, 3] no longer than half a patch, outward normals [P, 3], and the invisible area.
 
-    A piece of an open mesh that is seen from both sides comes twice.
+    A piece of an open mesh that is visible from both sides appears twice.
     """
     pieces, owner = _small_pieces(mesh.corners_m, 0.5 * patch_m)
     normal = mesh.normals[owner]
     label = _cells(pieces, normal, mesh.vertices_m.mean(axis=0), patch_m)
-    found, tree = _gather(pieces, normal, label), _search_tree(mesh.corners_m)
-    front = _seen(tree, found, 1.0)[label]
-    back = np.zeros(len(front), bool) if mesh.closed else _seen(tree, found, -1.0)[label]
+    gathered, tree = _gather(pieces, normal, label), _search_tree(mesh.corners_m)
+    front = _seen(tree, gathered, 1.0)[label]
+    back = np.zeros(len(front), bool) if mesh.closed else _seen(tree, gathered, -1.0)[label]
     unseen_area_m2 = float(_areas(pieces[~(front | back)]).sum())
     return np.concatenate([pieces[front], pieces[back]]), np.concatenate([normal[front], -normal[back]]), unseen_area_m2
 
 
 def _cells(pieces: np.ndarray, normal: np.ndarray, middle: np.ndarray, patch_m: float) -> np.ndarray:
-    """Number of the patch that each piece belongs to, by cell of space and direction of the normal, no number left out.
+    """Return the number of the patch that each piece belongs to, by cell of space and direction of the normal, no
+    number left out.
 
     Cells are centred on `middle`, a little off so that sides of a symmetric body do not lie on a border between two.
     """
@@ -275,19 +287,19 @@ def _cells(pieces: np.ndarray, normal: np.ndarray, middle: np.ndarray, patch_m: 
 
 @dataclass(frozen=True)
 class _Gathered:
-    """Patches before it is known which can be seen; fields as in `Patches`."""
+    """Patches before the visibility test; fields as in `Patches`."""
 
     centre_m: np.ndarray
     normal: np.ndarray
     area_m2: np.ndarray
     edges_m: np.ndarray
     normal_spread: np.ndarray
-    #: How thick each is along its normal, rms.
+    #: Thickness along the normal, rms.
     depth_m: np.ndarray
 
 
 def _gather(pieces: np.ndarray, normal: np.ndarray, label: np.ndarray) -> _Gathered:
-    """Area, middle, mean normal and second moments of the pieces [P, 3, 3] of each label."""
+    """Return the area, middle, mean normal and second moments of the pieces [P, 3, 3] of each label."""
     area = _areas(pieces)
     total = np.bincount(label, area)
 
@@ -320,7 +332,9 @@ def _gather(pieces: np.ndarray, normal: np.ndarray, label: np.ndarray) -> _Gathe
 
 
 def _small_pieces(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Triangles halved at their longest edge until none is longer, [P, 3, 3], and the triangle each came from."""
+    """Return the triangles halved at their longest edge until none is longer, [P, 3, 3], and the triangle each came
+    from.
+    """
     owner = np.arange(len(triangles))
     done, done_owner = [np.zeros((0, 3, 3))], [np.zeros(0, int)]
     while len(triangles):
@@ -338,15 +352,15 @@ def _small_pieces(triangles: np.ndarray, longest_m: float) -> tuple[np.ndarray, 
 
 
 def _areas(triangles: np.ndarray) -> np.ndarray:
-    """Areas of triangles [P, 3, 3]."""
+    """Return the areas of triangles [P, 3, 3]."""
     a, b, c = np.moveaxis(triangles, 1, 0)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
 
 
-def _seen(tree: tuple[np.ndarray, ...], found: _Gathered, side: float) -> np.ndarray:
-    """Which patches have a free line of sight to the outside on the side of +-normal, [K]."""
-    normal = side * found.normal
-    first = found.edges_m[:, 1]
+def _seen(tree: tuple[np.ndarray, ...], gathered: _Gathered, side: float) -> np.ndarray:
+    """Return which patches have a free line of sight to the outside on the side of +-normal, [K]."""
+    normal = side * gathered.normal
+    first = gathered.edges_m[:, 1]
     first = first / np.maximum(np.linalg.norm(first, axis=1, keepdims=True), 1e-300)
     local = np.stack([first, np.cross(normal, first), normal], axis=1)
     # a spiral of directions, even over the half space
@@ -354,13 +368,15 @@ def _seen(tree: tuple[np.ndarray, ...], found: _Gathered, side: float) -> np.nda
     turn = np.pi * (3.0 - math.sqrt(5.0)) * np.arange(LOOKS)
     flat = np.sqrt(1.0 - height**2)
     looks = np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])
-    offset = 3.0 * found.depth_m + 1e-6 * np.ptp(tree[0].reshape(-1, 3), axis=0).max()
-    start = found.centre_m + offset[:, None] * normal
+    offset = 3.0 * gathered.depth_m + 1e-6 * np.ptp(tree[0].reshape(-1, 3), axis=0).max()
+    start = gathered.centre_m + offset[:, None] * normal
     return _any_free(*tree, start, np.einsum("la,kai->kli", looks, local))
 
 
 def _search_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Triangles in the order of a tree of boxes; of its nodes: bounds [N, 2, 3], first child or face, faces (or 0)."""
+    """Return the triangles in the order of a tree of boxes; of its nodes: bounds [N, 2, 3], first child or face,
+    faces (or 0).
+    """
     order, bounds, first, count = _grow_tree(
         np.ascontiguousarray(corners.min(axis=1)), np.ascontiguousarray(corners.max(axis=1)), LEAF_FACES
     )
@@ -368,10 +384,12 @@ def _search_tree(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarra
 
 
 @njit(cache=True)
-def _grow_tree(least: np.ndarray, most: np.ndarray, leaf: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _grow_tree(
+    least: np.ndarray, greatest: np.ndarray, leaf: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     faces = len(least)
     order = np.arange(faces)
-    middle = 0.5 * (least + most)
+    middle = 0.5 * (least + greatest)
     bounds = np.empty((2 * faces, 2, 3))
     first, count = np.zeros(2 * faces, np.int64), np.zeros(2 * faces, np.int64)
     stack = np.empty((128, 3), np.int64)
@@ -383,7 +401,7 @@ def _grow_tree(least: np.ndarray, most: np.ndarray, leaf: int) -> tuple[np.ndarr
         for axis in range(3):
             low, high = np.inf, -np.inf
             for i in order[begin:end]:
-                low, high = min(low, least[i, axis]), max(high, most[i, axis])
+                low, high = min(low, least[i, axis]), max(high, greatest[i, axis])
             bounds[node, 0, axis], bounds[node, 1, axis] = low, high
         if end - begin <= leaf:
             first[node], count[node] = begin, end - begin
@@ -412,7 +430,7 @@ def _cross(a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _ahead(a, step, b):  # type: ignore[no-untyped-def]
-    """a + step b."""
+    """Return a + step b."""
     return a[0] + step * b[0], a[1] + step * b[1], a[2] + step * b[2]
 
 
@@ -422,10 +440,10 @@ def _row(array, index):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _first_hit(faces, bounds, first, count, start, way, nearest):  # type: ignore[no-untyped-def]
-    """Distance and index of the first triangle along a ray beyond `nearest`; (inf, -1) for none (Moeller-Trumbore)."""
+def _first_hit(faces, bounds, first, count, start, direction, nearest):  # type: ignore[no-untyped-def]
+    """Return distance and index of the first triangle on a ray beyond `nearest`; (inf, -1): none (Moeller-Trumbore)."""
     best, hit = np.inf, -1
-    inverse = (_inverse(way[0]), _inverse(way[1]), _inverse(way[2]))
+    inverse = (_inverse(direction[0]), _inverse(direction[1]), _inverse(direction[2]))
     stack = np.empty(64, np.int64)
     stack[0] = 0
     depth = 1
@@ -434,9 +452,9 @@ def _first_hit(faces, bounds, first, count, start, way, nearest):  # type: ignor
         node = stack[depth]
         enter, leave = 0.0, best
         for axis in range(3):
-            one = (bounds[node, 0, axis] - start[axis]) * inverse[axis]
-            other = (bounds[node, 1, axis] - start[axis]) * inverse[axis]
-            enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
+            near_side = (bounds[node, 0, axis] - start[axis]) * inverse[axis]
+            far_side = (bounds[node, 1, axis] - start[axis]) * inverse[axis]
+            enter, leave = max(enter, min(near_side, far_side)), min(leave, max(near_side, far_side))
         # flat boxes: their two sides may differ by rounding
         if enter > leave * (1.0 + 1e-12) + 1e-12:
             continue
@@ -445,7 +463,7 @@ def _first_hit(faces, bounds, first, count, start, way, nearest):  # type: ignor
             depth += 2
             continue
         for face in range(first[node], first[node] + count[node]):
-            distance = _meet(faces[face], start, way)
+            distance = _meet(faces[face], start, direction)
             if nearest < distance < best:
                 best, hit = distance, face
     return best, hit
@@ -457,30 +475,30 @@ def _inverse(value):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _meet(face, start, way):  # type: ignore[no-untyped-def]
-    """Distance along a ray to a triangle, -1 where it passes by."""
+def _meet(face, start, direction):  # type: ignore[no-untyped-def]
+    """Return the distance along a ray to a triangle, -1 where it misses."""
     a = _row(face, 0)
     ab, ac = _ahead(_row(face, 1), -1.0, a), _ahead(_row(face, 2), -1.0, a)
-    p = _cross(way, ac)
+    p = _cross(direction, ac)
     volume = _dot(ab, p)
     if abs(volume) < 1e-300:
         return -1.0
     offset = _ahead(start, -1.0, a)
     u = _dot(offset, p) / volume
     q = _cross(offset, ab)
-    v = _dot(way, q) / volume
+    v = _dot(direction, q) / volume
     if u < 0.0 or v < 0.0 or u + v > 1.0:
         return -1.0
     return _dot(ac, q) / volume
 
 
 @njit(cache=True, nogil=True)
-def _any_free(faces, bounds, first, count, start, way):  # type: ignore[no-untyped-def]
-    """Whether any of the ways [K, L, 3] from each start [K, 3] meets no face."""
+def _any_free(faces, bounds, first, count, start, directions):  # type: ignore[no-untyped-def]
+    """Return whether any of the directions [K, L, 3] from each start [K, 3] meets no face."""
     free = np.zeros(len(start), np.bool_)
     for i in range(len(start)):
-        for j in range(way.shape[1]):
-            if _first_hit(faces, bounds, first, count, _row(start, i), _row(way[i], j), 0.0)[1] < 0:
+        for j in range(directions.shape[1]):
+            if _first_hit(faces, bounds, first, count, _row(start, i), _row(directions[i], j), 0.0)[1] < 0:
                 free[i] = True
                 break
     return free
@@ -488,9 +506,9 @@ def _any_free(faces, bounds, first, count, start, way):  # type: ignore[no-untyp
 
 @njit(cache=True)
 def _lookup(table, cosine):  # type: ignore[no-untyped-def]
-    place = cosine * (len(table) - 1)
-    index = min(int(place), len(table) - 2)
-    return table[index] + (place - index) * (table[index + 1] - table[index])
+    position = cosine * (len(table) - 1)
+    index = min(int(position), len(table) - 2)
+    return table[index] + (position - index) * (table[index + 1] - table[index])
 
 
 @njit(cache=True)
@@ -499,24 +517,24 @@ def _sinc(x):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _reflected(field, way, out, normal, te, tm):  # type: ignore[no-untyped-def]
-    """Field after a bounce: its part across the plane of incidence times te, the part within times tm."""
-    s = _cross(way, normal)
+def _reflected(field, direction, out, normal, te, tm):  # type: ignore[no-untyped-def]
+    """Return the field after a bounce: its part across the plane of incidence times te, the part within times tm."""
+    s = _cross(direction, normal)
     length = math.sqrt(_dot(s, s))
     if length < 1e-9:
-        # head on there is no such plane: any will do
-        s = _cross(way, (0.0, 0.0, 1.0) if abs(way[2]) < 0.9 else (1.0, 0.0, 0.0))
+        # at normal incidence there is no such plane: any will do
+        s = _cross(direction, (0.0, 0.0, 1.0) if abs(direction[2]) < 0.9 else (1.0, 0.0, 0.0))
         length = math.sqrt(_dot(s, s))
     s = (s[0] / length, s[1] / length, s[2] / length)
-    across, within = te * _dot(field, s), tm * _dot(field, _cross(s, way))
+    across, within = te * _dot(field, s), tm * _dot(field, _cross(s, direction))
     p = _cross(s, out)
     return across * s[0] + within * p[0], across * s[1] + within * p[1], across * s[2] + within * p[2]
 
 
 @njit(cache=True)
-def _radiated(field, field_out, way, out, normal, towards, receive):  # type: ignore[no-untyped-def]
-    """Half of what the currents n x H and E x n of incident plus reflected field send towards the receiver."""
-    h, h_out = _cross(way, field), _cross(out, field_out)
+def _radiated(field, field_out, direction, out, normal, towards, receive):  # type: ignore[no-untyped-def]
+    """Return half the radiation of the currents n x H and E x n of incident plus reflected field to the receiver."""
+    h, h_out = _cross(direction, field), _cross(out, field_out)
     current = _cross(normal, (h[0] + h_out[0], h[1] + h_out[1], h[2] + h_out[2]))
     total = (field[0] + field_out[0], field[1] + field_out[1], field[2] + field_out[2])
     magnetic = _cross(towards, _cross(normal, total))
@@ -525,42 +543,44 @@ def _radiated(field, field_out, way, out, normal, towards, receive):  # type: ig
 
 @njit(cache=True, nogil=True)
 def _shoot(faces, bounds, first, count, start, towards, across, up, receive, wavenumber, bounces, te, tm, nearest):  # type: ignore[no-untyped-def]
-    """Sum over rays and bounces of radiated field times footprint, in units of a ray's cross section."""
+    """Return the sum over rays and bounces of radiated field times footprint, in units of a ray's cross section."""
     towards_, receive_ = (towards[0], towards[1], towards[2]), (receive[0], receive[1], receive[2])
     total = 0.0j
     for ray in range(len(start)):
-        place, way = _row(start, ray), (-towards[0], -towards[1], -towards[2])
-        phase_m = _dot(place, towards_)
-        edge_one, edge_two = (across[0], across[1], across[2]), (up[0], up[1], up[2])
+        position, direction = _row(start, ray), (-towards[0], -towards[1], -towards[2])
+        phase_m = _dot(position, towards_)
+        first_edge, second_edge = (across[0], across[1], across[2]), (up[0], up[1], up[2])
         field = (receive[0] + 0.0j, receive[1] + 0.0j, receive[2] + 0.0j)
         for bounce in range(bounces):
-            distance, hit = _first_hit(faces, bounds, first, count, place, way, nearest)
+            distance, hit = _first_hit(faces, bounds, first, count, position, direction, nearest)
             if hit < 0:
                 break
             a = _row(faces[hit], 0)
             normal = _cross(_ahead(_row(faces[hit], 1), -1.0, a), _ahead(_row(faces[hit], 2), -1.0, a))
-            slant = _dot(normal, way)
+            slant = _dot(normal, direction)
             # the side that the ray meets
             scale = (-1.0 if slant > 0.0 else 1.0) / math.sqrt(_dot(normal, normal))
             normal = (scale * normal[0], scale * normal[1], scale * normal[2])
-            cosine = min(-_dot(normal, way), 1.0)
+            cosine = min(-_dot(normal, direction), 1.0)
             if cosine < 1e-6:
                 break
-            place = _ahead(place, distance, way)
+            position = _ahead(position, distance, direction)
             phase_m -= distance
-            out = _ahead(way, 2.0 * cosine, normal)
-            field_out = _reflected(field, way, out, normal, _lookup(te, cosine), _lookup(tm, cosine))
+            out = _ahead(direction, 2.0 * cosine, normal)
+            field_out = _reflected(field, direction, out, normal, _lookup(te, cosine), _lookup(tm, cosine))
             # the tube's footprint on this face
-            edge_one = _ahead(edge_one, _dot(normal, edge_one) / cosine, way)
-            edge_two = _ahead(edge_two, _dot(normal, edge_two) / cosine, way)
-            sees = _dot(normal, towards_) > 1e-9
-            if sees and bounce > 0:
-                sees = _first_hit(faces, bounds, first, count, place, towards_, nearest)[1] < 0
-            if sees:
-                turn = _ahead(towards_, -1.0, way)
-                lobe = _sinc(0.5 * wavenumber * _dot(turn, edge_one)) * _sinc(0.5 * wavenumber * _dot(turn, edge_two))
-                angle = wavenumber * (phase_m + _dot(towards_, place))
-                sent = _radiated(field, field_out, way, out, normal, towards_, receive_)
-                total += sent * lobe / cosine * (math.cos(angle) + 1j * math.sin(angle))
-            way, field = out, field_out
+            first_edge = _ahead(first_edge, _dot(normal, first_edge) / cosine, direction)
+            second_edge = _ahead(second_edge, _dot(normal, second_edge) / cosine, direction)
+            is_visible = _dot(normal, towards_) > 1e-9
+            if is_visible and bounce > 0:
+                is_visible = _first_hit(faces, bounds, first, count, position, towards_, nearest)[1] < 0
+            if is_visible:
+                turn = _ahead(towards_, -1.0, direction)
+                lobe = _sinc(0.5 * wavenumber * _dot(turn, first_edge)) * _sinc(
+                    0.5 * wavenumber * _dot(turn, second_edge)
+                )
+                angle = wavenumber * (phase_m + _dot(towards_, position))
+                radiated = _radiated(field, field_out, direction, out, normal, towards_, receive_)
+                total += radiated * lobe / cosine * (math.cos(angle) + 1j * math.sin(angle))
+            direction, field = out, field_out
     return total

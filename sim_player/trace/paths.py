@@ -1,4 +1,4 @@
-"""What the tracer finds: echoes of one instant, each with its length, directions and complex weight."""
+"""Paths of the tracer: echoes of one instant, each with its length, directions and complex weight."""
 
 from __future__ import annotations
 
@@ -19,33 +19,33 @@ class Paths:
     #: Direction of arrival at the radar.
     azimuth_rad: np.ndarray
     elevation_rad: np.ndarray
-    #: Direction in which it left; differs from the arrival where the way back is another than the way out.
+    #: Direction of departure; differs from the arrival where the return route differs from the outbound one.
     departure_azimuth_rad: np.ndarray
     departure_elevation_rad: np.ndarray
     #: Complex field weight without the antenna, transmit power included, in sqrt(mW).
     amplitude: np.ndarray
-    #: Bounces at walls on the way out and the way back, the larger of the two; uint8.
+    #: Bounces at walls on the outbound and on the return route, the larger of the two; uint8.
     order: np.ndarray
-    #: Bit of every effect without which the path would not be there (`sim_player.effects`), uint32.
+    #: Bit of every effect without which the path would not be there (`sim_player.effects.names`), uint32.
     needs: np.ndarray
     #: Piece of wall that returned or first mirrored it (index into `World.wall_a`), -1 for none; int32.
     surface: np.ndarray
     #: Object it comes from, -1 for none; int32.
     thing: np.ndarray
-    #: Where the scatterer is, and where it seems to be: [P, 3].
+    #: True and apparent position of the scatterer: [P, 3].
     point_m: np.ndarray
     virtual_m: np.ndarray
 
     def __len__(self) -> int:
         return len(self.length_m)
 
-    def take(self, which: np.ndarray) -> Paths:
-        """The paths of an index or mask."""
-        return Paths(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+    def take(self, selection: np.ndarray) -> Paths:
+        """Return the paths of an index or mask."""
+        return Paths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def join(parts: list[Paths]) -> Paths:
-    """All paths of one or more sets, in order."""
+    """Return all paths of one or more sets, in order."""
     return Paths(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Paths)}
     )

@@ -1,9 +1,9 @@
-"""From a scene at a time to paths: every path effect in turn, by the image method, geometry first and fields second."""
+"""Ray tracing of a scene at a time by the image method: every path effect in turn, geometry first, fields second."""
 
 from __future__ import annotations
 
-from sim_player.effects import PATHS
 from sim_player.effects.curved_wall import as_chords
+from sim_player.effects.table import PATHS
 from sim_player.scene.world import Snapshot, World, prepare, radar_pose, snapshot
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes
@@ -12,7 +12,7 @@ from sim_player.trace.snapshot import Tracing
 
 __all__ = ["BASIC_EFFECTS", "Paths", "World", "echo_amplitude", "prepare", "radar_pose", "trace", "trace_echoes"]
 
-#: Direct echoes and flat mirrors with everything that belongs to one bounce.
+#: Direct echoes and flat mirrors with all effects of one bounce.
 BASIC_EFFECTS = frozenset(
     {
         "los_objects",
@@ -27,18 +27,18 @@ BASIC_EFFECTS = frozenset(
 
 
 def trace(world: World, time_s: float = 0.0, effects: frozenset[str] = BASIC_EFFECTS) -> Paths:
-    """All paths at a time after start, of the effects asked for."""
+    """Return all paths at a time after start, of the given effects."""
     view = snapshot(world, time_s)
     return as_paths(view, trace_echoes(view, effects), effects)
 
 
 def trace_echoes(view: Snapshot, effects: frozenset[str]) -> Echoes:
-    """The echoes of all path effects asked for, in the order of `PATH_EFFECTS`."""
+    """Return the echoes of all given path effects, in the order of `PATH_EFFECTS`."""
     return join_echoes(list(trace_each(view, effects).values()))
 
 
 def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
-    """The echoes of every path effect asked for, by name."""
+    """Return the echoes of every given path effect, by name."""
     tracing, echoes = Tracing(view), dict[str, Echoes]()
     for name, effect in PATHS.items():
         if name in effects and effect.absent(view.world) is None:

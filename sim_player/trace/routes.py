@@ -1,8 +1,8 @@
-"""One-way routes between the antenna and points of the scene: the geometry that every echo is made of.
+"""One-way routes between the antenna and points of the scene: the geometry of every echo.
 
 A route leaves the antenna in some direction, meets walls, ground or an edge, and arrives at its target; by reciprocity
-it is also the way back. Field of a route: product of its factors / length. The factors that effects exchange are kept
-apart, so that an echo's weight can be asked for with and without them ("geometry first, fields second").
+it is also the return route. Field of a route: product of its factors / length. The factors that effects exchange are
+kept apart, so that an echo's weight can be computed with and without them ("geometry first, fields second").
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot
 from sim_player.trace.segments import Passage, in_series, passage, without
 
-#: Nearer than this spherical spreading means nothing; lengths are taken as at least this.
+#: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
 NONE = -1
 
@@ -31,7 +31,7 @@ class Routes:
     #: Unit vectors of travel at the antenna and at the target, [N, 3].
     depart: np.ndarray
     arrive: np.ndarray
-    #: First and second mirror on the way from the antenna, -1 for none; int32.
+    #: First and second mirror from the antenna, -1 for none; int32.
     wall: np.ndarray
     wall2: np.ndarray
     #: Edge that bends it, -1 for none; int32.
@@ -44,19 +44,19 @@ class Routes:
     rough: np.ndarray
     foliage: np.ndarray
     other: np.ndarray
-    #: Bit of every effect that made it, uint32.
+    #: Bits of all effects that it needs, uint32.
     needs: np.ndarray
 
     def __len__(self) -> int:
         return len(self.length_m)
 
-    def take(self, which: np.ndarray) -> Routes:
-        """The routes of an index or mask."""
-        return Routes(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+    def take(self, selection: np.ndarray) -> Routes:
+        """Return the routes of an index or mask."""
+        return Routes(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def join_routes(parts: list[Routes]) -> Routes:
-    """All routes of several sets, in order."""
+    """Return all routes of several sets, in order."""
     return Routes(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Routes)}
     )
@@ -67,7 +67,7 @@ def make_routes(
     length_m: np.ndarray,
     depart: np.ndarray,
     arrive: np.ndarray,
-    legs: Passage,
+    occlusion: Passage,
     needs: int,
     *,
     wall: np.ndarray | int = NONE,
@@ -79,7 +79,7 @@ def make_routes(
     rough: np.ndarray | float = 1.0,
     other: np.ndarray | complex = 1.0,
 ) -> Routes:
-    """Routes from their geometry and what their legs met; factors not given are one."""
+    """Return the routes from their geometry and the occlusion of their segments; factors not given are one."""
     count = len(target)
 
     def spread(value: object, dtype: type) -> np.ndarray:
@@ -97,26 +97,26 @@ def make_routes(
         whole=spread(whole, np.complex128),
         front=spread(front, np.complex128),
         rough=spread(rough, np.float64),
-        foliage=legs.foliage,
+        foliage=occlusion.foliage,
         other=spread(other, np.complex128),
         needs=spread(needs, np.uint32),
     )
 
 
 def no_routes() -> Routes:
-    """None at all."""
+    """Return no routes."""
     none, vectors = np.zeros(0), np.zeros((0, 3))
     return make_routes(np.zeros(0, int), none, vectors, vectors, Passage(none > 0.0, none + 0j, none), 0)
 
 
 def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Passage]:
-    """Straight from the antenna to points [N, 3], whatever stands between; and what stands between."""
-    legs = passage(view.antenna, point_m, view.blockers, owner)
+    """Return the straight routes from the antenna to points [N, 3], blocked ones too, and their occlusion."""
+    occlusion = passage(view.antenna, point_m, view.blockers, owner)
     ray = point_m - view.antenna
     length = norm(ray)
     direction = ray / np.maximum(length, 1e-9)[:, None]
-    routes = make_routes(np.arange(len(point_m)), length, direction, direction, legs, 0)
-    return routes, legs
+    routes = make_routes(np.arange(len(point_m)), length, direction, direction, occlusion, 0)
+    return routes, occlusion
 
 
 @dataclass(frozen=True)
@@ -132,10 +132,10 @@ class Bounces:
 
 
 def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
-    """All (piece of wall, point) pairs where the piece shows the point to a source [3], legs not looked at.
+    """Return all (piece of wall, point) pairs where the piece mirrors the point to a source [3], without occlusion.
 
     The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
-    `mirrors` [W]: which pieces are asked.
+    `mirrors` [W]: the pieces to test.
     """
     world = view.world
     walls = np.flatnonzero(mirrors)
@@ -165,51 +165,51 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
 def mirror_routes(
     view: Snapshot, point_m: np.ndarray, mirrors: np.ndarray, owner: np.ndarray, ignore_wall: int | None = None
 ) -> tuple[Routes, Passage]:
-    """Routes by one straight mirror to points [N, 3], whatever stands in their legs; and what stands there.
+    """Return the routes by one straight mirror to points [N, 3], blocked ones too, and their occlusion.
 
-    `ignore_wall` names a piece of wall that stands in no leg.
+    `ignore_wall` is a piece of wall that blocks no segment.
     """
-    found = plane_bounces(view, view.antenna, point_m, mirrors)
-    target_m = point_m[found.target]
+    bounces = plane_bounces(view, view.antenna, point_m, mirrors)
+    target_m = point_m[bounces.target]
     blockers = view.blockers if ignore_wall is None else without(view.blockers, ignore_wall)
-    legs = in_series(
-        passage(view.antenna, found.specular, blockers),
-        passage(found.specular, target_m, blockers, owner[found.target]),
+    occlusion = in_series(
+        passage(view.antenna, bounces.specular, blockers),
+        passage(bounces.specular, target_m, blockers, owner[bounces.target]),
     )
-    ray = found.image - view.antenna
+    ray = bounces.image - view.antenna
     length = norm(ray)
     direction = ray / np.maximum(length, 1e-9)[:, None]
-    arrive = reflect(direction, found.normal, 0.0)
-    whole, front, rough = view.world.reflection(found.wall, np.abs(dot(direction[:, :2], found.normal)))
+    arrive = reflect(direction, bounces.normal, 0.0)
+    whole, front, rough = view.world.reflection(bounces.wall, np.abs(dot(direction[:, :2], bounces.normal)))
     routes = make_routes(
-        found.target,
+        bounces.target,
         length,
         direction,
         arrive,
-        legs,
+        occlusion,
         bit("specular_relay"),
-        wall=found.wall,
+        wall=bounces.wall,
         whole=whole,
         front=front,
         rough=rough,
     )
-    return routes, legs
+    return routes, occlusion
 
 
-def _take(bounces: Bounces, which: np.ndarray) -> Bounces:
-    return Bounces(**{field.name: getattr(bounces, field.name)[which] for field in fields(bounces)})
+def _take(bounces: Bounces, selection: np.ndarray) -> Bounces:
+    return Bounces(**{field.name: getattr(bounces, field.name)[selection] for field in fields(bounces)})
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:
-    """Lengths of vectors [..., D]."""
+    """Return the lengths of vectors [..., D]."""
     return np.sqrt(dot(vectors, vectors))
 
 
 def dot(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Scalar products over the last axis."""
+    """Return the scalar products over the last axis."""
     return np.einsum("...i,...i->...", left, right)
 
 
 def unit(vectors: np.ndarray) -> np.ndarray:
-    """Vectors of length one; zero vectors stay."""
+    """Return the vectors of length one; zero vectors stay."""
     return vectors / np.maximum(norm(vectors), 1e-9)[..., None]

@@ -1,7 +1,7 @@
-"""Straight legs between points against everything that stands in the way: what blocks, what lets through, what thins.
+"""Occlusion and transmission of straight segments between points, by walls, bodies and foliage.
 
-All of it exact per leg and blocker, compiled; a leg leaves `CLEARANCE_M` off at both ends, so a point that lies on a
-wall is not hidden by it. Walls include their ends (`CLEARANCE_M` is added), so walls that share a corner leave no gap.
+Exact per segment and blocker, compiled. A segment leaves out `CLEARANCE_M` at both ends, so a wall does not hide a
+point that lies on it. Walls include their ends (`CLEARANCE_M` is added), so walls that share a corner leave no gap.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numba import njit
 CLEARANCE_M = 1e-6
 #: The same on arcs, whose crossings come from a quadratic.
 ARC_CLEARANCE_M = 1e-4
-#: Steps of the cosine in the table of what a wall lets through.
+#: Steps of the cosine in the table of a wall's transmission.
 TABLE_STEPS = 1024
 #: Curvature times length below which a wall counts as straight.
 STRAIGHT = 1e-6
@@ -34,7 +34,7 @@ class Blockers:
     curvature_per_m: np.ndarray
     #: `BODY`, `WALL` or `VOLUME` (foliage: never blocks), int8.
     kind: np.ndarray
-    #: Owner whose own legs it does not block, -1 for none; int32.
+    #: Owner whose own segments it does not block, -1 for none; int32.
     owner: np.ndarray
     #: Field factor of one crossing over the cosine of incidence, complex128 [M, TABLE_STEPS + 1].
     passing: np.ndarray
@@ -42,52 +42,54 @@ class Blockers:
 
 @dataclass(frozen=True)
 class Passage:
-    """What N legs meet."""
+    """Occlusion and transmission of N segments."""
 
-    #: No body and no wall in the way.
+    #: Whether no body and no wall blocks it.
     free: np.ndarray
     #: Field factor of all walls crossed; 0 behind a body.
     through: np.ndarray
     #: Field factor of all foliage crossed.
     foliage: np.ndarray
 
-    def take(self, which: np.ndarray) -> Passage:
-        """The legs of an index or mask."""
-        return Passage(self.free[which], self.through[which], self.foliage[which])
+    def take(self, selection: np.ndarray) -> Passage:
+        """Return the segments of an index or mask."""
+        return Passage(self.free[selection], self.through[selection], self.foliage[selection])
 
 
-def passing_factor(passing: np.ndarray, which: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all pieces."""
+def passing_factor(passing: np.ndarray, piece: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+    """Return the field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all
+    pieces.
+    """
     position = np.clip(cosine, 0.0, 1.0) * TABLE_STEPS
     step = np.minimum(position.astype(np.int64), TABLE_STEPS - 1)
     share = position - step
-    return np.asarray((1.0 - share) * passing[which, step] + share * passing[which, step + 1])
+    return np.asarray((1.0 - share) * passing[piece, step] + share * passing[piece, step + 1])
 
 
 def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
-    """Follow legs from `start` to `end` ([N, 3], or one point for all, heights above ground) past the blockers.
+    """Test segments from `start` to `end` ([N, 3], or one point for all, heights above ground) against the blockers.
 
-    `owner` [N] names the thing at a leg's end whose own body does not count.
+    `owner` [N] is the object at a segment's end whose own body does not block it.
     """
     return _passage((start, end), blockers, owner, False)
 
 
 def free_passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
-    """Legs in series from point to point, for those who want free ones only: a chain is given up where it is blocked.
+    """Test segments in series from point to point, for callers that need free ones only: a blocked series ends early.
 
-    `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to its leg. Of chains that are
-    not free, `through` is 0 and `foliage` what was met so far.
+    `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to the last segment. Where a
+    series is not free, `through` is 0 and `foliage` is incomplete.
     """
     return _passage(points, blockers, owner, True)
 
 
 def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int, give_up: bool) -> Passage:
     count = len(points[-1])
-    chain = np.empty((len(points), count, 3))
+    vertices_m = np.empty((len(points), count, 3))
     for index, point in enumerate(points):
-        chain[index] = point
+        vertices_m[index] = point
     free, through, foliage = _follow(
-        chain,
+        vertices_m,
         np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count)),
         blockers.a,
         blockers.b,
@@ -102,27 +104,27 @@ def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarr
 
 
 def without(blockers: Blockers, index: int) -> Blockers:
-    """All blockers but one."""
+    """Return all blockers but one."""
     return Blockers(
         **{field.name: np.delete(getattr(blockers, field.name), index, axis=0) for field in fields(Blockers)}
     )
 
 
-def in_series(*legs: Passage) -> Passage:
-    """Legs travelled one after the other."""
-    free, through, foliage = legs[0].free, legs[0].through, legs[0].foliage
-    for leg in legs[1:]:
-        free, through, foliage = free & leg.free, through * leg.through, foliage * leg.foliage
+def in_series(*segments: Passage) -> Passage:
+    """Combine segments travelled one after the other."""
+    free, through, foliage = segments[0].free, segments[0].through, segments[0].foliage
+    for segment in segments[1:]:
+        free, through, foliage = free & segment.free, through * segment.through, foliage * segment.foliage
     return Passage(free, through, foliage)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_up):  # type: ignore[no-untyped-def]
-    stops, count, pieces = chain.shape[0], chain.shape[1], len(a)
+def _follow(vertices_m, owners, a, b, height, curvature, kind, owner, passing, give_up):  # type: ignore[no-untyped-def]
+    vertices, count, pieces = vertices_m.shape[0], vertices_m.shape[1], len(a)
     free = np.ones(count, np.bool_)
     through = np.ones(count, np.complex128)
     foliage = np.ones(count, np.float64)
-    # per piece: start, way to its end, length, share of it that `CLEARANCE_M` is
+    # per piece: start, vector to its end, length, share of it that `CLEARANCE_M` is
     line = np.empty((pieces, 6))
     bent = np.empty(pieces, np.bool_)
     for m in range(pieces):
@@ -131,13 +133,17 @@ def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_u
         bent[m] = abs(curvature[m]) * wall >= STRAIGHT
         line[m] = a[m, 0], a[m, 1], wx, wy, wall, CLEARANCE_M / max(wall, CLEARANCE_M)
     for n in range(count):
-        for leg in range(stops - 1):
-            # tuples: views of arrays would be counted references in the inner loop
-            sx, sy, sz = chain[leg, n, 0], chain[leg, n, 1], chain[leg, n, 2]
-            rx, ry, rise = chain[leg + 1, n, 0] - sx, chain[leg + 1, n, 1] - sy, chain[leg + 1, n, 2] - sz
+        for segment in range(vertices - 1):
+            # tuples: array views would be reference-counted in the inner loop
+            sx, sy, sz = vertices_m[segment, n, 0], vertices_m[segment, n, 1], vertices_m[segment, n, 2]
+            rx, ry, rise = (
+                vertices_m[segment + 1, n, 0] - sx,
+                vertices_m[segment + 1, n, 1] - sy,
+                vertices_m[segment + 1, n, 2] - sz,
+            )
             ray = (sx, sy, sz, rx, ry, rise, math.hypot(rx, ry))
             lowest = sz + min(rise, 0.0)
-            own = owners[n] if leg == stops - 2 else -1
+            own = owners[n] if segment == vertices - 2 else -1
             for m in range(pieces):
                 if lowest >= height[m] or (owner[m] >= 0 and owner[m] == own):
                     continue
@@ -157,11 +163,11 @@ def _follow(chain, owners, a, b, height, curvature, kind, owner, passing, give_u
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _straight(leg, piece):  # type: ignore[no-untyped-def]
-    """Cosine of incidence where a leg meets a straight piece, -1 where it does not."""
-    sx, sy, sz, rx, ry, rise, ray = leg
+def _straight(segment, piece):  # type: ignore[no-untyped-def]
+    """Return the cosine of incidence where a segment meets a straight piece, -1 where it does not."""
+    sx, sy, sz, rx, ry, rise, ray = segment
     ax, ay, wx, wy, wall, wider, height = piece
-    # shares along leg and piece times `turn`: most pieces are passed by without a division
+    # shares along segment and piece times `turn`: most pieces are rejected without a division
     turn = rx * wy - ry * wx
     ox, oy = ax - sx, ay - sy
     across = ox * wy - oy * wx
@@ -170,7 +176,7 @@ def _straight(leg, piece):  # type: ignore[no-untyped-def]
         turn, across, along = -turn, -across, -along
     if across <= 0.0 or across >= turn or along < -wider * turn or along > turn + wider * turn:
         return -1.0
-    # parallel: they meet nowhere, or the leg sees the wall's edge, of no width
+    # parallel: no intersection, or the segment runs along the wall, which has no width
     if turn <= 1e-12 * ray * wall:
         return -1.0
     share = across / turn
@@ -182,7 +188,7 @@ def _straight(leg, piece):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _meet(n, m, cosine, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
-    """One crossing at a cosine of incidence."""
+    """Apply one crossing at a cosine of incidence."""
     position = min(max(cosine, 0.0), 1.0) * TABLE_STEPS
     step = min(int(position), TABLE_STEPS - 1)
     share = position - step
@@ -195,11 +201,11 @@ def _meet(n, m, cosine, kind, passing, free, through, foliage):  # type: ignore[
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _arc(n, m, leg, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
-    sx, sy, sz, rx, ry, rise, _ = leg
+def _arc(n, m, segment, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
+    sx, sy, sz, rx, ry, rise, _ = segment
     wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
     chord = math.hypot(wx, wy)
-    # an arc less than a half circle keeps within half its chord of it: most legs pass it by
+    # an arc less than a half circle stays within half its chord of it: most segments miss it
     reach = 0.5 * chord + ARC_CLEARANCE_M
     if (
         max(sx, sx + rx) < min(a[m, 0], b[m, 0]) - reach
@@ -226,10 +232,10 @@ def _arc(n, m, leg, a, b, height, curvature, kind, passing, free, through, folia
             continue
         px, py = sx + along * rx, sy + along * ry
         # the arc is the part of the circle beside its chord, on the far side from the centre
-        place = (px - a[m, 0]) * wx + (py - a[m, 1]) * wy
+        along_chord = (px - a[m, 0]) * wx + (py - a[m, 1]) * wy
         side = (px - a[m, 0]) * wy - (py - a[m, 1]) * wx
         wider = ARC_CLEARANCE_M * chord
-        if not -wider <= place <= chord * chord + wider or side * radius < -wider * abs(radius):
+        if not -wider <= along_chord <= chord * chord + wider or side * radius < -wider * abs(radius):
             continue
         if sz + rise * along < height[m]:
             cosine = abs((px - cx) * rx + (py - cy) * ry) / (abs(radius) * math.sqrt(square + rise * rise))

@@ -1,4 +1,4 @@
-"""One instant under trace: what the path effects share and add to, in the order of `PATH_EFFECTS`."""
+"""Tracing state of one instant, which the path effects share and extend in the order of `PATH_EFFECTS`."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ class Tracing:
     routes: dict[str, Routes] = field(default_factory=dict)
 
     def clear_routes(self, *names: str) -> Routes:
-        """Routes to centres by mirrors alone (or straight), nothing in their way, of some effects."""
-        found = [self.routes[name] for name in names if name in self.routes]
-        return join_routes(found) if found else no_routes()
+        """Return the free routes to centres, straight or by mirrors alone, of some effects."""
+        routes = [self.routes[name] for name in names if name in self.routes]
+        return join_routes(routes) if routes else no_routes()
 
     @cached_property
     def straight(self) -> tuple[Routes, Passage]:
-        """Straight to all centres, whatever stands between; and what stands between."""
+        """Straight routes to all centres, blocked ones too, and their occlusion."""
         return straight_routes(self.view, self.view.centre, self.owner)
 
     @cached_property
     def mirrored(self) -> tuple[Routes, Passage]:
-        """To all centres by every straight piece of wall, whatever stands between; and what stands between."""
+        """Routes to all centres by every straight piece of wall, blocked ones too, and their occlusion."""
         return mirror_routes(self.view, self.view.centre, self.view.world.is_flat, self.owner)
 
     @property

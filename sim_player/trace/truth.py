@@ -1,4 +1,4 @@
-"""What really is in a scene: visible scattering centres that a map can tell apart, images and their true places."""
+"""Ground truth of a scene: visible scattering centres that a map can resolve, images and their true positions."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from sim_player.trace.paths import Paths
 
 #: Truth points differ by at least this many cells in range or in azimuth.
 SEPARATION_CELLS = 4.0
-#: A centre counts as visible when its own beam power stands this far over a beam's noise.
+#: Least SNR of a visible centre: its own beam power over a beam's noise.
 VISIBLE_SNR_DB = 10.0
 
 
-#: Ways that a map shows too, but that no truth point stands for: mixtures, bends, light of other objects, ...
+#: Effects whose paths a map shows too, but that have no truth points: mixed routes, diffraction, interreflection, ...
 UNLABELLED = bits(
     frozenset({"non_cofocal", "edge_diffraction", "object_interreflection", "wall_transmission", "ground_bounce"})
 )
 
 
 def labelled(paths: Paths) -> np.ndarray:
-    """Which paths a truth point may stand for: objects and walls in direct sight, objects in one or two mirrors."""
+    """Return which paths can have truth points: objects and walls in direct sight, objects by one or two mirrors."""
     plain = (paths.needs & np.uint32(UNLABELLED)) == 0
     return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.thing >= 0)))
 
 
 def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
-    """Power of each path in the beam that sees it best, mW, [paths]."""
+    """Return the power of each path in its best beam, mW, [paths]."""
     pattern = two_way_pattern(setup, setup_weights(setup), paths.azimuth_rad, paths.elevation_rad, *departure(paths))
     return np.abs(paths.amplitude) ** 2 * (np.abs(pattern) ** 2).max(axis=0)
 
 
 def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> np.ndarray:
-    """Indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
+    """Return the indices of the truth points, strongest first: in the grid, over the noise, thinned greedily."""
     grid = RangeAzimuthGrid() if grid is None else grid
     power = best_power_mw(setup, paths)
     row, column, inside = _cells(paths, grid)
@@ -53,18 +53,20 @@ def visible_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None
 
 
 def _noise_mw(setup: RadarSetup) -> float:
-    """Noise of one beam in one range bin."""
+    """Return the noise of one beam in one range bin."""
     return setup.radar.noise_power_mw / (setup.radar.samples_per_chirp * setup.radar.chirps_per_beam)
 
 
 def _cells(paths: Paths, grid: RangeAzimuthGrid) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Range and azimuth index of each path, and whether they lie in the grid."""
+    """Return the range and azimuth index of each path, and whether they lie in the grid."""
     row, column = grid.range_index(0.5 * paths.length_m), grid.azimuth_index(paths.azimuth_rad)
     return row, column, (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)
 
 
 def thin(row: np.ndarray, column: np.ndarray) -> np.ndarray:
-    """Greedy choice, first come first kept: indices whose cells differ from all kept by 4 in one coordinate."""
+    """Thin points greedily, first come first kept: indices whose cells differ from all kept ones by 4 in one
+    coordinate.
+    """
     kept: list[int] = []
     free = np.ones(len(row), bool)
     for index in range(len(row)):
@@ -85,18 +87,18 @@ def scene_truth(
     scan_id: int,
     start_from_radar: Pose2 | None = None,
 ) -> SceneTruth:
-    """Truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
+    """Return the truth of one instant in the radar's frame (heights above the antenna); velocities are over ground.
 
-    `start_from_radar`: where the radar is then; None: where the scene's `ego` takes it.
+    `start_from_radar`: the radar's pose at that time; None: the pose from the scene's `ego`.
     """
     pose = radar_pose(world.scene, time_s) if start_from_radar is None else start_from_radar
     radar_from_start = pose.inverse()
-    chosen = paths.take(visible_paths(setup, paths))
-    mirrored = chosen.take(chosen.kind == PathClass.MIRRORED)
+    visible = paths.take(visible_paths(setup, paths))
+    mirrored = visible.take(visible.kind == PathClass.MIRRORED)
     return SceneTruth(
         stamp_ns=stamp_ns,
         scan_id=scan_id,
-        los_points_m=chosen.point_m[chosen.kind == PathClass.LOS].astype(np.float32),
+        los_points_m=visible.point_m[visible.kind == PathClass.LOS].astype(np.float32),
         mirrored_points_m=mirrored.virtual_m.astype(np.float32),
         hidden_points_m=mirrored.point_m.astype(np.float32),
         hidden_object=mirrored.thing.astype(np.int32),
@@ -106,7 +108,7 @@ def scene_truth(
 
 
 def hidden_objects(paths: Paths) -> frozenset[int]:
-    """Objects seen in a mirror and not directly."""
+    """Return the objects seen in a mirror and not directly."""
     paths = paths.take(labelled(paths))
     mirrored = paths.thing[paths.kind == PathClass.MIRRORED]
     direct = paths.thing[paths.kind == PathClass.LOS]
@@ -115,19 +117,19 @@ def hidden_objects(paths: Paths) -> frozenset[int]:
 
 @dataclass(frozen=True)
 class ObjectImages:
-    """What could be seen of each of N objects, before any detection."""
+    """Visibility of each of N objects before any detection."""
 
     #: Some part is in direct sight; some mirror shows a part, wherever its image lies. bool [N].
     direct: np.ndarray
     mirrored: np.ndarray
-    #: Strongest scattering centre among the images in the map, over the noise of the beam that sees it best, dB [N];
+    #: Strongest scattering centre among the images in the map, over the noise of its best beam, dB [N];
     #: -inf where the map holds no image. The second is that of images by one mirror.
     snr_db: np.ndarray
     single_snr_db: np.ndarray
 
 
 def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
-    """Sum up the labelled paths of a scene's `count` objects."""
+    """Summarise the labelled paths of a scene's `count` objects."""
     paths = paths.take(labelled(paths))
     with np.errstate(divide="ignore"):
         snr_db = 10.0 * np.log10(best_power_mw(setup, paths) / _noise_mw(setup))
@@ -141,40 +143,40 @@ def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
     )
 
 
-def _strongest(thing: np.ndarray, snr_db: np.ndarray, count: int) -> np.ndarray:
-    """Largest value of each object [count]; -inf where it has none."""
-    found = np.full(count, -np.inf)
-    np.maximum.at(found, thing, snr_db)
-    return found
+def _strongest(object_index: np.ndarray, snr_db: np.ndarray, count: int) -> np.ndarray:
+    """Return the largest value of each object [count]; -inf where it has none."""
+    strongest = np.full(count, -np.inf)
+    np.maximum.at(strongest, object_index, snr_db)
+    return strongest
 
 
 def _objects(world: World, paths: Paths, time_s: float, radar_from_start: Pose2) -> tuple[TruthObject, ...]:
-    """All objects of the scene where the radar has them at a time."""
+    """Return all objects of the scene in the radar's frame at a time."""
     hidden = hidden_objects(paths)
-    found = []
-    for index, thing in enumerate(world.scene.objects):
+    objects = []
+    for index, scene_object in enumerate(world.scene.objects):
         velocity = world.velocity_mps[index]
-        x, y = radar_from_start.apply(np.array([thing.x_m, thing.y_m]) + velocity * time_s)
+        x, y = radar_from_start.apply(np.array([scene_object.x_m, scene_object.y_m]) + velocity * time_s)
         vx, vy = radar_from_start.rotate(velocity)
-        found.append(
+        objects.append(
             TruthObject(
                 id=index,
-                object_class=thing.object_class,
+                object_class=scene_object.object_class,
                 x_m=float(x),
                 y_m=float(y),
-                length_m=thing.kind.length_m,
-                width_m=thing.kind.width_m,
-                yaw_rad=math.remainder(math.radians(thing.yaw_deg) + radar_from_start.yaw_rad, 2.0 * math.pi),
+                length_m=scene_object.kind.length_m,
+                width_m=scene_object.kind.width_m,
+                yaw_rad=math.remainder(math.radians(scene_object.yaw_deg) + radar_from_start.yaw_rad, 2.0 * math.pi),
                 velocity_x_mps=float(vx),
                 velocity_y_mps=float(vy),
                 hidden=index in hidden,
             )
         )
-    return tuple(found)
+    return tuple(objects)
 
 
 def _surfaces(world: World, radar_from_start: Pose2) -> tuple[TruthSurface, ...]:
-    """All walls as the radar has them."""
+    """Return all walls in the radar's frame."""
     walls = [surface for surface in world.scene.surfaces if surface.role != "ground"]
     return tuple(
         TruthSurface(

@@ -1,4 +1,4 @@
-"""All echoes that a truth point may stand for, before neighbours are thinned out: a data set's scenes traced again."""
+"""All echoes that can have truth points, before thinning: scenes of a data set traced again."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_scan import label_points
 from sim_player.dataset.shards import scene_seed
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import chosen, plan_world
 from sim_player.scene.description import Scene, scene_from_yaml
 from sim_player.trace.paths import Paths
@@ -21,7 +21,7 @@ from sim_player.trace.truth import VISIBLE_SNR_DB, best_power_mw, labelled
 
 
 class DrawnScene(msgspec.Struct, frozen=True, kw_only=True):
-    """What fixes a scene's echoes: its YAML, number and gain, and the series it belongs to (`series.json`)."""
+    """Parameters that fix a scene's echoes: its YAML, number and gain, and its series (`series.json`)."""
 
     scene_yaml: str
     index: int
@@ -30,7 +30,7 @@ class DrawnScene(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def setup(self) -> RadarSetup:
-        """The scene's radar, with so much more power as the data set gave it; basic effects judge echoes without."""
+        """The scene's radar with the gain of the data set; with basic effects, echoes are judged without it."""
         setup, gain = self.scene.setup, ratio_from_db(self.gain_db)
         if self.series.get("effects") == "basic":
             return setup
@@ -44,7 +44,7 @@ class DrawnScene(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def trace_again(drawn: DrawnScene) -> Paths:
-    """All paths of a scene as when its data set was made.
+    """Return all paths of a scene as when its data set was made.
 
     Raises `ValueError` where the series is none of the simulator's.
     """
@@ -61,7 +61,7 @@ def trace_again(drawn: DrawnScene) -> Paths:
 
 
 def labelled_paths(drawn: DrawnScene) -> tuple[Paths, np.ndarray]:
-    """All echoes over the noise that a truth point may stand for, and the ranges [m] of the truth points, in order.
+    """Return all echoes over the noise that can have truth points, and the ranges [m] of the truth points, in order.
 
     Raises `ValueError` as above.
     """
@@ -70,7 +70,9 @@ def labelled_paths(drawn: DrawnScene) -> tuple[Paths, np.ndarray]:
 
 
 def unthinned_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> Paths:
-    """The candidates of `sim_player.trace.truth.visible_paths`: labelled, in the grid, over the noise in some beam."""
+    """Return the candidates of `sim_player.trace.truth.visible_paths`: labelled, in the grid, over the noise in some
+    beam.
+    """
     grid = RangeAzimuthGrid() if grid is None else grid
     radar = setup.radar
     noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)

@@ -1,4 +1,4 @@
-"""The way out of a path as points to draw or to check: antenna, bounces at walls, scatterer."""
+"""Outbound vertices of a path, to draw or to check: antenna, bounces at walls, scatterer."""
 
 from __future__ import annotations
 
@@ -9,55 +9,55 @@ from models.physics.mirror import crossing_parameters
 from sim_player.scene.world import World, radar_pose
 from sim_player.trace.paths import Paths
 
-#: Steps of an arc when a ray is sent against it.
+#: Number of chords of an arc in the ray search.
 ARC_STEPS = 256
 CLEARANCE_M = 1e-6
 
 
 def ways_out(world: World, paths: Paths, time_s: float = 0.0) -> list[np.ndarray]:
-    """Points [N, 3] of every path's way out in the radar's frame: the antenna, its bounces at walls, the scatterer.
+    """Return the outbound vertices [N, 3] of every path in the radar's frame: antenna, bounces at walls, scatterer.
 
-    Followed from the antenna along the direction of departure, mirrored at as many walls as the way has bounces. Bends
-    at edges and bounces on the ground are drawn straight.
+    The ray follows the direction of departure from the antenna, with as many mirrors as the path has bounces. Bends at
+    edges and bounces on the ground are drawn straight.
     """
     a, b, normal = _pieces(world)
     back = radar_pose(world.scene, time_s).inverse()
     a, b, normal = back.apply(a), back.apply(b), back.rotate(normal)
-    return [_way(paths, index, a, b, normal) for index in range(len(paths))]
+    return [_outbound_vertices(paths, index, a, b, normal) for index in range(len(paths))]
 
 
-def _way(paths: Paths, index: int, a: np.ndarray, b: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """One path's points."""
+def _outbound_vertices(paths: Paths, index: int, a: np.ndarray, b: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """Return the outbound vertices of one path."""
     azimuth, elevation = paths.departure_azimuth_rad[index], paths.departure_elevation_rad[index]
     slope = np.tan(elevation)
     heading = np.array([np.cos(azimuth), np.sin(azimuth)])
-    place, gone, points = np.zeros(2), 0.0, [np.zeros(3)]
-    end, found, least = paths.point_m[index], [np.zeros(3)], np.inf
+    position, travelled_m, points = np.zeros(2), 0.0, [np.zeros(3)]
+    end, outbound, least = paths.point_m[index], [np.zeros(3)], np.inf
     for bounce in range(int(paths.order[index]) + 1):
-        # a way of two parts may take fewer bounces out than back: the one that heads for the scatterer is it
-        miss = _miss(place, heading, end[:2])
+        # a non-reciprocal path may have fewer bounces out than back: the heading closest to the scatterer decides
+        miss = _miss(position, heading, end[:2])
         if miss < least - 1e-6:
-            found, least = list(points), miss
-        along, wall = _next_wall(place, heading, a, b)
+            outbound, least = list(points), miss
+        along, wall = _next_wall(position, heading, a, b)
         if wall < 0 or bounce == paths.order[index]:
             break
-        place, gone = place + along * heading, gone + along
-        points.append(np.array([*place, gone * slope]))
+        position, travelled_m = position + along * heading, travelled_m + along
+        points.append(np.array([*position, travelled_m * slope]))
         heading = heading - 2.0 * (heading @ normal[wall]) * normal[wall]
-    return np.array([*found, end])
+    return np.array([*outbound, end])
 
 
-def _miss(place: np.ndarray, heading: np.ndarray, target: np.ndarray) -> float:
-    """Angle between a heading and the way to a target."""
-    way = target - place
-    return float(abs(np.arctan2(heading[0] * way[1] - heading[1] * way[0], heading @ way)))
+def _miss(position: np.ndarray, heading: np.ndarray, target: np.ndarray) -> float:
+    """Return the angle between a heading and the direction to a target."""
+    to_target = target - position
+    return float(abs(np.arctan2(heading[0] * to_target[1] - heading[1] * to_target[0], heading @ to_target)))
 
 
-def _next_wall(place: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, int]:
-    """Distance to the first piece of wall ahead, and which; (inf, -1) for none."""
+def _next_wall(position: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndarray) -> tuple[float, int]:
+    """Return the distance to the first piece of wall ahead and its index; (inf, -1) for none."""
     if not len(a):
         return np.inf, -1
-    along_ray, along_wall = crossing_parameters(place, (place + heading)[None], a, b)
+    along_ray, along_wall = crossing_parameters(position, (position + heading)[None], a, b)
     ahead = (along_ray[0] > CLEARANCE_M) & (along_wall[0] >= 0.0) & (along_wall[0] <= 1.0)
     distance = np.where(ahead, along_ray[0], np.inf)
     nearest = int(np.argmin(distance))
@@ -65,7 +65,7 @@ def _next_wall(place: np.ndarray, heading: np.ndarray, a: np.ndarray, b: np.ndar
 
 
 def _pieces(world: World) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Ends [M, 2] and unit normals of all walls, arcs cut into short chords with the arc's own normals."""
+    """Return the ends [M, 2] and unit normals of all walls, arcs cut into short chords with the arc's own normals."""
     ends_a, ends_b, normals = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros((0, 2))]
     for wall in np.flatnonzero(world.is_mirror):
         start, end, curvature = world.wall_a[wall], world.wall_b[wall], float(world.wall_curvature_per_m[wall])

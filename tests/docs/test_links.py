@@ -18,6 +18,14 @@ from tests.docs.pages import ROOT
 PAGES = sorted(
     [*ROOT.glob("*.md"), *(path for ending in ("md", "ipynb") for path in (ROOT / "docs").rglob(f"*.{ending}"))]
 )
+#: Where sources name a page: in docstrings, comments, help texts and error messages.
+SOURCES = sorted(
+    path
+    for room in ROOT.iterdir()
+    for path in (room.rglob("*") if room.is_dir() and not room.name.startswith(".") else [room])
+    if path.suffix in (".py", ".yaml", ".toml") or path.name == "Makefile"
+)
+_NAMED_PAGE = re.compile(r"(?<![\w/])docs/[\w./-]*\w\.(?:md|json|ipynb|py|yaml|png)\b")
 _HTML_LINK = re.compile(r"""(?:href|src)\s*=\s*["']([^"']+)["']""")
 _HTML_ID = re.compile(r"""(?:id|name)\s*=\s*["']([^"']+)["']""")
 
@@ -76,6 +84,24 @@ def dead_links(path: Path, root: Path = ROOT) -> list[str]:
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
 def test_links_lead_somewhere(path: Path) -> None:
     assert dead_links(path) == []
+
+
+def missing_pages(text: str, root: Path = ROOT) -> list[str]:
+    """Files of `docs/` that a source names and that are not there."""
+    return [name for name in _NAMED_PAGE.findall(text) if not (root / name).exists()]
+
+
+def test_pages_that_sources_name_are_there() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in SOURCES if path != Path(__file__)}
+    assert sum(len(_NAMED_PAGE.findall(text)) for text in texts.values()) > 30
+    assert {str(path.relative_to(ROOT)): gone for path, text in texts.items() if (gone := missing_pages(text))} == {}
+
+
+def test_a_missing_page_is_found(tmp_path: Path) -> None:
+    (tmp_path / "docs/guides").mkdir(parents=True)
+    (tmp_path / "docs/guides/there.md").touch()
+    text = "see docs/guides/there.md, docs/there.md: docs/guides/gone.json."
+    assert missing_pages(text, tmp_path) == ["docs/there.md", "docs/guides/gone.json"]
 
 
 def test_a_dead_link_is_found(tmp_path: Path) -> None:

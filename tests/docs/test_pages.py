@@ -16,22 +16,17 @@ from tests.docs.prepared import Prepared, speaking_car
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("**/*.md"))]
 #: Files of the reader's own that a page speaks of.
 GIVEN: dict[str, tuple[str, ...]] = {
-    "README.md": ("drive.log", "car.dbc", "car.yaml"),
-    "docs/can-mapping.md": ("drive.log", "car.dbc", "car.yaml"),
-    "docs/can-out.md": ("list.log",),
-    "docs/convert.md": ("seen.mcap",),
-    "docs/formats.md": ("seen.mcap",),
-    "docs/import-dca1000.md": ("capture.bin", "chirps.cfg"),
-    "docs/tools.md": ("drive.log",),
-    "docs/connect-my-car.md": ("drive.log", "car.dbc", "car.yaml"),
-    "docs/other-languages.md": ("seen.mcap",),
-    "docs/python.md": ("corner.mcap",),
-    "docs/train-on-my-captures.md": ("truth",),
-    "docs/vehicle.md": ("drive.log", "car.dbc", "car.yaml"),
-    "docs/viewer.md": ("seen.mcap",),
+    "docs/guides/can-out.md": ("list.log",),
+    "docs/guides/connect-my-car.md": ("drive.log", "car.dbc", "car.yaml"),
+    "docs/guides/connect-my-radar.md": ("capture.bin", "chirps.cfg"),
+    "docs/guides/recordings.md": ("seen.mcap",),
+    "docs/guides/train-on-my-captures.md": ("truth",),
+    "docs/guides/use-from-code.md": ("seen.mcap", "corner.mcap"),
+    "docs/guides/viewer.md": ("seen.mcap",),
+    "docs/guides/watch-a-graph.md": ("drive.log",),
 }
 #: Pages that speak of a graph that runs already.
-OF_A_GRAPH = {"docs/live-timing.md", "docs/two-machines.md"}
+OF_A_GRAPH = {"docs/guides/two-machines.md"}
 LIVE = re.compile(r"launch [^#\n]*(&|--record)")
 #: Written from the code, with usage lines in place of commands; held by tests/mirrorwave/test_reference.py.
 GENERATED = "docs/reference/commands.md"

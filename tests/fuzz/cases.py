@@ -68,6 +68,7 @@ from nodes import (
 from nodes.can.bus import CanLink, checkout_path, load_dbc, load_mapping
 from nodes.node import Node
 from nodes.recording import snapshot_recorder
+from nodes.recording.files import as_recorded
 from sim_player.car import SimulatedCar
 from tests.fuzz.strategies import Said, Step
 
@@ -469,7 +470,7 @@ def write_recording(folder: Path, messages: Sequence[Any] | None) -> Path:
             for said in all_talk():
                 writer.write(said.topic, said.message, publisher="p", sequence=0, sent_ns=10**9)
         for received in messages or ():
-            writer.write_encoded(recorder.as_recorded(received))
+            writer.write_encoded(as_recorded(received))
     return path
 
 

@@ -13,7 +13,7 @@ from models.perception.detection.peaks import PeakParams
 from models.perception.detection.pursuit import PursuitParams
 from models.perception.detection.ridges import RidgeParams
 from models.perception.forming.coarray import _solve_each, require_bearable
-from models.perception.forming.photon_map import MOST_CELLS, MOST_TIMES
+from models.perception.forming.photon_map import MAX_CELLS, MAX_TIMES
 from msgs.bus.codec import encode
 from msgs.bus.interface import Envelope, Received
 from msgs.link.peer_clock import ClockSample, PeerClock
@@ -99,7 +99,7 @@ def test_the_smaller_of_two_equal_systems_is_solved() -> None:
 @pytest.mark.parametrize("changes", [{"bins": 1 << 14}, {"grid": (8192, 128)}])
 def test_a_setup_that_would_stall_the_lidar_is_refused(changes: dict[str, Any]) -> None:
     bins, (range_bins, azimuths) = changes.get("bins", 32), changes.get("grid", (24, 128))
-    assert azimuths * bins > MOST_TIMES or azimuths * range_bins > MOST_CELLS
+    assert azimuths * bins > MAX_TIMES or azimuths * range_bins > MAX_CELLS
     grid = RangeAzimuthGrid(range_bins=range_bins, azimuth_bins=azimuths)
     setup = msgspec.structs.replace(SPAD, spad=SpadParams(bins=bins, measurement_time_s=1e-4), grid=grid)
     node = lidar_former.create(lidar_former.Params())

@@ -24,12 +24,13 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
+from models.perception.forming import stage as forming_stage
 from models.perception.forming.ra_forming import FormingParams, RaFormer
 from msgs.bus.codec import decode, encode
 from msgs.bus.interface import Envelope, Outgoing, Received
 from msgs.values.diagnostics import NodeState
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
-from nodes import bev_viewer, ra_former, radar_driver
+from nodes import bev_viewer, radar_driver
 from nodes.can import bus as can_link
 from nodes.node import Node, load_node
 from nodes.recording import snapshot_recorder
@@ -119,7 +120,7 @@ def held(value: Any, seen: set[int]) -> int:
 @pytest.fixture(autouse=True)
 def _maps_of_few_cells(monkeypatch: pytest.MonkeyPatch) -> None:
     """Maps a sixteenth as large: ten times as many examples in the same time."""
-    monkeypatch.setattr(ra_former, "RaFormer", small_former)
+    monkeypatch.setattr(forming_stage, "RaFormer", small_former)
 
 
 def small_former(setup: RadarSetup, params: FormingParams) -> RaFormer:

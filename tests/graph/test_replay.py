@@ -15,7 +15,7 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from models.perception.geometry.objects import bev_to_json
+from mirrorwave.convert.result_lines import bev_to_json
 from msgs.bus.zmq import list_publishers, run_dir
 from msgs.recording.mcap import RecordingReader, RecordingWriter
 from msgs.values.perception import BevFrame

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from mirrorwave.cli import main
-from models.perception.geometry.objects import bev_to_json
+from mirrorwave.convert.result_lines import bev_to_json
 from msgs.recording.mcap import RecordingReader
 from msgs.values.perception import BevFrame
 

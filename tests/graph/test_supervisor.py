@@ -294,7 +294,7 @@ def test_the_patience_with_a_process_may_change_while_it_is_asked_to_stop(monkey
     from nodes.process.child import Child
 
     sent: list[signal.Signals] = []
-    monkeypatch.setattr(Child, "__init__", lambda self: vars(self).update(_asked_s=None, _told_s=None))
+    monkeypatch.setattr(Child, "__init__", lambda self: vars(self).update(_asked_s=None, _terminated_s=None))
     monkeypatch.setattr(Child, "_signal", lambda self, number: sent.append(number))
     child = Child()  # type: ignore[call-arg]
     for now_s, patience_s, last_s in ((0.0, 5.0, 2.0), (1.0, 5.0, 2.0), (1.1, 0.5, 1.5), (2.5, 0.5, 1.5)):

@@ -11,7 +11,7 @@ import pytest
 
 from mirrorwave.api import Perception, View, scan_beams, views
 from mirrorwave.cli import main
-from models.perception.geometry.objects import bev_to_json
+from mirrorwave.convert.result_lines import bev_to_json
 from msgs.recording.mcap import RecordingWriter
 from msgs.values.radar import RadarBeam, RadarSetup
 from nodes.player import Params, scene_player

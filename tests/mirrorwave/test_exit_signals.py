@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from mirrorwave.exit_signals import HUNG_UP, INTERRUPTED, TERMINATED, is_until_told
+from mirrorwave.exit_signals import HUNG_UP, INTERRUPTED, TERMINATED, runs_until_stopped
 from msgs.recording.mcap import info
 from tests.mirrorwave.endings import hears_endings
 
@@ -235,4 +235,4 @@ def test_who_listens_is_ended_as_a_shell_would_have_it(
     ],
 )
 def test_verbs_that_run_until_told(line: str, until_told: bool) -> None:
-    assert is_until_told(line.split()) is until_told
+    assert runs_until_stopped(line.split()) is until_told

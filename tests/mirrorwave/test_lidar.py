@@ -9,7 +9,7 @@ import pytest
 
 from mirrorwave.api import views
 from mirrorwave.cli import main
-from models.perception.geometry.objects import bev_to_json
+from mirrorwave.convert.result_lines import bev_to_json
 
 SCENE = "launch/scenes/hidden_car_spad.yaml"
 

@@ -14,9 +14,9 @@ from typer.testing import CliRunner
 
 import mirrorwave.commands.graph.launch as launch_verb
 from mirrorwave.cli import main
+from mirrorwave.node_chain import SharedParts
 from mirrorwave.offline import launch_for
 from mirrorwave.profiles import over_default, profile_names, read_profile
-from mirrorwave.studies.tradeoff.profile_chain import ProfileParts, profile_setting
 from models.perception.detection.detectors import CfarDetector, NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.geometry.confidence import FittedConfidences, load_confidence
@@ -71,10 +71,10 @@ def test_a_named_profile_an_override_and_the_file_itself_hold(monkeypatch: pytes
 
 def test_default_is_what_was_chosen() -> None:
     """As `accurate`: whichever confidence is committed for the detector it runs is the one it names."""
-    default, accurate = (ProfileParts.of(profile_setting(name), RadarSetup()) for name in ("default", "accurate"))
+    default, accurate = (SharedParts.of(read_profile(name), RadarSetup()) for name in ("default", "accurate"))
     beams = list(LabelledPlace(5, 1, "basic").beams())
-    chains = [parts.chain(RadarSetup()) for parts in (default, accurate)]
-    objects = [[one for beam in beams for view in chain.add(beam) for one in view.objects] for chain in chains]
+    chains = [parts.chain() for parts in (default, accurate)]
+    objects = [[one for beam in beams for view in chain.add(beam) for one in view.frame.objects] for chain in chains]
     assert objects[0] == objects[1]
     assert objects[0]
 
@@ -103,11 +103,11 @@ def test_auto_judges_no_peaks_of_a_stranger() -> None:
     assert fitted is not None
     assert fitted.of("") is None
     assert parts_of(Params(confidence="none"))[2] is None
-    assert isinstance(ProfileParts.of(profile_setting("cfar"), RadarSetup()).detector, CfarDetector)
+    assert isinstance(SharedParts.of(read_profile("cfar"), RadarSetup()).detector, CfarDetector)
 
 
 def test_unfiltered_keeps_every_place_of_the_same_network() -> None:
-    parts = ProfileParts.of(profile_setting("unfiltered"), RadarSetup())
+    parts = SharedParts.of(read_profile("unfiltered"), RadarSetup())
     assert parts.confidence is None
     assert parts.detector._name.startswith(NetworkDetector(RadarSetup(), DEFAULT_MODEL)._name)  # type: ignore[attr-defined]
     assert "unfiltered" in profile_names()

@@ -9,7 +9,7 @@ from mirrorwave.reference import fields_of, main, node_modules, pages
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import Track
 from nodes.process.launch_file import read_launch_file
-from nodes.recorder import Params as RecorderParams
+from nodes.recording.params import RecordingParams
 
 ROOT = CHECKOUT
 
@@ -26,7 +26,7 @@ def test_fields_have_the_words_of_their_source() -> None:
     assert fields["id"].default == "required"
     assert fields["time_to_appear_s"].annotation == r"float \| None"
     assert "direct sight" in fields["time_to_appear_s"].comment
-    assert {one.name for one in fields_of(RecorderParams)} >= {"path", "topics", "raw"}
+    assert {one.name for one in fields_of(RecordingParams)} >= {"path", "topics", "raw"}
 
 
 def test_every_node_of_the_launch_files_is_there() -> None:

@@ -144,7 +144,7 @@ def write_log(bus: dict, path: Path) -> Path:
 
 
 def test_a_candump_log_read_by_hand_says_the_same(bus: dict, tmp_path: Path) -> None:
-    """Bits by the table of docs/can-out.md, checksum, counter and age: as a receiver without our code would."""
+    """Bits by the table of docs/guides/can-out.md, checksum, counter and age: as a receiver without our code would."""
     lines = candump_lines(write_log(bus, tmp_path / "out.log").read_text())
     assert len(lines) == 330
     last: dict[int, int] = {}

@@ -205,7 +205,7 @@ def test_a_peer_s_message_ends_the_wait_of_the_loop(hosts: tuple[Host, Host], me
 
 
 def test_launch_files_of_two_hosts_fit_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With keys made as docs/two-machines.md says, and addresses of this machine."""
+    """With keys made as docs/guides/two-machines.md says, and addresses of this machine."""
     monkeypatch.chdir(tmp_path)
     Path("keys/allowed").mkdir(mode=0o700, parents=True)
     launches = {}

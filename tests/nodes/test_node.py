@@ -146,13 +146,13 @@ def test_a_node_that_gives_way_does_so_with_all_its_threads() -> None:
     """Linux keeps a niceness for each thread: also one that `create` started must give way, and later ones inherit."""
     program = """
 import os, threading
-from nodes.node import _give_way
+from nodes.node import _lower_priority
 def priorities():
     return sorted(os.getpriority(os.PRIO_PROCESS, int(task)) for task in os.listdir('/proc/self/task'))
 end = threading.Event()
 threading.Thread(target=end.wait).start()
 before = priorities()
-_give_way(3)
+_lower_priority(3)
 threading.Thread(target=end.wait).start()
 after = priorities()
 end.set()

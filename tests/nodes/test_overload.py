@@ -241,9 +241,9 @@ def test_wrong_limits_are_named(change: dict[str, float]) -> None:
 # what is shed before any scan: pictures
 
 
-def late_views(late_ms: float, gives_way: bool) -> tuple[Assembly, Board]:
+def late_views(late_ms: float, sheds_maps: bool) -> tuple[Assembly, Board]:
     board = Board()
-    assembly = Assembly(board, gives_way)
+    assembly = Assembly(board, sheds_maps)
     for scan in range(30):
         stamp_ns = scan * 300 * MS
         now_ns = stamp_ns + last_beam_ns() + round(late_ms * MS)
@@ -258,22 +258,22 @@ def posts(board: Board) -> dict[str, int]:
 
 def test_pictures_are_shed_first_while_views_come_late_and_views_never() -> None:
     """The former of the same graph sheds nothing by a late view: pictures go first."""
-    assembly, board = late_views(late_ms=301.0, gives_way=True)
+    assembly, board = late_views(late_ms=301.0, sheds_maps=True)
     period_scans = -(-LATE_MAP_PERIOD_NS // (300 * MS))
     assert posts(board) == {"view": 30, "warnings": 30, "map": -(-30 // period_scans)}
     assert posts(board)["map"] + assembly.maps_shed == 30
 
 
-@pytest.mark.parametrize(("late_ms", "gives_way"), [(299.0, True), (301.0, False)], ids=["in time", "played back"])
-def test_in_time_every_picture_is_posted(late_ms: float, gives_way: bool) -> None:
-    assembly, board = late_views(late_ms, gives_way)
+@pytest.mark.parametrize(("late_ms", "sheds_maps"), [(299.0, True), (301.0, False)], ids=["in time", "played back"])
+def test_in_time_every_picture_is_posted(late_ms: float, sheds_maps: bool) -> None:
+    assembly, board = late_views(late_ms, sheds_maps)
     assert posts(board) == {"view": 30, "warnings": 30, "map": 30}
     assert assembly.maps_shed == 0
 
 
 def test_pictures_come_back_with_the_first_view_in_time() -> None:
     board = Board()
-    assembly = Assembly(board, gives_way=True)
+    assembly = Assembly(board, sheds_maps=True)
     for scan, late_ms in enumerate([301, 301, 301, 50, 50]):
         stamp_ns = scan * 300 * MS
         now_ns = stamp_ns + last_beam_ns() + late_ms * MS

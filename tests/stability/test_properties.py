@@ -42,7 +42,7 @@ from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, RangeAzimuthMap
 from sim_player.dataset.labelled_beams import LabelledPlace
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import draw_place
 from sim_player.scene.description import Scene, SceneObject, Surface
 from sim_player.scene.world import Snapshot, prepare, snapshot, wall_lines

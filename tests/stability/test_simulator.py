@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import plan_effects, planned_profiles
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.trace.paths import Paths

@@ -11,13 +11,13 @@ import pytest
 from models.evaluation.metrics import match_objects
 from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, form_map
+from models.perception.state_history import StateHistory
 from models.vehicle.can_state import StampMapper
 from msgs.values.frames import Pose2
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
 from msgs.values.radar import RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState, ego_motion
-from nodes.inputs.state_history import StateHistory
 from nodes.inputs.view_latency import ViewWatch, last_beam_ns, latency_ns
 from tests.stability.catalogue import Errors
 
@@ -152,7 +152,7 @@ def test_object_measured_before_its_scene(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="nodes.inputs.state_history",
+    where="models.perception.state_history",
     naive="the last that came",
     bound=0.0,
     unit="m/s",

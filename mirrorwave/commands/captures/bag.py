@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
+from mirrorwave.commands.captures.bag_info import print_info
 from mirrorwave.commands.captures.bag_options import (
     EndS,
     File,
@@ -65,7 +65,7 @@ def record(
     min_free: MinFree = None,
     domain: Domain = DEFAULT_DOMAIN,
 ) -> None:
-    """Record a running graph until Ctrl-C (docs/recording.md); exit code 3 if messages are missing."""
+    """Record a running graph until Ctrl-C (docs/guides/recordings.md); exit code 3 if messages are missing."""
     from msgs.bus.zmq import ZmqBus, run_dir
     from nodes.node import Heartbeat, Stop, run_loop
     from nodes.recorder import Params
@@ -170,7 +170,7 @@ def info(
     elif as_json:
         print_json(found)
     else:
-        _print_info(found)
+        print_info(found)
     if found.loss or (found.losses and (found.losses.total or found.losses.ended)):
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
@@ -217,7 +217,9 @@ def convert(
     to: Annotated[Format | None, typer.Option("--to", help="Format; follows from OUT's suffix if left out.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Convert a recording for other tools (docs/convert.md); exit code 3 if something was missing or damaged."""
+    """Convert a recording for other tools (docs/guides/recordings.md); exit code 3 if something was missing or
+    damaged.
+    """
     require_new_file(out)
     found = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
     if as_json:
@@ -241,50 +243,3 @@ def _report_copy(out: Path, count: int, loss: str | None) -> None:
     print_line(f"{out}: {counted(count, 'message')}" + (f"; the source had lost some: {loss}" if loss else ""))
     if loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS if count else ExitCode.FAILED)
-
-
-def _print_info(found: Any) -> None:
-    print_line(f"{found.path}: {found.size_bytes / (1 << 20):.1f} MiB, {found.duration_s:.2f} s")
-    complete, checksums = "yes" if found.complete else "no", "good" if found.checksums_agree else "bad"
-    print_line(f"complete: {complete}, checksums: {checksums}")
-    for line in _origin(found.metadata):
-        print_line(line)
-    if found.loss:
-        print_line(f"loss: {found.loss}")
-    columns = ("TOPIC", "TYPE", "MESSAGES", "BYTES", "HZ", "PUBLISHERS")
-    rows = [
-        (topic.topic, topic.type or None, topic.messages, topic.bytes, topic.rate_hz, ", ".join(topic.publishers))
-        for topic in found.topics
-    ]
-    print_table(columns, rows)
-    _print_losses(found.losses)
-
-
-#: Where a recording comes from: of a graph, or of a simulated scene.
-_ORIGIN = ("started_utc", "part", "command", "scene", "seed")
-
-
-def _origin(metadata: dict[str, str]) -> list[str]:
-    """Where a recording comes from, as far as it says so; written by anybody, so nothing is taken for granted."""
-    lines = [f"{key}: {metadata[key]}" for key in _ORIGIN if key in metadata]
-    try:
-        machine = json.loads(metadata.get("machine", ""))
-        lines.append(f"machine: {machine['processor']}, {counted(machine['cores'], 'core')}, {machine['kernel']}")
-    except (ValueError, KeyError, TypeError):
-        pass
-    if "launch" in metadata:
-        lines.append("launch file: yes (--config prints it)")
-    return lines
-
-
-def _print_losses(losses: Any) -> None:
-    if losses is None:
-        return
-    if losses.ended:
-        print_line(f"ended early: {losses.ended}")
-    if not losses.topics:
-        print_line("missing messages: none")
-        return
-    print_line(f"missing messages: {losses.total}")
-    rows = [(topic.topic, topic.lost, topic.rejected, topic.outdated, topic.missed) for topic in losses.topics]
-    print_table(("TOPIC", "LOST", "REJECTED", "OUTDATED", "NOT WRITTEN"), rows)

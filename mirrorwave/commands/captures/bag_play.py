@@ -1,4 +1,4 @@
-"""`mirrorwave bag play`: a recording into a running graph (docs/replay.md)."""
+"""`mirrorwave bag play`: a recording into a running graph (docs/guides/recordings.md)."""
 
 from __future__ import annotations
 

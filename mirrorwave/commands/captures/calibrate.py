@@ -22,7 +22,7 @@ from msgs.values.wording import counted
 
 if TYPE_CHECKING:
     from mirrorwave.calibrate.drive import Solved
-    from models.vehicle.mounting import Known, Mounting
+    from models.vehicle.mounting import Mounting
 
 app = typer.Typer(
     no_args_is_help=True, help="Background and noise of the radar; its pose on the vehicle; its clock against CAN."
@@ -44,19 +44,15 @@ Pose = Annotated[
 @app.command()
 def background(capture: CaptureFile, out: Out, scans: Scans = 100, plot: Plot = None, as_json: AsJson = False) -> None:
     """Open-field background of every beam, for `ra_former.background`."""
-    import numpy as np
-
     from mirrorwave.calibrate.capture import Capture
-    from mirrorwave.calibrate.radar import draw_background, measure_background
-    from msgs.files.whole_files import whole
+    from mirrorwave.calibrate.radar import draw_background, measure_background, save_background
 
     _require_suffix(out, ".npy")
     _require_new(out, plot)
     source = Capture(capture)
     with progress_bar("scans", min(scans, source.scan_count())) as advance:
         values, quality = measure_background(source, scans, advance)
-    with whole(out) as part, part.open("wb") as file:
-        np.save(file, values)
+    save_background(values, out)
     if plot is not None:
         draw_background(values, source, plot)
     if as_json:
@@ -139,6 +135,7 @@ def extrinsic(
 ) -> None:
     """Pose of the radar on the vehicle, from straight walls seen while driving."""
     from mirrorwave.calibrate.drive import DriveParams
+    from mirrorwave.calibrate.mounting_file import write_params
 
     _require_new(out, plot)
     params = DriveParams(prior=_pose(prior), clock_offset_s=clock_offset_s)
@@ -151,7 +148,7 @@ def extrinsic(
         )
     pose = one.vehicle_from_radar
     params_file = {"ra_former": {"vehicle_from_radar": {"x_m": pose.x_m, "y_m": pose.y_m, "yaw_rad": pose.yaw_rad}}}
-    _write_params(out, params_file, one)
+    write_params(out, params_file, one)
     _say_mounting(one, out, solved.loss, as_json)
 
 
@@ -168,6 +165,7 @@ def clock(
 ) -> None:
     """Offset of the radar's clock from that of vehicle/state, from a drive with changing speed or yaw rate."""
     from mirrorwave.calibrate.drive import DriveParams
+    from mirrorwave.calibrate.mounting_file import write_params
 
     _require_new(out, plot)
     params = DriveParams(prior=_pose(pose), known_pose=pose is not None)
@@ -179,7 +177,7 @@ def clock(
             f"{1e3 * one.clock_offset_s.std:.0f} ms): speed changed by {one.drive.speed_span_mps:.1f} m/s, yaw rate by "
             f"{one.drive.yaw_rate_span_dps:.1f} deg/s; drive with changing speed and yaw rate"
         )
-    _write_params(out, {"vehicle_can": {"clock_offset_s": one.clock_offset_s.value}}, one)
+    write_params(out, {"vehicle_can": {"clock_offset_s": one.clock_offset_s.value}}, one)
     _say_mounting(one, out, solved.loss, as_json)
 
 
@@ -202,41 +200,9 @@ def _pose(values: tuple[float, float, float] | None) -> Any:
     return Pose2() if values is None else Pose2(values[0], values[1], math.radians(values[2]))
 
 
-def _write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
-    """A file for `launch --params-file`, with what its figures rest on as comments."""
-    import yaml
-
-    from msgs.files.whole_files import write_whole
-
-    seen = f"{counted(one.sightings, 'sighting')} of {counted(len(one.walls), 'wall')}"
-    notes = [
-        f"# {counted(one.scans, 'scan')}, {seen}, rms {one.rms_m:.3f} m",
-        *(f"# {line}" for line in _lines(one)),
-    ]
-    write_whole(out, ("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False)).encode())
-
-
-def _lines(one: Mounting) -> list[str]:
-    """What is known and what is not, a line each."""
-    degree = math.degrees(1.0)
-    return [
-        _line("x", one.x_m, "m", 1.0),
-        _line("y", one.y_m, "m", 1.0),
-        _line("yaw", one.yaw_rad, "deg", degree),
-        _line("clock offset", one.clock_offset_s, "ms", 1e3),
-    ]
-
-
-def _line(name: str, known: Known, unit: str, factor: float) -> str:
-    value, std = factor * known.value, factor * known.std
-    if known.observed:
-        return f"{name}: {value:.3f} {unit}, standard deviation {std:.3f}"
-    if known.std == 0.0:
-        return f"{name}: {value:.3f} {unit}, as given"
-    return f"{name}: {value:.3f} {unit}, as given: this drive does not tell (standard deviation {std:.3f})"
-
-
 def _say_mounting(one: Mounting, out: Path, loss: str | None, as_json: bool) -> None:
+    from mirrorwave.calibrate.mounting_file import mounting_lines
+
     if as_json:
         print_json({"out": str(out), "mounting": one, "loss": loss})
     else:
@@ -253,7 +219,7 @@ def _say_mounting(one: Mounting, out: Path, loss: str | None, as_json: bool) -> 
             f"speed times {one.speed_scale:.4f}"
         )
         print_line(f"rms off the walls: {one.rms_before_m:.3f} m as given, {one.rms_m:.3f} m as found")
-        for line in _lines(one):
+        for line in mounting_lines(one):
             print_line(line)
         print_line(f"wrote {out}")
     _end(loss, as_json)

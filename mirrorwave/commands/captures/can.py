@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,10 +14,10 @@ from mirrorwave.terminal import ends_with_reader
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
+    from mirrorwave.diagnose.can_log import LogReport
     from mirrorwave.diagnose.can_signals import SignalReport
-    from models.vehicle.can_state import CanDecoder, Judged
     from msgs.values.vehicle import VehicleState
-    from nodes.can.bus import BusParams, LogFrame
+    from nodes.can.bus import BusParams
 
 app = typer.Typer(help="Look at the vehicle's CAN bus and at logs of it.", no_args_is_help=True)
 
@@ -25,121 +25,10 @@ _DBC = Path("launch/can/mirrorwave.dbc")
 _MAPPING = Path("launch/can/mirrorwave.yaml")
 Dbc = Annotated[Path, typer.Option("--dbc", help="The car's DBC.")]
 Mapping = Annotated[Path, typer.Option("--mapping", help="From the DBC's signals to the vehicle state, YAML.")]
-#: Faults of one kind and message closer than this are one event.
-_EVENT_GAP_S = 1.0
 #: Longer lists are cut on the terminal; --json keeps them whole.
 _SHOWN_EVENTS = 40
 #: How often a live bus is read, and how many gaps between frames of a message its period is taken from.
 _POLL_S, _KEPT_GAPS = 0.005, 1000
-
-
-class LogReport:
-    """What a log says: states, sampled, and events: runs of frames that do not count, spans that are not valid."""
-
-    def __init__(self, decoder: CanDecoder, every_s: float) -> None:
-        # here: other verbs of this module need no numpy
-        from models.perception.tracking.odometry import Odometry
-
-        self._decoder, self._every_s = decoder, every_s
-        self.samples: list[dict[str, Any]] = []
-        self.events: list[dict[str, Any]] = []
-        self.frames = self.states = self.valid_states = 0
-        self.start_ns: int | None = None
-        self.duration_s = 0.0
-        self.loss = ""
-        self._slot = -1
-        self._invalid: dict[str, Any] | None = None
-        self._odometry = Odometry()
-
-    def read(self, frames: Iterable[LogFrame]) -> None:
-        """Take in a log; one that cannot be read on leaves its reason in `loss`."""
-        from mirrorwave.convert.can_log import log_states
-
-        for stamp_ns, judged, states in log_states(self._decoder, _until_error(frames, self)):
-            self.frames += 1
-            if stamp_ns < 0:
-                continue
-            self.start_ns = stamp_ns if self.start_ns is None else self.start_ns
-            self.duration_s = max(self.duration_s, self._time_s(stamp_ns))
-            self._note_frame(judged, stamp_ns)
-            for state in states:
-                self._note_state(state)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Everything, as JSON has it."""
-        return {
-            "frames": self.frames,
-            "duration_s": self.duration_s,
-            "frames_by_verdict": {str(verdict): count for verdict, count in sorted(self._decoder.counts.items())},
-            "state_count": self.states,
-            "valid_state_count": self.valid_states,
-            "states": self.samples,
-            "events": self.events,
-            "yaw_rate_bias": self._odometry.yaw_rate_bias._asdict(),
-            "warnings": list(self._decoder.warnings),
-            "loss": self.loss or None,
-        }
-
-    @property
-    def yaw_rate_bias(self) -> str:
-        """What the drive shows of the gyroscope's bias."""
-        return str(self._odometry.yaw_rate_bias)
-
-    def _time_s(self, stamp_ns: int) -> float:
-        return 1e-9 * (stamp_ns - (self.start_ns or 0))
-
-    def _note_frame(self, judged: Judged, stamp_ns: int) -> None:
-        from models.vehicle.can_state import HARMLESS
-
-        if judged.verdict in HARMLESS:
-            return
-        time_s = self._time_s(stamp_ns)
-        for event in reversed(self.events):
-            same = event["message"] == judged.message and event["event"] == str(judged.verdict)
-            if same and time_s - event["to_s"] <= _EVENT_GAP_S:
-                event.update(to_s=time_s, count=event["count"] + 1)
-                return
-        self.events.append(_event(str(judged.verdict), time_s, judged.message, judged.why))
-
-    def _note_state(self, state: VehicleState) -> None:
-        time_s = self._time_s(state.stamp_ns)
-        self.states += 1
-        self.valid_states += state.valid
-        self._odometry.add(state)
-        # the first state of each interval; without intervals, every one
-        slot = int(time_s / self._every_s) if self._every_s else self.states
-        if slot != self._slot:
-            self._slot = slot
-            self.samples.append({"time_s": time_s, **_state_row(state)})
-        if state.valid:
-            self._invalid = None
-        elif self._invalid is None:
-            self._invalid = _event("state not valid", time_s, "", state.reason)
-            self.events.append(self._invalid)
-        else:
-            self._invalid.update(to_s=time_s, count=self._invalid["count"] + 1)
-
-
-def _event(kind: str, time_s: float, message: str, why: str) -> dict[str, Any]:
-    return {"event": kind, "from_s": time_s, "to_s": time_s, "count": 1, "message": message, "why": why}
-
-
-def _state_row(state: VehicleState) -> dict[str, Any]:
-    return {
-        "speed_mps": state.speed_mps,
-        "yaw_rate_rps": state.yaw_rate_rps,
-        "steering_rad": state.steering_rad,
-        "valid": state.valid,
-        "reason": state.reason,
-        "age_s": state.age_s,
-    }
-
-
-def _until_error(frames: Iterable[LogFrame], report: LogReport | SignalReport) -> Iterator[LogFrame]:
-    try:
-        yield from frames
-    except ValueError as error:
-        report.loss = str(error)
 
 
 @app.command()
@@ -155,6 +44,7 @@ def decode(
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state over a log, and what was wrong with its frames; exit code 3 if the log breaks off."""
+    from mirrorwave.diagnose.can_log import LogReport
     from nodes.can.bus import checkout_path, load_decoder
     from nodes.can.log_file import read_log
 
@@ -199,12 +89,13 @@ def _print_report(report: LogReport) -> None:
 
 def _decode_signals(log: Path, dbc: Path, channel: str | None, every_s: float, as_json: bool) -> None:
     """All that a DBC knows of a log; exit code 1 if it knows none of its frames."""
+    from mirrorwave.diagnose.can_log import until_error
     from mirrorwave.diagnose.can_signals import SignalReport
     from nodes.can.bus import checkout_path, load_dbc
     from nodes.can.log_file import read_log
 
     report = SignalReport(load_dbc(checkout_path(str(dbc))), every_s)
-    report.read(_until_error(read_log(log, channel), report))
+    report.read(until_error(read_log(log, channel), report))
     if report.frames == 0:
         raise ValueError(report.loss or f"{log}: holds no frames" + (f" of channel {channel}" if channel else ""))
     if as_json:
@@ -258,6 +149,7 @@ def monitor(
     as_json: AsJson = False,
 ) -> None:
     """The vehicle state of a live bus, line by line; exit code 1 if it was never valid."""
+    from mirrorwave.diagnose.can_log import state_row
     from nodes.vehicle_can import Params, create
 
     params = Params(
@@ -274,7 +166,7 @@ def monitor(
             for state in _live_states(node, every, duration):
                 was_valid = was_valid or state.valid
                 if as_json:
-                    print_json(_state_row(state))
+                    print_json(state_row(state))
                 else:
                     print_line(_state_line(state))
     finally:

@@ -26,7 +26,7 @@ from mirrorwave.commands.captures.bag_options import (
 )
 from mirrorwave.completion import complete_launch_files, complete_profiles
 from mirrorwave.console import DEFAULT_DOMAIN, Domain, ExitCode, print_line, printable
-from mirrorwave.exit_signals import told_by_signal
+from mirrorwave.exit_signals import stopped_by_signal
 from msgs.values.wording import counted
 
 _COLOURS = ("cyan", "green", "magenta", "blue", "bright_cyan", "bright_green", "bright_magenta", "bright_blue")
@@ -125,7 +125,7 @@ def run_graph(
     earlier = [] if record is None else recorded_files(record)
     with LogPrinter(log_lines(list(graph.nodes))) as printer:
         supervisor = Supervisor(graph, run_dir(domain), runs_dir=runs_dir, duration_s=duration_s, on_log=printer)
-        with told_by_signal(supervisor.request_stop):
+        with stopped_by_signal(supervisor.request_stop):
             code = supervisor.run()
             if record is not None and code == ExitCode.DONE:
                 code = code_of_recordings([path for path in recorded_files(record) if path not in earlier])

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import itertools
-import os
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
 import msgspec
-import numpy as np
 import typer
 
 from mirrorwave.completion import complete_topics
 from mirrorwave.console import DEFAULT_DOMAIN, AsJson, Domain, print_json, print_line, print_table
-from mirrorwave.diagnose.running_graph import FIND_S, is_running, no_graph, publishes, silence
+from mirrorwave.diagnose.running_graph import is_running, no_graph, silence
 from mirrorwave.diagnose.topic_echo import Condition, CsvLines, field_of, parse_condition, save_arrays, text_lines
+from mirrorwave.diagnose.topic_rates import are_foreign, awaited, ends_of, listen, measure, messages
 from mirrorwave.terminal import ends_with_reader
 from msgs.bus.codec import to_builtins
-from msgs.bus.interface import Bus, Received
+from msgs.bus.interface import Received
 from msgs.bus.topics import TOPICS, topic_facts
 from msgs.values.lidar import LidarSetup
 from msgs.values.radar import RadarSetup
@@ -35,8 +32,6 @@ TopicName = Annotated[
     str, typer.Argument(metavar="TOPIC", help="Topic, as `topic list` names it.", autocompletion=complete_topics)
 ]
 WindowS = Annotated[float, typer.Option("--duration", metavar="S", min=0.1, help="Measure this long.")]
-#: A listener waits this long for its publishers; they are found well within it.
-_FIND_S = 1.0
 
 
 @app.command("list")
@@ -72,7 +67,7 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
         **{name: value for name, value in msgspec.structs.asdict(facts).items() if name != "type"},
         "type": facts.type.__name__,
         "fields": {field.name: _type_name(field.type) for field in msgspec.structs.fields(facts.type)},
-        **_ends(topic, window, domain),
+        **ends_of(topic, window, domain),
     }
     if as_json:
         print_json(found)
@@ -117,16 +112,16 @@ def echo(
         raise ValueError("--csv and --json must not be given together")
     if npy is not None and not npy.is_dir():
         raise NotADirectoryError(20, "must be a folder", str(npy))
-    if not _are_foreign([topic], domain):
+    if not are_foreign([topic], domain):
         topic_facts(topic)
     show = _Show(topic, field, [parse_condition(text) for text in where or ()], as_json, as_csv, full, npy)
     wanted = 1 if once else count
-    bus = _listen(domain, [topic])
+    bus = listen(domain, [topic])
     deadline_s = None if timeout is None else time.monotonic() + timeout
     seen = 0
     try:
         with ends_with_reader():
-            for received in _awaited(bus, domain, topic, deadline_s):
+            for received in awaited(bus, domain, topic, deadline_s):
                 seen += show.message(received)
                 if seen == wanted:
                     return
@@ -198,7 +193,7 @@ class _Show:
 @app.command()
 def hz(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     """Rate of each publisher, from sequence numbers and sending times: messages lost on the way count too."""
-    rates, _ = _measure(topics, duration, domain)
+    rates, _ = measure(topics, duration, domain)
     _require_graph_heard(bool(rates), domain)
     if as_json:
         print_json(rates)
@@ -211,7 +206,7 @@ def hz(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN,
 @app.command()
 def bw(topics: Topics, duration: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     """Bytes per second of each topic, header and arrays together."""
-    _, volumes = _measure(topics, duration, domain)
+    _, volumes = measure(topics, duration, domain)
     _require_graph_heard(any(row["messages"] for row in volumes), domain)
     if as_json:
         print_json(volumes)
@@ -236,11 +231,11 @@ def delay(
 
     # raw beams only when asked for: listening to 350 MB/s changes what is measured
     wanted = list(topics or (name for name in TOPICS if name != "radar/beam"))
-    bus = _listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup"])))
+    bus = listen(domain, list(dict.fromkeys([*wanted, "radar/setup", "lidar/setup"])))
     try:
         watch = DelayWatch(bus.now_ns())
         with ends_with_reader():
-            for received in _messages(bus, time.monotonic() + duration):
+            for received in messages(bus, time.monotonic() + duration):
                 if isinstance(received.message, RadarSetup | LidarSetup):
                     watch.set_up(received.message)
                 if received.topic in wanted:
@@ -257,125 +252,10 @@ def delay(
         _require_heard(wanted, {row["topic"] for row in rows}, duration, domain)
 
 
-def _listen(domain: str, topics: list[str]) -> Bus:
-    from msgs.bus.zmq import ZmqBus, run_dir
-
-    if _are_foreign(topics, domain):
-        from mirrorwave.diagnose.foreign_topic import ForeignBus
-
-        foreign = ForeignBus(run_dir(domain))
-        for topic in topics:
-            foreign.subscribe(topic)
-        return foreign
-    for topic in topics:
-        topic_facts(topic)
-    bus = ZmqBus(f"topic-{os.getpid()}", run_dir(domain))
-    for topic in topics:
-        bus.subscribe(topic)
-    return bus
-
-
-def _are_foreign(topics: list[str], domain: str) -> bool:
-    """Whether all stand in the run directory as topics that the table does not have."""
-    from mirrorwave.diagnose.foreign_topic import foreign_publishers
-    from msgs.bus.zmq import run_dir
-
-    found = foreign_publishers(run_dir(domain))
-    return bool(topics) and all(topic.replace("/", ".") in found for topic in topics)
-
-
-def _messages(bus: Bus, deadline_s: float | None) -> Iterator[Received]:
-    while deadline_s is None or time.monotonic() < deadline_s:
-        yield from bus.receive(0.1)
-
-
-def _awaited(bus: Bus, domain: str, topic: str, deadline_s: float | None) -> Iterator[Received]:
-    """Messages as they come; one who would wait for ever hears of it.
-
-    Raises `ConnectionError` where no time was set and no graph has come within `FIND_S`.
-    """
-    first = next(_messages(bus, _earlier(deadline_s, time.monotonic() + FIND_S)), None)
-    if first is not None:
-        yield first
-    elif deadline_s is None and not is_running(domain):
-        raise no_graph(domain)
-    elif deadline_s is None and not publishes(domain, topic):
-        typer.echo(f"nobody publishes {topic} yet: waiting until Ctrl-C", err=True)
-    yield from _messages(bus, deadline_s)
-
-
-def _earlier(deadline_s: float | None, other_s: float) -> float:
-    return other_s if deadline_s is None else min(deadline_s, other_s)
-
-
-def _ends(topic: str, window_s: float, domain: str) -> dict[str, list[dict[str, Any]]]:
-    """Publishers and readers of a topic, as sockets and heartbeats tell."""
-    from mirrorwave.commands.graph.nodes import collect_heartbeats, topic_rows
-    from msgs.bus.zmq import list_publishers, run_dir
-
-    opened = [node for name, node in list_publishers(run_dir(domain)) if name == topic]
-    rows: dict[str, dict[str, dict[str, Any]]] = {"in": {}, "out": {}}
-    for name, beats in collect_heartbeats(run_dir(domain), window_s).items():
-        for row in topic_rows(beats):
-            if row["topic"] == topic:
-                rows[row["way"]][name] = {"node": name, **row}
-    quiet = dict.fromkeys(("hz", "messages", "bytes", "lost", "rejected", "outdated"))
-    silent = {name: {"node": name, **quiet} for name in opened if name not in rows["out"]}
-    return {"publishers": [*rows["out"].values(), *silent.values()], "readers": list(rows["in"].values())}
-
-
 def _type_name(kind: Any) -> str:
     if isinstance(kind, type):
         return kind.__name__
     return str(kind).replace("msgs.values.perception.", "").replace("msgs.values.", "")
-
-
-def _measure(topics: list[str], duration_s: float, domain: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Rates by topic and publisher, volumes by topic, over `duration_s` from the first message on."""
-    bus = _listen(domain, topics)
-    marks: dict[tuple[str, str], list[tuple[int, int]]] = {}
-    try:
-        # a publisher that is slower than it takes to find it is measured from when it must have been found
-        start_s = time.monotonic() + _FIND_S
-        with ends_with_reader():
-            for received in _messages(bus, start_s + duration_s):
-                if not marks:
-                    start_s = min(start_s, time.monotonic())
-                key = (received.topic, received.envelope.publisher)
-                marks.setdefault(key, []).append((received.envelope.sequence, received.envelope.sent_ns))
-                if time.monotonic() - start_s > duration_s:
-                    break
-        elapsed_s = min(max(time.monotonic() - start_s, 0.0), duration_s)
-        counts = {count.topic: count for count in bus.counts()[0]}
-    finally:
-        bus.close()
-    rates = [_rate_row(topic, node, seen) for (topic, node), seen in sorted(marks.items())]
-    volumes = [
-        {
-            "topic": name,
-            "messages": count.messages,
-            "bytes_per_s": count.bytes / elapsed_s,
-            "mean_bytes": count.bytes / count.messages if count.messages else None,
-            "lost": count.lost,
-            "rejected": count.rejected,
-        }
-        for name, count in counts.items()
-    ]
-    return rates, volumes
-
-
-def _rate_row(topic: str, publisher: str, seen: list[tuple[int, int]]) -> dict[str, Any]:
-    # of this publisher: the bus counts what a topic lost, whoever sent it
-    lost = sum(max(after - before - 1, 0) for (before, _), (after, _) in itertools.pairwise(seen))
-    row: dict[str, Any] = {"topic": topic, "publisher": publisher, "messages": len(seen), "lost": lost}
-    intervals_ms = 1e-6 * np.diff([sent_ns for _, sent_ns in seen])
-    elapsed_s = 1e-9 * (seen[-1][1] - seen[0][1])
-    sent = seen[-1][0] - seen[0][0]
-    row["rate_hz"] = sent / elapsed_s if elapsed_s > 0.0 and sent > 0 else None
-    row["mean_ms"] = float(intervals_ms.mean()) if len(intervals_ms) else None
-    row["std_ms"] = float(intervals_ms.std()) if len(intervals_ms) else None
-    row["max_ms"] = float(intervals_ms.max()) if len(intervals_ms) else None
-    return row
 
 
 def _require_heard(topics: list[str], heard: set[str], duration_s: float, domain: str) -> None:

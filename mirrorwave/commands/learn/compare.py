@@ -49,9 +49,10 @@ def compare(
     import msgspec
 
     from mirrorwave.studies.compare.figures import draw_comparison
-    from mirrorwave.studies.compare.report import make_report, write_report
+    from mirrorwave.studies.compare.report import make_report, markdown
     from mirrorwave.studies.compare.runner import SWEEPS, Plan, run_plan
     from mirrorwave.studies.compare.sensors import SENSORS, equal_of
+    from mirrorwave.studies.report import write_report
 
     if scene is not None:
         if sweep or quick or viewpoints is not None:
@@ -69,7 +70,7 @@ def compare(
     with progress_bar("scenes", len(plan.jobs)) as tick:
         results = run_plan(plan, out, jobs, tick)
     report = make_report(plan, results, _command(plan, names, quick))
-    write_report(report, out)
+    write_report(out, "compare", report, markdown(report))
     draw_comparison(report, out / "compare.png")
     if as_json:
         print_json(msgspec.to_builtins(report))

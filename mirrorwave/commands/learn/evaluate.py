@@ -124,7 +124,8 @@ def evaluate(
     """Score methods on a data set, or profiles on random places object by object; no frame is skipped."""
     if objects:
         _refuse("--objects", {"--data": data, "--method": method, "--limit": limit, "--reference": reference})
-        from mirrorwave.commands.learn.evaluate_objects import ObjectRequest, evaluate_objects
+        from mirrorwave.commands.learn.evaluate_objects import evaluate_objects
+        from mirrorwave.studies.evaluate.object_report import ObjectRequest
 
         evaluate_objects(
             ObjectRequest(

@@ -44,8 +44,9 @@ def tradeoff(
     if simulator:
         _simulator(out, full, seed, as_json)
         return
+    from mirrorwave.studies.report import write_report
     from mirrorwave.studies.tradeoff.figures import draw_front, draw_stages
-    from mirrorwave.studies.tradeoff.report import make_report, write_report
+    from mirrorwave.studies.tradeoff.report import make_report, markdown
     from mirrorwave.studies.tradeoff.runner import Plan, peak_memory_mib, run_plan
     from mirrorwave.studies.tradeoff.settings import DEFAULT_SETTINGS, read_settings
 
@@ -59,7 +60,7 @@ def tradeoff(
     with progress_bar("memory", len(running)) as tick:
         memory_mib = peak_memory_mib(running, tick)
     report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or []))
-    write_report(report, out)
+    write_report(out, "tradeoff", report, markdown(report))
     draw_front(report, out / "front.png")
     draw_stages(report, out / "stages.png")
     _show(report, out, as_json)
@@ -69,17 +70,17 @@ def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
     """Signal levels, effect budgets, rays and FDTD cells against the most complete answer."""
     import msgspec
 
+    from mirrorwave.studies.report import write_report
     from mirrorwave.studies.tradeoff.simulator import (
         run_simulator,
         simulator_markdown,
         simulator_plan,
-        write_simulator_report,
     )
     from mirrorwave.studies.tradeoff.simulator_figures import draw_simulator
 
     with progress_bar("cases", len(simulator_plan(full, seed).jobs)) as tick:
         report = run_simulator(out, full, seed, tick)
-    write_simulator_report(report, out)
+    write_report(out, "tradeoff-simulator", report, simulator_markdown(report))
     draw_simulator(report, out / "tradeoff-simulator.png")
     if as_json:
         print_json(msgspec.to_builtins(report))

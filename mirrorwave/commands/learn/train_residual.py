@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -46,6 +45,7 @@ def residual(
     from rich.console import Console
     from rich.progress import Progress
 
+    from mirrorwave.plots.training_curves import draw_residual_curves
     from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
     from models.training.data.frames import fixed_splits
     from models.training.data.residual_samples import SampleConfig
@@ -113,25 +113,3 @@ def _run(training: ResidualTraining, progress: Progress) -> None:
         progress.advance(task)
 
     training.run(show)
-
-
-def draw_residual_curves(reports: Sequence[ResidualEpoch], path: Path) -> None:
-    """Loss, recovered error and recovered F1 over the epochs, beside the mirror law alone, as a PNG."""
-    from mirrorwave.plots.style import legend_below, new_figure, save
-
-    epochs = [report.epoch + 1 for report in reports]
-    best = min(reports, key=lambda report: report.recovered_l1_m)
-    figure = new_figure(9.0, 4.2)
-    errors, scores = figure.subplots(1, 2)
-    errors.plot(epochs, [report.train_loss for report in reports], label="training")
-    errors.plot(epochs, [report.recovered_l1_m for report in reports], color="black", label="validation")
-    errors.axhline(best.recovered_l1_without_m, color="grey", label="without residual")
-    errors.set(xlabel="epoch", ylabel="l1 [m]")
-    scores.plot(epochs, [report.recovered_f1 for report in reports], color="black", label="validation")
-    scores.axhline(best.recovered_f1_without, color="grey", label="without residual")
-    scores.set(xlabel="epoch", ylabel="recovered F1 at 1 m")
-    for axes in (errors, scores):
-        axes.axvline(best.epoch + 1, color="grey", linestyle=":", label="chosen")
-        legend_below(axes, columns=2)
-        axes.grid(alpha=0.3)
-    save(figure, path)

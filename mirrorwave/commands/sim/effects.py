@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -36,7 +36,7 @@ def effects(
     """Which effects a scene calls for, what each could change, and why it is used or skipped."""
     import msgspec
 
-    from sim_player.effects.names import ALL_EFFECTS
+    from sim_player.effects.table import ALL_EFFECTS
     from sim_player.lidar.spad import plan_optics
     from sim_player.planner.plan import choose, chosen, plan_world
     from sim_player.scene.description import load_scene
@@ -108,74 +108,21 @@ def paths(
     as_json: AsJson = False,
 ) -> None:
     """Every echo the tracer finds: its way, length, direction and weight."""
-    import numpy as np
-
-    from sim_player.planner.plan import choose
+    from mirrorwave.diagnose.echo_paths import echo_paths, path_line, path_row
     from sim_player.scene.description import load_scene
-    from sim_player.trace.ray_tracing import prepare, trace
-    from sim_player.trace.truth import best_power_mw
-    from sim_player.trace.vertices import ways_out
 
     loaded = load_scene(scene)
     if loaded.radar.preset == "spad":
         raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
-    world = prepare(loaded, seed)
-    plan = choose(world, loaded.setup, choice, budget_db)
-    found = trace(world) if plan is None else plan.paths
-    power_mw = best_power_mw(loaded.setup, found)
-    order = np.argsort(-power_mw, kind="stable")
-    kept = order if strongest is None else order[:strongest]
-    found, power_mw = found.take(kept), power_mw[kept]
-    ways = ways_out(world, found)
+    found, power_mw, ways = echo_paths(loaded, seed, choice, budget_db, strongest)
     if plot is not None:
         from mirrorwave.plots.scene import draw_paths
 
         draw_paths(plot, loaded, found, ways, power_mw)
     if as_json:
-        print_json([_path_row(found, index, ways[index]) for index in range(len(found))])
+        print_json([path_row(found, index, ways[index]) for index in range(len(found))])
         return
-    rows = [_path_line(found, index, float(power_mw[index])) for index in range(min(len(found), 40))]
+    rows = [path_line(found, index, float(power_mw[index])) for index in range(min(len(found), 40))]
     print_table(("kind", "order", "length m", "azimuth deg", "dBm", "object", "wall", "by way of"), rows)
     more = f", the strongest {len(rows)} shown" if len(found) > len(rows) else ""
     print_line(f"{loaded.name}: {counted(len(found), 'path')}{more}{'' if plot is None else f'; picture: {plot}'}")
-
-
-def _path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
-    """One path as the contract has it (DESIGN section 4), with the effects it needs."""
-    weight = complex(found.amplitude[index])
-    return {
-        "kind": _kind(found, index),
-        "order": int(found.order[index]),
-        "points_m": way.tolist(),
-        "virtual_m": found.virtual_m[index].tolist(),
-        "length_m": float(found.length_m[index]),
-        "amplitude": [weight.real, weight.imag],
-        "surface": int(found.surface[index]),
-        "object": int(found.thing[index]),
-        "effects": _needs(found, index),
-    }
-
-
-def _path_line(found: Any, index: int, power_mw: float) -> tuple[object, ...]:
-    return (
-        _kind(found, index),
-        int(found.order[index]),
-        f"{found.length_m[index]:.2f}",
-        f"{math.degrees(found.azimuth_rad[index]):.1f}",
-        f"{10.0 * math.log10(max(power_mw, 1e-30)):.0f}",
-        int(found.thing[index]),
-        int(found.surface[index]),
-        ", ".join(_needs(found, index)),
-    )
-
-
-def _kind(found: Any, index: int) -> str:
-    from msgs.values.perception import PathClass
-
-    return "mnlos" if found.kind[index] == PathClass.MIRRORED else "los"
-
-
-def _needs(found: Any, index: int) -> list[str]:
-    from sim_player.effects.names import PATH_EFFECTS, bit
-
-    return [name for name in PATH_EFFECTS if int(found.needs[index]) & bit(name)]

@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import msgspec
 import numpy as np
 
 from mirrorwave.studies.compare.runner import SWEEPS, Plan, SceneResult, Seen, Value
 from mirrorwave.studies.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
-from mirrorwave.studies.tradeoff.report import Interval, machine, versions
+from mirrorwave.studies.report import DRAWS, Interval, Provenance, machine, table, versions
 from models.evaluation.frame_scores import INTERVAL, bootstrap_weights
 from models.physics.link_budget import half_range, map_noise_gain, radar_threshold, spad_threshold, two_way_field
 from models.physics.roughness import coherent_power
-from models.training.files import json_lines, write_whole
 from msgs.values.units import db_from_ratio
 from msgs.values.wording import counted
 
-DRAWS = 1000
 #: Measures of a row over which a sensor's reach is asked for.
 MEASURES = {"f1_1m": "F1 within 1 m", "f1_2m": "F1 within 2 m", "found": "objects found"}
 #: Reach of a sensor is compared with that of the first of these that ran.
@@ -78,13 +75,9 @@ class Reach(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     ratio_at_least: bool = False
 
 
-class Report(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Report(Provenance, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A run: what it was made with, rows, reaches, and what they say."""
 
-    command: str
-    machine: str
-    versions: dict[str, str]
-    seed: int
     viewpoints: int
     equal: Equal
     sensors: dict[str, str]
@@ -504,11 +497,10 @@ EQUAL_ABOUT = {
 
 def markdown(report: Report) -> str:
     """The report as a page: how it was made, what it says, then a table a sweep."""
-    packages = ", ".join(f"{name} {version}" for name, version in report.versions.items())
     energies = ", ".join(f"{report.sensors[name]} {1e3 * value:.3g} mJ" for name, value in report.energy_j.items())
     lines = [
         f"`{report.command}`; viewpoints of a value: {report.viewpoints}, series {report.seed}; {report.machine}; "
-        f"{packages}.",
+        f"{report.packages}.",
         "",
         ABOUT.format(false_alarm=FALSE_ALARM),
         "",
@@ -519,8 +511,7 @@ def markdown(report: Report) -> str:
     lines += _reach_table(report)
     for sweep in dict.fromkeys(row.sweep for row in report.rows):
         rows = [row for row in report.rows if row.sweep == sweep]
-        lines += ["", f"## {SWEEPS[sweep].title}", "", "| " + " | ".join(("value", *COLUMNS)) + " |"]
-        lines += ["|" + "---|" * (len(COLUMNS) + 1), *("| " + " | ".join(cells(row)) + " |" for row in rows)]
+        lines += ["", f"## {SWEEPS[sweep].title}", "", *table(("value", *COLUMNS), map(cells, rows))]
     return "\n".join(lines) + "\n"
 
 
@@ -528,13 +519,7 @@ def _reach_table(report: Report) -> list[str]:
     """Half ranges by measure, with ratios."""
     if not report.reaches:
         return []
-    lines = [
-        "",
-        "## Where each falls below half of its best",
-        "",
-        "| sweep | sensor | measure | best | half at | between | against it |",
-    ]
-    lines.append("|" + "---|" * 7)
+    rows = []
     for one in report.reaches:
         half = f"> {one.half:g}" if one.at_least else f"{one.half:.3g}" if one.half else "none"
         between = "-" if one.between is None else f"{one.between[0]:g} and {one.between[1]:g}"
@@ -542,12 +527,6 @@ def _reach_table(report: Report) -> list[str]:
         if one.ratio is not None and one.reference is not None:
             ratio = f"{report.sensors[one.reference]} {'> ' if one.ratio_at_least else ''}{one.ratio:.3g} x"
         words = (SWEEPS[one.sweep].title, report.sensors[one.sensor], MEASURES[one.measure])
-        lines.append("| " + " | ".join((*words, f"{one.best:.2f}", half, between, ratio)) + " |")
-    return lines
-
-
-def write_report(report: Report, out: Path) -> None:
-    """`compare.json` and `compare.md`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_whole(out / "compare.json", json_lines(report))
-    write_whole(out / "compare.md", markdown(report).encode())
+        rows.append((*words, f"{one.best:.2f}", half, between, ratio))
+    columns = ("sweep", "sensor", "measure", "best", "half at", "between", "against it")
+    return ["", "## Where each falls below half of its best", "", *table(columns, rows)]

@@ -17,8 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from mirrorwave.studies.compare.evaluation import Score, score
 from mirrorwave.studies.compare.sensors import SENSORS, Equal, Sensor
-from mirrorwave.studies.tradeoff.runner import charged, claim
-from models.training.files import write_whole
+from mirrorwave.studies.resumable import ResumableRun, charged
 from msgs.values.units import db_from_ratio
 from sim_player.dataset.executors import map_jobs
 from sim_player.generate.comparison_scenes import (
@@ -164,13 +163,12 @@ class SceneResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 @dataclass(frozen=True)
 class Job:
-    """A scene of a run and where its result goes."""
+    """A scene of a run."""
 
     plan: Plan
     sweep: str
     index: int
     viewpoint: int
-    path: Path
 
 
 def run_plan(plan: Plan, out: Path, jobs: int = 1, tick: Callable[[], None] = lambda: None) -> list[SceneResult]:
@@ -180,30 +178,19 @@ def run_plan(plan: Plan, out: Path, jobs: int = 1, tick: Callable[[], None] = la
     """
     if jobs < 1:
         raise ValueError(f"jobs must be at least 1, got {jobs}")
-    claim(plan, out)
-    (out / "scenes").mkdir(exist_ok=True)
-    paths = [out / "scenes" / f"{sweep}-{index:03d}-{viewpoint:03d}.msgpack" for sweep, index, viewpoint in plan.jobs]
-    every = [Job(plan, *what, path) for what, path in zip(plan.jobs, paths, strict=True)]
-    missing = [job for job in every if not job.path.exists()]
-    for _ in range(len(every) - len(missing)):
+    files = {what: "scenes/{}-{:03d}-{:03d}.msgpack".format(*what) for what in plan.jobs}
+    run = ResumableRun(plan, out, SceneResult, files)
+    missing = [Job(plan, *what) for what in run.missing(tick)]
+    for result in map_jobs(run_job, missing, workers=jobs):
+        run.keep((result.sweep, result.index, result.viewpoint), result)
         tick()
-    for _ in map_jobs(run_job, missing, workers=jobs):
-        tick()
-    return [_read(path) for path in paths]
+    return run.results()
 
 
-def _read(path: Path) -> SceneResult:
-    """A scene's result; ValueError that names the file where it holds none."""
-    try:
-        return msgspec.msgpack.decode(path.read_bytes(), type=SceneResult)
-    except msgspec.MsgspecError as error:
-        raise ValueError(f"{path}: {error}; without this file its scene is looked at again") from None
-
-
-def run_job(job: Job) -> None:
-    """One scene through all sensors, into its file."""
+def run_job(job: Job) -> SceneResult:
+    """Look at one scene with all sensors."""
     with threadpool_limits(1, "blas"):
-        write_whole(job.path, msgspec.msgpack.encode(_looked(job)))
+        return _looked(job)
 
 
 def _looked(job: Job) -> SceneResult:

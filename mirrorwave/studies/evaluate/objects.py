@@ -11,12 +11,11 @@ from pathlib import Path
 import msgspec
 from threadpoolctl import threadpool_limits
 
-from mirrorwave.studies.tradeoff.profile_chain import ProfileParts
-from mirrorwave.studies.tradeoff.runner import claim
+from mirrorwave.node_chain import SharedParts
+from mirrorwave.studies.resumable import ResumableRun
 from mirrorwave.studies.tradeoff.settings import Setting
 from models.evaluation.object_metrics import ImageTruth, ScanRow, scan_row
 from models.perception.chain import Chain
-from models.training.files import write_whole
 from msgs.files.shipped import LAUNCH
 from msgs.values.perception import HiddenObject
 from msgs.values.radar import RadarSetup
@@ -85,16 +84,14 @@ def run_objects(
 
     Raises `ValueError` where `out` holds another run or the places are not those of the set.
     """
-    claim(plan, out)
-    paths = [out / "places" / f"place-{index:05d}.json" for index in range(plan.set.places)]
-    paths[0].parent.mkdir(exist_ok=True)
-    missing = [index for index, path in enumerate(paths) if not path.exists()]
-    for _ in range(len(paths) - len(missing)):
+    run = ResumableRun(
+        plan, out, PlaceResult, {index: f"places/place-{index:05d}.json" for index in range(plan.set.places)}
+    )
+    missing = [(plan, index) for index in run.missing(on_place)]
+    for result in map_jobs(measure_place, missing, workers=workers):
+        run.keep(result.place, result)
         on_place()
-    for result in map_jobs(measure_place, [(plan, index) for index in missing], workers=workers):
-        write_whole(paths[result.place], msgspec.json.encode(result))
-        on_place()
-    results = [msgspec.json.decode(path.read_bytes(), type=PlaceResult) for path in paths]
+    results = run.results()
     wanted, got = plan.set.scenes_sha256, scenes_sha256(results)
     if wanted not in ("", got):
         raise ValueError(f"{out}: scenes_sha256 of the places must be {wanted} as the set says, got {got}")
@@ -124,22 +121,20 @@ def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
 
 def _reports(player: ScenePlayer, settings: Sequence[Setting]) -> dict[str, Sequence[HiddenObject]]:
     """Objects that each profile reports of the first scan; none where it gives no view."""
-    # the receiver is not told how far its radar's power is off the nominal one
-    setup = RadarSetup()
-    chains: dict[str, Chain] = {one.value: _parts(msgspec.json.encode(one)).chain(setup) for one in settings}
+    chains: dict[str, Chain] = {one.value: _parts(msgspec.json.encode(one)).chain() for one in settings}
     reports: dict[str, Sequence[HiddenObject]] = dict.fromkeys(chains, ())
     state = player.vehicle_state(player.stamp_ns(0))
     for beam in (player.beam(0, index) for index in range(len(player.setup.beams))):
         for name, chain in chains.items():
             for view in chain.add(beam, state):
-                reports[name] = view.objects
+                reports[name] = view.frame.objects
     return reports
 
 
 @lru_cache(maxsize=64)
-def _parts(setting: bytes) -> ProfileParts:
-    """Parts of a profile, loaded once a process."""
-    return ProfileParts.of(msgspec.json.decode(setting, type=Setting), RadarSetup())
+def _parts(setting: bytes) -> SharedParts:
+    """Parts of a profile, loaded once a process; they know the nominal power, not how far off this radar's is."""
+    return SharedParts.of(msgspec.json.decode(setting, type=Setting).params, RadarSetup())
 
 
 def image_truth(player: ScenePlayer) -> list[ImageTruth]:

@@ -11,14 +11,15 @@ from tempfile import TemporaryDirectory
 import msgspec
 import numpy as np
 
-from mirrorwave.studies.tradeoff.report import latency_ms, machine, point_of, read_report, versions
+from mirrorwave.studies.report import machine, versions
+from mirrorwave.studies.tradeoff.report import latency_ms, point_of, read_report
 from mirrorwave.studies.tradeoff.runner import PARTS, Plan, run_plan
 from mirrorwave.studies.tradeoff.settings import PROFILE, Setting, profiles
 from models.training.files import json_lines, write_whole
-from msgs.files.shipped import LAUNCH
+from msgs.files.shipped import RESULTS
 
 #: The committed full run: how accurate each profile is.
-COMMITTED = LAUNCH / "tradeoff.json"
+COMMITTED = RESULTS / "tradeoff.json"
 #: Places and repetitions that each profile is timed on here.
 PLACES, REPEATS = 2, 6
 #: The slowest of these samples, times this, is what the live graph must be expected to need: its processes share cores.

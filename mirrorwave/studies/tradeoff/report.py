@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import platform
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,10 +10,20 @@ from typing import Any
 import msgspec
 import numpy as np
 
+from mirrorwave.studies.report import (
+    DRAWS,
+    Interval,
+    Provenance,
+    Times,
+    finite,
+    machine,
+    quantiles_ms,
+    table,
+    versions,
+)
 from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, FrameResult, Plan
 from mirrorwave.studies.tradeoff.settings import BASE, Setting
 from models.evaluation.frame_scores import Estimate, FrameScores, bootstrap_weights, differences, estimates
-from models.training.files import json_lines, write_whole
 from msgs.values.radar import RadarSetup
 from msgs.values.units import s_from_ns
 from nodes.dense_predictor import model_path
@@ -23,9 +31,6 @@ from nodes.geometry import confidence_paths
 
 #: A scan comes so often: a view that takes longer after the last beam is late.
 DEADLINE_MS = 300.0
-#: A quantile needs so many samples to be printed.
-SAMPLES_FOR = {"p50": 2, "p90": 20, "p99": 200}
-DRAWS = 1000
 #: Measures of `models.evaluation.frame_scores` by the names of the report.
 ACCURACY = {
     "dense_macro_f1": "dense_macro_f1",
@@ -34,22 +39,6 @@ ACCURACY = {
     "hidden_f1_1m": "hidden_1m_f1",
 }
 NAN = float("nan")
-
-
-class Interval(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A value with its 95 % interval over bootstrap draws of the frames; null where it has none."""
-
-    value: float | None
-    low: float | None
-    high: float | None
-
-
-class Times(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Quantiles in milliseconds; null where there are too few samples for one."""
-
-    p50: float | None
-    p90: float | None
-    p99: float | None
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -78,13 +67,9 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     pareto: bool = False
 
 
-class Report(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Report(Provenance, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A run: what it was made with, then its rows."""
 
-    command: str
-    machine: str
-    versions: dict[str, str]
-    seed: int
     frames: int
     repeats: int
     deadline_ms: float
@@ -145,7 +130,7 @@ def _row(
         median_ms=_median(total_ms, weights),
         forming_load=float(np.median(times_ms[BEFORE])) / measuring_ms(),
         deadline_misses=float(np.mean(total_ms > DEADLINE_MS)),
-        peak_memory_mib=_known(memory_mib),
+        peak_memory_mib=finite(memory_mib),
         size_bytes=_size_bytes(row),
     )
 
@@ -162,12 +147,6 @@ def measuring_ms() -> float:
     return 1e3 * s_from_ns((len(setup.beams) - 1) * setup.beam_interval_ns)
 
 
-def quantiles_ms(samples_ms: np.ndarray) -> Times:
-    """Quantiles of samples, those that the samples can carry."""
-    quantiles = {name: float(np.quantile(samples_ms, float(name[1:]) / 100.0)) for name in SAMPLES_FOR}
-    return Times(**{name: value if samples_ms.size >= SAMPLES_FOR[name] else None for name, value in quantiles.items()})
-
-
 def _median(samples_ms: np.ndarray, weights: np.ndarray) -> Interval:
     """The median of the frames' medians [frames, repeats], with its interval under draws of the frames."""
     of_frame_ms = np.median(samples_ms, axis=1)
@@ -179,14 +158,7 @@ def _median(samples_ms: np.ndarray, weights: np.ndarray) -> Interval:
 
 
 def _intervals(found: dict[str, Estimate]) -> dict[str, Interval]:
-    return {
-        name: Interval(value=_known(found[key].value), low=_known(found[key].low), high=_known(found[key].high))
-        for name, key in ACCURACY.items()
-    }
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
+    return {name: Interval.of(found[key]) for name, key in ACCURACY.items()}
 
 
 def _size_bytes(row: Setting) -> int:
@@ -219,19 +191,6 @@ def _beats(other: tuple[float, float] | None, point: tuple[float, float]) -> boo
     if other is None:
         return False
     return other[0] <= point[0] and other[1] >= point[1] and other != point
-
-
-def machine() -> str:
-    """Processor, cores and system."""
-    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {platform.system()}"
-
-
-def versions() -> dict[str, str]:
-    """What the times depend on."""
-    from importlib.metadata import version
-
-    packages = ("mirrorwave", "numpy", "scipy", "numba", "onnxruntime", "pyzmq", "msgspec")
-    return {"python": platform.python_version()} | {name: version(name) for name in packages}
 
 
 COLUMNS = (
@@ -282,20 +241,11 @@ def markdown(report: Report) -> str:
     ordered = sorted(report.rows, key=lambda row: point_of(row) or (math.inf, 0.0))
     lines = [
         f"`{report.command}`: {report.frames} places of series {report.seed}, each timed {report.repeats} times; "
-        f"{report.machine}; " + ", ".join(f"{name} {version}" for name, version in report.versions.items()) + ".",
+        f"{report.machine}; {report.packages}.",
         "",
-        "| " + " | ".join(COLUMNS) + " |",
-        "|" + "---|" * len(COLUMNS),
+        *table(COLUMNS, map(cells, ordered)),
     ]
-    lines += ["| " + " | ".join(cells(row)) + " |" for row in ordered]
     return "\n".join(lines) + "\n"
-
-
-def write_report(report: Report, out: Path) -> None:
-    """`tradeoff.json` and `tradeoff.md`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_whole(out / "tradeoff.json", json_lines(report))
-    write_whole(out / "tradeoff.md", markdown(report).encode())
 
 
 def read_report(path: Path) -> Report:

@@ -20,31 +20,25 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mirrorwave.console import error_line
+from mirrorwave.api import scan_beams
+from mirrorwave.node_chain import SharedParts, stage_params
 from mirrorwave.studies.evaluate.runner import answer_of, truth_of_points
+from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.settings import STAGES, Setting
 from models.evaluation.frame_scores import FrameScores, FrameTruth, score_frames
 from models.perception.detection.detectors import Detector
 from models.perception.forming.ra_forming import RaFormer
 from models.perception.geometry.stage import fold_scan, recover_bev
-from models.training.files import json_lines, write_whole
 from msgs.bus.zmq import ZmqBus
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.units import ns_from_s
-from nodes import dense_predictor, geometry, ra_former
-from nodes.process.validation import convert_at
+from nodes import dense_predictor, geometry
 from sim_player.dataset.labelled_beams import LabelledPlace
 
 #: What a row's latency is made of, in order: from the arrival of the last beam to that of the view.
 PARTS = ("transport", "forming", "detection", "geometry")
-#: What the parameters of a stage are.
-PARAMS: dict[str, type[Any]] = {
-    "ra_former": ra_former.Params,
-    "dense_predictor": dense_predictor.Params,
-    "geometry": geometry.Params,
-}
 #: Beside them, the work on all beams but the last, done while the next one is measured.
 BEFORE = "earlier beams"
 #: A hop over a socket on one machine that takes longer never comes.
@@ -126,11 +120,6 @@ def socket_hop() -> Iterator[Hop]:
             source.close()
 
 
-def params_of(row: Setting, stage: str) -> Any:
-    """A node's parameters under a row; raises `ValueError` naming the field that does not fit."""
-    return convert_at(row.of(stage), PARAMS[stage], stage)
-
-
 @dataclass
 class _Stages:
     """The parts of all rows, built at first use, and why some could not be."""
@@ -143,20 +132,13 @@ class _Stages:
         """Build what a row needs; raises whatever its parameters raise."""
         way, setup = Way.of(row), RadarSetup()
         if way.former not in self.former:
-            self.former[way.former] = RaFormer(setup, params_of(row, "ra_former"))
+            self.former[way.former] = RaFormer(setup, stage_params("ra_former", row.of("ra_former")))
         if way.detector[1] not in self.detector:
-            self.detector[way.detector[1]] = dense_predictor.detector_for(params_of(row, "dense_predictor"), setup)
+            self.detector[way.detector[1]] = dense_predictor.detector_for(
+                stage_params("dense_predictor", row.of("dense_predictor")), setup
+            )
         if way.geometry[2] not in self.geometry:
-            self.geometry[way.geometry[2]] = geometry.parts_of(params_of(row, "geometry"))
-
-
-@contextmanager
-def charged(failed: dict[str, str], *names: str) -> Iterator[None]:
-    """What the body raises is the failure of these rows, put into `failed` in one line, and not of the run."""
-    try:
-        yield
-    except Exception as error:  # noqa: BLE001 - a row that cannot run is a result
-        failed.update(dict.fromkeys(names, error_line(error)))
+            self.geometry[way.geometry[2]] = geometry.parts_of(stage_params("geometry", row.of("geometry")))
 
 
 class Measuring:
@@ -299,31 +281,17 @@ def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None)
 
     Raises `ValueError` where `out` holds another run.
     """
-    claim(plan, out)
-    paths = [out / "frames" / f"frame-{index:05d}.msgpack" for index in range(plan.frames)]
-    missing = [index for index, path in enumerate(paths) if not path.exists()]
-    for _ in range(len(paths) - len(missing)):
-        on_frame()
-    if missing:
-        paths[0].parent.mkdir(parents=True, exist_ok=True)
+    files = {index: f"frames/frame-{index:05d}.msgpack" for index in range(plan.frames)}
+    run = ResumableRun(plan, out, FrameResult, files)
+    if missing := run.missing(on_frame):
         with socket_hop() as hop:
             measuring = Measuring(plan, hop)
             # the first call of anything compiles, allocates, reads
             measuring.frame(missing[0])
             for index in missing:
-                write_whole(paths[index], msgspec.msgpack.encode(measuring.frame(index)))
+                run.keep(index, measuring.frame(index))
                 on_frame()
-    return [msgspec.msgpack.decode(path.read_bytes(), type=FrameResult) for path in paths]
-
-
-def claim(plan: msgspec.Struct, out: Path) -> None:
-    """Write down which run a folder holds (`plan.json`); `ValueError` where it holds another."""
-    path, wanted = out / "plan.json", json_lines(plan)
-    if not path.exists():
-        out.mkdir(parents=True, exist_ok=True)
-        write_whole(path, wanted)
-    elif path.read_bytes() != wanted:
-        raise ValueError(f"{path}: out must be a new folder or hold the same run, holds another one")
+    return run.results()
 
 
 def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda: None) -> dict[str, float]:
@@ -340,22 +308,11 @@ def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda
 
 def _row_memory_mib(row: Setting) -> float:
     """Run one empty scan through a row's chain in the calling process."""
-    stages, setup, way = _Stages(), RadarSetup(), Way.of(row)
-    stages.build(row)
-    samples = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
-    maps: list[RangeAzimuthMap] = []
-    for index, azimuth_rad in enumerate(setup.beams.azimuth_rad):
-        beam = RadarBeam(
-            stamp_ns=index * setup.beam_interval_ns,
-            scan_id=0,
-            beam_index=index,
-            beam_count=len(setup.beams),
-            azimuth_rad=float(azimuth_rad),
-            samples=samples,
-            full_scale_dbm=setup.full_scale_dbm,
-        )
-        maps += stages.former[way.former].add(beam)
-    recover_bev(stages.detector[way.detector[1]].detect(maps[0]), *stages.geometry[way.geometry[2]])
+    setup = RadarSetup()
+    chain = SharedParts.of(row.params, setup).chain()
+    beam = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
+    for one in scan_beams(np.broadcast_to(beam, (len(setup.beams), *beam.shape)), setup):
+        chain.add(one)
     return _peak_resident_mib()
 
 

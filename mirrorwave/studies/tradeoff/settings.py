@@ -72,6 +72,14 @@ def profiles() -> list[Setting]:
     return [convert_at(one, Setting, f"profile {one['value']}") for one in found]
 
 
+def profile_setting(name: str) -> Setting:
+    """Return a named profile; `ValueError` names those there are."""
+    known = {one.value: one for one in profiles()}
+    if name not in known:
+        raise ValueError(f"--profile must be one of {', '.join(known)}, got {name!r}")
+    return known[name]
+
+
 def _laid_over(base: Setting, row: Setting, networks: str) -> Setting:
     """A row with everything said that it sets, and the folder of further networks put in."""
     params = _filled(merged(base.params, row.params) if row.switch != PROFILE else row.params, networks)

@@ -16,10 +16,9 @@ import msgspec
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from mirrorwave.studies.tradeoff.report import Times, machine, quantiles_ms, versions
-from mirrorwave.studies.tradeoff.runner import charged, claim
+from mirrorwave.studies.report import Provenance, Times, machine, quantiles_ms, table, versions
+from mirrorwave.studies.resumable import ResumableRun, charged
 from mirrorwave.studies.tradeoff.simulator_cases import BODIES, GROUPS, SAME_DB, Case, Clock, Value, setting_name
-from models.training.files import json_lines, write_whole
 from sim_player.fdtd.smooth import SMOOTH_WALLS
 
 
@@ -145,19 +144,16 @@ def run_simulator_plan(plan: SimulatorPlan, out: Path, tick: Callable[[], None] 
 
     Raises `ValueError` where `out` holds another run.
     """
-    claim(plan, out / "simulator")
+    files = {(group, index): f"{group.replace(' ', '-')}-{index:05d}.msgpack" for group, index in plan.jobs}
+    run = ResumableRun(plan, out / "simulator", CaseResult, files)
     warm: set[str] = set()
-    results = []
-    for group, index in plan.jobs:
-        path = out / "simulator" / f"{group.replace(' ', '-')}-{index:05d}.msgpack"
-        if not path.exists():
-            if group not in warm:
-                warm_up(plan, group)
-                warm.add(group)
-            write_whole(path, msgspec.msgpack.encode(measure(plan, group, index)))
-        results.append(msgspec.msgpack.decode(path.read_bytes(), type=CaseResult))
+    for group, index in run.missing(tick):
+        if group not in warm:
+            warm_up(plan, group)
+            warm.add(group)
+        run.keep((group, index), measure(plan, group, index))
         tick()
-    return results
+    return run.results()
 
 
 # --- report
@@ -191,13 +187,9 @@ class SimulatorGroup(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     cases: list[str]
 
 
-class SimulatorReport(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class SimulatorReport(Provenance, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A run: what it was made with, then its groups and rows."""
 
-    command: str
-    machine: str
-    versions: dict[str, str]
-    seed: int
     repeats: int
     groups: list[SimulatorGroup]
     rows: list[SimulatorRow]
@@ -261,8 +253,7 @@ ERROR_NAMES = {"worst_cell_db": "worst cell [dB]", "median_cell_db": "median cel
 
 def simulator_markdown(report: SimulatorReport) -> str:
     """The report as a page: how it was made, then a table a group, failed rows in their place."""
-    packages = ", ".join(f"{name} {version}" for name, version in report.versions.items())
-    lines = [f"`{report.command}`: each timed {report.repeats} times; {report.machine}; {packages}."]
+    lines = [f"`{report.command}`: each timed {report.repeats} times; {report.machine}; {report.packages}."]
     for group in report.groups:
         rows = [row for row in report.rows if row.group == group.name]
         sound = report.of(group.name)
@@ -271,8 +262,7 @@ def simulator_markdown(report: SimulatorReport) -> str:
         columns = [group.name, *(f"{ERROR_NAMES[name]}: median, worst case" for name in errors)]
         columns += ["wall p50 [ms]", "p90", "p99", "CPU p50", *(f"{part} p50" for part in parts)]
         lines += ["", f"## {group.name}", "", f"{group.about} {len(group.cases)} cases.", ""]
-        lines += ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-        lines += ["| " + " | ".join(_cells(row, errors, parts, len(columns))) + " |" for row in rows]
+        lines += table(columns, (_cells(row, errors, parts, len(columns)) for row in rows))
     return "\n".join(lines) + "\n"
 
 
@@ -294,10 +284,3 @@ def _error(name: str, one: Spread) -> str:
 
 def _milliseconds(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
-
-
-def write_simulator_report(report: SimulatorReport, out: Path) -> None:
-    """`tradeoff-simulator.json` and `tradeoff-simulator.md`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_whole(out / "tradeoff-simulator.json", json_lines(report))
-    write_whole(out / "tradeoff-simulator.md", simulator_markdown(report).encode())

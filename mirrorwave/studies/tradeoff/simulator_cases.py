@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, WEIGHT_EFFECTS, check_effects
+from sim_player.effects.table import ALL_EFFECTS, PATHS, WEIGHTS, check_effects
 from sim_player.fdtd.smooth import SMOOTH_WALLS
 from sim_player.generate.places import random_place
 from sim_player.planner.cells import Cells, cells_of
@@ -309,7 +309,7 @@ GROUPS: dict[str, Group] = {
         "The same as `--effects auto` plans: a place of fewer than 3000 paths is taken whole.",
     ),
     "all but": Group(
-        ("all", MIRRORS, *PATH_EFFECTS, *WEIGHT_EFFECTS, *ANTENNA_AND_SWEEP),
+        ("all", MIRRORS, *PATHS, *WEIGHTS, *ANTENNA_AND_SWEEP),
         _Without,
         "",
         f"One effect left out of all, and every mirror: {_LAW}.",

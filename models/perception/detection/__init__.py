@@ -1,1 +1,1 @@
-"""From range-azimuth maps to classified peaks."""
+"""Detection of classified peaks in range-azimuth maps."""

@@ -1,4 +1,4 @@
-"""From the answer of a radar tensor network to points: one anchor every few cells, each with classes and an offset."""
+"""Points from the output of a radar tensor network: one anchor every few cells, each with classes and an offset."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ CHANNELS = NOISE + 3
 
 
 def anchor_cells(count: int, stride: int) -> np.ndarray:
-    """Fractional cells of the map [count] on which the anchors of one axis lie: the middle of each `stride` cells."""
+    """Return the fractional cells of the map [count] on which the anchors of one axis lie: the middle of each
+    `stride` cells.
+    """
     return stride * np.arange(count) + 0.5 * (stride - 1)
 
 
 def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distance: int) -> Points:
-    """Points in an answer [5, rows, columns], of cells of the map.
+    """Return the points in an answer [5, rows, columns], in cells of the map.
 
-    A point is an anchor whose class probability is at least
-    `threshold` and no less than its neighbours', plus its offset, kept on the map; one within `min_distance` cells (on
-    both axes) of a stronger one of its class is left out. Raises ValueError for another shape or values not finite.
+    A point is an anchor plus its offset, kept on the map. The class probability of the anchor is at least `threshold`
+    and no less than that of its neighbours. One within `min_distance` cells (on both axes) of a stronger one of its
+    class is left out. Raises ValueError for another shape or values not finite.
     """
     # here: a network of heatmaps has no anchors
     from scipy import ndimage
@@ -32,8 +34,8 @@ def anchor_points(output: np.ndarray, stride: int, threshold: float, min_distanc
     probability = _softmax(output[: NOISE + 1].astype(np.float64))
     cells, score = [], []
     for channel in probability[:NOISE]:
-        # Anchors of one point are told apart by where they point to, not by their own places: with a stride, two
-        # points may stand on neighbouring anchors.
+        # Anchors are kept apart by where they point to, not by their own positions: with a stride, two points may lie
+        # on neighbouring anchors.
         anchors = np.argwhere((channel >= threshold) & (channel >= ndimage.maximum_filter(channel, size=3)))
         level = channel[anchors[:, 0], anchors[:, 1]]
         anchors, level = anchors[order := np.argsort(-level, kind="stable")], level[order]
@@ -60,7 +62,7 @@ def _softmax(logits: np.ndarray) -> np.ndarray:
 
 
 def _points(output: np.ndarray, anchors: np.ndarray, stride: int) -> np.ndarray:
-    """Fractional cells [N, 2] to which the anchors [N, 2] point, kept on the map."""
+    """Return the fractional cells [N, 2] to which the anchors [N, 2] point, kept on the map."""
     rows, columns = (anchor_cells(count, stride) for count in output.shape[1:])
     at = np.stack([rows[anchors[:, 0]], columns[anchors[:, 1]]], axis=-1)
     offset = output[NOISE + 1 :, anchors[:, 0], anchors[:, 1]].T

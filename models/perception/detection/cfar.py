@@ -1,4 +1,4 @@
-"""Detection without a network: CFAR, lobe suppression, and classes from the walls it finds itself."""
+"""Detection without a network: CFAR, lobe suppression, and classes from the walls among the detections."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from models.perception.detection.peaks import PeakParams, echo_power, peaks_at
-from models.perception.detection.ridges import MOST_CELLS, RidgeParams, find_ridges, ridge_cells
+from models.perception.detection.ridges import MAX_CELLS, RidgeParams, find_ridges, ridge_cells
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.recovery import WallArrays, behind_walls, cartesian_covariance, wall_arrays
 from models.perception.geometry.walls import WallParams, find_walls
@@ -22,7 +22,7 @@ from msgs.values.radar import RangeAzimuthMap
 
 
 class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that tell images."""
+    """Kind and windows in cells (range, azimuth), false-alarm rate, ridges, and the walls that separate images."""
 
     kind: Literal["os", "ca"] = "os"
     #: Ordered statistic: window in range bins, which share of it counts as quiet, ranges that share a window.
@@ -33,7 +33,7 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     guard: tuple[int, int] = (4, 14)
     training: tuple[int, int] = (20, 24)
     false_alarm_rate: float = 1e-4
-    #: Walls that tell images from direct returns; an image lies at least this deep behind one.
+    #: Walls that separate images from direct returns; an image lies at least this deep behind one.
     cluster_eps_m: float = 4.0
     cluster_min_points: int = 2
     min_depth_m: float = 1.5
@@ -43,10 +43,10 @@ class CfarParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     def __post_init__(self) -> None:
         for name in ("window", "stride"):
-            require_within(f"cfar.{name}", 1, MOST_CELLS, getattr(self, name))
+            require_within(f"cfar.{name}", 1, MAX_CELLS, getattr(self, name))
         require_within("cfar.quantile", 0.0, 1.0, self.quantile)
-        require_within("cfar.guard", 0, MOST_CELLS, *self.guard)
-        require_within("cfar.training", 0, MOST_CELLS, *self.training)
+        require_within("cfar.guard", 0, MAX_CELLS, *self.guard)
+        require_within("cfar.training", 0, MAX_CELLS, *self.training)
         if any(train <= guard for train, guard in zip(self.training, self.guard, strict=True)):
             raise ValueError(f"cfar.training must exceed cfar.guard, got {self.training!r} and {self.guard!r}")
         if not 0.0 < self.false_alarm_rate < 1.0:
@@ -63,7 +63,7 @@ PHOTON_CFAR = CfarParams(
 
 
 def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Cells whose power exceeds alpha times the local noise level; bool [range, azimuth].
+    """Return the cells whose power exceeds alpha times the local noise level; bool [range, azimuth].
 
     alpha keeps `false_alarm_rate` exactly for exponential (square-law) noise.
     """
@@ -71,7 +71,8 @@ def cfar_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """Cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R, A].
+    """Return the cells of a photon map, in squared standard deviations, over the normal quantile of the rate; bool [R,
+    A].
 
     The noise of counts is known and need not be measured beside a cell, where a period's end or a wall may lie.
     """
@@ -79,7 +80,8 @@ def photon_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """CA-CFAR: against the mean of the training cells about each cell, alpha = n (P_fa^(-1/n) - 1); bool [R, A].
+    """Return the CA-CFAR: against the mean of the training cells about each cell, alpha = n (P_fa^(-1/n) - 1); bool
+    [R, A].
 
     Windows shrink at the edges of the map and n with them. Blind beside what is longer than its guard.
     """
@@ -92,7 +94,7 @@ def cell_averaging_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
-    """OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
+    """Return the OS-CFAR: against an ordered statistic over a window of ranges in the same azimuth; bool [R, A].
 
     Walls fill many cells: they raise a mean, but not the quarter of quiet cells between them. Each stretch of
     `stride` ranges shares one window, which stays inside the map.
@@ -108,9 +110,9 @@ def ordered_statistic_mask(power: np.ndarray, params: CfarParams) -> np.ndarray:
 
 
 def warm(params: CfarParams) -> None:
-    """Compile what maps will need, or load it, with the threshold of those no shorter than the window.
+    """Compile the kernels that maps need, or load them, with the threshold of maps no shorter than the window.
 
-    The first map should not pay for that: it was a second on a busy machine, and the next ones outdated by then.
+    The first map must not wait for that: it took a second on a busy machine, and the next maps were outdated by then.
     """
     from models.perception.geometry.stage import made_up_peaks
 
@@ -126,8 +128,8 @@ def _rank(window: int, params: CfarParams) -> int:
 
 @lru_cache(maxsize=32)
 def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> float:
-    """Threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
-    # here: a network needs no threshold, and this is a fifth of what its node takes to start
+    """Return the threshold factor of OS-CFAR on exponential noise: prod_{i<k} (n - i) / (n - i + alpha) = P_fa."""
+    # imported here: a network needs no threshold, and this import is a fifth of the start time of its node
     from scipy.optimize import brentq
 
     left = count - np.arange(rank)
@@ -135,7 +137,7 @@ def ordered_statistic_alpha(count: int, rank: int, false_alarm_rate: float) -> f
 
 
 def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
-    """Sums over windows of the given half widths, cut off at the edges, by an integral image; float64."""
+    """Return the sums over windows of the given half widths, cut off at the edges, by an integral image; float64."""
     integral = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
     integral[1:, 1:] = values.astype(np.float64).cumsum(axis=0).cumsum(axis=1)
     (low_r, high_r), (low_a, high_a) = (
@@ -151,12 +153,12 @@ def _box_sum(values: np.ndarray, half: tuple[int, int]) -> np.ndarray:
 
 
 def cfar_peaks(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
-    """Classified peaks of a map without a network: detect, then tell images by the walls in front of them."""
+    """Return the classified peaks of a map without a network: detect, then mark images by the walls before them."""
     return classify_behind_walls(detect(ra_map, params), params)
 
 
 def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
-    """Ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
+    """Return the ridges of the CFAR detections that are no side lobes, all of class LOS; strongest first.
 
     The score 1 - 1 / sqrt(SNR) grows from about 0.78 at 13 dB towards one.
     """
@@ -170,10 +172,11 @@ def detect(ra_map: RangeAzimuthMap, params: CfarParams) -> Peaks:
 
 
 def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
-    """Mark as mirrored what lies behind a wall that the nearer detections make up; no network, no truth.
+    """Mark as mirrored the detections behind a wall that nearer detections form; no network, no truth.
 
     All peaks start as direct. The nearest wall not yet used marks every peak whose ray it crosses and that is deeper
-    than `min_depth_m`; walls are then found anew among the direct ones, so that images never make a wall that counts.
+    than `min_depth_m`; walls are then fitted again among the direct ones, so that images never form a wall that is
+    used.
     Ends when no wall hides a direct peak.
     """
     points_m = xy_from_polar(peaks.range_m, peaks.azimuth_rad)
@@ -182,8 +185,8 @@ def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
     for _ in range(params.walls.max_walls):
         direct = np.flatnonzero(~mirrored)
         labels = dbscan(points_m[direct], params.cluster_eps_m, params.cluster_min_points)
-        found, _ = find_walls(points_m[direct], covariance_m2[direct], labels, params.walls)
-        hidden = _behind_nearest(points_m[direct], found, params.min_depth_m)
+        walls, _ = find_walls(points_m[direct], covariance_m2[direct], labels, params.walls)
+        hidden = _behind_nearest(points_m[direct], walls, params.min_depth_m)
         if not hidden.any():
             break
         mirrored[direct[hidden]] = True
@@ -192,7 +195,7 @@ def classify_behind_walls(peaks: Peaks, params: CfarParams) -> Peaks:
 
 
 def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> np.ndarray:
-    """Points [N, 2] behind the nearest wall that hides any; bool [N]."""
+    """Return the points [N, 2] behind the nearest wall that hides any; bool [N]."""
     for wall in sorted(walls, key=lambda wall: wall.offset_m):
         hidden = behind_walls(points_m, _drawn_in(wall), depth_m)
         if hidden.any():
@@ -201,7 +204,7 @@ def _behind_nearest(points_m: np.ndarray, walls: list[Wall], depth_m: float) -> 
 
 
 def _drawn_in(wall: Wall) -> WallArrays:
-    """The wall without its outermost half metre, which an azimuth error may have made up."""
+    """Return the wall without its outermost half metre, which an azimuth error may have made up."""
     arrays = wall_arrays([wall])
     a, b = arrays.trimmed(0.5)
     return replace(arrays, a=a, b=b)

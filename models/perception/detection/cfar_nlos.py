@@ -1,4 +1,4 @@
-"""CFAR-NLOS, the classical baseline of section 4.1: CFAR detections, told apart by privileged truth of direct returns.
+"""CFAR-NLOS, the classical baseline of section 4.1: CFAR detections, classified by privileged truth of direct returns.
 
 It stands for a LiDAR that knows the wall: what lies at a true LOS point is LOS, everything else counts as mirrored.
 """
@@ -20,8 +20,9 @@ from msgs.values.radar import RangeAzimuthMap
 class CfarNlosParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Detector and tolerances; the defaults are the best of a sweep of dense Macro-F1 over 200 training scenes (0.66).
 
-    P_fa from 1e-12 to 1e-2 changes that by 0.003, for what is false stands 20-40 dB over the noise: side lobes and
-    returns that are no truth points. The level does: 0.64 at 13 dB, 0.66 at 26-30. Cell averaging, the published kind,
+    P_fa from 1e-12 to 1e-2 changes that by 0.003, because false detections are 20-40 dB over the noise: side lobes and
+    returns that are no truth points. The level matters: 0.64 at 13 dB, 0.66 at 26-30. Cell averaging, the published
+    kind,
     gives 0.39 at 1e-4 and 0.61 at 0.4, the largest tried and still rising: a wall fills the cells that are averaged.
     """
 
@@ -42,7 +43,7 @@ def privileged_peaks(
     truth_class: np.ndarray,
     params: CfarNlosParams | None = None,
 ) -> Peaks:
-    """CFAR detections of a map, LOS where they lie within the tolerances of a true LOS point, else mirrored.
+    """Return the CFAR detections of a map, LOS where they lie within the tolerances of a true LOS point, else mirrored.
 
     Truth of all classes [N], radar frame; only its LOS points are looked at (section 4.1). Raises ValueError where the
     truth's arrays differ in length or hold what is not finite.
@@ -56,7 +57,7 @@ def privileged_peaks(
 
 
 def near_truth(peaks: Peaks, range_m: np.ndarray, azimuth_rad: np.ndarray, params: CfarNlosParams) -> np.ndarray:
-    """Which peaks [N] lie within both tolerances of some point [M]; bool [N]."""
+    """Return which peaks [N] lie within both tolerances of some point [M]; bool [N]."""
     in_range = np.abs(peaks.range_m[:, None] - range_m) <= params.range_tolerance_m
     in_azimuth = np.abs(peaks.azimuth_rad[:, None] - azimuth_rad) <= math.radians(params.azimuth_tolerance_deg)
     return np.asarray((in_range & in_azimuth).any(axis=1))
@@ -65,7 +66,7 @@ def near_truth(peaks: Peaks, range_m: np.ndarray, azimuth_rad: np.ndarray, param
 def _direct_truth(
     range_m: np.ndarray, azimuth_rad: np.ndarray, path_class: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """The LOS points of a truth, checked."""
+    """Return the LOS points of a truth, checked."""
     if not len(range_m) == len(azimuth_rad) == len(path_class):
         raise ValueError(
             "truth_range_m, truth_azimuth_rad and truth_class must have one length, "

@@ -1,4 +1,4 @@
-"""From a range-azimuth map to classified peaks: with a network or without, by the same call."""
+"""Detectors of classified peaks in a range-azimuth map, with a network or without, behind one call."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from models.perception.geometry.observability import UNKNOWN_SENSITIVITY_DB, sen
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 
-#: Where a network's peaks lie: at the heatmap's own maxima; on the ridges of the map; on the ridges, then where the
-#: complex map makes point echoes likeliest; at the maxima, then there too; by pursuit, as many peaks as the heatmap's
-#: mass is worth.
+#: Placement of a network's peaks. "none": at the maxima of the heatmap. "ridge": on the ridges of the map.
+#: "likelihood": on the ridges, then moved to the likeliest positions of point echoes on the complex map.
+#: "maxima_likelihood": at the maxima, then moved likewise. "pursuit": as many peaks as the heatmap's mass is worth.
 Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"]
-#: What `True` means: the best on the validation scenes (docs/learned-reconstruction.md).
+#: Placement that `True` stands for: the best on the validation scenes (docs/results/learned.md).
 DEFAULT_REFINE: Refine = "pursuit"
 
 
@@ -31,7 +31,7 @@ class Detector(Protocol):
     """Finds LOS and mirrored returns in a map."""
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
 
 
 class NetworkDetector:
@@ -51,27 +51,27 @@ class NetworkDetector:
         model: Path = DEFAULT_MODEL,
         threads: int = 1,
         params: PeakParams | None = None,
-        named: NamedParams | None = None,
+        ridge_matching: NamedParams | None = None,
         refine: bool | Refine = True,
         refinement: RefinementParams | None = None,
         calibrate: bool = False,
         flip_test: bool = False,
     ) -> None:
-        way = refine_way(refine)
+        placement = refine_way(refine)
         self._predictor = DensePredictor(model, threads, flip_test)
         self._predictor.card.encoding.check_array(setup, self._predictor.card.grid)
-        self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(way))
-        if way == "pursuit":
-            # the first map should not pay for compiling
+        self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
+        if placement == "pursuit":
+            # compile now: the first map must not wait for it
             pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
-        self._named, self._refine = named or NamedParams(), way
-        self._name = detector_name(self._predictor.card.sha256, way, flip_test)
-        self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
+        self._ridge_matching, self._refine = ridge_matching or NamedParams(), placement
+        self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
+        self._refiner = EchoRefiner(setup, refinement) if placement.endswith("likelihood") else None
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
         peaks = self._own_peaks(ra_map)
         if self._refiner is not None:
             peaks = refined_peaks(peaks, ra_map, self._refiner)
@@ -79,9 +79,9 @@ class NetworkDetector:
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db, detector=self._name)
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Peaks before any refinement on the complex map."""
+        """Return the peaks before any refinement on the complex map."""
         if self._refine in ("ridge", "likelihood"):
-            return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._named)
+            return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._ridge_matching)
         if self._refine == "pursuit":
             return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         if self._predictor.card.head == "heatmap":
@@ -91,13 +91,13 @@ class NetworkDetector:
         return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
 
 
-def detector_name(sha256: str, way: Refine, flip_test: bool) -> str:
-    """What `Peaks.detector` says of a network's peaks: which file, placed how."""
-    return f"{sha256}/{way}{'/flip_test' if flip_test else ''}"
+def detector_name(sha256: str, placement: Refine, flip_test: bool) -> str:
+    """Return the value of `Peaks.detector` for a network: its file and the placement of its peaks."""
+    return f"{sha256}/{placement}{'/flip_test' if flip_test else ''}"
 
 
 def refine_way(refine: bool | Refine) -> Refine:
-    """The way that a switch or a word stands for; raises ValueError for another word."""
+    """Return the placement that a switch or a word stands for; raises ValueError for another word."""
     if isinstance(refine, bool):
         return DEFAULT_REFINE if refine else "none"
     if refine not in get_args(Refine):
@@ -106,7 +106,7 @@ def refine_way(refine: bool | Refine) -> Refine:
 
 
 class CfarDetector:
-    """No network: constant false alarm rate, and what lies behind a wall is mirrored."""
+    """Detector without a network: constant false alarm rate; returns behind a wall are classified as mirrored."""
 
     def __init__(self, setup: RadarSetup, params: CfarParams | None = None) -> None:
         self._params = params or CfarParams()
@@ -114,20 +114,20 @@ class CfarDetector:
         self._sensitivity_db = sensitivity_db(setup)
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
         peaks = cfar_peaks(ra_map, self._params)
         return msgspec.structs.replace(peaks, sensitivity_db=self._sensitivity_db)
 
 
 class PhotonDetector:
-    """The same for maps of a LiDAR: what it would see of an object is not stated, so that nothing counts as observed.
+    """CFAR detector for maps of a LiDAR, without a stated sensitivity, so that nothing counts as observed.
 
-    A radar cross-section says nothing of light.
+    A radar cross-section says nothing about light.
     """
 
     def __init__(self, params: CfarParams = PHOTON_CFAR) -> None:
         self._params = params
 
     def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
-        """Classified peaks of one map."""
+        """Return the classified peaks of one map."""
         return msgspec.structs.replace(cfar_peaks(ra_map, self._params), sensitivity_db=UNKNOWN_SENSITIVITY_DB)

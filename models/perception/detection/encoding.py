@@ -1,4 +1,4 @@
-"""From a complex range-azimuth map to a network's input: one function for training and for the vehicle.
+"""Network input from a complex range-azimuth map: one function for training and for the vehicle.
 
 The azimuth axis of a map carries only the 2N-1 = 15 coefficients of the co-array, so its power is sampled without loss
 by 29 columns; the default network sees 32 of the 256. An array of 57 columns needs more (`Encoding.check_array`).
@@ -28,11 +28,11 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
 
     #: Range bins that the network sees (320 bins of the 10 GHz radar: 68.5 m).
     range_bins: int = 320
-    #: How many of them, from the nearest, are left of the encoded map when the network gets it; None: all.
+    #: Number of them, from the nearest, that the network gets of the encoded map; None: all.
     crop_bins: int | None = None
     #: Columns of the map that the network sees.
     columns: int = 32
-    #: What each channel of the input says, in order: names of `ENCODERS`.
+    #: Content of each input channel, in order: names of `ENCODERS`.
     channels: tuple[str, ...] = CHANNELS
     #: Columns of zeros to either side (section 3.1.1 pads 256 to 512).
     pad_columns: int = 0
@@ -93,13 +93,14 @@ class Encoding(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def encode_map(encoding: Encoding, ra_map: RangeAzimuthMap) -> np.ndarray:
-    """Network input of one map, float32 [channels, range, columns]."""
+    """Return the network input of one map, float32 [channels, range, columns]."""
     encoding.check_grid(ra_map.grid)
     return encode_columns(encoding, sample_columns(encoding, ra_map.values), np.array(ra_map.noise_power_mw))
 
 
 def sample_columns(encoding: Encoding, values: np.ndarray) -> np.ndarray:
-    """Map values at the centres of the columns, complex64 [..., range, columns], of maps [..., range, azimuth].
+    """Return the map values at the centres of the columns, complex64 [..., range, columns], of maps [..., range,
+    azimuth].
 
     The centre of an even number of azimuths lies between the middle two: their mean.
     """
@@ -111,7 +112,8 @@ def sample_columns(encoding: Encoding, values: np.ndarray) -> np.ndarray:
 
 
 def encode_columns(encoding: Encoding, columns: np.ndarray, noise_power_mw: np.ndarray) -> np.ndarray:
-    """Network input, float32 [..., channels, range, columns], of sampled maps [..., range, columns] and noise [...].
+    """Return the network input, float32 [..., channels, range, columns], of sampled maps [..., range, columns] and
+    noise [...].
 
     Finite for every input: cells that are not finite count as empty. Levels are over the noise, so a gain common to
     signal and noise changes nothing.
@@ -124,7 +126,7 @@ def encode_columns(encoding: Encoding, columns: np.ndarray, noise_power_mw: np.n
     )
     for index, name in enumerate(encoding.channels):
         channels[..., index, :, inside] = ENCODERS[name](sampled)
-    # cut last: what a channel says of a near cell does not depend on the crop
+    # cropped last: the value of a near cell must not depend on the crop
     return np.ascontiguousarray(channels[..., : encoding.seen_bins, :])
 
 
@@ -159,7 +161,7 @@ class _Sampled:
 
 
 def _log_magnitude(sampled: _Sampled) -> np.ndarray:
-    """Log magnitude from the weakest to the strongest cell in 0..1, as the released code has it."""
+    """Return the log magnitude from the weakest to the strongest cell in 0..1, as the released code has it."""
     log = np.log10(np.maximum(sampled.power_mw, np.finfo(np.float64).tiny))
     log = np.maximum(log, log.max(axis=(-2, -1), keepdims=True) - 0.1 * sampled.encoding.dynamic_range_db)
     low, high = log.min(axis=(-2, -1), keepdims=True), log.max(axis=(-2, -1), keepdims=True)
@@ -190,14 +192,14 @@ BOTH = ("real", "imaginary", "log_magnitude")
 
 
 def _power_mw(columns: np.ndarray) -> np.ndarray:
-    """Power of each cell, float64: the square of a float32 magnitude may leave float32."""
+    """Return the power of each cell, float64: the square of a float32 magnitude may leave float32."""
     power_mw = columns.real.astype(np.float64) ** 2 + columns.imag.astype(np.float64) ** 2
     power_mw[~np.isfinite(power_mw)] = 0.0
     return power_mw
 
 
 def _level(encoding: Encoding, power_mw: np.ndarray, noise_power_mw: np.ndarray) -> np.ndarray:
-    """Level over the noise in 0..1; an empty map is 0 everywhere."""
+    """Return the level over the noise in 0..1; an empty map is 0 everywhere."""
     peak_mw = power_mw.max(axis=(-2, -1), keepdims=True)
     noise_mw = np.maximum(np.nan_to_num(noise_power_mw), 0.0)[..., None, None]
     floor_mw = np.maximum(noise_mw, peak_mw * 10.0 ** (-encoding.dynamic_range_db / 10.0))
@@ -208,7 +210,7 @@ def _level(encoding: Encoding, power_mw: np.ndarray, noise_power_mw: np.ndarray)
 
 
 def _strongest_nearer(level: np.ndarray) -> np.ndarray:
-    """Strongest level nearer in range in the same direction: what an image in a mirror stands behind."""
+    """Return the strongest level nearer in range in the same direction: an image in a mirror lies behind it."""
     shadow = np.zeros_like(level)
     np.maximum.accumulate(level[..., :-1, :], axis=-2, out=shadow[..., 1:, :])
     return shadow

@@ -1,4 +1,4 @@
-"""A dense network as the vehicle runs it: an ONNX file, and the card that says what it is."""
+"""Inference with a dense network on the vehicle: an ONNX file and the card that describes it."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from models.perception.detection.score_calibration import ScoreTable, check_tabl
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
-#: What a session raises for bytes that are no network.
+#: Errors that a session raises for bytes that are no network.
 _NO_NETWORK = tuple(
     getattr(onnxruntime.capi.onnxruntime_pybind11_state, name)
     for name in ("Fail", "InvalidArgument", "InvalidGraph", "InvalidProtobuf", "NotImplemented", "RuntimeException")
 )
 #: No ONNX file holds more: it is one protobuf message.
 MAX_MODEL_BYTES = (1 << 31) - 1
-#: Where a network comes from that has all it needs.
-GUIDE = "`mirrorwave export` writes a network with its card: docs/train-on-my-captures.md"
+#: Hint on how to make a network with its card.
+GUIDE = "`mirrorwave export` writes a network with its card: docs/guides/train-on-my-captures.md"
 #: The network in use unless another is named.
 DEFAULT_MODEL = learned_path("compact_unet", ".onnx")
 
@@ -50,20 +50,20 @@ class ScoresAt(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Fidelity(msgspec.Struct, frozen=True, kw_only=True):
-    """How far a file is from the torch network it was made from."""
+    """Difference between a file and the torch network it was exported from."""
 
     #: Largest difference of a probability on encoded maps of the training split.
     largest_difference: float
     #: Macro-F1 at the card's threshold that the fp32 export has on the same frames.
     macro_f1_fp32: float
-    #: How much of it this file lacks, in points (hundredths).
+    #: Loss of this file against it, in points (hundredths).
     lost_points: float
     #: Encoded maps of the training split that set the ranges of an int8 file.
     calibration_maps: int = 0
 
 
 class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
-    """What a network file is: how it was made, what it takes, how good it is; a JSON file beside the ONNX file.
+    """Description of a network file: how it was made, its input, its scores; a JSON file beside the ONNX file.
 
     Fields that are not listed here are ignored: an older card loads, with the defaults of what it lacks.
     """
@@ -75,7 +75,7 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     network: str = "compact_unet"
     #: Of weights and arithmetic; input and output are float32 always.
     precision: Literal["fp32", "fp16", "int8"] = "fp32"
-    #: A heatmap answers probabilities on the map's own cells; anchors answer logits and offsets (see `anchors`).
+    #: A heatmap gives probabilities on the map's own cells; anchors give logits and offsets (see `anchors`).
     head: Literal["heatmap", "anchors"] = "heatmap"
     #: Cells from anchor to anchor.
     anchor_stride: int = 1
@@ -87,10 +87,10 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
     threshold: float
     #: That of peaks by pursuit, the best on the validation scenes; None: the same.
     pursuit_threshold: float | None = None
-    #: On test scenes that neither trained nor chose the network.
+    #: On test scenes that were used neither to train nor to select the network.
     scores: tuple[ScoresAt, ...]
     fidelity: Fidelity | None = None
-    #: What share of peaks with a score is true (validation scenes, 2 m gate); empty where it was not fitted.
+    #: Share of true peaks by score (validation scenes, 2 m gate); empty where it was not fitted.
     calibration: ScoreTable = ()
     #: How training and test scenes were made, and how many.
     data: dict[str, str | int]
@@ -103,13 +103,13 @@ class ModelCard(msgspec.Struct, frozen=True, kw_only=True):
         self.encoding.check_grid(self.grid)
         check_table("card.calibration", self.calibration)
 
-    def threshold_for(self, way: str) -> float:
-        """Threshold of a way to place peaks (`models.perception.detection.detectors.Refine`)."""
-        return self.pursuit_threshold or self.threshold if way == "pursuit" else self.threshold
+    def threshold_for(self, placement: str) -> float:
+        """Return the threshold for a placement of peaks (`models.perception.detection.detectors.Refine`)."""
+        return self.pursuit_threshold or self.threshold if placement == "pursuit" else self.threshold
 
     @property
     def answer_shape(self) -> tuple[int, int, int, int]:
-        """Shape of the network's answer to one map: of all cells it sees, or of its anchors."""
+        """Output shape for one map: all cells that the network sees, or its anchors."""
         cells = self.encoding.seen_bins, self.grid.azimuth_bins
         if self.head == "heatmap":
             return 1, len(PathClass), *cells
@@ -124,10 +124,9 @@ def load_card(model_path: Path) -> ModelCard:
 class DensePredictor:
     """An exported network: confidence of LOS and mirrored returns in every cell of a map, or at anchors.
 
-    The session is warm when the constructor returns. `flip_test` asks the network of every map and of the map with left
-    and right exchanged, and takes the mean: twice the time, fewer errors. Raises `ValueError` naming file and field
-    when the file, its card and its shapes do not belong together, or the answers of a network at anchors shall be
-    averaged.
+    The session is warm when the constructor returns. `flip_test` averages the output over every map and the same map
+    with left and right exchanged: twice the time, fewer errors. Raises `ValueError` naming file and field when the
+    file, its card and its shapes do not belong together, or when `flip_test` is set for a network with anchors.
     """
 
     def __init__(self, model_path: Path = DEFAULT_MODEL, threads: int = 1, flip_test: bool = False) -> None:
@@ -142,47 +141,48 @@ class DensePredictor:
         self.infer(np.zeros(self.card.input_shape[1:], np.float32))
 
     def predict(self, ra_map: RangeAzimuthMap) -> np.ndarray:
-        """Probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the network sees.
+        """Return the probabilities, float32 [2, range, azimuth] in the order of `PathClass`; 0 beyond the range the
+        network sees.
 
         Raises `ValueError` when the map's grid is not the card's, or the network answers at anchors.
         """
         if self.card.head != "heatmap":
             raise ValueError(f"{self.card.name}: card.head must be heatmap for a heatmap, got {self.card.head}")
-        seen = self.answer(ra_map)
+        visible = self.answer(ra_map)
         if self._flip_test:
             flipped = msgspec.structs.replace(ra_map, values=ra_map.values[:, ::-1])
-            seen = 0.5 * (seen + self.answer(flipped)[..., ::-1])
-        confidence = np.zeros((len(seen), *ra_map.grid.shape), np.float32)
-        confidence[:, : seen.shape[1]] = seen
+            visible = 0.5 * (visible + self.answer(flipped)[..., ::-1])
+        confidence = np.zeros((len(visible), *ra_map.grid.shape), np.float32)
+        confidence[:, : visible.shape[1]] = visible
         return confidence
 
     def points(self, ra_map: RangeAzimuthMap, threshold: float, min_distance: int) -> Points:
-        """What the answer itself points at: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
+        """Return the points of the output alone: maxima of a heatmap (section 3.1.1), anchors moved by their offsets.
 
         Raises `ValueError` when the map's grid is not the card's.
         """
         return answered_points(self.card, self.answer(ra_map), threshold, min_distance)
 
     def answer(self, ra_map: RangeAzimuthMap) -> np.ndarray:
-        """The network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
+        """Return the network's answer to a map, float32 [channels, rows, columns], as `answered_points` takes it."""
         if ra_map.grid != self.card.grid:
             raise ValueError(f"map.grid must be the {self.card.name} card's, {self.card.grid}, got {ra_map.grid}")
         return self.infer(encode_map(self.card.encoding, ra_map))
 
     def infer(self, encoded: np.ndarray) -> np.ndarray:
-        """The network's answer to an encoded map [channels, range, columns]."""
+        """Return the network's answer to an encoded map [channels, range, columns]."""
         return self._session.run(None, {self._input: encoded[None]})[0][0]
 
 
 def answered_points(card: ModelCard, answer: np.ndarray, threshold: float, min_distance: int) -> Points:
-    """Points of one answer [channels, rows, columns] with at least a score of `threshold`."""
+    """Return the points of one answer [channels, rows, columns] with at least a score of `threshold`."""
     if card.head == "anchors":
         return anchor_points(answer, card.anchor_stride, threshold, min_distance)
     return heatmap_points(answer, threshold, min_distance)
 
 
 def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxruntime.InferenceSession]:
-    """A network and its card; raises one `ValueError` with all that is wrong with either, and the guide."""
+    """Return a network and its card; raises one `ValueError` with all that is wrong with either, and the guide."""
     card: ModelCard | None = None
     session: onnxruntime.InferenceSession | None = None
     wrong: list[str] = []
@@ -206,7 +206,7 @@ def _open_with_card(model_path: Path, threads: int) -> tuple[ModelCard, onnxrunt
 
 
 def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.InferenceSession:
-    """A session for a file with this checksum; raises `ValueError` naming the file."""
+    """Return a session for a file with this checksum; raises `ValueError` naming the file."""
     model = read_learned(model_path, MAX_MODEL_BYTES)
     if wrong := _wrong_checksum(model_path, model, sha256):
         raise ValueError(wrong[0])
@@ -214,15 +214,15 @@ def open_session(model_path: Path, sha256: str, threads: int) -> onnxruntime.Inf
 
 
 def _wrong_checksum(model_path: Path, model: bytes, sha256: str) -> list[str]:
-    found = hashlib.sha256(model).hexdigest()
-    return [] if found == sha256 else [f"{model_path}: sha256 must be {sha256} as its card says, got {found}"]
+    actual = hashlib.sha256(model).hexdigest()
+    return [] if actual == sha256 else [f"{model_path}: sha256 must be {sha256} as its card says, got {actual}"]
 
 
 def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.InferenceSession:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.inter_op_num_threads = 1
-    # a spinning worker would take its core from the other nodes between two maps
+    # a spinning worker would keep its core from the other nodes between two maps
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         return onnxruntime.InferenceSession(model, options, providers=["CPUExecutionProvider"])
@@ -231,28 +231,28 @@ def _session(model_path: Path, model: bytes, threads: int) -> onnxruntime.Infere
 
 
 def _wrong_card(model_path: Path, card: ModelCard) -> list[str]:
-    """Shapes of a card that its own encoding and grid do not give."""
-    wanted = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
+    """Return the shapes of a card that its own encoding and grid do not give."""
+    expected = {"input": (1, *card.encoding.shape), "output": card.answer_shape}
     shapes = {"input": card.input_shape, "output": card.output_shape}
     return [
         f"{card_path(model_path)}: card.{end}_shape must be {shape}, got {shapes[end]}"
-        for end, shape in wanted.items()
+        for end, shape in expected.items()
         if shapes[end] != shape
     ]
 
 
 def _wrong_session(model_path: Path, card: ModelCard | None, session: onnxruntime.InferenceSession) -> list[str]:
-    """Types of a network that are not ours, and shapes that are not its card's."""
+    """Return the types of a network that are not ours, and shapes that are not its card's."""
     wrong = []
     entries = {"input": session.get_inputs(), "output": session.get_outputs()}
-    for end, found in entries.items():
-        if len(found) != 1 or found[0].type != "tensor(float)":
-            wrong.append(f"{model_path}: {end} must be one float32 array, got {[one.type for one in found]}")
+    for end, arrays in entries.items():
+        if len(arrays) != 1 or arrays[0].type != "tensor(float)":
+            wrong.append(f"{model_path}: {end} must be one float32 array, got {[array.type for array in arrays]}")
             continue
-        shape = tuple(found[0].shape)
-        said = None if card is None else (card.input_shape if end == "input" else card.output_shape)
-        if said is not None and shape != said:
-            wrong.append(f"{model_path}: {end} must be {said} as its card says, got {shape}")
+        shape = tuple(arrays[0].shape)
+        expected = None if card is None else (card.input_shape if end == "input" else card.output_shape)
+        if expected is not None and shape != expected:
+            wrong.append(f"{model_path}: {end} must be {expected} as its card says, got {shape}")
         elif card is None:
             wrong.append(f"{model_path}: its {end} is {shape}")
     return wrong

@@ -14,7 +14,7 @@ from msgs.values.radar import RangeAzimuthMap
 
 
 class Points(msgspec.Struct, frozen=True, kw_only=True):
-    """What a network points at in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
+    """Points that a network detects in a map: fractional cells float64 [N, 2], score [N], `PathClass` [N].
 
     LOS before mirrored, strongest first within a class.
     """
@@ -29,7 +29,7 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
     threshold: float = 0.3
     min_distance: int = 3
-    #: How peaks are pursued, where they are.
+    #: Settings of the pursuit, for detectors that use it.
     pursuit: PursuitParams = PursuitParams()
     #: Two-way 3 dB width of a beam: a peak's azimuth error is this over sqrt(2 SNR), within the bounds below.
     beam_width_deg: float = 9.0
@@ -48,7 +48,7 @@ class PeakParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
-    """Local maxima of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
+    """Return the local maxima of the heat map [2, range, azimuth], strongest first within a class, LOS before mirrored.
 
     Raises ValueError where the heat map does not lie on the map's grid.
     """
@@ -56,20 +56,20 @@ def find_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakP
     points = heatmap_points(probabilities, params.threshold, params.min_distance)
     cells = points.cells.astype(np.int64)
     fractional = points.cells.copy()
-    for channel, mine in zip(probabilities, (points.path_class == k for k in PathClass), strict=True):
-        fractional[mine] = _centroid(channel, cells[mine])
+    for channel, of_class in zip(probabilities, (points.path_class == k for k in PathClass), strict=True):
+        fractional[of_class] = _centroid(channel, cells[of_class])
     return peaks_at(ra_map, cells, fractional, points.score, points.path_class, params)
 
 
 def find_pursued_peaks(probabilities: np.ndarray, ra_map: RangeAzimuthMap, params: PeakParams) -> Peaks:
-    """The same by pursuit: as many peaks as the heat map's mass is worth; raises ValueError as above."""
+    """Return the peaks of the heat map by pursuit: as many as its mass is worth; raises ValueError as above."""
     _require_on_grid(probabilities, ra_map)
     points = pursued_points(probabilities, params.threshold, params.pursuit)
     return peaks_at(ra_map, points.cells.astype(np.int64), points.cells, points.score, points.path_class, params)
 
 
 def pursued_points(heatmap: np.ndarray, threshold: float, params: PursuitParams) -> Points:
-    """Peaks of each class of a heat map [2, range, azimuth] by pursuit, on whole cells."""
+    """Return the peaks of each class of a heat map [2, range, azimuth] by pursuit, on whole cells."""
     return _of_classes([pursued_peaks(channel, threshold, params) for channel in heatmap])
 
 
@@ -80,22 +80,24 @@ def _require_on_grid(probabilities: np.ndarray, ra_map: RangeAzimuthMap) -> None
 
 
 def heatmap_points(heatmap: np.ndarray, threshold: float, min_distance: int) -> Points:
-    """Local maxima of each class of a heat map [2, range, azimuth], on whole cells (section 3.1.1)."""
+    """Return the local maxima of each class of a heat map [2, range, azimuth], on whole cells (section 3.1.1)."""
     maxima = [local_maxima(channel, threshold, min_distance) for channel in heatmap]
     return _of_classes([(at, channel[at[:, 0], at[:, 1]]) for at, channel in zip(maxima, heatmap, strict=True)])
 
 
-def _of_classes(found: list[tuple[np.ndarray, np.ndarray]]) -> Points:
-    """Cells [N, 2] and scores [N] of each class in one row."""
+def _of_classes(by_class: list[tuple[np.ndarray, np.ndarray]]) -> Points:
+    """Return the cells [N, 2] and scores [N] of each class in one row."""
     return Points(
-        cells=np.concatenate([cells for cells, _ in found]).astype(np.float64),
-        score=np.concatenate([score for _, score in found]).astype(np.float64),
-        path_class=np.repeat(np.arange(len(found), dtype=np.uint8), [len(cells) for cells, _ in found]),
+        cells=np.concatenate([cells for cells, _ in by_class]).astype(np.float64),
+        score=np.concatenate([score for _, score in by_class]).astype(np.float64),
+        path_class=np.repeat(np.arange(len(by_class), dtype=np.uint8), [len(cells) for cells, _ in by_class]),
     )
 
 
 def echo_power(ra_map: RangeAzimuthMap) -> np.ndarray:
-    """|values|^2, float64 [range, azimuth]; fewer photons than ambient light brings are no echo: they count as zero."""
+    """Return |values|^2, float64 [range, azimuth]; fewer photons than ambient light brings are no echo: they count
+    as zero.
+    """
     values = ra_map.values.real.clip(0.0) if ra_map.mode == "photons" else np.abs(ra_map.values)
     # the square of a float32 magnitude may leave float32
     return np.square(values, dtype=np.float64)
@@ -109,13 +111,14 @@ def peaks_at(
     path_class: np.ndarray,
     params: PeakParams,
 ) -> Peaks:
-    """The message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it peaks.
+    """Return the message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it
+    peaks.
 
-    Of more than `MOST_PEAKS`, as a network that has learnt nothing brings them, those of the highest scores.
+    At most `MOST_PEAKS`: an untrained network gives more, and the highest scores are kept.
     """
     if len(cells) > MOST_PEAKS:
         best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MOST_PEAKS])
-        cells, fractional, score, path_class = (one[best] for one in (cells, fractional, score, path_class))
+        cells, fractional, score, path_class = (values[best] for values in (cells, fractional, score, path_class))
     grid = ra_map.grid
     power = echo_power(ra_map)
     range_index = _refined_range(power, cells, fractional[:, 0])
@@ -139,11 +142,12 @@ def peaks_at(
 
 
 def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.ndarray:
-    """Cells [N, 2] of maxima over `threshold`, none nearer than `min_distance` cells (both axes) to a higher one.
+    """Return the cells [N, 2] of maxima over `threshold`, none nearer than `min_distance` cells (both axes) to a
+    higher one.
 
     A plateau gives one peak, at its middle. Highest first; equal ones in the order of the cells.
     """
-    # here: pursuit needs no maxima, and a node that starts again need not wait for this
+    # imported here: pursuit needs no maxima, and a restarted node must not wait for it
     from scipy import ndimage
 
     highest = ndimage.maximum_filter(values, size=2 * min_distance + 1, mode="constant", cval=-np.inf)
@@ -158,7 +162,7 @@ def local_maxima(values: np.ndarray, threshold: float, min_distance: int) -> np.
 
 
 def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
-    """The cell of each plateau nearest to its centre [count, 2]; the first of equals."""
+    """Return the cell of each plateau nearest to its centre [count, 2]; the first of equals."""
     cells = np.argwhere(plateaus)
     label = plateaus[cells[:, 0], cells[:, 1]] - 1
     size = np.bincount(label, minlength=count)
@@ -170,7 +174,7 @@ def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
 
 
 def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Indices of cells [N, 2], best first, further than `spacing` in one axis at least from all kept before.
+    """Return the indices of cells [N, 2], best first, further than `spacing` in one axis at least from all kept before.
 
     No more than `MOST_PEAKS`.
     """
@@ -186,7 +190,9 @@ def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
 
 
 def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Fractional cells [N, 2]: centre of mass of the 3 x 3 cells about each, so far as they lie on the map."""
+    """Return the fractional cells [N, 2]: centre of mass of the 3 x 3 cells about each, so far as they lie on the
+    map.
+    """
     step = np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1), indexing="ij"), axis=-1).reshape(9, 2)
     around = cells[:, None] + step  # [N, 9, 2]
     inside = ((around >= 0) & (around < values.shape)).all(axis=-1)
@@ -201,7 +207,7 @@ def _centroid(values: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def _refined_range(power: np.ndarray, cells: np.ndarray, fallback: np.ndarray) -> np.ndarray:
-    """Fractional range bins [N]: the vertex of a parabola through the log powers about the map's own peak.
+    """Return the fractional range bins [N]: the vertex of a parabola through the log powers about the map's own peak.
 
     The peak may lie one bin off the heat map's; where the map has none there, `fallback` stays.
     """
@@ -217,13 +223,15 @@ def _refined_range(power: np.ndarray, cells: np.ndarray, fallback: np.ndarray) -
 
 
 def _snr_db(power: np.ndarray, cells: np.ndarray, noise_power_mw: float) -> np.ndarray:
-    """Peak power over the map's noise [N], at least -30 dB so that empty cells stay finite."""
+    """Return the peak power over the map's noise [N], at least -30 dB so that empty cells stay finite."""
     ratio = power[cells[:, 0], cells[:, 1]].astype(np.float64) / max(noise_power_mw, 1e-300)
     return 10.0 * np.log10(np.clip(ratio, 1e-3, 1e30))
 
 
 def polar_covariance(snr_db: np.ndarray, incoherent: np.ndarray, range_bin_m: float, params: PeakParams) -> np.ndarray:
-    """Diagonal covariances (range [m], azimuth [rad]) [N, 2, 2]: resolution over sqrt(2 SNR), within bounds."""
+    """Return the diagonal covariances (range [m], azimuth [rad]) [N, 2, 2]: resolution over sqrt(2 SNR), within
+    bounds.
+    """
     spread = 1.0 / np.sqrt(2.0 * 10.0 ** (snr_db / 10.0))
     range_std_m = np.clip(range_bin_m * spread, params.range_std_floor_m, params.range_std_limit_m)
     azimuth_deg = np.clip(

@@ -1,8 +1,8 @@
-"""Peaks of a confidence map by pursuit: take the highest cell, take off what one point there explains, go on.
+"""Pursuit of peaks in a confidence map: take the highest cell, subtract what one point there explains, repeat.
 
-A trained heatmap holds one Gaussian a point where it is sure, and a broad hill with the mass of several where it knows
-that points stand there but not in which cells. Maxima no nearer than a fixed distance give a hill one peak; pursuit
-gives it as many as its mass is worth.
+A trained heatmap holds one Gaussian per point where it is certain. Where the cells of several points are uncertain, it
+holds one broad hill with the mass of all of them. Maxima with a fixed least distance give a hill one peak; pursuit
+gives it as many peaks as its mass is worth.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ WIDEST, NARROWEST = 100.0, 1e-3
 class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Widths in cells (range, azimuth)."""
 
-    #: Blur before: joins what a point's confidence is scattered over.
+    #: Blur before the pursuit: it joins the cells over which a point's confidence is scattered.
     blur: tuple[float, float] = (0.5, 2.0)
-    #: Standard deviations of what a found point explains of the cells about it.
+    #: Standard deviations of the Gaussian that one point explains.
     explained: tuple[float, float] = (1.5, 2.5)
     #: More peaks than this in one map are noise.
     max_peaks: int = 512
@@ -36,7 +36,7 @@ class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:
-    """Cells int64 [N, 2] and scores float64 [N] of a confidence map [range, azimuth], strongest first.
+    """Return the cells int64 [N, 2] and scores float64 [N] of a confidence map [range, azimuth], strongest first.
 
     A score is what is left of the blurred confidence when its cell is taken; none is below `threshold`. Of equal cells
     the first one is taken. Cells that are not finite count as empty.
@@ -50,7 +50,7 @@ def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParam
 
 
 def _gaussian(std: float) -> np.ndarray:
-    """Weights of a blur out to four standard deviations, of sum 1; of one cell where there is none."""
+    """Return the weights of a blur out to four standard deviations, of sum 1; of one cell where there is none."""
     reach = int(4.0 * std + 0.5)
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / max(std, 1e-9)) ** 2)
     return np.asarray(weights / weights.sum())
@@ -58,7 +58,7 @@ def _gaussian(std: float) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across: np.ndarray) -> np.ndarray:
-    """A map [rows, columns] blurred by both kernels, zero beyond its edges and where it is not finite.
+    """Return a map [rows, columns] blurred by both kernels, zero beyond its edges and where it is not finite.
 
     A mean is no higher than the highest of its cells: rows that have none at the threshold within reach stay zero.
     """
@@ -85,22 +85,24 @@ def _blurred(confidence: np.ndarray, threshold: float, down: np.ndarray, across:
 
 
 def _kept(explained: tuple[float, float]) -> np.ndarray:
-    """What a point leaves of the cells about it: 1 less its Gaussian, out to three standard deviations."""
+    """Return the factor that a point leaves of the cells about it: 1 less its Gaussian, out to three standard
+    deviations.
+    """
     row, column = (np.arange(-int(np.ceil(3.0 * std)), int(np.ceil(3.0 * std)) + 1) / std for std in explained)
     return 1.0 - np.exp(-0.5 * np.add.outer(row**2, column**2))
 
 
 @njit(cache=True, nogil=True)
-def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, most: int) -> tuple[np.ndarray, np.ndarray]:
+def _pursue(left: np.ndarray, threshold: float, kept: np.ndarray, max_peaks: int) -> tuple[np.ndarray, np.ndarray]:
     """Take cells of `left` [rows, columns] while the highest reaches the threshold; changes `left`."""
     rows, columns = left.shape
     reach_row, reach_column = kept.shape[0] // 2, kept.shape[1] // 2
     highest = np.empty(rows)
     for i in range(rows):
         highest[i] = left[i].max()
-    cells, scores = np.empty((most, 2), np.int64), np.empty(most)
+    cells, scores = np.empty((max_peaks, 2), np.int64), np.empty(max_peaks)
     count = 0
-    while count < most:
+    while count < max_peaks:
         i = int(highest.argmax())
         if highest[i] < threshold:
             break

@@ -1,10 +1,10 @@
-"""Sub-cell refinement: the likeliest places of point echoes on the complex map, all echoes of a map at once.
+"""Sub-cell refinement: maximum-likelihood positions of point echoes on the complex map, all echoes of a map at once.
 
 A coherent map is a linear image of the beams, so its columns hold as many white coefficients as the co-array has
 (15 of 256 with the default array). Each echo is a tone in range times a known vector over these coefficients; each is
-fitted on a patch of a few range bins with the noise as the window has correlated it, while what all other echoes
-leave there is taken off. Gauss-Newton moves an echo together with its next neighbours; errors come from the Fisher
-information (`models.physics.cramer_rao`), widened where the points leave more than noise over.
+fitted on a patch of a few range bins, with the noise correlation of the window, after the contribution of all other
+echoes is subtracted. Gauss-Newton moves an echo together with its next neighbours; errors come from the Fisher
+information (`models.physics.cramer_rao`), widened where the fit of points leaves more than noise.
 
 Bins whose beams did not fit one coherent scene hold magnitudes: echoes there are left as they are.
 """
@@ -30,7 +30,7 @@ _LEAST_NOISE = 1e-10
 #: Complex tangents of an echo: amplitude (real and imaginary part share one), range, azimuth; and their factors.
 _BASIS = np.array([0, 0, 1, 2])
 _FACTOR = np.array([1.0, 1.0j, 1.0, 1.0])
-_PLACE = slice(2, 4)
+_POSITION = slice(2, 4)
 #: Resolution cell (range bins, azimuth cells) that neighbours are counted in.
 _LOBE = np.array([2.0, 12.0])
 #: Information about the logarithm of an amplitude before anything was measured.
@@ -46,9 +46,9 @@ class RefinementParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     iterations: int = 6
     #: Echoes that move together with each one.
     neighbours: int = 3
-    #: The strongest echoes that are refined; the time of more would grow with their square and third power.
+    #: Number of strongest echoes that are refined: the time grows with its square and third power.
     most_echoes: int = 256
-    #: Echoes further apart in range do not see each other.
+    #: Echoes further apart in range are not coupled.
     coupling_bins: float = 12.0
     #: Where the truth lies about the start, standard deviation in range bins and azimuth cells.
     prior_bins: float = 0.5
@@ -59,8 +59,9 @@ class RefinementParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
     foreign_share: float = 0.01
     #: A patch with this many times the noise left over holds more than points.
     point_misfit: float = 3.0
-    #: Standard deviations added to the bound: how deep an echo lies in its thing, and what errors of the array (0.4 dB
-    #: and 0.05 rad a column) cost in azimuth.
+    #: Standard deviations added to the bound: the depth of an echo within its object, and the cost of errors of the
+    #: array (0.4 dB
+    #: and 0.05 rad a column) in azimuth.
     range_std_floor_m: float = 0.03
     azimuth_std_floor_deg: float = 0.2
 
@@ -86,9 +87,9 @@ class RefinementParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 class RefinedEchoes:
     """Echoes in the order they were given, N of them; those that could not be refined are where they were."""
 
-    #: Fractional places (range bin, azimuth bin), [N, 2].
+    #: Fractional positions (range bin, azimuth bin), [N, 2].
     fractional: np.ndarray
-    #: What an ideal beam steered at the echo would measure, complex128 [N], sqrt(mW).
+    #: Amplitude that an ideal beam steered at the echo would measure, complex128 [N], sqrt(mW).
     amplitude: np.ndarray
     #: Polar covariance (range [m], azimuth [rad]), [N, 2, 2].
     covariance: np.ndarray
@@ -110,7 +111,7 @@ class EchoRefiner:
         self._bases: dict[tuple[RangeAzimuthGrid, tuple[int, ...]], _Basis] = {}
 
     def refine(self, ra_map: RangeAzimuthMap, fractional: np.ndarray) -> RefinedEchoes:
-        """Likeliest places of the echoes that start at fractional bins [N, 2] (range, azimuth).
+        """Return the likeliest positions of the echoes that start at fractional bins [N, 2] (range, azimuth).
 
         Echoes on bins of magnitudes alone, and all echoes of a map that this set-up cannot have made (other range
         bins, columns that no beams explain), stay as they are.
@@ -135,7 +136,9 @@ class EchoRefiner:
         return result
 
     def range_response(self, offset_bins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """White response [..., patch] of a tone `offset_bins` [...] from a patch's first bin, and its derivative."""
+        """Return the white response [..., patch] of a tone `offset_bins` [...] from a patch's first bin, and its
+        derivative.
+        """
         taps = WINDOW_TAPS[self.window]
         reach, bins = len(taps) // 2, self.params.patch_bins
         x = offset_bins[..., None] - np.arange(-reach, bins + reach)
@@ -146,7 +149,7 @@ class EchoRefiner:
         return both[0] @ self._whiten.T, both[1] @ self._whiten.T
 
     def _first_bins(self, start: np.ndarray, range_bins: int) -> np.ndarray:
-        """First range bin of each patch, patches kept within the map."""
+        """Return the first range bin of each patch, patches kept within the map."""
         bins = self.params.patch_bins
         return np.clip(np.rint(start[:, 0]).astype(np.int64) - bins // 2, 0, range_bins - bins)
 
@@ -173,7 +176,9 @@ class _Basis:
         self._from_coarray = beams[:rank] @ beam_matrix(setup) / peak_field(setup)
 
     def coefficients(self, values: np.ndarray, patch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients [N, patch, rank] of the rows [N, patch], their noise a beam's; share of energy they hold [N]."""
+        """Return the coefficients [N, patch, rank] of the rows [N, patch], their noise a beam's; share of energy
+        they hold [N].
+        """
         rows, index = np.unique(patch, return_inverse=True)
         inside = values[rows] @ self._columns
         whole, held = (np.sum(np.abs(part) ** 2, axis=1)[index.reshape(patch.shape)] for part in (values[rows], inside))
@@ -181,7 +186,7 @@ class _Basis:
         return (inside / self._size)[index.reshape(patch.shape)].astype(np.complex128), share
 
     def response(self, azimuth_rad: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Coefficients [N, rank] of unit echoes at azimuths [N], and their derivatives."""
+        """Return the coefficients [N, rank] of unit echoes at azimuths [N], and their derivatives."""
         position = coefficient_phases(self._setup)
         echo = np.exp(-1j * np.multiply.outer(np.sin(azimuth_rad), position))
         change = -1j * np.multiply.outer(np.cos(azimuth_rad), position) * echo
@@ -206,7 +211,7 @@ class _Fit:
     ) -> None:
         self._refiner, self._basis, self.params = refiner, basis, refiner.params
         self._grid, self._first, self._data, self._start = ra_map.grid, first, data, start
-        self.place = start.copy()
+        self.position = start.copy()
         largest = np.max(np.abs(data) ** 2, initial=0.0)
         self._noise_mw = max(ra_map.noise_power_mw / basis.noise_gain, _LEAST_NOISE * largest, 1e-300)
         self.prior = np.array([self.params.prior_bins, self.params.prior_cells])
@@ -221,19 +226,19 @@ class _Fit:
         self._felt = np.take_along_axis(apart[..., 0], self._group, axis=1) <= self.params.patch_bins
 
     def run(self) -> np.ndarray:
-        """All steps; the covariance [N, 2, 2] of (range bin, azimuth bin) at the end."""
+        """Run all steps and return the covariance [N, 2, 2] of (range bin, azimuth bin) at the end."""
         limit = np.array(self._grid.shape) - 1.0
         for _ in range(self.params.iterations):
             information, gradient = self._linearise()
-            step = np.linalg.solve(information, gradient[..., None])[:, _PLACE, 0]
-            self.place = np.clip(self.place + np.clip(step, -self.prior, self.prior), 0.0, limit)
+            step = np.linalg.solve(information, gradient[..., None])[:, _POSITION, 0]
+            self.position = np.clip(self.position + np.clip(step, -self.prior, self.prior), 0.0, limit)
         information, _ = self._linearise()
         return np.linalg.inv(information)[:, 2:4, 2:4]
 
     def _linearise(self) -> tuple[np.ndarray, np.ndarray]:
-        """Information [N, 4K, 4K] and gradient [N, 4K] of every group in its first echo's patch."""
+        """Return the information [N, 4K, 4K] and gradient [N, 4K] of every group in its first echo's patch."""
         tone, change = self._range_responses()
-        azimuth, turning = self._basis.response(self._grid.azimuth_at(self.place[:, 1]))
+        azimuth, turning = self._basis.response(self._grid.azimuth_at(self.position[:, 1]))
         self._solve_amplitudes(tone, azimuth)
         left = self._data - np.moveaxis(tone, 1, 2) @ (self.amplitude[:, None] * azimuth)
         self._rate(left)
@@ -260,35 +265,35 @@ class _Fit:
         prior = np.tile(np.concatenate([[_FREE, _FREE], self.prior**-2.0]), echoes)
         information[:, np.arange(len(prior)), np.arange(len(prior))] += prior
         pull = np.zeros((count, echoes, 4))
-        pull[..., 2:] = ((self.place - self._start) / self.prior**2)[self._group]
+        pull[..., 2:] = ((self.position - self._start) / self.prior**2)[self._group]
         return information, gradient - pull.reshape(count, -1)
 
     def _range_responses(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tone and slope of echo j in the patch of echo i, [i, j, patch]; zero where they are far apart."""
+        """Return the tone and slope of echo j in the patch of echo i, [i, j, patch]; zero where they are far apart."""
         i, j = np.nonzero(self._near)
         responses = np.zeros((2, *self._near.shape, self.params.patch_bins), np.complex128)
-        responses[:, i, j] = self._refiner.range_response(self.place[j, 0] - self._first[i])
+        responses[:, i, j] = self._refiner.range_response(self.position[j, 0] - self._first[i])
         return responses[0], responses[1]
 
     def _solve_amplitudes(self, tone: np.ndarray, azimuth: np.ndarray) -> None:
-        """Least squares of all amplitudes together, each judged in its own patch."""
+        """Solve for all amplitudes together by least squares, each in its own patch."""
         own = np.arange(len(tone))
-        seen = tone[own, own].conj()
-        matrix = np.einsum("im,ijm->ij", seen, tone) * (azimuth.conj() @ azimuth.T)
-        # two echoes in one place share what is there, one that no beam sees has none
+        own_tone = tone[own, own].conj()
+        matrix = np.einsum("im,ijm->ij", own_tone, tone) * (azimuth.conj() @ azimuth.T)
+        # two echoes at one position share its amplitude; one that no beam sees has none
         matrix[own, own] += 1e-6 * np.abs(matrix[own, own]).max()
-        matched = np.einsum("im,imc->ic", seen, self._data)
+        matched = np.einsum("im,imc->ic", own_tone, self._data)
         self.amplitude = np.linalg.solve(matrix, np.sum(matched * azimuth.conj(), axis=1))
 
     def _rate(self, left: np.ndarray) -> None:
-        """Misfit: what is left over in each patch against noise, at least 1."""
+        """Set the misfit: the residual energy of each patch over noise, at least 1."""
         freedom = max(left[0].size - 2, 1)
         energy = np.sum(np.abs(left) ** 2, axis=(1, 2))
         self.misfit = np.maximum(energy / (freedom * self._noise_mw), 1.0)
 
 
 def refined_peaks(peaks: Peaks, ra_map: RangeAzimuthMap, refiner: EchoRefiner) -> Peaks:
-    """Peaks at their likeliest places; the rest of the message stays.
+    """Return the peaks at their likeliest positions; the rest of the message stays.
 
     A peak that fits a point brings the covariance of its fit. One that does not stands for many scatterers in a cell,
     whose spread the peak's own error model knows better than a bound on points.
@@ -306,7 +311,7 @@ def refined_peaks(peaks: Peaks, ra_map: RangeAzimuthMap, refiner: EchoRefiner) -
 
 
 def _sinc_slope(x: np.ndarray) -> np.ndarray:
-    """Derivative of sin(pi x) / (pi x); 0 at 0."""
+    """Return the derivative of sin(pi x) / (pi x); 0 at 0."""
     away = np.where(np.abs(x) < 1e-4, 1.0, x)
     # near 0 the quotient loses its digits: -pi^2 x / 3 there
     return np.where(np.abs(x) < 1e-4, -(np.pi**2) * x / 3.0, (np.cos(np.pi * x) - np.sinc(x)) / away)
@@ -326,12 +331,12 @@ def _unrefined(start: np.ndarray) -> RefinedEchoes:
 def _put(result: RefinedEchoes, usable: np.ndarray, fit: _Fit, covariance: np.ndarray, grid: RangeAzimuthGrid) -> None:
     """Write the echoes that stayed near their start into the result."""
     params = fit.params
-    stayed = (np.abs(fit.place - result.fractional[usable]) <= params.most_priors * fit.prior).all(axis=1)
-    kept = usable[stayed]
+    is_near = (np.abs(fit.position - result.fractional[usable]) <= params.most_priors * fit.prior).all(axis=1)
+    kept = usable[is_near]
     unit = np.array([grid.range_bin_m, grid.azimuth_step_rad])
     floor = np.array([params.range_std_floor_m, np.radians(params.azimuth_std_floor_deg)])
-    result.fractional[kept] = fit.place[stayed]
-    result.amplitude[kept] = fit.amplitude[stayed]
-    result.misfit[kept] = fit.misfit[stayed]
-    result.covariance[kept] = covariance[stayed] * np.multiply.outer(unit, unit) + np.diag(floor**2)
+    result.fractional[kept] = fit.position[is_near]
+    result.amplitude[kept] = fit.amplitude[is_near]
+    result.misfit[kept] = fit.misfit[is_near]
+    result.covariance[kept] = covariance[is_near] * np.multiply.outer(unit, unit) + np.diag(floor**2)
     result.refined[kept] = True

@@ -1,4 +1,6 @@
-"""Peaks that a heatmap names and the map places: class and score from the network, range and azimuth from the ridge."""
+"""Matching of a heatmap to the ridges of the map: class and score from the network, range and azimuth from the
+ridge.
+"""
 
 from __future__ import annotations
 
@@ -12,36 +14,40 @@ from msgs.values.radar import RangeAzimuthMap
 
 
 class NamedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How near a heatmap must rise to name a ridge, and how high."""
+    """Distance and height at which a heatmap's response matches a ridge."""
 
     ridges: RidgeParams = RidgeParams()
-    #: Cells (range, azimuth) from the ridge to the heatmap's rise, at most.
+    #: Largest distance from the ridge to the heatmap's response in cells (range, azimuth).
     reach: tuple[int, int] = (2, 8)
     threshold: float = 0.2
 
 
 def named_peaks(heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams, params: NamedParams) -> Peaks:
-    """Ridges that the heatmap [2, range, azimuth] names, then its own maxima where no ridge of their class stands."""
-    # here: as in `find_ridges`
+    """Return the ridges that match the heatmap [2, range, azimuth], then its own maxima away from ridges of their
+    class.
+    """
+    # imported here: as in `find_ridges`
     from scipy import ndimage
 
     near = np.stack(
         [ndimage.maximum_filter(channel, size=[2 * reach + 1 for reach in params.reach]) for channel in heatmap]
     )
     power = np.square(np.abs(ra_map.values))
-    named = near.max(axis=0) >= params.threshold
-    cells, fractional = find_ridges(power, named, ra_map.noise_power_mw, ra_map.grid.range_m, params.ridges)
+    matched = near.max(axis=0) >= params.threshold
+    cells, fractional = find_ridges(power, matched, ra_map.noise_power_mw, ra_map.grid.range_m, params.ridges)
     path_class = near[:, cells[:, 0], cells[:, 1]].argmax(axis=0)
-    for which in PathClass:
-        own = local_maxima(heatmap[which], peaks.threshold, peaks.min_distance)
-        own = own[_alone(own, cells[path_class == which], params.ridges.spacing)]
+    for label in PathClass:
+        own = local_maxima(heatmap[label], peaks.threshold, peaks.min_distance)
+        own = own[_far_from(own, cells[path_class == label], params.ridges.spacing)]
         cells, fractional = np.concatenate([cells, own]), np.concatenate([fractional, own])
-        path_class = np.concatenate([path_class, np.full(len(own), which)])
+        path_class = np.concatenate([path_class, np.full(len(own), label)])
     score = near[path_class, cells[:, 0], cells[:, 1]]
     return peaks_at(ra_map, cells, fractional, score, path_class, peaks)
 
 
-def _alone(cells: np.ndarray, others: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Which cells [N, 2] stand further than `spacing` in one axis at least from all others [M, 2]; bool [N]."""
-    apart = np.abs(cells[:, None] - others[None])
+def _far_from(cells: np.ndarray, reference: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
+    """Return which cells [N, 2] lie further than `spacing`, in one axis at least, from all reference cells [M, 2]; bool
+    [N].
+    """
+    apart = np.abs(cells[:, None] - reference[None])
     return ~np.logical_and.reduce(apart <= spacing, axis=-1).any(axis=1)

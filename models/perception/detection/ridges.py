@@ -1,7 +1,7 @@
-"""Ridges of a range-azimuth map: where its level tops the range bin it stands in.
+"""Ridges of a range-azimuth map: cells whose level is a maximum of their range bin.
 
-Not maxima of the plane: a wall seen at an angle is a ridge across many range bins with hardly a summit. On a ridge the
-azimuth is known to a small part of a beam, from the vertex of the lobe.
+They are not maxima of the plane: a wall seen at an angle is a ridge across many range bins with hardly a maximum. On a
+ridge, the vertex of the lobe gives the azimuth to a small part of a beam.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ import numpy as np
 from models.perception.detection.peaks import keep_apart
 from msgs.values.arrays import require_positive, require_within
 
-#: Cells that a map has along either side at most.
-MOST_CELLS = 8192
+#: Largest number of cells along either side of a map.
+MAX_CELLS = 8192
 
 
 class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How far apart ridge cells are kept, how high they stand, and what is the side lobe of a stronger one."""
+    """Spacing and least level of ridge cells, and the limits of the side lobes of stronger ones."""
 
     #: Cells (range, azimuth) that two peaks are apart in one of the two: the resolution of the map.
     spacing: tuple[int, int] = (2, 10)
@@ -34,21 +34,22 @@ class RidgeParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
     def __post_init__(self) -> None:
         require_positive("ridges.max_range_m", self.max_range_m)
-        require_within("ridges.spacing", 0, MOST_CELLS, *self.spacing)
+        require_within("ridges.spacing", 0, MAX_CELLS, *self.spacing)
 
 
 def find_ridges(
     power: np.ndarray, allowed: np.ndarray, noise_power_mw: float, range_m: np.ndarray, params: RidgeParams
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ridge cells [N, 2] among `allowed` cells and their fractional places [N, 2]; highest first, lobes left out.
+    """Return the ridge cells [N, 2] among `allowed` cells and their fractional places [N, 2]; highest first, lobes
+    left out.
 
     `power` [range, azimuth] in milliwatt, `range_m` [range].
     """
     # in float64: noise may be more than float32 holds
     floor = np.float64(noise_power_mw * 10.0 ** (params.min_snr_db / 10.0))
-    found = allowed & (power > floor) & (range_m <= params.max_range_m)[:, None]
+    candidates = allowed & (power > floor) & (range_m <= params.max_range_m)[:, None]
     level_db = 10.0 * np.log10(np.maximum(power, np.finfo(np.float32).tiny))
-    cells = ridge_cells(np.where(found, level_db, -np.inf), params.spacing)
+    cells = ridge_cells(np.where(candidates, level_db, -np.inf), params.spacing)
     cells = cells[~side_lobes(cells, level_db[cells[:, 0], cells[:, 1]], params)]
     fractional = cells.astype(np.float64)
     fractional[:, 1] = lobe_azimuth(level_db, cells)
@@ -56,8 +57,10 @@ def find_ridges(
 
 
 def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
-    """Cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it; highest first."""
-    # here: pursuit needs no ridges, and a node that starts again need not wait for this
+    """Return the cells [N, 2] that top their range bin over `spacing` azimuths to either side, thinned to it;
+    highest first.
+    """
+    # imported here: pursuit needs no ridges, and a restarted node must not wait for it
     from scipy import ndimage
 
     top = ndimage.maximum_filter1d(level_db, 2 * spacing[1] + 1, axis=1, mode="constant", cval=-np.inf)
@@ -67,7 +70,9 @@ def ridge_cells(level_db: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
 
 
 def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
-    """Fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either side."""
+    """Return the fractional azimuth bins [N]: vertex of the parabola through the lobe's level three cells to either
+    side.
+    """
     reach = 3
     inner = np.clip(cells[:, 1], reach, level_db.shape[1] - 1 - reach)
     before, here, after = (level_db[cells[:, 0], inner + k] for k in (-reach, 0, reach))
@@ -78,7 +83,9 @@ def lobe_azimuth(level_db: np.ndarray, cells: np.ndarray) -> np.ndarray:
 
 
 def side_lobes(cells: np.ndarray, level_db: np.ndarray, params: RidgeParams) -> np.ndarray:
-    """Which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its beam; [N]."""
+    """Return which peaks are lobes of a stronger one: at its range in any azimuth, or near its range within its
+    beam; [N].
+    """
     range_apart = np.abs(cells[:, 0, None] - cells[:, 0])
     azimuth_apart = np.abs(cells[:, 1, None] - cells[:, 1])
     weaker_db = level_db - level_db[:, None]  # [N, N]: how much stronger the other one is

@@ -23,7 +23,7 @@ def check_table(name: str, table: Sequence[Sequence[float]]) -> None:
 
 
 def calibrated(table: ScoreTable, score: np.ndarray) -> np.ndarray:
-    """Probabilities [N] of scores [N]; scores beyond the table take its ends."""
+    """Return the probabilities [N] of scores [N]; scores beyond the table take its ends."""
     if not table:
         return score
     knots = np.array(table)
@@ -31,5 +31,5 @@ def calibrated(table: ScoreTable, score: np.ndarray) -> np.ndarray:
 
 
 def calibrated_peaks(table: ScoreTable, peaks: Peaks) -> Peaks:
-    """The same peaks with probabilities for scores."""
+    """Return the same peaks with probabilities for scores."""
     return msgspec.structs.replace(peaks, score=calibrated(table, peaks.score))

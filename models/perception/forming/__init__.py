@@ -1,1 +1,1 @@
-"""From raw beams to range-azimuth maps."""
+"""Forming of range-azimuth maps from raw beams."""

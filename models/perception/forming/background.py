@@ -1,4 +1,4 @@
-"""Open-field background: what the radar hears of itself, one chirp a beam, averaged over scans.
+"""Open-field background: the radar's own leakage and mounting echoes, one chirp a beam, averaged over scans.
 
 A beam of an open field holds the front end's leakage and the mounting's own echoes, the same in every scan, and noise,
 which is not. Their coherent mean over chirps and scans keeps the first; its noise falls by 10 log N. Something that
@@ -19,24 +19,24 @@ from msgs.files.array_files import load_array
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import db_from_ratio
 
-#: A cell further off its median over scans than so many rms of noise does not count.
+#: A cell further from its median over scans than this many rms of noise is left out.
 OUTLIER_SIGMAS = 4.0
-#: Fewer scans have no median worth the name.
+#: Least number of scans for a usable median.
 MIN_SCANS = 4
 
 
 class BackgroundQuality(msgspec.Struct, frozen=True, kw_only=True):
-    """What a background is worth; powers are per range bin of the plain mean over a beam's chirps, unwindowed."""
+    """Quality of a background; powers are per range bin of the plain mean over a beam's chirps, unwindowed."""
 
     scans: int
     beams: int
-    #: Strongest static bin, where it lies, and what is left of the static power there when the background of one half
-    #: of the scans is taken off the other half; removed is limited by their noise.
+    #: Strongest static bin, its range, and the static power left there when the background of one half of the scans is
+    #: subtracted from the other half; `removed_db` is limited by their noise.
     leakage_dbm: float
     leakage_range_m: float
     left_dbm: float
     removed_db: float
-    #: Noise of one scan, of the background, and what averaging should have made of the first.
+    #: Noise of one scan, of the background, and the noise expected after averaging.
     scan_noise_dbm: float
     noise_dbm: float
     expected_noise_dbm: float
@@ -47,21 +47,21 @@ class BackgroundQuality(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def mean_chirp(beam: RadarBeam) -> np.ndarray:
-    """Mean over a beam's chirps in codes, complex64 [samples]."""
+    """Return the mean over a beam's chirps in codes, complex64 [samples]."""
     sums, _ = fold_chirps(beam.samples, 1)
     mean: np.ndarray = sums.astype(np.float32).view(np.complex64)[0, :, 0] / np.float32(len(beam.samples))
     return mean
 
 
 def background_of(chirps: np.ndarray) -> tuple[np.ndarray, float]:
-    """Background [beams, samples] of mean chirps [scans, beams, samples], and the share of cells left out.
+    """Return the background [beams, samples] of mean chirps [scans, beams, samples], and the share of cells left out.
 
     Works bin by bin of the chirp's spectrum, where a mover is in few cells. Raises ValueError under `MIN_SCANS` scans.
     """
     if len(chirps) < MIN_SCANS:
         raise ValueError(f"a background needs at least {MIN_SCANS} scans, got {len(chirps)}")
     result, left_out = np.empty(chirps.shape[1:], np.complex64), 0
-    # beam by beam: spectra of all would be as large again as the chirps
+    # beam by beam: the spectra of all beams would take as much memory as the chirps
     for beam in range(chirps.shape[1]):
         spectra = fft.fft(chirps[:, beam], axis=1)
         mean, outliers = _robust_mean(spectra)
@@ -71,7 +71,9 @@ def background_of(chirps: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _robust_mean(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """Mean over axis 0 of complex values [N, bins] without those far from their median, and how many those are."""
+    """Return the mean over axis 0 of complex values [N, bins] without those far from their median, and how many
+    those are.
+    """
     median = np.median(values.real, axis=0) + 1j * np.median(values.imag, axis=0)
     off = np.abs(values - median)
     # a bin's own spread where 1/f noise makes it wide, never under that of all: of few scans one bin's says little
@@ -85,13 +87,14 @@ def _robust_mean(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: float) -> BackgroundQuality:
-    """What the background of mean chirps [scans, beams, samples] is worth, judged on scans it was not made of.
+    """Return the quality of the background of mean chirps [scans, beams, samples], measured on scans it was not made
+    from.
 
-    Raises ValueError where the scans are all the same: nothing then tells what is static from noise.
+    Raises ValueError where all scans are the same: static power and noise cannot then be separated.
     """
     scans, beams, samples = chirps.shape
     half, other = _power_scale(setup, chirps[0::2]), _power_scale(setup, chirps[1::2])
-    first, second = (_robust_halves(one) for one in (half, other))
+    first, second = (_robust_halves(spectra) for spectra in (half, other))
     # the product of both halves has no noise of its own: its mean is the static power
     static = np.real(first * np.conj(second))
     beam, bin_ = np.unravel_index(int(np.argmax(static[:, : samples // 2])), (beams, samples // 2))
@@ -117,7 +120,7 @@ def background_quality(chirps: np.ndarray, setup: RadarSetup, outlier_share: flo
 
 
 def _power_scale(setup: RadarSetup, chirps: np.ndarray) -> np.ndarray:
-    """Spectra of mean chirps in sqrt(mW) per bin, complex64 [scans, beams, bins]."""
+    """Return the spectra of mean chirps in sqrt(mW) per bin, complex64 [scans, beams, bins]."""
     scale = math.sqrt(setup.milliwatt_per_code_squared) / chirps.shape[-1]
     spectra: np.ndarray = fft.fft(chirps, axis=-1)
     if setup.beat_sign < 0:
@@ -127,26 +130,29 @@ def _power_scale(setup: RadarSetup, chirps: np.ndarray) -> np.ndarray:
 
 
 def _robust_halves(spectra: np.ndarray) -> np.ndarray:
-    """Robust mean over scans of spectra [scans, beams, bins]."""
+    """Return the robust mean over scans of spectra [scans, beams, bins]."""
     return np.stack([_robust_mean(spectra[:, beam])[0] for beam in range(spectra.shape[1])])
 
 
 def noise_by_scans(spectra: np.ndarray) -> list[tuple[int, float]]:
-    """Noise power per bin of the mean over 1, 2, 4, ... scans of spectra [scans, beams, bins], from differences of
-    neighbouring means: what is static falls out. Median over bins, so that a mover does not set it."""
-    found, count = [], 1
+    """Return the noise power per bin of the mean over 1, 2, 4, ... scans of spectra [scans, beams, bins], from
+    differences of neighbouring means: what is static falls out.
+
+    Median over bins, so that a mover does not set it.
+    """
+    powers, count = [], 1
     while 2 * count <= len(spectra):
         pairs = len(spectra) // (2 * count)
         means = spectra[: pairs * 2 * count].reshape(pairs, 2, count, *spectra.shape[1:]).mean(axis=2)
         power = np.abs(means[:, 0] - means[:, 1]) ** 2
         # |difference|^2 has twice the noise power; the median of an exponential is ln 2 of its mean
-        found.append((count, float(np.median(power) / (2.0 * math.log(2.0)))))
+        powers.append((count, float(np.median(power) / (2.0 * math.log(2.0)))))
         count *= 2
-    return found
+    return powers
 
 
 def load_background(path: Path) -> np.ndarray:
-    """The background [beams, samples] of a file; `ValueError` naming file and rule where it holds none."""
+    """Return the background [beams, samples] of a file; `ValueError` naming file and rule where it holds none."""
     try:
         background = load_array(path)
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""From a few steered beams to many azimuths through the co-array.
+"""Interpolation from a few steered beams to many azimuths through the co-array.
 
 An N-column array that steers transmit and receive alike forms two-way beams that live in 2N - 1 co-array coefficients:
 y_k = sum_m conj(W_km) x_m, W the two-way weights, x_m = sum_targets a exp(-j k d (m - N + 1) sin(azimuth)) in the
@@ -14,8 +14,9 @@ else holds with them. Its one-way pattern changes sign, but the square of it is 
 fails, powers are interpolated instead of magnitudes.
 
 A digital array has as many orthogonal beams as columns: the inversion is then a change of basis, exact and with the
-noise of a beam in every cell. Nothing is left over to test coherence with, nor need be, as all beams are of one time.
-No other beam sees where one is missing. Powers have 2N - 1 coefficients, so that an echo between two beams keeps only
+noise of a beam in every cell. No residual is left to test coherence, and none is needed, because all beams are of one
+time. No other beam covers the direction of a missing one. Powers have 2N - 1 coefficients, so that an echo between two
+beams keeps only
 what the better one holds of it (down to -3.9 dB) wherever magnitudes are asked for.
 """
 
@@ -33,24 +34,24 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 
 #: Ridges, relative to the largest singular value squared, from exact to safe; a complete scan takes the first.
 _RIDGES = (1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 1e-1)
-#: Largest noise power of an interpolated cell relative to a beam's: gaps left by missing beams must not shout.
+#: Largest noise power of an interpolated cell relative to a beam's: it bounds the noise in gaps left by missing beams.
 _NOISE_GAIN_LIMIT = 2.5
-#: Ridge where every range bin has its own beam azimuths and none can be tuned for itself.
+#: Ridge for range bins with beam azimuths of their own, which cannot be tuned one by one.
 _MOVING_RIDGE = 1e-3
-#: Sets of missing beams whose matrices are kept: there are as many as subsets.
-_MOST_INVERSES = 64
-#: Beams times coefficients of magnitudes, which each range bin has anew on the move. The 77 GHz radar has 6,441; with
-#: so many a scan takes a second.
-MOST_TERMS = 1 << 14
-#: Beams that looked no further from their steering angle than this looked there: an eighth of a cell.
+#: Number of sets of missing beams whose matrices are cached: there are as many sets as subsets of the beams.
+_MAX_INVERSES = 64
+#: Largest number of beams times coefficients of magnitudes, which each range bin solves separately on a moving vehicle.
+#: The 77 GHz radar has 6,441; at the limit a scan takes a second.
+MAX_TERMS = 1 << 14
+#: Beams that looked no further from their steering angle than this count as looking there: an eighth of a cell.
 _STILL_RAD = 1e-3
 
 
 class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the beams of a range bin do not fit one coherent scene: both limits of the fit residual exceeded.
+    """Test for range bins whose beams do not fit one coherent scene: the fit residual exceeds both limits.
 
     At the defaults, beams 12 ms apart: movers of 0.3 m/s are found in 6 % of cases at 10 dB over a beam's noise, 70 %
-    at 15 dB and all at 20 dB; 0.6 m/s in 77 % and all; 0.1 m/s from 30 dB on, where it begins to do harm. Multiples
+    at 15 dB and all at 20 dB; 0.6 m/s in 77 % and all; 0.1 m/s from 30 dB on, where it begins to matter. Multiples
     of lambda / 2 a beam interval (1.249 m/s) turn whole circles: neither found nor harmful.
     """
 
@@ -65,9 +66,10 @@ class CoherenceTest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         require_positive("coherence.model_error", self.model_error)
 
 
-#: A beam sees this many beam spacings to either side: one missing beam leaves no gap, three in a row do.
+#: A beam covers this many beam spacings to either side: one missing beam leaves no gap, three in a row do.
 SEEN_SPACINGS = 1.5
-#: A digital array, whose beams have no such overlap, sees where its beams hold this share of an echo's field.
+#: A digital array, whose beams have no such overlap, covers azimuths where its beams hold this share of an echo's
+#: field.
 SEEN_SHARE = 0.5
 
 
@@ -78,7 +80,7 @@ class _Inverse:
     #: Beams to azimuths, complex64 [beams, azimuth], and to the coefficients between, complex64 [beams, 2N-1].
     coherent: np.ndarray
     coefficients: np.ndarray
-    #: Beams to what the fit leaves over, complex64 [beams, beams].
+    #: Beams to the residual of the fit, complex64 [beams, beams].
     residual: np.ndarray
     #: Complex degrees of freedom of the residual.
     freedom: float
@@ -86,27 +88,29 @@ class _Inverse:
     magnitude: np.ndarray
     #: Mean noise power of a cell relative to a beam's.
     noise_gain: float
-    #: What the coherent fit makes of an echo in its own cell, relative to its field; float64 [azimuth].
+    #: Share of an echo's field that the coherent fit gives in its own cell; float64 [azimuth].
     share: np.ndarray
 
 
 def require_bearable(setup: RadarSetup) -> None:
-    """Raise `ValueError` for a set-up whose scans would take too long to form."""
+    """Raise `ValueError` for a set-up whose maps would take too long to form."""
     beams, coefficients = len(setup.beams), 2 * setup.array.columns - 1
-    if beams * coefficients > MOST_TERMS:
+    if beams * coefficients > MAX_TERMS:
         raise ValueError(
-            f"setup must have at most {MOST_TERMS} beams times (2 columns - 1), "
+            f"setup must have at most {MAX_TERMS} beams times (2 columns - 1), "
             f"got {beams} beams and {setup.array.columns} columns"
         )
 
 
 def peak_field(setup: RadarSetup) -> float:
-    """What an ideal beam steered at a unit echo holds, power normalised: N, or sqrt(N) one way."""
+    """Return the field of an ideal beam steered at a unit echo, power normalised: N, or sqrt(N) one way."""
     return float(setup.array.columns) ** (0.5 * setup.array.steered_ways)
 
 
 def coefficient_phases(setup: RadarSetup) -> np.ndarray:
-    """Phase k d p of each co-array coefficient per unit of sin(azimuth), centred; float64 [2N-1], or [N] one way."""
+    """Return the phase k d p of each co-array coefficient per unit of sin(azimuth), centred; float64 [2N-1], or [N]
+    one way.
+    """
     columns, wavelength_m = setup.array.columns, setup.radar.wavelength_m
     reach = 0.5 * setup.array.steered_ways * (columns - 1)
     step_rad = 2.0 * np.pi / wavelength_m * setup.array.column_spacing(wavelength_m)
@@ -114,7 +118,9 @@ def coefficient_phases(setup: RadarSetup) -> np.ndarray:
 
 
 def beam_matrix(setup: RadarSetup) -> np.ndarray:
-    """Co-array coefficients to beams, with the weights as set; complex128 [beams, 2N-1], or [beams, N] one way."""
+    """Return the co-array coefficients to beams, with the weights as set; complex128 [beams, 2N-1], or [beams, N]
+    one way.
+    """
     weights = setup_weights(setup)
     if setup.array.steered_ways == 2:
         weights = coarray_weights(weights)
@@ -122,7 +128,9 @@ def beam_matrix(setup: RadarSetup) -> np.ndarray:
 
 
 def ideal_beams(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Co-array coefficients to ideal beams at any azimuths [...]; complex128 [..., 2N-1], or [..., N] one way."""
+    """Return the co-array coefficients to ideal beams at any azimuths [...]; complex128 [..., 2N-1], or [..., N] one
+    way.
+    """
     if setup.array.steered_ways == 2:
         return _ideal_two_way(setup, azimuth_rad)
     steering = np.exp(1j * np.multiply.outer(np.sin(azimuth_rad), coefficient_phases(setup)))
@@ -130,7 +138,7 @@ def ideal_beams(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
 
 
 def _ideal_two_way(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
-    """Ideal two-way beams, which are the squares of one-way ones as well; complex128 [..., 2N-1]."""
+    """Return the ideal two-way beams, which are the squares of one-way ones as well; complex128 [..., 2N-1]."""
     columns = setup.array.columns
     wavelength_m = setup.radar.wavelength_m
     step_rad = 2.0 * np.pi / wavelength_m * setup.array.column_spacing(wavelength_m)
@@ -162,7 +170,7 @@ class AzimuthInterpolator:
 
     @property
     def coherent_matrix(self) -> np.ndarray:
-        """What takes the profiles of all beams to the azimuths of a coherent scene, complex [beams, azimuths]."""
+        """Matrix from the profiles of all beams to the azimuths of a coherent scene, complex [beams, azimuths]."""
         return self._inverse(()).coherent
 
     @cached_property
@@ -178,10 +186,11 @@ class AzimuthInterpolator:
         missing: tuple[int, ...] = (),
         look_azimuth_rad: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Complex64 [range, azimuth] of beam profiles complex64 [beams, range], and bool [range]: magnitudes only.
+        """Return the complex64 [range, azimuth] of beam profiles complex64 [beams, range], and bool [range]:
+        magnitudes only.
 
-        `noise_power_mw` is a beam's noise per bin. Rows of `missing` beams are not looked at. `look_azimuth_rad`
-        [beams, range] says where each beam looked as seen from the map's pose, where that is not its steering angle.
+        `noise_power_mw` is a beam's noise per bin. Rows of `missing` beams are not used. `look_azimuth_rad` [beams,
+        range] is the azimuth at which each beam looked, seen from the map's pose, where that is not its steering angle.
         """
         require_array("profiles", profiles, "<c8", (len(self.setup.beams), None))
         inverse = self._inverse(missing)
@@ -204,7 +213,9 @@ class AzimuthInterpolator:
     def interpolate_magnitude(
         self, magnitudes: np.ndarray, missing: tuple[int, ...] = (), look_azimuth_rad: np.ndarray | None = None
     ) -> np.ndarray:
-        """Magnitudes float32 [range, azimuth] of beam magnitudes float32 [beams, range]; arguments as above."""
+        """Return the magnitudes float32 [range, azimuth] of beam magnitudes float32 [beams, range]; arguments as
+        above.
+        """
         present = self._present(missing)
         looks = None if look_azimuth_rad is None else look_azimuth_rad[present]
         values = self._magnitudes(np.ascontiguousarray(magnitudes[present].T), self._inverse(missing), looks)
@@ -212,24 +223,24 @@ class AzimuthInterpolator:
         return values
 
     def noise_gain(self, missing: tuple[int, ...] = ()) -> float:
-        """Mean noise power of a coherent cell relative to a beam's (0.58 with all of the default beams)."""
+        """Return the mean noise power of a coherent cell relative to a beam's (0.58 with all of the default beams)."""
         return self._inverse(missing).noise_gain
 
     def _unseen(self, missing: tuple[int, ...]) -> np.ndarray:
-        """Azimuths [azimuth] that beams should have seen but for the missing ones: there the fit would be invention."""
+        """Return the azimuths [azimuth] that only missing beams cover: the fit has no data there; bool."""
         if self.setup.array.digital:
             return (self._inverse(()).share >= SEEN_SHARE) & (self._inverse(missing).share < SEEN_SHARE)
         reach_rad = SEEN_SPACINGS * np.median(np.diff(np.sort(self.setup.beams.azimuth_rad), prepend=-np.pi))
         distance_rad = np.abs(self.grid.azimuth_rad[:, None] - self.setup.beams.azimuth_rad)
-        seen, meant = (distance_rad[:, beams] <= reach_rad for beams in (self._present(missing), slice(None)))
-        return meant.any(axis=1) & ~seen.any(axis=1)
+        covered, nominal = (distance_rad[:, beams] <= reach_rad for beams in (self._present(missing), slice(None)))
+        return nominal.any(axis=1) & ~covered.any(axis=1)
 
     def _present(self, missing: tuple[int, ...]) -> list[int]:
         return [beam for beam in range(len(self.setup.beams)) if beam not in missing]
 
     def _inverse(self, missing: tuple[int, ...]) -> _Inverse:
         if missing not in self._inverses:
-            if len(self._inverses) >= _MOST_INVERSES:
+            if len(self._inverses) >= _MAX_INVERSES:
                 del self._inverses[next(iter(self._inverses))]
             present = self._present(missing)
             self._inverses[missing] = _invert(
@@ -239,8 +250,10 @@ class AzimuthInterpolator:
         return self._inverses[missing]
 
     def _incoherent(self, beams: np.ndarray, inverse: _Inverse, noise_power_mw: float) -> np.ndarray:
-        """Bins [range] whose residual noise cannot explain, nor errors of the model; none without freedom to test."""
-        # here: a detector knows arrays, but forms no maps
+        """Return the bins [range] whose residual neither noise nor model errors explain; none without degrees of
+        freedom.
+        """
+        # imported here: a detector uses arrays, but forms no maps
         from scipy.special import gammainccinv
 
         if inverse.freedom < 1.0:
@@ -250,21 +263,23 @@ class AzimuthInterpolator:
         return (left_over > noise_limit) & (left_over > self.coherence.model_error * _energy(beams))
 
     def _steered_at(self, looks: np.ndarray, present: list[int]) -> np.ndarray | None:
-        """Where a beam that looked at each azimuth of the map was steered, [range, azimuth], from the looks of the
-        present beams [beams, range]; None where they looked where they were steered."""
+        """Return where a beam that looked at each azimuth of the map was steered, [range, azimuth], from the looks of
+        the present beams [beams, range]; None where they looked where they were steered."""
         beam_rad, grid_rad = self.setup.beams.azimuth_rad[present], self.grid.azimuth_rad
         off_rad = (looks - beam_rad[:, None]).T
         if np.abs(off_rad).max(initial=0.0) <= _STILL_RAD:
             return None
         order = np.argsort(beam_rad, kind="stable")
-        between = np.stack([np.interp(grid_rad, beam_rad[order], one) for one in np.eye(len(order))])
+        between = np.stack([np.interp(grid_rad, beam_rad[order], unit) for unit in np.eye(len(order))])
         off_rad = off_rad[:, order] @ between
         # one Newton step of steered + off(steered) = azimuth: exact while off is linear, as under a steady turn
         slope = np.gradient(off_rad, grid_rad, axis=1)
         return np.asarray(grid_rad - off_rad / np.clip(1.0 + slope, 0.5, 2.0))
 
     def _steered(self, coefficients: np.ndarray, azimuth_rad: np.ndarray) -> np.ndarray:
-        """Ideal beams of coefficients [range, 2N-1], each range at azimuths of its own [range, azimuth]; complex64."""
+        """Return the ideal beams of coefficients [range, 2N-1], each range at azimuths of its own [range, azimuth];
+        complex64.
+        """
         first, second = coefficient_phases(self.setup)[:2].tolist()
         sine = np.sin(azimuth_rad.astype(np.float32))
         turn = np.exp(1j * (second - first) * sine)
@@ -276,7 +291,7 @@ class AzimuthInterpolator:
         return np.asarray(values * np.exp(1j * first * sine))
 
     def _magnitudes(self, magnitudes: np.ndarray, inverse: _Inverse, looks: np.ndarray | None) -> np.ndarray:
-        """Least squares on magnitudes [range, beams], on their squares one way, not below zero."""
+        """Return the least squares on magnitudes [range, beams], on their squares one way, not below zero."""
         one_way = self.setup.array.steered_ways == 1
         spanned = magnitudes**2 if one_way else magnitudes
         if looks is None:
@@ -288,7 +303,7 @@ class AzimuthInterpolator:
 
 
 def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray, np.ndarray]) -> _Inverse:
-    """Both inverses from the beams [beams, coefficients] and the steering [azimuth, coefficients] of each."""
+    """Return both inverses from the beams [beams, coefficients] and the steering [azimuth, coefficients] of each."""
     beams, steering = fields
     coherent, back = _ridge_inverse(*fields)
     residual = np.eye(len(beams)) - beams @ back
@@ -304,13 +319,15 @@ def _invert(fields: tuple[np.ndarray, np.ndarray], magnitudes: tuple[np.ndarray,
     )
 
 
-def _share(seen: np.ndarray, steering: np.ndarray) -> np.ndarray:
-    """How much of the wanted steering [azimuth, coefficients] the one arrived at holds, [azimuth]."""
-    return np.abs(np.sum(seen * steering.conj(), axis=1)) / np.sum(np.abs(steering) ** 2, axis=1)
+def _share(achieved: np.ndarray, steering: np.ndarray) -> np.ndarray:
+    """Return how much of the wanted steering [azimuth, coefficients] the one arrived at holds, [azimuth]."""
+    return np.abs(np.sum(achieved * steering.conj(), axis=1)) / np.sum(np.abs(steering) ** 2, axis=1)
 
 
 def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Beams to azimuths [azimuth, beams] and to coefficients [2N-1, beams], at the least ridge noise allows."""
+    """Return the beams to azimuths [azimuth, beams] and to coefficients [2N-1, beams], at the least ridge noise
+    allows.
+    """
     largest = np.linalg.norm(beams, 2) ** 2 if len(beams) else 1.0
     gram = beams.conj().T @ beams
     for ridge in _RIDGES:
@@ -322,7 +339,8 @@ def _ridge_inverse(beams: np.ndarray, steering: np.ndarray) -> tuple[np.ndarray,
 
 
 def _solve_each(beams: np.ndarray, magnitudes: np.ndarray) -> np.ndarray:
-    """Coefficients [range, 2N-1] of magnitudes [range, beams], each bin with its own matrix [range, beams, 2N-1].
+    """Return the coefficients [range, 2N-1] of magnitudes [range, beams], each bin with its own matrix [range, beams,
+    2N-1].
 
     B' (B B' + r)^-1 = (B' B + r)^-1 B': the smaller of the two is solved.
     """
@@ -338,7 +356,7 @@ def _solve_each(beams: np.ndarray, magnitudes: np.ndarray) -> np.ndarray:
 
 
 def _energy(rows: np.ndarray) -> np.ndarray:
-    """Sum of |value|^2 of each row, float64."""
+    """Return the sum of |value|^2 of each row, float64."""
     return np.einsum("rb,rb->r", rows.real, rows.real, dtype=np.float64) + np.einsum(
         "rb,rb->r", rows.imag, rows.imag, dtype=np.float64
     )

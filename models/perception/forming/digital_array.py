@@ -1,7 +1,7 @@
 """Range-azimuth forming for digital arrays: every virtual channel is sampled, beams are formed afterwards.
 
-Transmitters may take turns (TDM): a mover's phase then runs on from slot to slot and is turned back, Doppler bin by
-Doppler bin, before the channels are added up. A cell of the map shows its strongest Doppler bin, and its speed beside.
+Transmitters may take turns (TDM): a mover's phase then advances from slot to slot. It is turned back, Doppler bin by
+Doppler bin, before the channels are added. A cell of the map shows its strongest Doppler bin, and its speed beside.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class DigitalArrayParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     chirp_interval_s: float = 92e-6
     #: TDM slot in which each virtual channel's transmitter sends.
     channel_slot: tuple[int, ...] = (0, 0, 0, 0, 1, 1, 1, 1)
-    #: Place of each virtual channel along +y (left); two-way phases count each metre once.
+    #: Position of each virtual channel along +y (left); two-way phases count each metre once.
     channel_y_m: tuple[float, ...] = tuple(0.5 * SPEED_OF_LIGHT_MPS / 78.956e9 * n for n in range(8))
     #: Beat frequency of zero range (boards that offset their intermediate frequency).
     beat_offset_hz: float = 0.0
@@ -71,11 +71,11 @@ class DigitalArrayParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
         return self.chirp_interval_s * (max(self.channel_slot) + 1)
 
     def range_bin_m(self, samples: int) -> float:
-        """Range spacing of the FFT of so many samples."""
+        """Return the range spacing of the FFT of so many samples."""
         return SPEED_OF_LIGHT_MPS * self.sample_rate_hz / (2.0 * self.chirp_slope_hz_per_s * samples)
 
     def closing_speed_mps(self, chirps: int) -> np.ndarray:
-        """Closing speed of each Doppler bin, zero first, then receding, then closing; [chirps].
+        """Return the closing speed of each Doppler bin, zero first, then receding, then closing; [chirps].
 
         A closing target shortens its path, so its recorded beat turns backwards from chirp to chirp.
         """
@@ -93,7 +93,8 @@ class DigitalArrayMap:
 
 
 def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray:
-    """Spectra complex64 [Doppler, channels, range] in sqrt(mW), TDM phases turned back, of unit coherent gain.
+    """Return the spectra complex64 [Doppler, channels, range] in sqrt(mW), TDM phases turned back, of unit coherent
+    gain.
 
     `samples` complex64 [chirps, channels, samples], a chirp of every transmitter counted once. Raises `ValueError`
     where there are none or one is not finite.
@@ -101,7 +102,7 @@ def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray
     require_array("samples", samples, "<c8", (None, len(params.channel_slot), None))
     if 0 in samples.shape:
         raise ValueError(f"samples must hold at least one chirp and one sample, got {samples.shape}")
-    # the transforms would spread a single one over every cell
+    # the transforms would spread a single bad value over every cell
     if not np.isfinite(samples).all():
         raise ValueError(f"samples must be finite, got {np.count_nonzero(~np.isfinite(samples))} that are not")
     series = samples.conj() if params.beat_sign < 0 else samples
@@ -122,7 +123,7 @@ def range_doppler(samples: np.ndarray, params: DigitalArrayParams) -> np.ndarray
 
 
 def _window(count: int, name: str) -> np.ndarray:
-    """Periodic window of unit mean whose spectrum is the named taps; a single value stays as it is."""
+    """Return the periodic window of unit mean whose spectrum is the named taps; a single value stays as it is."""
     taps = WINDOW_TAPS[name]
     if count < len(taps):
         return np.ones(count)
@@ -138,7 +139,8 @@ def form_digital_map(
     stamp_ns: int = 0,
     scan_id: int = 0,
 ) -> DigitalArrayMap:
-    """Map of one burst, complex64 [chirps, channels, samples]; cells hold the mean over channels steered at them.
+    """Return the map of one burst, complex64 [chirps, channels, samples]; cells hold the mean over channels steered at
+    them.
 
     Raises `ValueError` unless the grid's range bins are those of the samples and no more than there are.
     """
@@ -172,12 +174,16 @@ def form_digital_map(
 
 
 def _steering(params: DigitalArrayParams, grid: RangeAzimuthGrid) -> np.ndarray:
-    """Channels to azimuths, complex64 [channels, azimuth]; recorded phases are conjugate, exp(-j k y sin(azimuth))."""
+    """Return the channels to azimuths, complex64 [channels, azimuth]; recorded phases are conjugate, exp(-j k y
+    sin(azimuth)).
+    """
     turns = np.multiply.outer(np.array(params.channel_y_m) / params.wavelength_m, np.sin(grid.azimuth_rad))
     return (np.exp(2j * np.pi * turns) / len(turns)).astype(np.complex64)
 
 
 def _noise_power_mw(spectra: np.ndarray) -> float:
-    """Noise of a steered cell before its Doppler bin is chosen: median over cells, exponential, mean of channels."""
+    """Return the noise of a steered cell before its Doppler bin is chosen: median over cells, exponential, mean of
+    channels.
+    """
     channels = spectra.shape[1]
     return float(np.median(spectra.real**2 + spectra.imag**2) / np.log(2.0) / channels)

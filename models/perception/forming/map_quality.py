@@ -1,6 +1,6 @@
-"""What a scan says of its own hardware: checks that need no truth, each on what folding leaves over anyway.
+"""Hardware checks from a scan itself: none needs truth, each uses results that folding leaves anyway.
 
-Severities at which each speaks, and false alarms over clean scenes: docs/robustness.md.
+Severities at which each check reports, and false alarms over clean scenes: docs/explain/faults.md.
 """
 
 from __future__ import annotations
@@ -9,16 +9,16 @@ import numpy as np
 
 from msgs.values.units import ratio_from_db
 
-#: Codes of a chirp that are looked at to tell whether it was lost.
+#: Number of codes of a chirp that are inspected to detect a lost chirp.
 _LOOKED_AT = 128
 #: Range bins this near hold the transmitter's leakage, which fills all beams by nature.
 _NEAR_BINS = 4
 #: A silent beam's mean power stays under the first over at least so many bins in which some beam is over the second:
-#: the side lobes of echoes this loud bring every live beam to 17 dB (docs/robustness.md). Their echoes must come from
+#: the side lobes of echoes this loud bring every live beam to 17 dB (docs/explain/faults.md). Their echoes come from
 #: so many directions: a lone one has nulls.
 _SILENT_DB, _LOUD_DB, _LOUD_BINS, _LOUD_DIRECTIONS = 5.0, 40.0, 8, 4
-#: A beam's noise over that of the others from which it is better left out.
-_DROWNED_DB = 6.0
+#: Noise of a beam over the median of all beams from which the beam is left out.
+_INTERFERED_DB = 6.0
 #: A spur stands this far over the noise in every beam, within this spread; echoes differ by 26 dB and more.
 _SPUR_DB, _SPUR_SPREAD_DB = 15.0, 8.0
 #: Ranges whose echoes count for the array check, and how many it needs.
@@ -28,13 +28,17 @@ ARRAY_LIMIT = 0.12
 
 
 def lost_chirps(samples: np.ndarray) -> int:
-    """Chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise alone never is all zeros."""
+    """Return the chirps of int16 codes [chirps, samples, 2] that a link filled with zeros: noise alone never is all
+    zeros.
+    """
     step = max(samples.shape[1] // _LOOKED_AT, 1)
     return int(np.count_nonzero(~samples[:, ::step].any(axis=(1, 2))))
 
 
 def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
-    """Beams that hold noise alone where others hear loud echoes; bool [beams] of profiles complex [beams, range]."""
+    """Return the beams that hold noise alone where others hear loud echoes; bool [beams] of profiles complex [beams,
+    range].
+    """
     power = _power(profiles[:, _NEAR_BINS:])
     loud = power.max(axis=0, initial=0.0) > ratio_from_db(_LOUD_DB) * noise_power_mw
     if np.count_nonzero(loud) < _LOUD_BINS or len(np.unique(power[:, loud].argmax(axis=0))) < _LOUD_DIRECTIONS:
@@ -42,28 +46,31 @@ def silent_beams(profiles: np.ndarray, noise_power_mw: float) -> np.ndarray:
     return np.asarray(power[:, loud].mean(axis=1) < ratio_from_db(_SILENT_DB) * noise_power_mw)
 
 
-def drowned_beams(noise_power_mw: np.ndarray) -> np.ndarray:
-    """Beams far noisier than most, bool [beams] of the noise of each, nan for those that never came.
+def interfered_beams(noise_power_mw: np.ndarray) -> np.ndarray:
+    """Return the beams with interference, bool [beams] of the noise of each (nan for missing beams).
 
-    Only those between two others that are neither: the neighbours must see in their place.
+    An interfered beam is far noisier than the median and lies between two beams that are neither noisy nor missing: the
+    neighbours must cover its direction.
     """
-    loud = noise_power_mw > ratio_from_db(_DROWNED_DB) * np.nanmedian(noise_power_mw)
+    loud = noise_power_mw > ratio_from_db(_INTERFERED_DB) * np.nanmedian(noise_power_mw)
     useless = np.pad(loud | np.isnan(noise_power_mw), 1)
     return np.asarray(loud & ~useless[:-2] & ~useless[2:])
 
 
 def has_spurs(profiles: np.ndarray, noise_power_mw: float) -> bool:
-    """Whether a range bin beyond the near ones is about equally full in every beam [beams, range]: no echo is."""
+    """Return whether a range bin beyond the near ones is about equally full in every beam [beams, range]: no echo
+    is.
+    """
     power = _power(profiles[:, _NEAR_BINS:])
     if len(power) < 3 or not noise_power_mw > 0.0:
         return False
-    least, most = power.min(axis=0), power.max(axis=0)
+    least, largest = power.min(axis=0), power.max(axis=0)
     full = least > ratio_from_db(_SPUR_DB) * noise_power_mw
-    return bool((full & (most < ratio_from_db(_SPUR_SPREAD_DB) * least)).any())
+    return bool((full & (largest < ratio_from_db(_SPUR_SPREAD_DB) * least)).any())
 
 
 def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:
-    """How far the array is from what its set-up says; zero without enough ranges to tell.
+    """Return the deviation of the array from its set-up; zero where too few ranges are usable.
 
     `coefficients` complex [range, 2N-1] of the co-array. An echo alone at its range has a[k] exp(j k u): in
     c[k+1] c[k-1] / c[k]^2 neither its strength nor its direction is left, only what gains and phases of the columns
@@ -82,7 +89,7 @@ def array_deviation(coefficients: np.ndarray, noise_power_mw: float) -> float:
 
 
 def _level(values: np.ndarray) -> np.ndarray:
-    """Logarithm of magnitudes; that of nothing is far down, not infinite."""
+    """Return the logarithm of magnitudes; that of nothing is far down, not infinite."""
     return np.log(np.maximum(np.abs(values), np.finfo(np.float32).tiny))
 
 

@@ -20,7 +20,7 @@ from scipy.special import gammaincinv
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
 from msgs.values.units import BOLTZMANN_J_PER_K, REFERENCE_TEMPERATURE_K, db_from_ratio
 
-#: Fewer chirps leave no bins between the echoes.
+#: Least number of chirps that leaves bins between the echoes.
 MIN_CHIRPS = 8
 #: Share of the bins between two multiples of 1 / T_c left to what moves, to either side of each: 10 bins of 128
 #: chirps, up to 215 m/s at 10 GHz.
@@ -29,7 +29,7 @@ _GUARD_SHARE = 0.08
 SPUR_DB = 15.0
 #: Bands of frequency in which the floor is read, to either sign; a factor each.
 _BANDS = 24
-#: Most tones that are named, strongest first.
+#: Largest number of tones that are reported, strongest first.
 MAX_SPURS = 16
 
 
@@ -50,11 +50,11 @@ class FoundSpur(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NoiseFloor(msgspec.Struct, frozen=True, kw_only=True):
-    """What a receiver hears of itself."""
+    """Noise floor of a receiver."""
 
     scans: int
     beams: int
-    #: White noise: over the sampled band, per Hann-windowed range bin of a beam, and what it is as a noise figure.
+    #: White noise: over the sampled band, per Hann-windowed range bin of a beam, and as a noise figure.
     power_dbm: float
     bin_dbm: float
     noise_figure_db: float
@@ -105,7 +105,7 @@ class NoiseMeter:
         self._scans.add(beam.scan_id)
 
     def result(self) -> NoiseFloor:
-        """The floor of all beams so far; ValueError before the first or where nothing is heard."""
+        """Return the floor of all beams so far; ValueError before the first or where nothing is heard."""
         total, number = self._white
         if not number.any():
             raise ValueError("noise needs at least one beam, got none")
@@ -115,7 +115,7 @@ class NoiseMeter:
         radar, beams = self._setup.radar, int(number.sum())
         frequency_hz, power_mw = _bands(radar, self._power / beams, self._between, beams)
         white_mw, corner_hz = _fit(radar, frequency_hz, power_mw)
-        beam_dbm = tuple(db_from_ratio(float(one)) for one in beam_mw)
+        beam_dbm = tuple(db_from_ratio(float(power)) for power in beam_mw)
         modelled = white_mw * (1.0 + corner_hz / np.maximum(frequency_hz, 1.0 / radar.beam_duration_s))
         off_db = 10.0 * np.log10(power_mw / modelled)
         per_bin = 1.5 / self._count
@@ -143,12 +143,12 @@ class NoiseMeter:
 
 
 def noise_figure_db(radar: RadarParams, power_mw: float) -> float:
-    """F of a noise power over the sampled band: power / (k T0 f_s), in dB."""
+    """Return the F of a noise power over the sampled band: power / (k T0 f_s), in dB."""
     return db_from_ratio(power_mw / (1e3 * BOLTZMANN_J_PER_K * REFERENCE_TEMPERATURE_K * radar.sample_rate_hz))
 
 
 def _between_echoes(radar: RadarParams) -> np.ndarray:
-    """Bins of a whole beam's spectrum away from the multiples of 1 / T_c, bool [chirps * samples]."""
+    """Return the bins of a whole beam's spectrum away from the multiples of 1 / T_c, bool [chirps * samples]."""
     chirps = radar.chirps_per_beam
     off = np.arange(chirps * radar.samples_per_chirp) % chirps
     off = np.minimum(off, chirps - off)
@@ -156,12 +156,13 @@ def _between_echoes(radar: RadarParams) -> np.ndarray:
 
 
 def _median_mean(power: np.ndarray, averages: int = 1) -> float:
-    """Mean power of noise from the median of `averages`-fold periodograms: tones do not set it."""
+    """Return the mean power of noise from the median of `averages`-fold periodograms: tones do not set it."""
     return float(np.median(power)) * averages / float(gammaincinv(averages, 0.5))
 
 
 def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages: int) -> tuple[np.ndarray, np.ndarray]:
-    """Frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs; [bands].
+    """Return the frequencies [Hz] and powers per sample band of logarithmic bands of a mean periodogram, both signs;
+    [bands].
 
     Raises ValueError where the beams are too short to fill a band.
     """
@@ -169,23 +170,23 @@ def _bands(radar: RadarParams, power: np.ndarray, between: np.ndarray, averages:
     lowest = 3.0 / radar.beam_duration_s
     edges = np.geomspace(lowest, 0.5 * radar.sample_rate_hz, _BANDS + 1)
     order = np.digitize(frequency_hz, edges) - 1
-    found = []
+    bands = []
     for band in range(_BANDS):
-        mine = between & (order == band)
-        if mine.sum() >= 8:
+        in_band = between & (order == band)
+        if in_band.sum() >= 8:
             # tones and movers are few: the median does not see them
-            found.append((float(np.exp(np.log(frequency_hz[mine]).mean())), _median_mean(power[mine], averages)))
-    if not found:
+            bands.append((float(np.exp(np.log(frequency_hz[in_band]).mean())), _median_mean(power[in_band], averages)))
+    if not bands:
         raise ValueError(
             f"noise is read in bands of at least 8 bins: beams of {radar.chirps_per_beam} chirps of "
             f"{radar.samples_per_chirp} samples are too short"
         )
-    band_hz, power_mw = np.array(found).T
+    band_hz, power_mw = np.array(bands).T
     return band_hz, power_mw
 
 
 def _fit(radar: RadarParams, frequency_hz: np.ndarray, power_mw: np.ndarray) -> tuple[float, float]:
-    """White power over the sampled band and corner frequency that fit the bands best in dB, robustly."""
+    """Return the white power over the sampled band and corner frequency that fit the bands best in dB, robustly."""
     low_hz = 1.0 / radar.beam_duration_s
     start = math.log(float(np.median(power_mw))), math.log(low_hz)
 
@@ -193,14 +194,14 @@ def _fit(radar: RadarParams, frequency_hz: np.ndarray, power_mw: np.ndarray) -> 
         modelled = values[0] + np.log1p(np.exp(values[1]) / np.maximum(frequency_hz, low_hz))
         return np.asarray((np.log(power_mw) - modelled) * 10.0 / math.log(10.0))
 
-    found = least_squares(off_db, start, loss="soft_l1", f_scale=0.3).x
-    corner_hz = float(np.exp(found[1]))
+    solution = least_squares(off_db, start, loss="soft_l1", f_scale=0.3).x
+    corner_hz = float(np.exp(solution[1]))
     # the lowest bands hold few bins: a corner that lifts them by less than 1.5 dB may be their scatter
-    return float(np.exp(found[0])), corner_hz if corner_hz > 0.4 * frequency_hz[0] else 0.0
+    return float(np.exp(solution[0])), corner_hz if corner_hz > 0.4 * frequency_hz[0] else 0.0
 
 
 def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign: int) -> tuple[FoundSpur, ...]:
-    """Tones between the echoes that stand out of the floor about them, strongest first."""
+    """Return the tones between the echoes that stand out of the floor about them, strongest first."""
     blocks = power.reshape(-1, 2 * radar.chirps_per_beam)
     floor = np.repeat(np.median(blocks, axis=1), blocks.shape[1])
     loud = between & (power > floor * 10.0 ** (SPUR_DB / 10.0))
@@ -208,15 +209,15 @@ def _spurs(radar: RadarParams, power: np.ndarray, between: np.ndarray, beat_sign
     bins = np.flatnonzero(loud)
     bins = bins[np.argsort(-power[bins], kind="stable")]
     kept: list[int] = []
-    for one in bins.tolist():
+    for bin_ in bins.tolist():
         # a Hann window's lobe, and the skirt of a strong tone
-        if all(abs(one - other) > 16 for other in kept) and len(kept) < MAX_SPURS:
-            kept.append(one)
-    return tuple(_spur_at(radar, power, one, beat_sign) for one in kept)
+        if all(abs(bin_ - earlier) > 16 for earlier in kept) and len(kept) < MAX_SPURS:
+            kept.append(bin_)
+    return tuple(_spur_at(radar, power, bin_, beat_sign) for bin_ in kept)
 
 
 def _spur_at(radar: RadarParams, power: np.ndarray, at: int, beat_sign: int) -> FoundSpur:
-    """Frequency below the bin and power of the tone whose lobe peaks at a bin."""
+    """Return the frequency below the bin and power of the tone whose lobe peaks at a bin."""
     count = len(power)
     around = np.arange(at - 4, at + 5) % count
     lobe = power[around]

@@ -1,12 +1,13 @@
 """Photon histograms of a single-photon LiDAR on the radar's range-azimuth grid: counts, and excess over ambient light.
 
-What is expected of ambient light alone is reckoned from the periods that still wait at a bin, so that pile-up needs no
-inverse: of W waiting periods a bin takes a binomial share, and what successive bins deviate from theirs is
-uncorrelated. Sums over range cells have the variance of the sum, whatever stands in front.
+The expected counts of ambient light alone follow from the periods that still wait at a bin, so that pile-up needs no
+inverse: of W waiting periods a bin takes a binomial share, and the deviations of successive bins are uncorrelated. Sums
+over range cells have the variance of the sum, whatever lies in front.
 """
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -14,25 +15,27 @@ from functools import lru_cache
 import numpy as np
 from scipy import sparse
 
+from models.perception.timing import Timed
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 
-#: Cells with fewer counts do not tell the ambient rate: a median of so few is not their mean.
+#: Least counts of a cell that is used to estimate the ambient rate: a median of fewer counts is not their mean.
 LEAST_COUNTS = 25.0
-#: Fewer cells than this do not either.
+#: Least number of such cells.
 LEAST_CELLS = 4
 LEAST_RATE_HZ = 1e-3
-#: Nor do cells at which fewer wait than this share of the most.
+#: Least share of waiting periods in a usable cell, relative to the cell with most.
 LEAST_WAITING = 0.05
-#: What is further off than this many standard deviations is no ambient light.
+#: Counts further than this many standard deviations from the expectation are not ambient light.
 QUIET_SIGMAS = 3.0
 #: Times and cells of a scan, over all azimuths: eight times those of the default, and about a second.
-MOST_TIMES, MOST_CELLS = 1 << 20, 1 << 19
+MAX_TIMES, MAX_CELLS = 1 << 20, 1 << 19
 
 
 def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid) -> np.ndarray:
-    """Counts [azimuth, bins] on the range cells of a grid, float64 [range, azimuth] (section 2.2, RA projection).
+    """Return the counts [azimuth, bins] on the range cells of a grid, float64 [range, azimuth] (section 2.2, RA
+    projection).
 
     Each bin is shared out over the cells that it overlaps at R = c t / 2, cell i reaching half a cell to either side of
     i range_bin_m: what falls into the grid's range is conserved, be cells finer or coarser than bins. Raises
@@ -42,11 +45,31 @@ def project_counts(counts: np.ndarray, spad: SpadParams, grid: RangeAzimuthGrid)
     return np.asarray(_overlaps(spad, grid) @ np.asarray(counts, np.float64).T)
 
 
+class PhotonFormer:
+    """Maps of one LiDAR; the counterpart of `FormingStage` for histograms."""
+
+    def __init__(self, timed: Timed = nullcontext) -> None:
+        self._setup: LidarSetup | None = None
+        self._timed = timed
+
+    def set_up(self, setup: LidarSetup) -> None:
+        """Form by another set-up."""
+        self._setup = setup
+
+    def add(self, histograms: PhotonHistograms) -> RangeAzimuthMap:
+        """Return the map of one scan; `ValueError` for histograms of another set-up, or before any."""
+        if self._setup is None:
+            raise ValueError(f"histograms of scan {histograms.scan_id} came before lidar/setup")
+        with self._timed("map"):
+            return photon_map(self._setup, histograms)
+
+
 def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthMap:
-    """Excess of photons over ambient light in standard deviations: complex64 [range, azimuth], mode "photons".
+    """Return the excess of photons over ambient light in standard deviations: complex64 [range, azimuth], mode
+    "photons".
 
     Without echoes |values|^2 has mean 1, which `noise_power_mw` says; with one it is the detection SNR. Where less than
-    one count is expected, one count is the standard deviation. Cells that no period was left for are 0, and
+    one count is expected, one count is the standard deviation. Cells that no waiting period reaches are 0, and
     `saturated_share` is their share among the cells that the period reaches; cells beyond it are 0.
 
     The ambient rate is that of each azimuth's own counts (`_ambient_rate`). Ticks, gates and the dead time after the
@@ -55,11 +78,11 @@ def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthM
     set-up, and for a set-up that would take too long.
     """
     spad, grid = lidar.spad, lidar.grid
-    _require_bearable(spad, grid)
+    _require_tractable(spad, grid)
     counts = histograms.counts.astype(np.int64)
     _require_shape(counts.shape, spad, grid)
-    if counts.size and (most := int(counts.sum(axis=1).max())) > spad.pulses:
-        raise ValueError(f"histograms.counts must sum to at most {spad.pulses} pulses an azimuth, got {most}")
+    if counts.size and (largest := int(counts.sum(axis=1).max())) > spad.pulses:
+        raise ValueError(f"histograms.counts must sum to at most {spad.pulses} pulses an azimuth, got {largest}")
     pieces, cells = _pieces(spad), _cells(spad, grid)
     observed = project_counts(counts, spad, grid)
     waiting = _waiting(counts, pieces)
@@ -67,8 +90,8 @@ def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthM
     expected, variance = _expected(spad, pieces, cells, waiting, rate_hz)
     # a cell that the rate was fitted to pulls it along, and deviates the less
     variance = variance * (1.0 - np.where(fitted, expected, 0.0) / np.maximum((expected * fitted).sum(axis=0), 1.0))
-    seen = np.asarray(cells @ (waiting * pieces.exposure_s).T) > 0.0
-    values = np.where(seen, (observed - expected) / np.sqrt(np.maximum(variance, 1.0)), 0.0)
+    exposed = np.asarray(cells @ (waiting * pieces.exposure_s).T) > 0.0
+    values = np.where(exposed, (observed - expected) / np.sqrt(np.maximum(variance, 1.0)), 0.0)
     reached = np.asarray(cells.sum(axis=1)).ravel() > 0.0
     return RangeAzimuthMap(
         stamp_ns=histograms.stamp_ns,
@@ -78,7 +101,7 @@ def photon_map(lidar: LidarSetup, histograms: PhotonHistograms) -> RangeAzimuthM
         azimuth_stamp_ns=histograms.azimuth_stamp_ns,
         noise_power_mw=1.0,
         incoherent=np.zeros(grid.range_bins, bool),
-        saturated_share=float(np.mean(~seen[reached])) if reached.any() else 0.0,
+        saturated_share=float(np.mean(~exposed[reached])) if reached.any() else 0.0,
         vehicle_from_radar=lidar.vehicle_from_lidar,
         mode="photons",
     )
@@ -99,7 +122,7 @@ class _Pieces:
 
 @lru_cache(maxsize=4)
 def _pieces(spad: SpadParams) -> _Pieces:
-    """Times at which events fall into each bin, gate by gate."""
+    """Return the times at which events fall into each bin, gate by gate."""
     edges_s = _bin_edges_s(spad)
     gates_s = spad.period_s * np.arange(spad.gates + 1) / spad.gates
     cuts_s = np.union1d(edges_s, gates_s)
@@ -118,7 +141,9 @@ def _pieces(spad: SpadParams) -> _Pieces:
 
 
 def _bin_edges_s(spad: SpadParams) -> np.ndarray:
-    """Times since the pulse from which events fall into each bin, ascending, [bins]; of ticks of a run the mean."""
+    """Return the times since the pulse from which events fall into each bin, ascending, [bins]; of ticks of a run
+    the mean.
+    """
     edges_s, later_s = spad.bin_s * np.arange(spad.bins), 0.0
     if spad.tick_s:
         tick, bin_ = Fraction(str(spad.tick_s)), 1 / (Fraction(str(spad.repetition_rate_hz)) * spad.bins)
@@ -133,7 +158,7 @@ def _bin_edges_s(spad: SpadParams) -> np.ndarray:
 
 @lru_cache(maxsize=4)
 def _overlaps(spad: SpadParams, grid: RangeAzimuthGrid) -> sparse.csr_array:
-    """Share of each bin that lies in each range cell, sparse [range, bins]."""
+    """Return the share of each bin that lies in each range cell, sparse [range, bins]."""
     edges_m = 0.5 * SPEED_OF_LIGHT_MPS * spad.bin_s * np.arange(spad.bins + 1)
     cells_m = grid.range_bin_m * (np.arange(grid.range_bins + 1) - 0.5)
     cuts_m = np.union1d(edges_m, cells_m)
@@ -148,12 +173,12 @@ def _overlaps(spad: SpadParams, grid: RangeAzimuthGrid) -> sparse.csr_array:
 
 @lru_cache(maxsize=4)
 def _cells(spad: SpadParams, grid: RangeAzimuthGrid) -> sparse.csr_array:
-    """Share of each piece's counts that lies in each range cell, sparse [range, pieces]."""
+    """Return the share of each piece's counts that lies in each range cell, sparse [range, pieces]."""
     return _overlaps(spad, grid)[:, _pieces(spad).bin_index]
 
 
 def _waiting(counts: np.ndarray, pieces: _Pieces) -> np.ndarray:
-    """Periods without a photon so far at each piece, float64 [azimuth, pieces]; below one is none.
+    """Return the periods without a photon so far at each piece, float64 [azimuth, pieces]; below one is none.
 
     A bin across the edge of two gates does not say whose its counts are: they are shared as ambient light would, by
     exposure and by how many wait on either side, in two rounds.
@@ -169,16 +194,16 @@ def _waiting(counts: np.ndarray, pieces: _Pieces) -> np.ndarray:
 
 
 def _share(waiting: np.ndarray, pieces: _Pieces) -> np.ndarray:
-    """Share of each piece in the ambient counts of its bin, [azimuth, pieces]."""
+    """Return the share of each piece in the ambient counts of its bin, [azimuth, pieces]."""
     weight = (waiting + 0.5) * pieces.exposure_s
-    total = np.stack([np.bincount(pieces.bin_index, one) for one in weight])
+    total = np.stack([np.bincount(pieces.bin_index, row) for row in weight])
     return np.asarray(weight / total[:, pieces.bin_index])
 
 
 def _expected(
     spad: SpadParams, pieces: _Pieces, cells: sparse.csr_array, waiting: np.ndarray, rate_hz: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Counts of ambient light at rates [azimuth] and their variance, float64 [range, azimuth].
+    """Return the counts of ambient light at rates [azimuth] and their variance, float64 [range, azimuth].
 
     Where dead time goes on into the next period ("free"), a share 1 / (1 + rate (dead time - t)) of those that wait at
     t is alive: the stationary renewal process, in closed form.
@@ -193,7 +218,7 @@ def _expected(
 def _ambient_rate(
     spad: SpadParams, pieces: _Pieces, cells: sparse.csr_array, waiting: np.ndarray, observed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Ambient rate of each azimuth [azimuth], and the cells it is the mean of, bool [range, azimuth].
+    """Return the ambient rate of each azimuth [azimuth], and the cells it is the mean of, bool [range, azimuth].
 
     Measured, since sun and shade differ by more than counts err: the median over range cells, then the mean of the
     cells within `QUIET_SIGMAS` of it, so that no wall counts. The set-up's rate stands where counts are too few.
@@ -202,16 +227,18 @@ def _ambient_rate(
     long_seen = exposure_s > LEAST_WAITING * exposure_s.max(axis=0, initial=0.0)
     each_hz = np.where(long_seen, observed / np.where(long_seen, exposure_s, 1.0), 0.0)
     rate_hz = np.array(
-        [np.median(one[use]) if use.any() else 0.0 for one, use in zip(each_hz.T, long_seen.T, strict=True)]
+        [np.median(rates[use]) if use.any() else 0.0 for rates, use in zip(each_hz.T, long_seen.T, strict=True)]
     )
     usable = long_seen & (np.maximum(rate_hz, spad.ambient_rate_hz) * exposure_s >= LEAST_COUNTS)
-    is_told = usable.sum(axis=0) >= LEAST_CELLS
+    is_measured = usable.sum(axis=0) >= LEAST_CELLS
     # above zero, so that it can rise from there
-    rate_hz = np.where(is_told, np.maximum(rate_hz, LEAST_RATE_HZ), spad.ambient_rate_hz)
-    quiet = usable & is_told
+    rate_hz = np.where(is_measured, np.maximum(rate_hz, LEAST_RATE_HZ), spad.ambient_rate_hz)
+    quiet = usable & is_measured
     for _ in range(2):
         expected, variance = _expected(spad, pieces, cells, waiting, rate_hz)
-        quiet = usable & is_told & (np.abs(observed - expected) <= QUIET_SIGMAS * np.sqrt(np.maximum(variance, 1.0)))
+        quiet = (
+            usable & is_measured & (np.abs(observed - expected) <= QUIET_SIGMAS * np.sqrt(np.maximum(variance, 1.0)))
+        )
         total = (expected * quiet).sum(axis=0)
         rate_hz = rate_hz * np.where(
             total > 0.0, (observed * quiet).sum(axis=0) / np.where(total > 0.0, total, 1.0), 1.0
@@ -219,16 +246,16 @@ def _ambient_rate(
     return rate_hz, quiet
 
 
-def _require_bearable(spad: SpadParams, grid: RangeAzimuthGrid) -> None:
+def _require_tractable(spad: SpadParams, grid: RangeAzimuthGrid) -> None:
     times, cells = grid.azimuth_bins * (spad.bins + spad.gates), grid.azimuth_bins * grid.range_bins
-    if times > MOST_TIMES or cells > MOST_CELLS:
+    if times > MAX_TIMES or cells > MAX_CELLS:
         raise ValueError(
-            f"lidar.grid must have at most {MOST_TIMES} azimuths times bins and gates, and {MOST_CELLS} cells, "
+            f"lidar.grid must have at most {MAX_TIMES} azimuths times bins and gates, and {MAX_CELLS} cells, "
             f"got {times} and {cells}"
         )
 
 
 def _require_shape(shape: tuple[int, ...], spad: SpadParams, grid: RangeAzimuthGrid) -> None:
-    wanted = grid.azimuth_bins, spad.bins
-    if shape != wanted:
-        raise ValueError(f"histograms.counts must have shape {wanted} as lidar/setup says, got {tuple(shape)}")
+    expected = grid.azimuth_bins, spad.bins
+    if shape != expected:
+        raise ValueError(f"histograms.counts must have shape {expected} as lidar/setup says, got {tuple(shape)}")

@@ -19,8 +19,8 @@ from models.perception.forming.coarray import AzimuthInterpolator, CoherenceTest
 from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
     array_deviation,
-    drowned_beams,
     has_spurs,
+    interfered_beams,
     lost_chirps,
     silent_beams,
 )
@@ -44,7 +44,7 @@ _AZIMUTH_TOLERANCE_RAD = 1e-3
 
 
 class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How beams become a map."""
+    """Parameters of forming a map from beams."""
 
     #: Groups of chirps kept apart over slow time; None: every chirp. Never more than there are chirps.
     slow_time_sums: int | None = 8
@@ -54,16 +54,16 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     doppler_limit_mps: float = 45.0
     #: A Doppler bin replaces the coherent mean only when it is this much stronger ...
     doppler_excess_db: float = 1.0
-    #: ... and this far above the noise: below, noise would choose and every cell be biased upwards.
+    #: ... and this far above the noise: below, noise would select the bin and bias every cell upwards.
     doppler_snr_db: float = 13.0
     #: A name in `WINDOW_TAPS`.
     range_window: str = "hann"
     #: "coherent"; "magnitude": azimuths from the magnitudes of the beams alone; "welch": mean power of single chirps,
     #: for flickering scenes.
     mode: str = "coherent"
-    #: Only the first so many chirps of a beam are looked at; None: all.
+    #: Only the first so many chirps of a beam are used; None: all.
     chirps: int | None = None
-    #: Only every so many beams are looked at, from the first.
+    #: Only every so many beams are used, from the first.
     beam_step: int = 1
     #: So many neighbouring samples are summed before the transform over fast time, and their droop taken out.
     decimation: int = 1
@@ -90,7 +90,7 @@ class FormingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 @dataclass(frozen=True)
 class ScanProfiles:
-    """What the beams of a scan leave behind once they are folded: all that `form_map` needs."""
+    """Folded beams of a scan: all that `form_map` needs."""
 
     stamp_ns: int
     scan_id: int
@@ -101,10 +101,10 @@ class ScanProfiles:
     #: Acquisition of each beam, int64 [beams]; missing beams at their nominal time.
     beam_stamp_ns: np.ndarray
     missing_beams: tuple[int, ...] = ()
-    #: Beams that were not looked at.
+    #: Beams that were not used.
     unused_beams: tuple[int, ...] = ()
     saturated_share: float = 0.0
-    #: What the beams show of broken hardware, names in `MAP_FAULTS`.
+    #: Hardware faults that the beams show, names in `MAP_FAULTS`.
     faults: tuple[str, ...] = ()
     #: Azimuth each beam looked at as seen from the map's pose, [beams, range]; None: ego motion was not taken out.
     look_azimuth_rad: np.ndarray | None = None
@@ -123,7 +123,7 @@ class EgoCorrection:
 
 
 def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = "coherent") -> RangeAzimuthMap:
-    """Range-azimuth map of a scan's beam profiles.
+    """Return the range-azimuth map of a scan's beam profiles.
 
     The noise power is that of coherent cells (0.58 of a beam's), of Welch cells, or of a beam where all azimuths come
     from magnitudes; bins that fell back to magnitudes hold 0.9 of a beam's.
@@ -155,7 +155,7 @@ def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = 
 
 
 def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: np.ndarray) -> bool:
-    """Whether the coherent ranges [range] of a whole scan show another array than the set-up's."""
+    """Return whether the coherent ranges [range] of a whole scan show another array than the set-up's."""
     if interpolator.coefficient_matrix is None:
         return False
     coefficients = scan.profiles[:, coherent].T @ interpolator.coefficient_matrix
@@ -163,7 +163,7 @@ def _deviates(scan: ScanProfiles, interpolator: AzimuthInterpolator, coherent: n
 
 
 def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np.ndarray:
-    """Acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth].
+    """Return the acquisition time of each azimuth of the map, between the beams to its sides; int64 [azimuth].
 
     Beams of a radar that turns lie where they looked, taken afar.
     """
@@ -180,7 +180,7 @@ def _azimuth_stamps(interpolator: AzimuthInterpolator, scan: ScanProfiles) -> np
 
 
 class BeamFolder:
-    """Turns the samples of one beam into a range profile and its noise; holds what all beams of a set-up share."""
+    """Folder of one beam's samples into a range profile and its noise; holds what all beams of a set-up share."""
 
     def __init__(self, setup: RadarSetup, params: FormingParams, grid: RangeAzimuthGrid) -> None:
         radar = setup.radar
@@ -193,7 +193,7 @@ class BeamFolder:
                 "forming.beam_step must be 1 for a digital array: no other beam sees where one is left out, "
                 f"got {params.beam_step!r}"
             )
-        #: What is transformed: so many samples a chirp.
+        #: Number of samples per chirp that are transformed.
         self.samples = radar.samples_per_chirp // params.decimation
         _check_grid(radar.range_bin_m, self.samples, grid)
         self.setup = setup
@@ -204,12 +204,14 @@ class BeamFolder:
         self.groups = self.chirps if every else min(params.slow_time_sums or 1, self.chirps)
         edges = group_edges(self.chirps, self.groups)
         self._group_chirps = np.diff(edges).astype(np.float32)
-        #: How long a beam is looked at, and the middle of each group relative to the middle of that.
+        #: Duration of the used part of a beam, and the middle of each group relative to its middle.
         self.duration_s = self.chirps * radar.repetition_interval_s
         self.group_time_s = 0.5 * (edges[1:] + edges[:-1]) * radar.repetition_interval_s - 0.5 * self.duration_s
 
     def fold(self, beam: RadarBeam, ego: EgoCorrection | None = None) -> tuple[np.ndarray, float, int]:
-        """Range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated samples."""
+        """Return the range profile complex64 [range], noise power per bin in milliwatt, and the number of saturated
+        samples.
+        """
         sums, saturated = fold_chirps(beam.samples[: self.chirps], self.groups)
         series = self._beats(sums, beam.beam_index)
         if ego is not None:
@@ -227,18 +229,20 @@ class BeamFolder:
         return profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated
 
     def _beats(self, sums: np.ndarray, beam_index: int) -> np.ndarray:
-        """Sums as complex64 [groups, samples], without background, positive frequencies for positive range."""
+        """Return the sums as complex64 [groups, samples], without background, positive frequencies for positive
+        range.
+        """
         series: np.ndarray = sums.astype(np.float32).view(np.complex64)[..., 0]
         if self.setup.background is not None and self.params.subtract_background:
             series -= self._group_chirps[:, None] * self.setup.background[beam_index]
         return np.conj(series, out=series) if self.setup.beat_sign < 0 else series
 
     def _amplitude(self, full_scale_dbm: float) -> float:
-        """Square root of milliwatt per code, over all that was summed."""
+        """Return the square root of milliwatt per code, over all that was summed."""
         return amplitude_per_code(full_scale_dbm) / (self.setup.radar.samples_per_chirp * self.chirps)
 
     def _coherent(self, spectra: np.ndarray, group_phase: np.ndarray | None) -> tuple[np.ndarray, float]:
-        """Strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
+        """Return the strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
         mean = spectra.sum(axis=0)
         noise_power_mw = _median_power(np.abs(_windowed(mean, *self._noise_bins, self._taps)) ** 2, 1)
         profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
@@ -246,7 +250,7 @@ class BeamFolder:
         return self._strongest(transform @ profiles, noise_power_mw), noise_power_mw
 
     def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> np.ndarray:
-        """Row 0 of [Doppler, range], or the strongest row where that is clearly another one."""
+        """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one."""
         power = doppler.real**2 + doppler.imag**2
         best = np.argmax(power, axis=0)
         best_power = np.take_along_axis(power, best[None], axis=0)[0]
@@ -256,7 +260,7 @@ class BeamFolder:
         return np.take_along_axis(doppler, best[None], axis=0)[0]
 
     def _welch(self, spectra: np.ndarray) -> tuple[np.ndarray, float]:
-        """Root of the power averaged over single chirps, as complex64 without imaginary part."""
+        """Return the root of the power averaged over single chirps, as complex64 without imaginary part."""
         # one chirp has a share 1 / chirps of the sum's amplitude
         chirps = self.groups
         noise = np.mean(np.abs(_windowed(spectra, *self._noise_bins, self._taps) * chirps) ** 2, axis=0)
@@ -269,7 +273,7 @@ class BeamFolder:
 
     @cached_property
     def _undrooped(self) -> np.ndarray:
-        """What gives the bins back that sums of neighbouring samples lack in phase and magnitude; complex64 [range]."""
+        """Factor that restores the phase and magnitude that sums of neighbouring samples lose; complex64 [range]."""
         turns = np.arange(self.grid.range_bins) / self.setup.radar.samples_per_chirp
         droop = np.exp(2j * np.pi * np.multiply.outer(turns, np.arange(self.params.decimation))).mean(axis=1)
         return (1.0 / droop).astype(np.complex64)
@@ -304,7 +308,7 @@ def _check_grid(range_bin_m: float, samples: int, grid: RangeAzimuthGrid) -> Non
 
 
 def _windowed(spectra: np.ndarray, first: int, count: int, taps: tuple[float, ...]) -> np.ndarray:
-    """Bins first .. first + count - 1 of unwindowed spectra [..., bins] as a window's taps make them."""
+    """Return the bins first .. first + count - 1 of unwindowed spectra [..., bins] as a window's taps make them."""
     reach = len(taps) // 2
     bins = np.take(spectra, np.arange(first - reach, first + count + reach), axis=-1, mode="wrap")
     result = np.float32(taps[reach]) * bins[..., reach : reach + count]
@@ -315,12 +319,15 @@ def _windowed(spectra: np.ndarray, first: int, count: int, taps: tuple[float, ..
 
 
 def _median_power(power: np.ndarray, averages: int) -> float:
-    """Mean power of complex white noise from the median of `averages`-fold periodograms (one: median / ln 2)."""
+    """Return the mean power of complex white noise from the median of `averages`-fold periodograms (one: median / ln
+    2).
+    """
     return float(np.median(power) * averages / gammaincinv(averages, 0.5))
 
 
 def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state: VehicleState) -> EgoCorrection:
-    """Correction of a beam whose middle lies `elapsed_s` after the map's pose, under constant speed and yaw rate.
+    """Return the correction of a beam whose middle lies `elapsed_s` after the map's pose, under constant speed and yaw
+    rate.
 
     Lengths are corrected along the beam's axis: exact phase there, a fraction of a cell elsewhere in the beam (the
     coherence test sees to the rest). The shift moves the beat by 2 S shift / c, its phase by 4 pi shift / lambda and,
@@ -347,18 +354,18 @@ def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state:
 
 
 def _start_from_now(state: VehicleState, elapsed_s: float, vehicle_from_radar: Pose2) -> Pose2:
-    """The radar's pose after a while, in its frame at the start."""
+    """Return the radar's pose after a while, in its frame at the start."""
     vehicle = ego_motion(state.speed_mps, state.yaw_rate_rps, elapsed_s)
     return vehicle_from_radar.inverse() @ vehicle @ vehicle_from_radar
 
 
 def _turned(turns: np.ndarray) -> np.ndarray:
-    """exp(2 pi j turns) as complex64, reduced in float64."""
+    """Return exp(2 pi j turns) as complex64, reduced in float64."""
     return np.exp(2j * np.pi * (turns % 1.0)).astype(np.complex64)
 
 
 def _axis_azimuth(pose: Pose2, axis: np.ndarray, along_m: np.ndarray, look_rad: float) -> np.ndarray:
-    """Azimuth at which the start sees the points of a displaced beam's axis; [range]."""
+    """Return the azimuth at which the start sees the points of a displaced beam's axis; [range]."""
     points_m = np.array([pose.x_m, pose.y_m]) + along_m[:, None] * axis
     azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     # inside the distance driven, the axis may point anywhere: keep the beam's own direction there
@@ -371,7 +378,7 @@ class RaFormer:
     The vehicle state given with the first beam of a scan holds for all of it; without a valid one the scan goes
     uncompensated. A beam of another scan, or `flush`, closes a scan that lacks beams. Beams that repeat (the first
     counts) or come up to `LATE_SCANS` scans late are dropped and counted; numbers that fall further, or fall while
-    stamps rise, are a source that started anew.
+    stamps rise, belong to a source that restarted.
     """
 
     #: How many scans behind the newest one a beam may be and still count as late.
@@ -389,7 +396,7 @@ class RaFormer:
         self._scan: _OpenScan | None = None
         #: Number and stamp of the newest scan.
         self._newest: tuple[int, int] | None = None
-        # the first beam should not pay for compiling, nor the first scan for the matrices
+        # compile now: the first beam must not wait for kernels, nor the first scan for matrices
         fold_chirps(np.zeros((1, 1, 2), np.int16), 1)
         self.interpolator.noise_gain()
 
@@ -458,16 +465,16 @@ class _OpenScan:
         self._used = np.arange(beams) % folder.params.beam_step == 0
 
     def holds(self, beam: RadarBeam) -> bool:
-        """Whether a beam is one of this scan's."""
+        """Return whether a beam is one of this scan's."""
         return beam.scan_id == self.scan_id
 
     @property
     def complete(self) -> bool:
-        """Every beam that is looked at has come."""
+        """True once every used beam has arrived."""
         return not np.isnan(self._noise_power_mw[self._used]).any()
 
     def add(self, beam: RadarBeam) -> bool:
-        """Fold one beam in; False for one that has come before."""
+        """Fold one beam in; return False for a repeated beam."""
         index = beam.beam_index
         if not np.isnan(self._noise_power_mw[index]):
             return False
@@ -483,40 +490,40 @@ class _OpenScan:
     def _ego(self, beam: RadarBeam) -> EgoCorrection | None:
         if self._state is None:
             return None
-        # beams made of one measurement have one pose, that of its middle: a phase for each would tear them apart
+        # beams made of one measurement have one pose, that of its middle: a phase for each would break their coherence
         digital = self._folder.setup.array.digital
         middle_s = 0.0 if digital else s_from_ns(beam.stamp_ns - self.stamp_ns) + 0.5 * self._folder.duration_s
         return ego_correction(self._folder, beam.beam_index, middle_s, self._state)
 
     def profiles(self) -> ScanProfiles:
-        """What has been folded; noise is the median over beams, so that one disturbed beam does not set it.
+        """Return the folded beams; noise is the median over beams, so that one disturbed beam does not set it.
 
-        Silent and drowned beams are left out like those that never came: their neighbours say more about their place.
-        Not those of a digital array, of which each is made of all columns and sees what no other does.
+        Silent and interfered beams are left out like missing ones: their neighbours cover their direction better. Beams
+        of a digital array are kept: each is made of all columns and covers a direction of its own.
         """
-        came = ~np.isnan(self._noise_power_mw)
-        noise_power_mw = float(np.median(self._noise_power_mw[came]))
+        received = ~np.isnan(self._noise_power_mw)
+        noise_power_mw = float(np.median(self._noise_power_mw[received]))
         steered = not self._folder.setup.array.digital
-        silent = came & steered & silent_beams(self._profiles, noise_power_mw)
-        drowned = steered & drowned_beams(self._noise_power_mw)
-        heard = came & ~silent & ~drowned
-        shown = {
+        silent = received & steered & silent_beams(self._profiles, noise_power_mw)
+        interfered = steered & interfered_beams(self._noise_power_mw)
+        usable = received & ~silent & ~interfered
+        faults = {
             "lost_chirps": self._lost_chirps > 0,
             "silent_beams": silent.any(),
-            "drowned_beams": drowned.any(),
-            "spurs": has_spurs(self._profiles[heard], noise_power_mw),
+            "drowned_beams": interfered.any(),
+            "spurs": has_spurs(self._profiles[usable], noise_power_mw),
         }
         radar = self._folder.setup.radar
-        samples = int(came.sum()) * self._folder.chirps * radar.samples_per_chirp
+        samples = int(received.sum()) * self._folder.chirps * radar.samples_per_chirp
         return ScanProfiles(
             stamp_ns=self.stamp_ns,
             scan_id=self.scan_id,
-            profiles=np.where(heard[:, None], self._profiles, np.complex64(0.0)),
+            profiles=np.where(usable[:, None], self._profiles, np.complex64(0.0)),
             noise_power_mw=noise_power_mw,
             beam_stamp_ns=self._beam_stamp_ns,
-            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~heard)),
+            missing_beams=tuple(int(index) for index in np.flatnonzero(self._used & ~usable)),
             unused_beams=tuple(int(index) for index in np.flatnonzero(~self._used)),
             saturated_share=self._saturated / samples,
-            faults=tuple(name for name, holds in shown.items() if holds),
+            faults=tuple(name for name, holds in faults.items() if holds),
             look_azimuth_rad=None if self._state is None else self._looks,
         )

@@ -1,4 +1,4 @@
-"""Folding: a beam's chirps summed into a few slow-time groups, in integers, about as fast as memory gives them.
+"""Folding: a beam's chirps summed into a few slow-time groups, in integers, at about the speed of memory.
 
 Group g of G sums the chirps floor(g C / G) .. floor((g+1) C / G) - 1 of C: contiguous, every chirp in exactly one
 group, sizes differing by at most one chirp where C is not a multiple of G.
@@ -20,7 +20,7 @@ _BLOCK = 16384
 
 
 def group_edges(chirps: int, groups: int) -> np.ndarray:
-    """First chirp of each group and, last, the number of chirps; int64 [groups + 1].
+    """Return the first chirp of each group and, last, the number of chirps; int64 [groups + 1].
 
     Raises `ValueError` unless 1 <= groups <= chirps and no group could overflow its 32-bit sums.
     """
@@ -35,7 +35,7 @@ def group_edges(chirps: int, groups: int) -> np.ndarray:
 def fold_chirps(samples: np.ndarray, groups: int) -> tuple[np.ndarray, int]:
     """Sum I/Q codes int16 [chirps, samples, 2] over groups of chirps.
 
-    Returns int32 [groups, samples, 2] and the number of samples of which I or Q stands at full scale. Read-only
+    Returns int32 [groups, samples, 2] and the number of samples whose I or Q is at full scale. Read-only
     arrays are fine; arrays that are not contiguous or not aligned are copied first.
     """
     require_array("samples", samples, "<i2", (None, None, 2))
@@ -57,21 +57,26 @@ def _fold(codes: np.ndarray, edges: np.ndarray, sums: np.ndarray) -> int:
         first, last = edges[group], edges[group + 1]
         fours = last - (last - first) % 4
         for start in range(0, codes.shape[1], _BLOCK):
-            cut = slice(start, min(start + _BLOCK, codes.shape[1]))
-            # rows are cut out one by one: a row of a two-dimensional cut would be a strided array, and slow
-            total = sums[group, cut]
+            block = slice(start, min(start + _BLOCK, codes.shape[1]))
+            # rows are sliced one by one: a row of a two-dimensional slice would be a strided array, and slow
+            total = sums[group, block]
             for row in range(first, fours, 4):
-                if _add_four(codes[row, cut], codes[row + 1, cut], codes[row + 2, cut], codes[row + 3, cut], total):
-                    saturated += _count_saturated(codes[row : row + 4, cut])
+                if _add_four(
+                    codes[row, block], codes[row + 1, block], codes[row + 2, block], codes[row + 3, block], total
+                ):
+                    saturated += _count_saturated(codes[row : row + 4, block])
             for row in range(fours, last):
-                total += codes[row, cut]
-                saturated += _count_saturated(codes[row : row + 1, cut])
+                total += codes[row, block]
+                saturated += _count_saturated(codes[row : row + 1, block])
     return saturated
 
 
 @njit(cache=True, nogil=True)
 def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: np.ndarray, total: np.ndarray) -> bool:
-    """total += four rows; whether any code stands at full scale. No branch and no call, so that it becomes SIMD."""
+    """Add four rows to `total`; return whether any code is at full scale.
+
+    No branch and no call, so that it becomes SIMD.
+    """
     highest = np.int16(0)
     lowest = np.int16(0)
     for i in range(len(total)):
@@ -84,7 +89,7 @@ def _add_four(first: np.ndarray, second: np.ndarray, third: np.ndarray, fourth: 
 
 @njit(cache=True, nogil=True)
 def _count_saturated(rows: np.ndarray) -> int:
-    """Samples of interleaved I/Q codes with either at full scale: run on the rare blocks that have any."""
+    """Return the samples of interleaved I/Q codes with either at full scale: run on the rare blocks that have any."""
     count = 0
     for row in rows:
         for i in range(0, len(row), 2):

@@ -1,1 +1,1 @@
-"""From classified peaks to walls, hidden points and objects of one scan."""
+"""Walls, hidden points and objects of one scan from its classified peaks."""

@@ -1,8 +1,8 @@
-"""Curved walls: an arc in place of the lines that it explains better, by the likelihood that lines are held to.
+"""Curved walls: an arc replaces the lines that it explains better, by the same likelihood as for lines.
 
 In the frame of a line (s along it, d across it towards the radar) an arc is d = c0 + c1 s + c2 s^2 / 2 to within a
-centimetre for the bends that walls have (sagitta below 2 m). It starts from the returns of one line and takes in what
-lies on it at either end, whatever lines claimed that.
+centimetre for the bends that walls have (sagitta below 2 m). It starts from the returns of one line and takes in the
+returns that lie on it at either end, whichever line they belonged to.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from msgs.values.arrays import require_positive
 
 
 class ArcParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When a wall counts as curved."""
+    """Conditions under which a wall counts as curved."""
 
     #: Curvature over its own standard deviation, and log likelihood over that of the lines it replaces.
     min_sigmas: float = 3.0
@@ -28,10 +28,10 @@ class ArcParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     #: Log likelihood a parameter is worth: lines have two each, the arc in place of several has three.
     parameter_gain: float = 1.5
     min_points: int = 6
-    #: Most curvature, and the most the wall turns from end to end.
+    #: Largest curvature, and the largest turn of the wall from end to end.
     max_curvature_per_m: float = 0.07
     max_turn_rad: float = 1.4
-    #: Along the arc the next return is at most this far off.
+    #: Largest gap to the next return along the arc.
     max_gap_m: float = 6.5
     pair_gap_m: float = 12.0
     rounds: int = 8
@@ -73,21 +73,23 @@ class _Arc:
 
 
 def with_arcs(points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: ArcParams) -> list[LineFit]:
-    """Lines of points [N, 2] with covariances [N, 2, 2], those that an arc explains better replaced by it."""
-    found: list[LineFit] = []
+    """Return the lines of points [N, 2] with covariances [N, 2, 2], those that an arc explains better replaced by
+    it.
+    """
+    result: list[LineFit] = []
     lines = sorted(fits, key=lambda fit: -fit.score)
     while lines:
-        free = np.flatnonzero(~claimed(len(points_m), found))
-        arc, eaten = _best_arc(points_m, covariance_m2, lines, free, params)
-        found.append(lines[0] if arc is None else arc)
-        lines = [fit for fit in lines[1:] if not any(fit is one for one in eaten)]
-    return found
+        free = np.flatnonzero(~claimed(len(points_m), result))
+        arc, replaced = _best_arc(points_m, covariance_m2, lines, free, params)
+        result.append(lines[0] if arc is None else arc)
+        lines = [fit for fit in lines[1:] if not any(fit is line for line in replaced)]
+    return result
 
 
 def _best_arc(
     points_m: np.ndarray, covariance_m2: np.ndarray, lines: list[LineFit], free: np.ndarray, params: ArcParams
 ) -> tuple[LineFit | None, list[LineFit]]:
-    """The arc through the first line, alone or with another, that explains most beyond what it replaces."""
+    """Return the arc through the first line, alone or with another, that explains most beyond what it replaces."""
     best: tuple[float, LineFit | None, list[LineFit]] = (-math.inf, None, [])
     for other in lines:
         pair = other is not lines[0]
@@ -100,12 +102,12 @@ def _best_arc(
             continue
         on_arc = np.zeros(len(points_m), bool)
         on_arc[arc.members] = True
-        eaten = [fit for fit in lines if 2 * np.count_nonzero(on_arc[fit.members]) > len(fit.members)]
-        rival = sum(fit.score for fit in eaten)
-        spared = params.parameter_gain * (2 * len(eaten) - 3) if len(eaten) > 1 else -params.min_gain
-        gain = float(arc.gain.sum()) - rival + spared
-        if len(eaten) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in eaten):
-            best = gain, _as_fit(points_m, frame, arc), eaten
+        replaced = [fit for fit in lines if 2 * np.count_nonzero(on_arc[fit.members]) > len(fit.members)]
+        rival = sum(fit.score for fit in replaced)
+        saving = params.parameter_gain * (2 * len(replaced) - 3) if len(replaced) > 1 else -params.min_gain
+        gain = float(arc.gain.sum()) - rival + saving
+        if len(replaced) >= 1 + pair and gain > max(best[0], 0.0) and any(fit is lines[0] for fit in replaced):
+            best = gain, _as_fit(points_m, frame, arc), replaced
     return best[1], best[2]
 
 
@@ -118,7 +120,7 @@ def _grown(
     params: ArcParams,
     pair: bool,
 ) -> _Arc | None:
-    """The arc through members and the free returns that continue it; None where it is not clearly bent."""
+    """Return the arc through members and the free returns that continue it; None where it is not clearly bent."""
     fewest = max(int(params.min_points), 4)
     if len(members) < fewest:
         return None
@@ -144,7 +146,7 @@ def _grow(
     fewest: int,
     rounds: int,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """An arc refit to what lies on it in one run until that stays the same: the last fit and the last run.
+    """Return an arc refit to what lies on it in one run until that stays the same: the last fit and the last run.
 
     Coefficients [3], their covariance [3, 3], what each free point adds to its score, the run's indices; a run of
     less than `fewest` ends the search. `axes` are the frame's tangent and normal.
@@ -163,7 +165,9 @@ def _grow(
 def _fitted(
     s: np.ndarray, d: np.ndarray, covariance_m2: np.ndarray, axes: np.ndarray, members: np.ndarray, free: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Weighted least squares of an arc through members; coefficients, covariance, what each free point adds to it."""
+    """Return the weighted least squares of an arc through members; coefficients, covariance, what each free point
+    adds to it.
+    """
     coefficients = np.zeros(3)
     inverse: np.ndarray = np.zeros((3, 3))
     for _ in range(2):
@@ -194,7 +198,7 @@ def _fitted(
 def _across(
     s: float, d: float, covariance_m2: np.ndarray, axes: np.ndarray, coefficients: np.ndarray
 ) -> tuple[float, float]:
-    """Distance of a point from the arc along its local normal and the variance of its error along it."""
+    """Return the distance of a point from the arc along its local normal and the variance of its error along it."""
     slope = coefficients[1] + coefficients[2] * s
     scale = 1.0 / math.sqrt(1.0 + slope * slope)
     nx, ny = scale * (axes[1, 0] - slope * axes[0, 0]), scale * (axes[1, 1] - slope * axes[0, 1])
@@ -204,7 +208,7 @@ def _across(
 
 @njit(cache=True, nogil=True)
 def _unbroken(s: np.ndarray, members: np.ndarray, max_gap_m: float) -> np.ndarray:
-    """The run of members about the middle of the line, s = 0, that no gap breaks; sorted indices."""
+    """Return the run of members about the middle of the line, s = 0, that no gap breaks; sorted indices."""
     order = members[np.argsort(s[members], kind="mergesort")]
     start, first, last, nearest = 0, 0, 0, math.inf
     for stop in range(1, len(order) + 1):
@@ -218,7 +222,7 @@ def _unbroken(s: np.ndarray, members: np.ndarray, max_gap_m: float) -> np.ndarra
 
 
 def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray, params: ArcParams) -> bool:
-    """Whether an arc's curvature stands out of its error and is one that walls have."""
+    """Return whether an arc's curvature stands out of its error and is one that walls have."""
     curvature = abs(float(arc.coefficients[2]))
     return (
         curvature >= params.min_sigmas * math.sqrt(float(arc.covariance[2, 2]))
@@ -229,7 +233,7 @@ def _is_bent(arc: _Arc, s: np.ndarray, members: np.ndarray, params: ArcParams) -
 
 
 def _as_fit(points_m: np.ndarray, frame: _Frame, arc: _Arc) -> LineFit:
-    """The arc as a wall: its chord, its curvature, and how well its direction and place are known."""
+    """Return the arc as a wall: its chord, its curvature, and how well its direction and place are known."""
     reach = (points_m[arc.members] - frame.origin) @ frame.tangent
     low, high = float(reach.min()), float(reach.max())
     c0, c1, c2 = arc.coefficients

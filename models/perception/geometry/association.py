@@ -1,8 +1,8 @@
-"""Which wall an image belongs to, and which two where a corner mirrored it twice.
+"""Association of images with the wall that mirrored them, or with two walls where a corner mirrored them twice.
 
 An image lies in the direction in which its path left the radar: the first mirror is a wall its ray passes through.
-Folded about it, the rest of the path runs from there to the place; where another wall cuts that way the path turned
-once more, and the rest of it is folded about the second wall too.
+After folding about it, the rest of the path runs from there to the object. Where another wall blocks that segment, the
+path has a second bounce, and its rest is folded about the second wall too.
 """
 
 from __future__ import annotations
@@ -21,32 +21,32 @@ from msgs.values.frames import polar_from_xy
 
 
 class RecoveryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How images find their walls and which folded places count as hidden."""
+    """Parameters of the association of images with walls and of the rejection of folded positions."""
 
     #: `crossing`: the wall the image's own ray passes through. `buddy`: that of the direct return nearest in angle.
     association: Literal["crossing", "buddy"] = "crossing"
     #: Images that two walls mirrored are folded twice.
     second_order: bool = True
-    #: Left out of the objects are folded places on a wall, at a direct return, and on a vehicle in sight.
+    #: Folded positions on a wall, at a direct return or on a vehicle in sight form no objects.
     reject_on_wall: bool = True
     reject_at_return: bool = True
     reject_on_vehicle: bool = True
-    #: An image stands at least this far behind its wall.
+    #: Least depth of an image behind its wall.
     min_depth_m: float = 1.0
     #: Walls reach this much further than their outermost return, and by two sigma of where the ray meets them.
     end_margin_m: float = 0.3
     max_margin_m: float = 4.0
-    #: What surely is wall ends this much before the outermost return.
+    #: The certain part of a wall ends this much before the outermost return.
     trim_m: float = 1.0
-    #: A path is cut by a wall it passes by more than this.
+    #: A wall blocks a path that passes it by more than this.
     cut_depth_m: float = 1.0
     #: A wall with this many returns of a long wall behind it hides nothing and mirrors nothing.
     seen_through_points: int = 3
-    #: Places this near a wall or a direct return are that wall or return.
+    #: Positions this near a wall or a direct return are that wall or return.
     same_place_m: float = 1.0
-    #: Direct returns count as the same thing if at most this much weaker than the image.
+    #: Direct returns count as the same object if at most this much weaker than the image.
     comparable_db: float = 6.0
-    #: What is one vehicle: direct returns this near each other, and all that fits in a box of this size with them.
+    #: One vehicle: direct returns this near each other, and all positions that fit in a box of this size with them.
     vehicle_eps_m: float = 2.5
     vehicle_length_m: float = 5.5
     vehicle_width_m: float = 2.6
@@ -67,9 +67,10 @@ class DirectReturns:
 
 
 def seen_through(walls: WallArrays, returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
-    """Which walls have `seen_through_points` returns of another one, longer than a vehicle, behind them; bool [W].
+    """Return which walls have `seen_through_points` returns of another one, longer than a vehicle, behind them; bool
+    [W].
 
-    What is seen behind a line proves that the line is no wall: a row of vehicles, or a wall drawn too long.
+    Returns behind a line prove that the line is no wall: it is a row of vehicles, or a wall drawn too long.
     """
     transparent = np.zeros(len(walls), bool)
     on_long = np.flatnonzero(np.append(walls.length_m > params.vehicle_length_m, False)[returns.wall])
@@ -91,59 +92,59 @@ def associate_crossing(
     params: RecoveryParams,
     opaque: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """First and second mirror of each image, each [N]; `NO_WALL` for none.
+    """Return the first and second mirror of each image, each [N]; `NO_WALL` for none.
 
-    The image must stand behind the wall, and no other wall may cut the way from the radar to the wall or from there
-    to the true place. Rays that pass just off a wall's end count by a margin that grows with the angular error;
-    a wall truly passed comes before one narrowly missed. Of several passed the last is the mirror: that its returns
-    came at all shows that the nearer ones do not reach this far. Walls that are not `opaque` [W] count for nothing.
-    Where another wall cuts the way on, it is the second mirror, if both are longer than a vehicle and the rest is free.
+    The image must lie behind the wall, and no other wall may block the segments from the radar to the wall and from
+    there to the true position. Rays that pass just off a wall's end count within a margin that grows with the angular
+    error; a crossed wall is preferred to one narrowly missed. Of several crossed walls the last is the mirror: its
+    returns show that the nearer walls do not reach this far. Walls that are not `opaque` [W] are ignored. Where another
+    wall blocks the second segment, it is the second mirror, if both are longer than a vehicle and the rest is free.
     """
     nothing = np.full(len(images_m), NO_WALL)
     if len(walls) == 0 or len(images_m) == 0:
         return nothing, nothing
     opaque = np.ones(len(walls), bool) if opaque is None else opaque
-    passing = Passing.of(images_m, azimuth_std_rad, walls)
-    missed_m, to_wall_m = passing.missed_m, passing.to_wall_m
-    margin_m = np.minimum(params.end_margin_m + 2.0 * passing.sideways_m, params.max_margin_m)
-    possible = opaque & passing.behind(params.min_depth_m) & (missed_m <= margin_m)
-    ways = _Ways.of(images_m, passing.met, walls, opaque, params)
-    possible &= ~ways.cut(np.broadcast_to(RADAR, ways.mirror_m.shape), ways.mirror_m)
-    whole = possible & ~ways.cut(ways.mirror_m, ways.place_m)
-    # the sides of vehicles are poor mirrors: only where nothing longer offers itself
-    later = 1e3 * (missed_m > 0.0) + 2e3 * (walls.length_m <= params.vehicle_length_m) + missed_m - to_wall_m
+    crossings = RayWallCrossings.of(images_m, azimuth_std_rad, walls)
+    missed_m, to_wall_m = crossings.missed_m, crossings.to_wall_m
+    margin_m = np.minimum(params.end_margin_m + 2.0 * crossings.sideways_m, params.max_margin_m)
+    possible = opaque & crossings.behind(params.min_depth_m) & (missed_m <= margin_m)
+    paths = _MirrorPaths.of(images_m, crossings.met, walls, opaque, params)
+    possible &= ~paths.is_blocked(np.broadcast_to(RADAR, paths.mirror_m.shape), paths.mirror_m)
+    whole = possible & ~paths.is_blocked(paths.mirror_m, paths.position_m)
+    # the sides of vehicles are poor mirrors: used only where no longer wall fits
+    preference = 1e3 * (missed_m > 0.0) + 2e3 * (walls.length_m <= params.vehicle_length_m) + missed_m - to_wall_m
     second = np.full(whole.shape, NO_WALL)
     if params.second_order:
         sure = (missed_m == 0.0) & (walls.length_m > params.vehicle_length_m)
         rows, columns = np.nonzero(possible & ~whole & sure)
-        second[rows, columns] = ways.second(rows, columns)
-    cost = np.where(whole, later, np.where(second != NO_WALL, later, np.inf))
+        second[rows, columns] = paths.second(rows, columns)
+    cost = np.where(whole, preference, np.where(second != NO_WALL, preference, np.inf))
     first = _cheapest(cost)
     return first, np.where(first == NO_WALL, NO_WALL, second[np.arange(len(first)), first])
 
 
 def _cheapest(cost: np.ndarray) -> np.ndarray:
-    """Index of the least finite cost in each row [N], `NO_WALL` where there is none."""
+    """Return the index of the least finite cost in each row [N], `NO_WALL` where there is none."""
     return np.where(np.isfinite(cost.min(axis=1)), cost.argmin(axis=1), NO_WALL)
 
 
 @dataclass(frozen=True)
-class Passing:
-    """How the ray of each image passes each wall or its line beyond the ends, arrays [N, W]."""
+class RayWallCrossings:
+    """Crossings of the ray of each image with each wall or its line beyond the ends, arrays [N, W]."""
 
     met: Hits
-    #: How far beyond the wall's ends.
+    #: Distance beyond the wall's ends.
     missed_m: np.ndarray
     #: From the radar; NaN where they never meet.
     to_wall_m: np.ndarray
-    #: One sigma of where along the wall they meet.
+    #: One sigma of the crossing's position along the wall.
     sideways_m: np.ndarray
-    #: How deep behind the mirror the image stands.
+    #: Depth of the image behind the mirror.
     depth_m: np.ndarray
 
     @classmethod
-    def of(cls, images_m: np.ndarray, azimuth_std_rad: np.ndarray, walls: WallArrays) -> Passing:
-        """Images [N, 2] in metres with their angular errors [N], and walls."""
+    def of(cls, images_m: np.ndarray, azimuth_std_rad: np.ndarray, walls: WallArrays) -> RayWallCrossings:
+        """Return the images [N, 2] in metres with their angular errors [N], and walls."""
         met = hits(RADAR, images_m, walls)
         range_m, _ = polar_from_xy(images_m)
         incidence = np.abs(np.einsum("ni,nwi->nw", images_m, met.normal)) / np.maximum(range_m, 1e-9)[:, None]
@@ -157,16 +158,20 @@ class Passing:
         )
 
     def behind(self, depth_m: float) -> np.ndarray:
-        """Where the image stands more than `depth_m` behind a wall that its ray meets on the way; bool [N, W]."""
+        """Return whether the image lies more than `depth_m` behind a wall that its ray crosses before the image; bool
+        [N, W].
+        """
         return (self.depth_m > depth_m) & (self.met.along_ray > 0.0) & (self.met.along_ray < 1.0)
 
 
 @dataclass(frozen=True)
-class _Ways:
-    """Ways radar -> wall -> folded place of each image by each wall, [N, W, 2], and the walls that may cut them."""
+class _MirrorPaths:
+    """Paths radar -> wall -> folded position of each image by each wall, [N, W, 2], and the walls that may block
+    them.
+    """
 
     mirror_m: np.ndarray
-    place_m: np.ndarray
+    position_m: np.ndarray
     walls: WallArrays
     opaque: np.ndarray
     params: RecoveryParams
@@ -174,19 +179,19 @@ class _Ways:
     @classmethod
     def of(
         cls, images_m: np.ndarray, met: Hits, walls: WallArrays, opaque: np.ndarray, params: RecoveryParams
-    ) -> _Ways:
+    ) -> _MirrorPaths:
         mirror_m = np.nan_to_num(met.along_ray)[..., None] * images_m[:, None]
-        place_m = reflect(np.broadcast_to(images_m[:, None], mirror_m.shape), met.normal, met.offset_m)
-        return cls(mirror_m, np.nan_to_num(place_m), walls, opaque, params)
+        position_m = reflect(np.broadcast_to(images_m[:, None], mirror_m.shape), met.normal, met.offset_m)
+        return cls(mirror_m, np.nan_to_num(position_m), walls, opaque, params)
 
-    def cut(self, origin_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
-        """Which legs [N, W, 2] a wall other than their own cuts; bool [N, W]."""
+    def is_blocked(self, origin_m: np.ndarray, end_m: np.ndarray) -> np.ndarray:
+        """Return whether a wall other than their own blocks the segments [N, W, 2]; bool [N, W]."""
         own = np.broadcast_to(np.arange(len(self.walls)), origin_m.shape[:2]).ravel()
-        cuts = self._cuts(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own)
+        cuts = self._blocked_by(origin_m.reshape(-1, 2), end_m.reshape(-1, 2), own)
         return np.asarray(cuts.any(axis=1)).reshape(origin_m.shape[:2])
 
-    def _cuts(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
-        """Which walls cut which legs [M, 2] that touch the wall `own` [M]; bool [M, W].
+    def _blocked_by(self, origin_m: np.ndarray, end_m: np.ndarray, own: np.ndarray) -> np.ndarray:
+        """Return which walls block which segments [M, 2] that touch the wall `own` [M]; bool [M, W].
 
         A vehicle's side is too short to be sure that a path does not pass beside it.
         """
@@ -196,56 +201,61 @@ class _Ways:
         return crosses(origin_m, end_m, a, b) & deep & sure & (np.arange(len(self.walls)) != own[:, None])
 
     def second(self, image: np.ndarray, first: np.ndarray) -> np.ndarray:
-        """Second mirror of images [M] whose first is `first` [M]: the next wall on their way, if the rest is free."""
-        start, end = self.mirror_m[image, first], self.place_m[image, first]
+        """Return the second mirror of images [M] whose first is `first` [M]: the next wall on the path, if the rest is
+        free.
+        """
+        start, end = self.mirror_m[image, first], self.position_m[image, first]
         met = hits(start, end, self.walls)
-        on = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
-        on &= self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
-        on &= behind(end[:, None], met.normal, met.offset_m) > self.params.min_depth_m
-        on &= np.arange(len(self.walls)) != first[:, None]
-        nearest = _cheapest(np.where(on, met.along_ray, np.inf))
+        crossed = (met.along_ray > 1e-6) & (met.along_ray < 1.0) & (met.missed_m(self.walls.length_m) == 0.0)
+        crossed &= self.opaque & (self.walls.length_m > self.params.vehicle_length_m)
+        crossed &= behind(end[:, None], met.normal, met.offset_m) > self.params.min_depth_m
+        crossed &= np.arange(len(self.walls)) != first[:, None]
+        nearest = _cheapest(np.where(crossed, met.along_ray, np.inf))
         row = np.arange(len(image))
         turn = start + np.nan_to_num(met.along_ray[row, nearest])[:, None] * (end - start)
-        place = reflect(end, met.normal[row, nearest], met.offset_m[row, nearest])
-        free = ~self._cuts(turn, np.nan_to_num(place), nearest).any(axis=1)
+        position = reflect(end, met.normal[row, nearest], met.offset_m[row, nearest])
+        free = ~self._blocked_by(turn, np.nan_to_num(position), nearest).any(axis=1)
         return np.where(free, nearest, NO_WALL)
 
 
 def associate_buddy(images_m: np.ndarray, walls: WallArrays, returns: DirectReturns) -> tuple[WallArrays, np.ndarray]:
-    """The published way: the wall of the direct return nearest in angle; walls and the index of each image's [N].
+    """Associate images with the wall of the direct return nearest in angle (published rule); walls and index of each
+    [N].
 
-    A return on no wall stands for one of its own through it, normal along its ray; such walls are appended.
+    A return on no wall gets a wall of its own, through it and normal to its ray; such walls are appended.
     """
     if len(returns.points_m) == 0:
         return walls, np.full(len(images_m), NO_WALL)
     buddy = nearest_in_angle(images_m, returns.points_m)
     wall = returns.wall[buddy]
-    lonely = np.flatnonzero(wall == NO_WALL)
-    points_m = returns.points_m[buddy[lonely]]
+    unassigned = np.flatnonzero(wall == NO_WALL)
+    points_m = returns.points_m[buddy[unassigned]]
     normal, offset_m = facing_radar(points_m)
     extended = WallArrays(
         normal=np.concatenate([walls.normal, normal]),
         offset_m=np.concatenate([walls.offset_m, offset_m]),
         a=np.concatenate([walls.a, points_m]),
         b=np.concatenate([walls.b, points_m]),
-        angle_std_rad=np.concatenate([walls.angle_std_rad, np.full(len(lonely), math.radians(10.0))]),
-        offset_std_m=np.concatenate([walls.offset_std_m, np.full(len(lonely), 0.1)]),
-        curvature_per_m=np.concatenate([walls.curvature_per_m, np.zeros(len(lonely))]),
+        angle_std_rad=np.concatenate([walls.angle_std_rad, np.full(len(unassigned), math.radians(10.0))]),
+        offset_std_m=np.concatenate([walls.offset_std_m, np.full(len(unassigned), 0.1)]),
+        curvature_per_m=np.concatenate([walls.curvature_per_m, np.zeros(len(unassigned))]),
     )
     wall = wall.copy()
-    wall[lonely] = len(walls) + np.arange(len(lonely))
+    wall[unassigned] = len(walls) + np.arange(len(unassigned))
     return extended, wall
 
 
 def facing_radar(points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normals [N, 2] and offsets [N] of walls through points [N, 2], facing the radar; one at the radar faces back."""
+    """Return the normals [N, 2] and offsets [N] of walls through points [N, 2], facing the radar; one at the radar
+    faces back.
+    """
     range_m = np.hypot(points_m[:, 0], points_m[:, 1])
     away = np.where(range_m[:, None] > 0.0, points_m, [1.0, 0.0])
     return -away / np.hypot(away[:, 0], away[:, 1])[:, None], range_m
 
 
 def nearest_in_angle(images_m: np.ndarray, points_m: np.ndarray) -> np.ndarray:
-    """Index of the point [M, 2] whose polar angle is nearest to each image's [N]; ties: the first."""
+    """Return the index of the point [M, 2] whose polar angle is nearest to each image's [N]; ties: the first."""
     image_rad = np.arctan2(images_m[:, 1], images_m[:, 0])
     point_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     apart_rad = np.abs(image_rad[:, None] - point_rad)

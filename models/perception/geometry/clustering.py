@@ -10,7 +10,7 @@ NOISE = -1
 
 
 def dbscan(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
-    """Cluster labels of points [N, 2], int64 [N]; `NOISE` for points in none.
+    """Return the cluster labels of points [N, 2], int64 [N]; `NOISE` for points in none.
 
     A core point has at least `min_points` points within `eps_m`, itself included; core points within `eps_m` of each
     other share a cluster. A point that is not core joins its nearest core point within reach (ties: the first one).
@@ -22,16 +22,17 @@ def dbscan(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
         raise ValueError(f"points_m must have shape [N, 2], got {points_m.shape}")
     if not eps_m > 0.0 or min_points < 1:
         raise ValueError(f"eps_m must be positive and min_points at least 1, got {eps_m!r} and {min_points!r}")
-    # a copy: of one layout, whatever came, for which the kernel is compiled
+    # copied to the one layout for which the kernel is compiled
     return _clusters(points_m.copy(), float(eps_m), int(min_points))
 
 
 @njit(cache=True, nogil=True)
 def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray:
-    """Labels of points [N, 2]: core points joined to trees whose root is their first point, then border points.
+    """Return the labels of points [N, 2]: core points joined to trees whose root is their first point, then border
+    points.
 
-    Near pairs are looked for in a sweep along x and never kept: where all points lie together there are as many as
-    points squared.
+    Near pairs are found in a sweep along x and not stored: where all points lie together, their number is the square of
+    the number of points.
     """
     order = np.argsort(points_m[:, 0], kind="mergesort")
     start, stop = _reach(points_m[order, 0], eps_m)
@@ -54,7 +55,9 @@ def _clusters(points_m: np.ndarray, eps_m: float, min_points: int) -> np.ndarray
 
 @njit(cache=True, nogil=True)
 def _reach(x_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """For each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond; [N] each."""
+    """Return, for each of the sorted coordinates [N] the first one within `eps_m` and the first one beyond; [N]
+    each.
+    """
     start, stop = np.zeros(len(x_m), np.int64), np.empty(len(x_m), np.int64)
     last = 0
     for k in range(len(x_m)):
@@ -69,7 +72,7 @@ def _reach(x_m: np.ndarray, eps_m: float) -> tuple[np.ndarray, np.ndarray]:
 def _core(
     points_m: np.ndarray, eps_m: float, min_points: int, order: np.ndarray, start: np.ndarray, stop: np.ndarray
 ) -> np.ndarray:
-    """Which points have enough others within reach, themselves included; bool [N]."""
+    """Return which points have enough others within reach, themselves included; bool [N]."""
     core = np.zeros(len(order), np.bool_)
     for k in range(len(order)):
         count = 0
@@ -83,14 +86,14 @@ def _core(
 
 @njit(cache=True, nogil=True)
 def _distance2(points_m: np.ndarray, i: int, j: int) -> float:
-    """Square of the distance of two points."""
+    """Return the square of the distance of two points."""
     dx, dy = points_m[j, 0] - points_m[i, 0], points_m[j, 1] - points_m[i, 1]
     return float(dx * dx + dy * dy)
 
 
 @njit(cache=True, nogil=True)
 def _root(parent: np.ndarray, i: int) -> int:
-    """Root of a point's tree; ways to it are shortened in place."""
+    """Return the root of a point's tree; paths to it are shortened in place."""
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -122,7 +125,7 @@ def _join_border(
 
 @njit(cache=True, nogil=True)
 def _in_order_of_first_point(parent: np.ndarray) -> np.ndarray:
-    """Labels 0, 1, ... of trees by where they first occur; `NOISE` stays."""
+    """Return the labels 0, 1, ... of trees by where they first occur; `NOISE` stays."""
     labels, of_root = np.full(len(parent), NOISE), np.full(len(parent), NOISE)
     count = 0
     for i in range(len(parent)):
@@ -137,7 +140,7 @@ def _in_order_of_first_point(parent: np.ndarray) -> np.ndarray:
 
 
 def fits_box(points_m: np.ndarray, length_m: float, width_m: float) -> bool:
-    """Whether points [N, 2] fit in a rectangle of some orientation (tried every 5 degrees)."""
+    """Return whether points [N, 2] fit in a rectangle of some orientation (tried every 5 degrees)."""
     return bool(_fits_box(np.array(points_m, np.float64), float(length_m), float(width_m)))
 
 

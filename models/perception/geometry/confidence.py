@@ -1,8 +1,8 @@
-"""How likely a folded place is true: a small network on what is known of its fold, fitted on simulated scenes.
+"""Confidence of folded positions: a small network on features of the fold, fitted on simulated scenes.
 
-True images are strong, pass well within a wall that is seen where it mirrors them, and land where others of their kind
-do; false ones are reflections of nothing, or real ones folded in the wrong wall. One number says which: the probability
-that the place lies within 1 m of a true one.
+True images are strong. Their rays cross a wall well within its ends, near one of its returns, and they fold to
+positions near others of the same object. False ones have no source, or were folded in the wrong wall. The confidence is
+the probability that the position lies within 1 m of a true one.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from numpy.typing import ArrayLike
 from scipy.special import expit
 
 from models.perception.cards import learned_path, read_card
-from models.perception.geometry.association import DirectReturns, Passing, RecoveryParams
+from models.perception.geometry.association import DirectReturns, RayWallCrossings, RecoveryParams
 from models.perception.geometry.mirrors import WallArrays, behind_walls, wall_arrays
 from models.perception.geometry.recovery import Recovered
 from models.physics.plane import segment_distance_m
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Wall
 
-#: That of the committed network.
+#: Confidence model of the committed network.
 DEFAULT_CONFIDENCE = learned_path("compact_unet.confidence", ".json")
-#: Distances are told by their logarithm between these.
+#: Distances are given as logarithms, clipped to these bounds.
 NEAREST_M, FARTHEST_M = 0.2, 120.0
-#: Places this near each other are of one thing: of other walls, of the same.
+#: Positions this near each other belong to one object: by different walls, by the same wall.
 SUPPORT_M, COMPANY_M = 1.0, 2.0
-#: A direct return this near is what the place may be.
-SAME_THING_M = 1.5
-#: No feature and no weight is larger.
+#: A direct return this near may be the same object.
+SAME_OBJECT_M = 1.5
+#: Upper bound of every feature and weight.
 LARGEST = 1e3
-#: Standardised features count for no more: nothing is extrapolated far beyond what was fitted.
+#: Bound of standardised features: the model does not extrapolate far beyond the fitted range.
 CLIP = 4.0
 
 
-#: What the model sees of a place, in order; distances without a unit are logarithms of metres.
+#: Features of a position, in order; distances without a unit are logarithms of metres.
 FEATURES = (
     "score_logit", "snr_db", "image_range", "image_azimuth_rad", "image_sigma", "sigma",
     "missed_m", "depth", "to_wall", "incidence", "mirror_gap", "twice",
@@ -51,8 +51,8 @@ FEATURES = (
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A scan's places with what they are judged by."""
+class _FoldContext:
+    """Folded positions of a scan with the walls and returns that their features are computed from."""
 
     recovered: Recovered
     walls: WallArrays
@@ -66,13 +66,13 @@ class _Seen:
 
     @cached_property
     def long_walls(self) -> WallArrays:
-        """Walls that are no vehicle's side."""
+        """Walls too long for a vehicle's side."""
         return self.walls.select(self.walls.length_m > self.params.vehicle_length_m)
 
 
-def _echo(seen: _Seen) -> dict[str, np.ndarray]:
-    """The echo itself: how strong, where it appeared."""
-    recovered = seen.recovered
+def _echo(context: _FoldContext) -> dict[str, np.ndarray]:
+    """Return the features of the echo itself: its strength and apparent position."""
+    recovered = context.recovered
     score = np.clip(recovered.score, 0.01, 0.99)
     range_m, azimuth_rad = polar_from_xy(recovered.images_m)
     return {
@@ -80,35 +80,37 @@ def _echo(seen: _Seen) -> dict[str, np.ndarray]:
         "snr_db": np.clip(recovered.snr_db, -10.0, 70.0),
         "image_range": _log(range_m),
         "image_azimuth_rad": np.abs(azimuth_rad),
-        "image_sigma": _log(seen.image_sigma_m),
+        "image_sigma": _log(context.image_sigma_m),
         "sigma": _log(np.sqrt(np.trace(recovered.covariance_m2, axis1=1, axis2=2))),
     }
 
 
-def _fold(seen: _Seen) -> dict[str, np.ndarray]:
-    """How its ray meets the wall, and how near to one of the wall's returns."""
-    recovered, wall = seen.recovered, seen.recovered.wall
+def _fold(context: _FoldContext) -> dict[str, np.ndarray]:
+    """Return the features of the crossing of its ray with the wall, and the distance to the nearest return of the
+    wall.
+    """
+    recovered, wall = context.recovered, context.recovered.wall
     range_m = np.maximum(np.hypot(recovered.images_m[:, 0], recovered.images_m[:, 1]), NEAREST_M)
-    passing = Passing.of(recovered.images_m, seen.image_sigma_m / range_m, seen.walls)
-    to_wall_m = np.clip(_at(passing.to_wall_m, wall), 0.0, range_m)
+    crossings = RayWallCrossings.of(recovered.images_m, context.image_sigma_m / range_m, context.walls)
+    to_wall_m = np.clip(_at(crossings.to_wall_m, wall), 0.0, range_m)
     mirror_m = recovered.images_m * (to_wall_m / range_m)[:, None]
-    gap_m = np.linalg.norm(mirror_m[:, None] - seen.returns.points_m, axis=-1)
-    gap_m = np.where(wall[:, None] == seen.returns.wall, gap_m, FARTHEST_M).min(axis=1, initial=FARTHEST_M)
-    sideways_m = np.maximum(_at(passing.sideways_m, wall), NEAREST_M)
+    gap_m = np.linalg.norm(mirror_m[:, None] - context.returns.points_m, axis=-1)
+    gap_m = np.where(wall[:, None] == context.returns.wall, gap_m, FARTHEST_M).min(axis=1, initial=FARTHEST_M)
+    sideways_m = np.maximum(_at(crossings.sideways_m, wall), NEAREST_M)
     return {
-        "missed_m": np.clip(_at(passing.missed_m, wall), 0.0, 4.0),
-        "depth": _log(_at(passing.depth_m, wall)),
+        "missed_m": np.clip(_at(crossings.missed_m, wall), 0.0, 4.0),
+        "depth": _log(_at(crossings.depth_m, wall)),
         "to_wall": _log(to_wall_m),
-        "incidence": np.clip(to_wall_m * seen.image_sigma_m / range_m / sideways_m, 0.0, 1.0),
+        "incidence": np.clip(to_wall_m * context.image_sigma_m / range_m / sideways_m, 0.0, 1.0),
         "mirror_gap": _log(gap_m),
         "twice": recovered.second >= 0,
     }
 
 
-def _mirror(seen: _Seen) -> dict[str, np.ndarray]:
-    """The wall."""
-    wall, walls = seen.recovered.wall, seen.walls
-    returns = np.bincount(seen.returns.wall[seen.returns.wall >= 0], minlength=len(walls))
+def _mirror(context: _FoldContext) -> dict[str, np.ndarray]:
+    """Return the features of the wall."""
+    wall, walls = context.recovered.wall, context.walls
+    returns = np.bincount(context.returns.wall[context.returns.wall >= 0], minlength=len(walls))
     return {
         "wall_length": _log(_at(walls.length_m, wall)),
         "wall_angle_std_rad": np.clip(_at(walls.angle_std_rad, wall), 0.0, 0.2),
@@ -117,13 +119,13 @@ def _mirror(seen: _Seen) -> dict[str, np.ndarray]:
     }
 
 
-def _surroundings(seen: _Seen) -> dict[str, np.ndarray]:
-    """Where it lands: among direct returns, walls, in the shadow of walls."""
-    points_m, returns, walls = seen.recovered.points_m, seen.returns, seen.long_walls
+def _surroundings(context: _FoldContext) -> dict[str, np.ndarray]:
+    """Return the features of the surroundings: direct returns, walls, and whether a wall hides the position."""
+    points_m, returns, walls = context.recovered.points_m, context.returns, context.long_walls
     range_m, azimuth_rad = polar_from_xy(points_m)
     distance_m = np.linalg.norm(points_m[:, None] - returns.points_m, axis=-1)  # [N, M]
-    loose = ~np.append(seen.walls.length_m > seen.params.vehicle_length_m, False)[returns.wall]
-    louder = np.where(distance_m < SAME_THING_M, returns.snr_db - seen.recovered.snr_db[:, None], -40.0)
+    loose = ~np.append(context.walls.length_m > context.params.vehicle_length_m, False)[returns.wall]
+    louder = np.where(distance_m < SAME_OBJECT_M, returns.snr_db - context.recovered.snr_db[:, None], -40.0)
     return {
         "range": _log(range_m),
         "azimuth_rad": np.abs(azimuth_rad),
@@ -131,36 +133,38 @@ def _surroundings(seen: _Seen) -> dict[str, np.ndarray]:
         "nearest_loose_return": _log(np.where(loose, distance_m, FARTHEST_M).min(axis=1, initial=FARTHEST_M)),
         "return_louder_db": np.clip(louder.max(axis=1, initial=-40.0), -40.0, 40.0),
         "nearest_wall": _log(segment_distance_m(points_m, walls.a, walls.b).min(axis=1, initial=FARTHEST_M)),
-        "behind_wall": behind_walls(points_m, walls, seen.params.cut_depth_m),
+        "behind_wall": behind_walls(points_m, walls, context.params.cut_depth_m),
     }
 
 
-def _company(seen: _Seen) -> dict[str, np.ndarray]:
-    """Other places: of other walls at the same spot, of the same around it, and how many there are."""
-    one = seen.recovered
-    distance_m = np.linalg.norm(one.points_m[:, None] - one.points_m, axis=-1)
-    same = (one.wall[:, None] == one.wall) & (one.second[:, None] == one.second)
-    support = np.where(same, 0.0, one.score * np.exp(-((distance_m / SUPPORT_M) ** 2)))
-    mates = same & (distance_m < COMPANY_M) & ~np.eye(len(one), dtype=bool)
+def _company(context: _FoldContext) -> dict[str, np.ndarray]:
+    """Return the features of the other positions: by other walls at the same spot, by the same wall near it, their
+    number.
+    """
+    recovered = context.recovered
+    distance_m = np.linalg.norm(recovered.points_m[:, None] - recovered.points_m, axis=-1)
+    same = (recovered.wall[:, None] == recovered.wall) & (recovered.second[:, None] == recovered.second)
+    support = np.where(same, 0.0, recovered.score * np.exp(-((distance_m / SUPPORT_M) ** 2)))
+    mates = same & (distance_m < COMPANY_M) & ~np.eye(len(recovered), dtype=bool)
     return {
         "support": np.clip(support.max(axis=1, initial=0.0), 0.0, 1.0),
         "company": np.log1p(mates.sum(axis=1)),
-        "company_score": np.clip(np.where(mates, one.score, 0.0).max(axis=1, initial=0.0), 0.0, 1.0),
-        "places": np.full(len(one), math.log1p(len(one))),
-        "walls": np.full(len(one), math.log1p(len(seen.walls))),
+        "company_score": np.clip(np.where(mates, recovered.score, 0.0).max(axis=1, initial=0.0), 0.0, 1.0),
+        "places": np.full(len(recovered), math.log1p(len(recovered))),
+        "walls": np.full(len(recovered), math.log1p(len(context.walls))),
     }
 
 
-_PARTS: tuple[Callable[[_Seen], dict[str, np.ndarray]], ...] = (_echo, _fold, _mirror, _surroundings, _company)
+_PARTS: tuple[Callable[[_FoldContext], dict[str, np.ndarray]], ...] = (_echo, _fold, _mirror, _surroundings, _company)
 
 
 def _log(metres: np.ndarray) -> np.ndarray:
-    """Logarithm of distances, within bounds."""
+    """Return the logarithm of distances, within bounds."""
     return np.asarray(np.log(np.clip(metres, NEAREST_M, FARTHEST_M)))
 
 
 def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
-    """Values [W], or [N, W], at each place's wall [N]; zero for places without one and where they are NaN."""
+    """Return the values [W], or [N, W], at each position's wall [N]; zero for positions without one and for NaN."""
     padded = np.concatenate([values, np.zeros((*values.shape[:-1], 1))], axis=-1)
     return np.nan_to_num(padded[wall] if values.ndim == 1 else padded[np.arange(len(wall)), wall])
 
@@ -168,9 +172,9 @@ def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
 def place_features(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
-    """What the model sees of each place, float64 [N, features] in the order of `FEATURES`; distances as logarithms."""
-    seen = _Seen(recovered, wall_arrays(walls), returns, params)
-    columns = {name: column for part in _PARTS for name, column in part(seen).items()}
+    """Return the features of each position, float64 [N, features], in the order of `FEATURES`."""
+    context = _FoldContext(recovered, wall_arrays(walls), returns, params)
+    columns = {name: column for part in _PARTS for name, column in part(context).items()}
     return np.stack([columns[name].astype(np.float64) for name in FEATURES], axis=1)
 
 
@@ -187,7 +191,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     hidden_biases: tuple[float, ...]
     weights: tuple[float, ...]
     bias: float
-    #: Places below are dropped: where the recovered F1 of the validation scenes is best.
+    #: Positions below are dropped; chosen for the best recovered F1 of the validation scenes.
     threshold: float
     #: `Peaks.detector` of the peaks it was fitted on; empty: of any.
     detector: str = ""
@@ -195,7 +199,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     command: str = ""
     #: Made from which scenes, with which detector.
     data: dict[str, str | int] = {}
-    #: On validation scenes; `_without` are those of all places.
+    #: On validation scenes; `_without` are those of all positions.
     metrics: dict[str, float] = {}
 
     def __post_init__(self) -> None:
@@ -211,7 +215,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
             raise ValueError(f"confidence.scales must be positive, got {min(self.scales)}")
 
     def fits(self, detector: str) -> bool:
-        """Whether the model was fitted on peaks of this detector (`Peaks.detector`), or says of none."""
+        """Return whether the model was fitted on peaks of this detector (`Peaks.detector`), or of any."""
         return self.detector in ("", detector)
 
     def of(self, detector: str) -> PlaceConfidence | None:
@@ -221,12 +225,12 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     def probable(
         self, recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
     ) -> Recovered:
-        """The places of a scan that reach the threshold, each with its probability for a score."""
+        """Return the positions of a scan that reach the threshold, each with its probability as score."""
         probability = self.probability(place_features(recovered, walls, returns, params))
         return replace(recovered, score=probability).select(probability >= self.threshold)
 
     def probability(self, features: np.ndarray) -> np.ndarray:
-        """Probability [N] that each place lies within 1 m of a true one, of features [N, features].
+        """Return the probability [N] that each position lies within 1 m of a true one, from features [N, features].
 
         Raises `ValueError` where a feature is not finite or too large.
         """
@@ -235,13 +239,13 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         if not (np.abs(features) <= LARGEST).all():
             row, column = np.argwhere(~(np.abs(features) <= LARGEST))[0]
             raise ValueError(f"features must be within {LARGEST:g}, {FEATURES[column]} is {features[row, column]}")
-        seen = standardised(features, self.means, self.scales)
-        hidden = np.tanh(seen @ np.array(self.hidden_weights).T + self.hidden_biases)
+        scaled = standardised(features, self.means, self.scales)
+        hidden = np.tanh(scaled @ np.array(self.hidden_weights).T + self.hidden_biases)
         return np.asarray(expit(hidden @ np.array(self.weights) + self.bias))
 
 
 def standardised(features: np.ndarray, means: ArrayLike, scales: ArrayLike) -> np.ndarray:
-    """Features [N, F] in units of their spread, clipped."""
+    """Return the features [N, F] in units of their spread, clipped."""
     return np.clip((features - np.asarray(means)) / np.asarray(scales), -CLIP, CLIP)
 
 
@@ -259,7 +263,7 @@ def _check_numbers(name: str, values: object, shape: tuple[int, ...]) -> None:
 
 @dataclass(frozen=True)
 class FittedConfidences:
-    """Models of several detectors: peaks of each are judged by its own."""
+    """Models of several detectors; the peaks of each detector use its own model."""
 
     models: tuple[PlaceConfidence, ...]
 
@@ -268,7 +272,7 @@ class FittedConfidences:
         return next((model for model in self.models if model.fits(detector)), None)
 
 
-#: What the geometry stage can be given.
+#: Models that the geometry stage accepts.
 Confidence = PlaceConfidence | FittedConfidences
 
 

@@ -16,13 +16,13 @@ from msgs.values.perception import Wall
 INLIER_SIGMAS = 3.0
 #: Density of scattered points about a line: one in this many metres across it.
 SCATTER_WIDTH_M = 8.0
-#: What a point adds to a line's score at no residual and a standard deviation of 1 m.
+#: Gain of a point in a line's score at zero residual and a standard deviation of 1 m.
 _GAIN_AT_1_M = math.log(SCATTER_WIDTH_M / math.sqrt(2.0 * math.pi))
 
 
 @dataclass(frozen=True)
 class LineFit:
-    """A fitted line n.x + offset = 0 with n towards the radar, the points it stands on and its uncertainty."""
+    """A fitted line n.x + offset = 0 with n towards the radar, its points and its uncertainty."""
 
     normal: np.ndarray
     offset_m: float
@@ -45,7 +45,7 @@ class LineFit:
         return np.array([-self.normal[1], self.normal[0]])
 
     def as_wall(self) -> Wall:
-        """The value that travels."""
+        """Return the message value."""
         (ax, ay), (bx, by) = self.ends_m.tolist()
         return Wall(
             normal=(float(self.normal[0]), float(self.normal[1])),
@@ -59,7 +59,7 @@ class LineFit:
 
 
 def claimed(count: int, fits: Iterable[LineFit]) -> np.ndarray:
-    """Which points, of so many, are on any of the walls; bool [count]."""
+    """Return which points, of so many, are on any of the walls; bool [count]."""
     taken = np.zeros(count, bool)
     for fit in fits:
         taken[fit.members] = True
@@ -67,7 +67,7 @@ def claimed(count: int, fits: Iterable[LineFit]) -> np.ndarray:
 
 
 class Line(NamedTuple):
-    """A line n.x + offset = 0 with n towards the radar, and how well its direction and place are known."""
+    """A line n.x + offset = 0 with n towards the radar, with the uncertainty of its direction and position."""
 
     nx: float
     ny: float
@@ -78,12 +78,12 @@ class Line(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def residual_gain(residual_m: float, variance_m2: float) -> float:
-    """What a point adds to the score of a wall it lies off by a residual of this variance, zero for outliers.
+    """Return what a point adds to the score of a wall it lies off by a residual of this variance, zero for outliers.
 
     log(scatter width / (sqrt(2 pi) sigma)) - d^2 / (2 sigma^2) with sigma^2 the variance across the wall.
     """
     normed = residual_m * residual_m / variance_m2
-    # most points are outliers of most lines: only the others are worth a logarithm
+    # most points are outliers of most lines: the logarithm is taken for the others only
     if not normed <= INLIER_SIGMAS * INLIER_SIGMAS:
         return 0.0
     return float(max(_GAIN_AT_1_M - 0.5 * math.log(variance_m2) - 0.5 * normed, 0.0))
@@ -91,13 +91,13 @@ def residual_gain(residual_m: float, variance_m2: float) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def variance_across(covariance_m2: np.ndarray, nx: float, ny: float) -> float:
-    """n' C n of one covariance [2, 2]."""
+    """Return n' C n of one covariance [2, 2]."""
     return float(nx * nx * covariance_m2[0, 0] + 2.0 * nx * ny * covariance_m2[0, 1] + ny * ny * covariance_m2[1, 1])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def gains(points_m: np.ndarray, covariance_m2: np.ndarray, nx: float, ny: float, offset_m: float) -> np.ndarray:
-    """What each point [N, 2] with covariance [N, 2, 2] adds to one line's score; float64 [N]."""
+    """Return what each point [N, 2] with covariance [N, 2, 2] adds to one line's score; float64 [N]."""
     out = np.empty(len(points_m))
     for i in range(len(points_m)):
         residual_m = nx * points_m[i, 0] + ny * points_m[i, 1] + offset_m
@@ -107,7 +107,7 @@ def gains(points_m: np.ndarray, covariance_m2: np.ndarray, nx: float, ny: float,
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fitted(points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int) -> Line:
-    """`fit_line` for callers that are compiled themselves."""
+    """Return `fit_line` for callers that are compiled themselves."""
     count = len(points_m)
     weights = np.empty(count)
     for i in range(count):
@@ -137,7 +137,7 @@ def fitted(points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int) -> Line
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, float, float]:
-    """Centre of weighted points [N, 2] and the direction of their largest scatter [rad], in closed form."""
+    """Return the centre of weighted points [N, 2] and the direction of their largest scatter [rad], in closed form."""
     total, cx, cy = 0.0, 0.0, 0.0
     for i in range(len(points_m)):
         total += weights[i]
@@ -155,7 +155,7 @@ def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, f
 def line_gain(
     points_m: np.ndarray, covariance_m2: np.ndarray, normals: np.ndarray, offsets_m: np.ndarray
 ) -> np.ndarray:
-    """What each point [N] adds to each line's [H] score (`residual_gain`), zero for outliers; float64 [H, N]."""
+    """Return what each point [N] adds to each line's [H] score (`residual_gain`), zero for outliers; float64 [H, N]."""
     points_m, covariance_m2 = np.array(points_m, np.float64), np.array(covariance_m2, np.float64)
     rows = [gains(points_m, covariance_m2, nx, ny, d) for (nx, ny), d in zip(normals, offsets_m, strict=True)]
     return np.array(rows).reshape(len(offsets_m), len(points_m))
@@ -164,11 +164,12 @@ def line_gain(
 def fit_line(
     points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int = 3
 ) -> tuple[np.ndarray, float, float, float]:
-    """Weighted total least squares: normal [2], offset [m], angle and offset standard deviation at the middle.
+    """Return the weighted total least squares: normal [2], offset [m], angle and offset standard deviation at the
+    middle.
 
     Weights are the inverse variances across the line, so they follow the line: iterated. The uncertainty is that of
-    the weights, inflated where the residuals are larger than they promise. Needs two distinct points.
+    the weights, inflated where the residuals are larger than the weights imply. Needs two distinct points.
     """
-    # copies: of one layout, whatever came, for which the kernel is compiled
+    # copied to the one layout for which the kernel is compiled
     line = fitted(np.array(points_m, np.float64), np.array(covariance_m2, np.float64), rounds)
     return np.array([line.nx, line.ny]), line.offset_m, line.angle_std_rad, line.offset_std_m

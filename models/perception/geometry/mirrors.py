@@ -1,6 +1,6 @@
-"""Found walls as mirrors: arrays of straight and curved segments, and where rays meet them.
+"""Walls as mirrors: arrays of straight and curved segments, and the intersections of rays with them.
 
-A curved wall is an arc over its chord. Where a ray meets it, it acts as the straight mirror that touches it there: for
+A curved wall is an arc over its chord. At the point where a ray meets it, it acts as the tangent straight mirror: for
 the ray's own image that is exact, whatever the curvature.
 """
 
@@ -43,15 +43,17 @@ class WallArrays:
         return np.linalg.norm(self.b - self.a, axis=1)
 
     def select(self, keep: np.ndarray) -> WallArrays:
-        """The walls of a mask or an index."""
+        """Return the walls of a mask or an index."""
         return WallArrays(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def distance_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Signed distance of points [N, 2] from each wall's chord line, positive on the radar's side; [N, W]."""
+        """Return the signed distance of points [N, 2] from each wall's chord line, positive on the radar's side; [N,
+        W].
+        """
         return points_m @ self.normal.T + self.offset_m
 
     def trimmed(self, trim_m: float) -> tuple[np.ndarray, np.ndarray]:
-        """Ends drawn in by `trim_m`, by a quarter of the wall at most: what surely is wall."""
+        """Return the ends drawn in by `trim_m`, by a quarter of the wall at most: the certain part of the wall."""
         length_m = np.maximum(self.length_m, 1e-9)[:, None]
         inward = np.minimum(trim_m / length_m, 0.25) * (self.b - self.a)
         return self.a + inward, self.b - inward
@@ -59,7 +61,7 @@ class WallArrays:
 
 @dataclass(frozen=True)
 class Hits:
-    """Where rays meet walls: shares of ray and chord, NaN for none [N, W]; the mirror that touches the wall there."""
+    """Intersections of rays with walls: shares of ray and chord, NaN for none [N, W]; the tangent mirror there."""
 
     along_ray: np.ndarray
     along_wall: np.ndarray
@@ -68,13 +70,15 @@ class Hits:
     offset_m: np.ndarray
 
     def missed_m(self, length_m: np.ndarray) -> np.ndarray:
-        """How far beyond a wall's ends its line is met [N, W], for chords of `length_m` [W]; infinite for never."""
+        """Return the distance beyond a wall's ends at which its line is met [N, W]; chords of `length_m` [W]; infinite:
+        never.
+        """
         share = np.maximum(np.maximum(-self.along_wall, self.along_wall - 1.0), 0.0)
         return np.where(np.isnan(share), np.inf, share * length_m)
 
 
 def wall_arrays(walls: list[Wall]) -> WallArrays:
-    """Walls side by side as arrays."""
+    """Return the walls side by side as arrays."""
     return WallArrays(
         normal=np.array([wall.normal for wall in walls], np.float64).reshape(-1, 2),
         offset_m=np.array([wall.offset_m for wall in walls], np.float64),
@@ -87,61 +91,63 @@ def wall_arrays(walls: list[Wall]) -> WallArrays:
 
 
 def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
-    """Where rays from `origin` ([2] or [N, 2]) towards `targets` [N, 2] meet each wall or its line beyond the ends."""
+    """Return where rays from `origin` ([2] or [N, 2]) towards `targets` [N, 2] meet each wall or its line beyond the
+    ends.
+    """
     along_ray, along_wall = crossing_parameters(origin, targets, walls.a, walls.b)
     shape = along_ray.shape
     normal = np.broadcast_to(walls.normal, (*shape, 2)).copy()
     offset_m = np.broadcast_to(walls.offset_m, shape).copy()
     for index in np.flatnonzero(walls.curvature_per_m):
-        one = walls.select(np.array([index]))
-        way, at, normal[:, index] = _on_arc(origin, targets, along_ray[:, index], one)
-        chord = one.b[0] - one.a[0]
-        along_ray[:, index], along_wall[:, index] = way, (at - one.a[0]) @ chord / (chord @ chord)
-        offset_m[:, index] = -np.sum(normal[:, index] * at, axis=1)
+        wall = walls.select(np.array([index]))
+        ray_share, hit_m, normal[:, index] = _on_arc(origin, targets, along_ray[:, index], wall)
+        chord = wall.b[0] - wall.a[0]
+        along_ray[:, index], along_wall[:, index] = ray_share, (hit_m - wall.a[0]) @ chord / (chord @ chord)
+        offset_m[:, index] = -np.sum(normal[:, index] * hit_m, axis=1)
     return Hits(along_ray, along_wall, normal, offset_m)
 
 
 def _on_arc(
-    origin: np.ndarray, targets: np.ndarray, near: np.ndarray, one: WallArrays
+    origin: np.ndarray, targets: np.ndarray, near: np.ndarray, wall: WallArrays
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Share of the rays and point where they meet the circle, nearest to the share `near` on the chord, and its unit
-    normal there; NaN: never.
+    """Return the share of the rays and point where they meet the circle, nearest to the share `near` on the chord, and
+    its unit normal there; NaN: never.
 
     From the chord's middle, s along it and d towards the radar, the circle of curvature k over a chord 2 h long is
     k (s^2 + d^2 - h^2) = 2 d sqrt(1 - k^2 h^2): no centre, which runs off to infinity as the wall becomes flat.
     """
-    curvature, half_m = one.curvature_per_m[0], 0.5 * one.length_m[0]
+    curvature, half_m = wall.curvature_per_m[0], 0.5 * wall.length_m[0]
     rise = np.sqrt(max(1.0 - (curvature * half_m) ** 2, 0.0))
-    middle, normal = 0.5 * (one.a[0] + one.b[0]), one.normal[0]
+    middle, normal = 0.5 * (wall.a[0] + wall.b[0]), wall.normal[0]
     start = np.broadcast_to(origin, targets.shape) - middle
     ray = targets - middle - start
     second = curvature * np.sum(ray**2, axis=1)
     first = curvature * np.sum(start * ray, axis=1) - rise * (ray @ normal)
     constant = curvature * (np.sum(start**2, axis=1) - half_m**2) - 2.0 * rise * (start @ normal)
     root = first**2 - second * constant
-    # of the same sign as what it is added to: neither root is a difference of like numbers
+    # of the same sign as the term it is added to: neither root is a difference of like numbers
     away = -first - np.copysign(np.sqrt(np.where(root >= 0.0, root, np.nan)), first)
-    ways = np.stack([_quotient(constant, away), _quotient(away, second)])
-    nearest = np.nan_to_num(np.abs(ways - near), nan=np.inf).argmin(axis=0)
-    way = ways[nearest, np.arange(len(targets))]
-    at = start + way[:, None] * ray
-    return way, middle + at, rise * normal - curvature * at
+    shares = np.stack([_quotient(constant, away), _quotient(away, second)])
+    nearest = np.nan_to_num(np.abs(shares - near), nan=np.inf).argmin(axis=0)
+    share = shares[nearest, np.arange(len(targets))]
+    at = start + share[:, None] * ray
+    return share, middle + at, rise * normal - curvature * at
 
 
 def _quotient(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Quotients [N], NaN where they would be larger than any way along a ray."""
+    """Return the quotients [N], NaN where they would be larger than any share along a ray."""
     fits = np.abs(below) > 1e-12 * np.abs(above)
     return np.where(fits, above / np.where(fits, below, 1.0), np.nan)
 
 
 def behind(points_m: np.ndarray, normal: np.ndarray, offset_m: np.ndarray) -> np.ndarray:
-    """Depth of points [..., 2] behind mirrors, positive there."""
+    """Return the depth of points [..., 2] behind mirrors, positive there."""
     return -(np.sum(points_m * normal, axis=-1) + offset_m)
 
 
 def behind_walls(points_m: np.ndarray, walls: WallArrays, depth_m: float) -> np.ndarray:
-    """Points [N, 2] the radar does not see because a wall, passed by more than `depth_m`, stands between; bool [N]."""
+    """Return whether a wall hides points [N, 2] that lie more than `depth_m` behind it from the radar; bool [N]."""
     if len(walls) == 0:
         return np.zeros(len(points_m), bool)
-    cut = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)
-    return np.logical_or.reduce(cut, axis=1)
+    blocked = crosses(RADAR, points_m, walls.a, walls.b) & (walls.distance_m(points_m) < -depth_m)
+    return np.logical_or.reduce(blocked, axis=1)

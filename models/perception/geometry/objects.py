@@ -1,8 +1,8 @@
-"""Hidden objects from recovered points: clusters, boxes of what was seen, scores, covariances; and their JSON line.
+"""Hidden objects from recovered points: clusters, boxes of the visible points, scores, covariances.
 
-The centre is the mean of the seen points, weighted by amplitude and score: the centre of the visible face, which is
-what the radar measures. It is not pushed inwards by half a typical depth: that would trade a known quantity for a guess
-of the class.
+The centre is the mean of the points, weighted by amplitude and score: the centre of the visible face, which the radar
+measures. It is not moved inwards by half a typical depth, because that would replace a measurement by a guess of the
+class.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from models.perception.geometry.rejection import in_open_view
 from models.physics.plane import segment_distance_m
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy
-from msgs.values.perception import BevFrame, HiddenObject, Wall
+from msgs.values.perception import HiddenObject, Wall
 
 #: A uniform face of length L has variance L^2 / 12 along it.
 UNIFORM_FACE = 12.0
-#: Pairs of points that may join fragments, nearest first: those of two hundred points, more than a scan folds back.
-MOST_PAIRS = 20_000
+#: Largest number of point pairs that may join fragments, nearest first: the pairs of two hundred points.
+MAX_PAIRS = 20_000
 
 
 class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When recovered points are an object, and how large one may be."""
+    """Conditions under which recovered points form an object, and the limits of its size."""
 
     eps_m: float = 2.5
     #: Fragments no further apart than eps plus one sigma belong together, if they fit in one vehicle.
@@ -37,10 +37,11 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
     vehicle_width_m: float = 2.5
     min_points: int = 2
     min_score: float = 0.54
-    #: A single point makes an object only this strong.
+    #: Least score and SNR of an object of a single point.
     single_min_score: float = 0.45
     single_min_snr_db: float = 15.0
-    #: Where no wall, lengthened by the margin, hides it, it should have been seen directly: more is asked for.
+    #: An object that no wall, lengthened by the margin, hides should have been detected directly: it needs more
+    #: evidence.
     open_view_min_points: int = 3
     open_view_min_score: float = 0.765
     open_view_margin_m: float = 2.5
@@ -72,7 +73,7 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) -> tuple[HiddenObject, ...]:
-    """Objects of hidden points, best score first (then x, then y), ids in that order."""
+    """Return the objects of hidden points, best score first (then x, then y), ids in that order."""
     labels = merge_fragments(recovered, dbscan(recovered.points_m, params.eps_m, 1), params)
     clusters = [recovered.select(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
     clusters = [cluster for cluster in clusters if _is_object(cluster, walls, params)]
@@ -95,7 +96,7 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
     variance = np.einsum("pi,pij,pj->p", difference, covariance_m2[first] + covariance_m2[second], difference)
     sigma_m = np.sqrt(variance) / np.maximum(distance_m, 1e-9)
     near = np.flatnonzero((distance_m <= params.eps_m + sigma_m) & (labels[first] != labels[second]))
-    for pair in near[np.argsort(distance_m[near], kind="stable")][:MOST_PAIRS]:
+    for pair in near[np.argsort(distance_m[near], kind="stable")][:MAX_PAIRS]:
         i, j = first[pair], second[pair]
         if labels[i] == labels[j]:
             continue
@@ -107,7 +108,9 @@ def merge_fragments(recovered: Recovered, labels: np.ndarray, params: ObjectPara
 
 
 def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
-    """Enough evidence for where it stands, no longer than a vehicle, not the next face of a building."""
+    """Return whether a cluster has enough evidence, is no longer than a vehicle, and is not the next face of a
+    building.
+    """
     extent_m = _extent_m(cluster)
     if extent_m > params.max_length_m or not _has_evidence(cluster, walls, params):
         return False
@@ -115,7 +118,7 @@ def _is_object(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> b
 
 
 def _has_evidence(cluster: Recovered, walls: list[Wall], params: ObjectParams) -> bool:
-    """Enough points or one strong one, and more of them where nothing seems to hide the place."""
+    """Return whether a cluster has enough points or one strong one; more are required where no wall hides it."""
     score = joint_score(cluster.score)
     strong = (cluster.score >= params.single_min_score) & (cluster.snr_db >= params.single_min_snr_db)
     enough = score >= params.min_score if len(cluster) >= params.min_points else bool(strong.any())
@@ -126,17 +129,17 @@ def _has_evidence(cluster: Recovered, walls: list[Wall], params: ObjectParams) -
 
 
 def joint_score(scores: np.ndarray) -> float:
-    """Probability that at least one of the points is real, 1 - prod(1 - s)."""
+    """Return the probability that at least one of the points is real, 1 - prod(1 - s)."""
     return float(1.0 - np.prod(1.0 - np.clip(scores, 0.0, 1.0)))
 
 
 def _extent_m(cluster: Recovered) -> float:
-    """Largest distance between two of its points."""
+    """Return the largest distance between two of its points."""
     return float(np.linalg.norm(cluster.points_m[:, None] - cluster.points_m, axis=-1).max())
 
 
 def _starts_at_wall_end(cluster: Recovered, walls: list[Wall]) -> bool:
-    """A narrow line of points whose end touches the end of a wall: the face round the corner."""
+    """Return whether a cluster is a narrow line whose end touches the end of a wall: the face round the corner."""
     centre = cluster.points_m.mean(axis=0)
     _, axes = np.linalg.eigh(np.cov(cluster.points_m.T))
     reach = (cluster.points_m - centre) @ axes[:, 1]
@@ -148,7 +151,7 @@ def _starts_at_wall_end(cluster: Recovered, walls: list[Wall]) -> bool:
 
 
 def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]:
-    """Clusters that are not the azimuth side lobe of a far stronger one at the same image range."""
+    """Return the clusters that are not the azimuth side lobe of a far stronger one at the same image range."""
     ranges = [float(np.average(polar_from_xy(cluster.images_m)[0], weights=cluster.score)) for cluster in clusters]
     powers = [float(cluster.snr_db.max()) for cluster in clusters]
     return [
@@ -162,10 +165,11 @@ def _without_lobes(clusters: list[Recovered], lobe_db: float) -> list[Recovered]
 
 
 def _without_satellites(clusters: list[Recovered], params: ObjectParams) -> list[Recovered]:
-    """Clusters that are no stray piece of one twice as large: few points, in its beam at its range or along its side.
+    """Return the clusters that are no satellite of one twice as large: few points, in its beam at its range or along
+    its side.
 
-    Two returns that one beam holds at one range are hardly told apart in azimuth, and the side of a long vehicle
-    answers at few spots: neither may become a second vehicle.
+    Two returns in one beam at one range are hardly resolved in azimuth, and the side of a long vehicle reflects at few
+    spots: neither may become a second vehicle.
     """
     return [
         cluster
@@ -180,7 +184,7 @@ def _belongs_to(cluster: Recovered, other: Recovered, params: ObjectParams) -> b
 
 
 def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
-    """Whether a cluster goes on in line with a long one, over a gap, no further than the longest vehicle reaches."""
+    """Return whether a cluster continues a long one in line, over a gap, within the length of the longest vehicle."""
     if len(other) < params.side_points:
         return False
     centre = other.points_m.mean(axis=0)
@@ -193,7 +197,9 @@ def _along_side(cluster: Recovered, other: Recovered, params: ObjectParams) -> b
 
 
 def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> bool:
-    """Whether each point of a cluster has one of the other, no weaker, at its image range and within a beam of it."""
+    """Return whether each point of a cluster has one of the other, no weaker, at its image range and within a beam
+    of it.
+    """
     range_m, azimuth_rad = polar_from_xy(cluster.images_m)
     other_range_m, other_azimuth_rad = polar_from_xy(other.images_m)
     near = np.abs(range_m[:, None] - other_range_m) <= params.satellite_range_m
@@ -203,10 +209,10 @@ def _in_one_beam(cluster: Recovered, other: Recovered, params: ObjectParams) -> 
 
 
 def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
-    """Oriented box of the seen points and the covariance of its centre.
+    """Return the oriented box of the points and the covariance of its centre.
 
-    The spread of the points less their own mean error is that of the face. Where nothing is left of it the face's
-    direction is unknown, and it is taken across the ray that saw it.
+    The spread of the points less their own mean error is that of the face. Where nothing of it is left, the face's
+    direction is unknown and is taken across the ray.
     """
     weights = cluster.score * 10.0 ** (cluster.snr_db / 20.0)
     weights = weights / weights.sum()
@@ -236,9 +242,9 @@ def _box(cluster: Recovered, params: ObjectParams) -> HiddenObject:
 
 
 def _across_ray(cluster: Recovered, weights: np.ndarray) -> float:
-    """Direction across the last leg, wall to object: that of a face that looks at the mirror."""
+    """Return the direction across the last segment, wall to object: that of a face towards the mirror."""
     range_m, azimuth_rad = polar_from_xy(cluster.images_m)
-    # turning the image's cross-range direction through the same mirror: the map image -> place keeps lengths
+    # turn the image's cross-range direction through the same mirror: the map image -> position keeps lengths
     step = 1e-3 * range_m[:, None] * np.stack([-np.sin(azimuth_rad), np.cos(azimuth_rad)], axis=1)
     normal = cluster.images_m - cluster.points_m
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
@@ -247,37 +253,5 @@ def _across_ray(cluster: Recovered, weights: np.ndarray) -> float:
 
 
 def _half_turn(yaw_rad: float) -> float:
-    """The same axis in (-pi/2, pi/2]: a box has no front."""
+    """Return the same axis in (-pi/2, pi/2]: a box has no front."""
     return math.pi / 2.0 - (math.pi / 2.0 - yaw_rad) % math.pi
-
-
-def bev_to_json(frame: BevFrame) -> dict[str, object]:
-    """One line of `objects.jsonl` (DESIGN section 4): plain numbers, exact, so that equal frames give equal bytes."""
-    return {
-        "scan_id": frame.scan_id,
-        "stamp_ns": frame.stamp_ns,
-        "frame": "radar",
-        "walls": [
-            {
-                "normal": list(wall.normal),
-                "offset_m": wall.offset_m,
-                "ends_m": [list(end) for end in wall.ends_m],
-                "inliers": wall.inliers,
-            }
-            for wall in frame.walls
-        ],
-        "points": [{"x_m": point.x_m, "y_m": point.y_m, "score": point.score} for point in frame.points],
-        "objects": [
-            {
-                "id": one.id,
-                "x_m": one.x_m,
-                "y_m": one.y_m,
-                "length_m": one.length_m,
-                "width_m": one.width_m,
-                "yaw_rad": one.yaw_rad,
-                "score": one.score,
-                "cov_m2": [list(row) for row in one.cov_m2],
-            }
-            for one in frame.objects
-        ],
-    }

@@ -1,7 +1,7 @@
-"""Where an object would have been seen: in direct sight, or through today's walls, or not at all.
+"""Observability mask: cells where an object would be detected directly, through the current walls, or not at all.
 
-"Nothing hidden" is not "cannot see": a cell is `MIRRORED` only if an object of the stated RCS standing there would
-have risen over the detection threshold through one of the walls, by the radar equation; else it is unknown.
+"Nothing hidden" differs from "not observable". A cell is `MIRRORED` only if, by the radar equation, an object of the
+stated RCS there would exceed the detection threshold through one of the walls; else it is unknown.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ UNKNOWN, DIRECT, MIRRORED = int(Visibility.UNKNOWN), int(Visibility.DIRECT), int
 
 
 class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the mask assumes of object, walls and receiver."""
+    """Assumptions of the mask about object, walls and receiver."""
 
     rcs_dbsm: float = 10.0
-    #: Power lost at a wall there and back, per wall: Fresnel and roughness of a plain facade.
+    #: Two-way power loss at a wall, per wall: Fresnel and roughness of a plain facade.
     bounce_loss_db: float = 6.0
     threshold_db: float = 13.0
     max_range_m: float = 109.0
     azimuth_limit_deg: float = 60.0
-    #: One-way element half-power beamwidth: cells off boresight are seen weaker.
+    #: One-way element half-power beamwidth: cells off boresight are detected more weakly.
     element_hpbw_deg: float = 80.0
 
     def __post_init__(self) -> None:
@@ -45,19 +45,19 @@ class VisibilityParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown
 
 
 def sensitivity_db(setup: RadarSetup) -> float:
-    """Power over noise, in one cell of a beam that looks at it, of an isotropic 0 dBsm target at 1 m, in dB.
+    """Return the power over noise, in one cell of a beam that looks at it, of an isotropic 0 dBsm target at 1 m, in dB.
 
     Coherent over the beam's chirps, with the noise gain of the Hann window.
     """
     return db_from_ratio(float(beam_snr(setup, 1.0, 1.0)))
 
 
-#: Of a sensor of which nobody has stated it: nothing is then known to be seen.
+#: Sensitivity of a sensor that states none: no cell counts as observed.
 UNKNOWN_SENSITIVITY_DB = -1e3
 
 
 def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: VisibilityParams) -> np.ndarray:
-    """`Visibility` of each cell of the grid, uint8 [rows, columns], through `walls` at a sensitivity in dB."""
+    """Return `Visibility` of each cell of the grid, uint8 [rows, columns], through `walls` at a sensitivity in dB."""
     cells_m, lost_db = _field(grid, params)
     level_db = sensitivity + params.rcs_dbsm
     mask = np.where(level_db - lost_db >= params.threshold_db, Visibility.DIRECT, Visibility.UNKNOWN).astype(np.uint8)
@@ -70,7 +70,9 @@ def observability(walls: list[Wall], sensitivity: float, grid: BevGrid, params: 
 
 @lru_cache(maxsize=2)
 def _field(grid: BevGrid, params: VisibilityParams) -> tuple[np.ndarray, np.ndarray]:
-    """Centres of a grid's cells [N, 2] and what is lost on the direct way to each [N] in dB, the same for all scans."""
+    """Return the centres of a grid's cells [N, 2] and the loss of the direct path to each [N] in dB, the same for all
+    scans.
+    """
     cells_m = grid.cell_centres_m().reshape(-1, 2)
     return cells_m, _all_lost_db(cells_m, _receiver(0.0, params))
 
@@ -86,14 +88,14 @@ class _Receiver(NamedTuple):
 
 
 def _receiver(level_db: float, params: VisibilityParams) -> _Receiver:
-    """All of one type, for which the kernels are compiled."""
+    """Return the receiver with all fields of one type, for which the kernels are compiled."""
     limits = (params.threshold_db, params.max_range_m, params.azimuth_limit_deg, params.element_hpbw_deg)
     return _Receiver(float(level_db), *map(float, limits))
 
 
 @njit(cache=True, nogil=True)
 def _lost_db(x: float, y: float, receiver: _Receiver) -> float:
-    """Power lost on the way to an apparent place and back against 1 m on boresight; infinite outside the field."""
+    """Return the two-way loss to an apparent position relative to 1 m on boresight; infinite outside the field."""
     range_m = math.hypot(x, y)
     if range_m > receiver.max_range_m:
         return math.inf
@@ -111,7 +113,7 @@ def _all_lost_db(points_m: np.ndarray, receiver: _Receiver) -> np.ndarray:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, receiver: _Receiver) -> None:
-    """Take from the direct cells of a mask [N] what walls hide, and mark what is seen in them; changes `mask`.
+    """Clear the direct cells of a mask [N] that walls hide, and mark the cells visible in them; changes `mask`.
 
     Each row of `walls` [W, 7] is ends, normal and offset.
     """
@@ -138,25 +140,27 @@ def _look_past_walls(mask: np.ndarray, cells_m: np.ndarray, walls: np.ndarray, r
 
 @njit(cache=True, nogil=True)
 def _wall(walls, w):  # type: ignore[no-untyped-def]
-    """Ends, normal and offset of a wall as plain numbers: views of rows would be counted in the inner loop."""
+    """Return the ends, normal and offset of a wall as plain numbers: row views are reference-counted in the inner
+    loop.
+    """
     return walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3], walls[w, 4], walls[w, 5], walls[w, 6]
 
 
 @njit(cache=True, nogil=True)
 def _height_m(x, y, wall):  # type: ignore[no-untyped-def]
-    """Distance of a point from a wall's line, positive on the radar's side."""
+    """Return the distance of a point from a wall's line, positive on the radar's side."""
     return x * wall[4] + y * wall[5] + wall[6]
 
 
 @njit(cache=True, nogil=True)
 def _is_behind(x, y, wall):  # type: ignore[no-untyped-def]
-    """Whether a wall hides a point from the radar."""
+    """Return whether a wall hides a point from the radar."""
     return _height_m(x, y, wall) < 0.0 and _in_wedge(x, y, wall, (0.0, 0.0))
 
 
 @njit(cache=True, nogil=True)
 def _in_wedge(x, y, wall, eye):  # type: ignore[no-untyped-def]
-    """Whether the ray from the eye to a point passes between a wall's ends."""
+    """Return whether the ray from the eye to a point passes between a wall's ends."""
     ax, ay, bx, by = wall[0] - eye[0], wall[1] - eye[1], wall[2] - eye[0], wall[3] - eye[1]
     x, y = x - eye[0], y - eye[1]
     turn = np.sign(ax * by - ay * bx)
@@ -166,7 +170,7 @@ def _in_wedge(x, y, wall, eye):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _is_free(x, y, image, own, walls):  # type: ignore[no-untyped-def]
-    """Whether no other wall cuts the way from the radar to where a wall mirrors a point, or from there to the point."""
+    """Return whether no other wall blocks the two segments radar -> specular point -> point of a path by one wall."""
     wall = _wall(walls, own)
     # the height over the wall's line falls from its offset at the radar to -height at the image
     share = wall[6] / (wall[6] + _height_m(x, y, wall))
@@ -180,5 +184,5 @@ def _is_free(x, y, image, own, walls):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _is_detectable(image, receiver):  # type: ignore[no-untyped-def]
-    """Whether an echo that appears there is over the threshold."""
+    """Return whether an echo at an apparent position is over the threshold."""
     return receiver.level_db - _lost_db(image[0], image[1], receiver) >= receiver.threshold_db

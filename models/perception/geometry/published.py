@@ -1,6 +1,6 @@
-"""The published back end alone: plain clusters and lines, buddy association, every image folded back, none rejected.
+"""The published back end: plain clusters and lines, buddy association, every image folded back, none rejected.
 
-It stands beside `models.perception.geometry.stage` so that each method can be fed to both.
+It exists beside `models.perception.geometry.stage` so that each detector can be evaluated with both.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class PublishedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
     rounds: int = 200
     inlier_m: float = 0.3
     min_inliers: int = 2
-    #: Direct returns nearer ahead than this share of the nearest image count for nothing.
+    #: Direct returns nearer ahead than this share of the nearest image are ignored.
     nearest_share: float = 0.2
     seed: int = 0
 
@@ -45,7 +45,7 @@ class PublishedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
 
 def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual | None = None) -> Recovered:
-    """Every mirrored peak folded back in the wall of the direct return nearest in angle, Eqs. (18) and (19).
+    """Return every mirrored peak folded back in the wall of the direct return nearest in angle, Eqs. (18) and (19).
 
     Without direct returns nothing is recovered.
     """
@@ -61,14 +61,14 @@ def recover_published(peaks: Peaks, params: PublishedParams, residual: Residual 
 
 
 def _not_too_near(points_m: np.ndarray, path_class: np.ndarray, share: float) -> np.ndarray:
-    """Indices of the direct returns at least `share` as far ahead as the nearest image."""
+    """Return the indices of the direct returns at least `share` as far ahead as the nearest image."""
     nearest_m = points_m[path_class == PathClass.MIRRORED, 0].min(initial=np.inf)
     ahead = points_m[:, 0] >= share * nearest_m if np.isfinite(nearest_m) else np.ones(len(points_m), bool)
     return np.flatnonzero((path_class == PathClass.LOS) & ahead)
 
 
 def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedParams) -> tuple[list[Wall], np.ndarray]:
-    """Lines of each cluster of points [N, 2], and the line of each point (`NO_WALL`: none), int64 [N].
+    """Return the lines of each cluster of points [N, 2], and the line of each point (`NO_WALL`: none), int64 [N].
 
     RANSAC by number of inliers, refit by least squares, on what the lines before have left, until too few are left.
     """
@@ -77,19 +77,19 @@ def published_walls(points_m: np.ndarray, labels: np.ndarray, params: PublishedP
     wall_of_point = np.full(len(points_m), NO_WALL, np.int64)
     for label in range(int(labels.max(initial=NOISE)) + 1):
         left = np.flatnonzero(labels == label)
-        while len(inliers := left[_most_inliers(points_m[left], params, rng)]) >= params.min_inliers:
+        while len(inliers := left[_largest_inlier_set(points_m[left], params, rng)]) >= params.min_inliers:
             wall_of_point[inliers] = len(walls)
             walls.append(_fitted(points_m[inliers]))
             left = np.setdiff1d(left, inliers)
     return walls, wall_of_point
 
 
-def _most_inliers(points_m: np.ndarray, params: PublishedParams, rng: np.random.Generator) -> np.ndarray:
-    """Which points [N] lie on the line through two of them that has the most; none where no two differ."""
+def _largest_inlier_set(points_m: np.ndarray, params: PublishedParams, rng: np.random.Generator) -> np.ndarray:
+    """Return which points [N] lie on the line through two of them that has the most; none where no two differ."""
     first, second = np.triu_indices(len(points_m), k=1)
     if len(first) > params.rounds:
-        chosen = np.sort(rng.choice(len(first), params.rounds, replace=False))
-        first, second = first[chosen], second[chosen]
+        sampled = np.sort(rng.choice(len(first), params.rounds, replace=False))
+        first, second = first[sampled], second[sampled]
     along = points_m[second] - points_m[first]
     length_m = np.linalg.norm(along, axis=1)
     apart = length_m > 1e-6
@@ -103,7 +103,7 @@ def _most_inliers(points_m: np.ndarray, params: PublishedParams, rng: np.random.
 
 
 def _fitted(points_m: np.ndarray) -> Wall:
-    """The least-squares line through points as a wall from the first to the last of them."""
+    """Return the least-squares line through points as a wall from the first to the last of them."""
     normal, offset_m, _, _ = fit_line(points_m, np.broadcast_to(np.eye(2), (len(points_m), 2, 2)))
     tangent = np.array([-normal[1], normal[0]])
     reach = points_m @ tangent

@@ -1,8 +1,8 @@
-"""From mirror images to true places: Eq. (19) for one wall, two walls and curved ones, and its covariance.
+"""Recovery of true positions from mirror images: Eq. (19) for one wall, two walls and curved ones, with covariance.
 
-An image is the echo of something in front of a wall, seen behind it. Folding it back in the wall its own ray passes
-through gives the place it stands; `models.perception.geometry.association` says which wall,
-`models.perception.geometry.rejection` which places are hidden.
+An image is the echo of an object in front of a wall that appears behind it. Folding it back in the wall that its own
+ray crosses gives the object's position. `models.perception.geometry.association` selects the wall,
+`models.perception.geometry.rejection` the hidden positions.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ from msgs.values.perception import HiddenPoint, PathClass, Peaks, Wall
 
 @dataclass(frozen=True)
 class Recovered:
-    """Images folded back: true places and where they appeared [N, 2], with all that objects are formed from.
+    """Images folded back: true and apparent positions [N, 2], with all data that objects are formed from.
 
-    The covariance [N, 2, 2] of a place comes from the image's own error and, common to all points of one wall, from
-    the wall's.
+    The covariance [N, 2, 2] of a position comes from the image's own error and from the wall's, which is common to all
+    points of one wall.
     """
 
     points_m: np.ndarray
@@ -41,7 +41,7 @@ class Recovered:
     image_covariance_m2: np.ndarray
     wall_covariance_m2: np.ndarray
     wall: np.ndarray
-    #: The second mirror of images seen by way of two, `NO_WALL` for the others.
+    #: Second mirror of images by two walls, `NO_WALL` for the others.
     second: np.ndarray
     score: np.ndarray
     snr_db: np.ndarray
@@ -52,15 +52,15 @@ class Recovered:
 
     @property
     def covariance_m2(self) -> np.ndarray:
-        """Covariance of each place [N, 2, 2], positive definite."""
+        """Covariance of each position [N, 2, 2], positive definite."""
         return self.image_covariance_m2 + self.wall_covariance_m2
 
     def select(self, keep: np.ndarray) -> Recovered:
-        """The points of a mask or an index."""
+        """Return the points of a mask or an index."""
         return Recovered(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def as_hidden_points(self) -> tuple[HiddenPoint, ...]:
-        """The values that travel."""
+        """Return the message values."""
         rows = zip(self.points_m.tolist(), self.images_m.tolist(), self.score.tolist(), self.wall.tolist(), strict=True)
         return tuple(
             HiddenPoint(x_m=x, y_m=y, score=score, image_x_m=image_x, image_y_m=image_y, wall=wall)
@@ -70,7 +70,7 @@ class Recovered:
 
 @dataclass(frozen=True)
 class ReflectionState:
-    """What ResidualReflectNet sees: images [N, 2], their K nearest direct returns [N, K, 2] and state [N, 6].
+    """Inputs of ResidualReflectNet: images [N, 2], their K nearest direct returns [N, K, 2] and state [N, 6].
 
     The state is (o', n, b, eta) of section 3.1.2.
     """
@@ -80,12 +80,12 @@ class ReflectionState:
     state: np.ndarray
 
 
-#: A learned correction of folded places: offsets [N, 2] in metres, Eq. (18).
+#: Learned correction of folded positions: offsets [N, 2] in metres, Eq. (18).
 Residual = Callable[[ReflectionState], np.ndarray]
 
 
 def cartesian_covariance(range_m: np.ndarray, azimuth_rad: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Covariances [N, 2, 2] in metres of polar ones (range [m], azimuth [rad]): J C J'."""
+    """Return the covariances [N, 2, 2] in metres of polar ones (range [m], azimuth [rad]): J C J'."""
     cos, sin = np.cos(azimuth_rad), np.sin(azimuth_rad)
     jacobian = np.stack([np.stack([cos, -range_m * sin], -1), np.stack([sin, range_m * cos], -1)], -2)
     return jacobian @ covariance @ jacobian.transpose(0, 2, 1)
@@ -106,13 +106,13 @@ def recover(images: Peaks, walls: list[Wall], returns: DirectReturns, params: Re
         second = np.full(len(first), NO_WALL)
     used = np.flatnonzero(first != NO_WALL)
     covariance = cartesian_covariance(range_m, azimuth_rad, polar)
-    places = folded(points_m[used], covariance[used], arrays, first[used], second[used])
+    positions = folded(points_m[used], covariance[used], arrays, first[used], second[used])
     index = mirrored[used]
     return Recovered(
-        points_m=places.points_m,
+        points_m=positions.points_m,
         images_m=points_m[used],
-        image_covariance_m2=places.own_m2,
-        wall_covariance_m2=places.common_m2,
+        image_covariance_m2=positions.own_m2,
+        wall_covariance_m2=positions.common_m2,
         wall=np.where(first[used] < len(walls), first[used], NO_WALL),
         second=second[used],
         score=images.score[index],
@@ -123,7 +123,7 @@ def recover(images: Peaks, walls: list[Wall], returns: DirectReturns, params: Re
 
 @dataclass(frozen=True)
 class Folded:
-    """Folded places [N, 2] and the covariances [N, 2, 2] that come from the images' own errors and from the walls'."""
+    """Folded positions [N, 2] and the covariances [N, 2, 2] from the images' own errors and from the walls'."""
 
     points_m: np.ndarray
     own_m2: np.ndarray
@@ -133,7 +133,9 @@ class Folded:
 def folded(
     points_m: np.ndarray, covariance_m2: np.ndarray, arrays: WallArrays, first: np.ndarray, second: np.ndarray
 ) -> Folded:
-    """Images [N, 2] folded about their first wall and, where there is one, about their second; Eq. (19) for each."""
+    """Return the images [N, 2] folded about their first wall and, where there is one, about their second; Eq. (19)
+    for each.
+    """
     if len(points_m) == 0:
         return Folded(points_m, covariance_m2, covariance_m2)
     start = np.zeros_like(points_m)
@@ -146,37 +148,38 @@ def folded(
     return once
 
 
-def _fold(origin_m: np.ndarray, seen: Folded, arrays: WallArrays, wall: np.ndarray) -> tuple[Folded, np.ndarray]:
-    """One fold of what is seen from `origin_m` [N, 2] about the mirror its ray meets; also where it meets it [N, 2].
+def _fold(origin_m: np.ndarray, apparent: Folded, arrays: WallArrays, wall: np.ndarray) -> tuple[Folded, np.ndarray]:
+    """Fold apparent points seen from `origin_m` [N, 2] about the mirror that each ray meets; also return where it meets
+    it.
 
     o = p - 2 d n with d = n.(p - m) - e for a wall through m. The image's own part is A C A' with A = I - 2 n n' for
     straight walls. A turn of the wall about its middle by delta moves o by -2 [(t.(p - m)) n + d t] delta, a shift e
     along n by 2 n e. On an arc of curvature k the ray's own turn by dtheta meets a normal turned by
     -k rho dtheta / (u.n), rho the distance to the wall along the ray's direction u.
     """
-    met = hits(origin_m, seen.points_m, arrays)
+    met = hits(origin_m, apparent.points_m, arrays)
     row = np.arange(len(wall))
-    way = np.nan_to_num(met.along_ray[row, wall])
-    # an arc's circle that the ray passes by acts as its chord
+    ray_share = np.nan_to_num(met.along_ray[row, wall])
+    # an arc whose circle the ray misses acts as its chord
     meets = ~np.isnan(met.along_ray[row, wall])
     normal = np.where(meets[:, None], met.normal[row, wall], arrays.normal[wall])
     offset_m = np.where(meets, met.offset_m[row, wall], arrays.offset_m[wall])
-    ray = seen.points_m - origin_m
-    turn_m = origin_m + way[:, None] * ray
+    ray = apparent.points_m - origin_m
+    turn_m = origin_m + ray_share[:, None] * ray
     mirror = np.eye(2) - 2.0 * normal[:, :, None] * normal[:, None, :]
-    # the normal turns with the ray's direction: across = change of that direction with the image's place
+    # the normal turns with the ray's direction: across = change of that direction with the image's position
     length_m = np.maximum(np.hypot(ray[:, 0], ray[:, 1]), 1e-9)
     across = np.stack([-ray[:, 1], ray[:, 0]], axis=1) / length_m[:, None] ** 2
     slant = np.minimum(np.sum(ray * normal, axis=1) / length_m, -0.05)
-    bend = -arrays.curvature_per_m[wall] * way * length_m / slant
-    moved = mirror + (bend[:, None] * _turned(seen.points_m - turn_m, normal))[:, :, None] * across[:, None, :]
-    own = moved @ seen.own_m2 @ moved.transpose(0, 2, 1)
-    common = mirror @ seen.common_m2 @ mirror + _wall_part(seen.points_m, normal, arrays, wall)
-    return Folded(reflect(seen.points_m, normal, offset_m), own, common), turn_m
+    bend = -arrays.curvature_per_m[wall] * ray_share * length_m / slant
+    moved = mirror + (bend[:, None] * _turned(apparent.points_m - turn_m, normal))[:, :, None] * across[:, None, :]
+    own = moved @ apparent.own_m2 @ moved.transpose(0, 2, 1)
+    common = mirror @ apparent.common_m2 @ mirror + _wall_part(apparent.points_m, normal, arrays, wall)
+    return Folded(reflect(apparent.points_m, normal, offset_m), own, common), turn_m
 
 
 def _turned(from_pivot_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
-    """Change of folded places [N, 2] with a turn of their mirrors about a point [m/rad]; [N, 2]."""
+    """Return the derivative of folded positions [N, 2] by the turn of their mirrors about a point [m/rad]; [N, 2]."""
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     height = np.sum(normal * from_pivot_m, axis=1)[:, None]
     reach = np.sum(tangent * from_pivot_m, axis=1)[:, None]
@@ -184,7 +187,9 @@ def _turned(from_pivot_m: np.ndarray, normal: np.ndarray) -> np.ndarray:
 
 
 def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wall: np.ndarray) -> np.ndarray:
-    """Covariance [N, 2, 2] of folded places from the error of their walls, common to all images of a wall."""
+    """Return the covariance [N, 2, 2] of folded positions from the error of their walls, common to all images of a
+    wall.
+    """
     turn = _turned(points_m - 0.5 * (arrays.a + arrays.b)[wall], normal) * arrays.angle_std_rad[wall][:, None]
     shift = 2.0 * normal * arrays.offset_std_m[wall][:, None]
     return np.asarray(turn[:, :, None] * turn[:, None, :] + shift[:, :, None] * shift[:, None, :])
@@ -193,7 +198,8 @@ def _wall_part(points_m: np.ndarray, normal: np.ndarray, arrays: WallArrays, wal
 def reflection_state(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, neighbours: int = 16
 ) -> ReflectionState:
-    """Inputs of ResidualReflectNet: the nearest direct returns in the cluster of each image's buddy, and its state.
+    """Return the inputs of ResidualReflectNet: the nearest direct returns in the cluster of each image's buddy, and
+    its state.
 
     Patches are padded by repeating the buddy; an image of a buddy in no cluster (eta = 1) has the buddy alone.
     """
@@ -210,21 +216,21 @@ def reflection_state(
             points_m = returns.points_m[returns.cluster == cluster]
             order = np.argsort(np.sum((points_m - image_m) ** 2, axis=1), kind="stable")[:neighbours]
             patch_m[i, : len(order)] = points_m[order]
-    lonely = recovered.wall == NO_WALL
+    without_wall = recovered.wall == NO_WALL
     arrays = wall_arrays(walls)
     own = returns.points_m[buddy]
     normal, offset_m = facing_radar(own)
-    on_wall = ~lonely
+    on_wall = ~without_wall
     normal[on_wall], offset_m[on_wall] = (
         arrays.normal[recovered.wall[on_wall]],
         arrays.offset_m[recovered.wall[on_wall]],
     )
-    state[:] = np.column_stack([recovered.images_m, normal, offset_m, lonely])
+    state[:] = np.column_stack([recovered.images_m, normal, offset_m, without_wall])
     return ReflectionState(recovered.images_m, patch_m, state)
 
 
 def corrected(recovered: Recovered, offsets_m: np.ndarray) -> Recovered:
-    """Folded places plus a learned residual, Eq. (18)."""
+    """Return the folded positions plus a learned residual, Eq. (18)."""
     return replace(recovered, points_m=recovered.points_m + offsets_m)
 
 

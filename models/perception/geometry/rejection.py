@@ -1,7 +1,7 @@
-"""Which folded places are hidden: what is seen directly explains the others.
+"""Rejection of folded positions that directly visible objects explain.
 
-A place on a wall, at a direct return or on a vehicle in plain sight may be true all the same, seen twice: it stays
-among the points and makes no hidden object.
+A position on a wall, at a direct return or on a vehicle in plain sight may still be true, as a second view of it: it
+stays among the points and forms no hidden object.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from msgs.values.perception import Wall
 
 
 def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams) -> np.ndarray:
-    """Which folded places nothing in direct sight explains; bool [N].
+    """Return which folded positions nothing in direct sight explains; bool [N].
 
-    Explained are places on a wall, at a direct return of like strength, and those that fit in one vehicle with a
-    group of direct returns of like strength: another side of a visible object, for objects are solid. A place in open
-    view without any such return stays: what hides it need not have been seen. Each of the three is a switch.
+    Three rules explain a position, each with a switch: it lies on a wall; it lies at a direct return of like strength;
+    it fits in one vehicle with a group of direct returns of like strength, as another side of a visible object. A
+    position in open view without any such return stays, because its occluder may be undetected.
     """
     explained = np.zeros(len(recovered), bool)
     if params.reject_on_wall:
@@ -40,10 +40,10 @@ def hidden_mask(recovered: Recovered, walls: list[Wall], returns: DirectReturns,
 def _on_visible_vehicle(
     recovered: Recovered, walls: WallArrays, returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
-    """Places that are another side of a visible vehicle; bool [N].
+    """Return the positions that are another side of a visible vehicle; bool [N].
 
-    A visible vehicle is a group of direct returns off the long walls that fits in its box. A place belongs to it if
-    it fits in too, within its own error, and no long wall stands before it.
+    A visible vehicle is a group of direct returns off the long walls that fits in its box. A position belongs to it if
+    it fits in too, within its own error, and no long wall hides it.
     """
     long_walls = walls.length_m > params.vehicle_length_m + 1.0
     loose = np.flatnonzero(~np.append(long_walls, False)[returns.wall])
@@ -55,12 +55,12 @@ def _on_visible_vehicle(
         points_m = returns.points_m[group]
         near = np.abs(recovered.points_m - points_m.mean(axis=0)).max(axis=1) <= 2.0 * params.vehicle_length_m
         near &= recovered.snr_db <= returns.snr_db[group].max() + params.comparable_db
-        open_ones = np.flatnonzero(near & ~explained)
-        # most groups do not fit by themselves: nothing more fits in with them
-        slack_m = sigma_m[open_ones].max(initial=0.0)
+        candidates = np.flatnonzero(near & ~explained)
+        # most groups do not fit by themselves: then no further point fits
+        slack_m = sigma_m[candidates].max(initial=0.0)
         if not fits_box(points_m, params.vehicle_length_m + slack_m, params.vehicle_width_m + slack_m):
             continue
-        for i in open_ones:
+        for i in candidates:
             together = np.vstack([points_m, recovered.points_m[i]])
             length_m, width_m = params.vehicle_length_m + sigma_m[i], params.vehicle_width_m + sigma_m[i]
             explained[i] = fits_box(together, length_m, width_m)
@@ -68,8 +68,10 @@ def _on_visible_vehicle(
 
 
 def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
-    """The returns of a group and all others on its walls: a missed return does not make two things of one front."""
-    # one more place, at the end, for the returns on no wall (-1)
+    """Return the returns of a group and all others on its walls: a missed return must not split one front into two
+    objects.
+    """
+    # one more entry, at the end, for the returns on no wall (-1)
     touched = np.zeros(returns.wall.max(initial=NO_WALL) + 2, bool)
     touched[returns.wall[group]] = True
     touched[NO_WALL] = False
@@ -79,7 +81,7 @@ def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:
 
 
 def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np.ndarray:
-    """Points [N, 2] that no wall hides, each lengthened by `margin_m` at both ends; bool [N]."""
+    """Return the points [N, 2] that no wall hides, each lengthened by `margin_m` at both ends; bool [N]."""
     arrays = wall_arrays(walls)
     outward = margin_m * (arrays.b - arrays.a) / np.maximum(arrays.length_m, 1e-9)[:, None]
     longer = replace(arrays, a=arrays.a - outward, b=arrays.b + outward)
@@ -87,5 +89,5 @@ def in_open_view(points_m: np.ndarray, walls: list[Wall], margin_m: float) -> np
 
 
 def _on_wall(points_m: np.ndarray, walls: WallArrays, reach_m: float) -> np.ndarray:
-    """Places within `reach_m` of a wall; bool [N]."""
+    """Return the positions within `reach_m` of a wall; bool [N]."""
     return np.logical_or.reduce(segment_distance_m(points_m, walls.a, walls.b) <= reach_m, axis=1)

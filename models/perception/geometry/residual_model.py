@@ -1,4 +1,4 @@
-"""The learned residual as the vehicle runs it: an ONNX file of ResidualReflectNet, its card, and bounded answers."""
+"""Inference with the learned residual on the vehicle: an ONNX file of ResidualReflectNet, its card, bounded outputs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MAX_SHIFT_M = 5.0
 
 
 class ResidualCard(msgspec.Struct, frozen=True, kw_only=True):
-    """What a residual network file is: how it was made, what it takes, how good it is; a JSON file beside the file."""
+    """Description of a residual network file: how it was made, its input, its scores; a JSON file beside it."""
 
     name: str
     sha256: str
@@ -31,14 +31,14 @@ class ResidualCard(msgspec.Struct, frozen=True, kw_only=True):
     frame: ResidualFrame
     #: Direct returns in a patch.
     neighbours: int
-    #: What it learned from: `truth`, `peaks` or `both`; and the walls it was trained behind.
+    #: Source of its training points: `truth`, `peaks` or `both`; and the walls that it was trained with.
     source: str
     geometry: str
     seed: int
     command: str
     #: Made from which scenes, with which detector.
     data: dict[str, str | int]
-    #: On test scenes that neither trained nor chose it; `_without` are those of the mirror law alone.
+    #: On test scenes that were used neither to train nor to select it; `_without` are those of the mirror law alone.
     metrics: dict[str, float]
     #: Chosen epoch and the resolved configuration of the run.
     training: dict[str, Any]
@@ -56,21 +56,21 @@ class ImageFrames:
     axes: np.ndarray
 
     def points(self, points_m: np.ndarray) -> np.ndarray:
-        """Points [N, ..., 2] of the radar's frame in each image's own."""
+        """Return the points [N, ..., 2] of the radar's frame in each image's own."""
         origin_m = self.origin_m.reshape(len(self.origin_m), *[1] * (points_m.ndim - 2), 2)
         return np.einsum("nij,n...j->n...i", self.axes, points_m - origin_m)
 
     def from_radar(self, offsets_m: np.ndarray) -> np.ndarray:
-        """Offsets [N, 2] of the radar's frame in each image's own."""
+        """Return the offsets [N, 2] of the radar's frame in each image's own."""
         return np.einsum("nij,nj->ni", self.axes, offsets_m)
 
     def to_radar(self, offsets_m: np.ndarray) -> np.ndarray:
-        """Offsets [N, 2] of each image's own frame in the radar's."""
+        """Return the offsets [N, 2] of each image's own frame in the radar's."""
         return np.einsum("nij,ni->nj", self.axes, offsets_m)
 
 
 def image_frames(reflection: ReflectionState, frame: ResidualFrame) -> ImageFrames:
-    """The coordinates that the network sees each image in."""
+    """Return the coordinates that the network sees each image in."""
     count = len(reflection.images_m)
     if frame == "wall":
         return _wall_frames(reflection)
@@ -79,9 +79,9 @@ def image_frames(reflection: ReflectionState, frame: ResidualFrame) -> ImageFram
 
 
 def _wall_frames(reflection: ReflectionState) -> ImageFrames:
-    """Relay-wall coordinates (section 3.2): origin at the radar's foot on the wall, axes tangent and normal.
+    """Return the relay-wall coordinates (section 3.2): origin at the radar's foot on the wall, axes tangent and normal.
 
-    The tangent points to the image's side of the foot: scenes that are turned or seen in a mirror are the same scene.
+    The tangent points to the image's side of the foot: turned and mirrored scenes become the same scene.
     """
     normal, offset_m = reflection.state[:, 2:4], reflection.state[:, 4:5]
     tangent = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
@@ -91,10 +91,10 @@ def _wall_frames(reflection: ReflectionState) -> ImageFrames:
 
 
 def in_frames(reflection: ReflectionState, frames: ImageFrames) -> ReflectionState:
-    """The same images in their own frames.
+    """Return the same images in their own frames.
 
-    The offset stays the radar's distance from the wall: in wall coordinates the wall's own would be zero for all, and
-    where the radar stands would be lost.
+    The offset stays the radar's distance from the wall: in wall coordinates the wall's own offset would be zero for
+    all, and the radar's distance would be lost.
     """
     images_m = frames.points(reflection.images_m)
     state = reflection.state.copy()
@@ -103,7 +103,7 @@ def in_frames(reflection: ReflectionState, frames: ImageFrames) -> ReflectionSta
 
 
 def bounded(offsets_m: np.ndarray, max_shift_m: float = MAX_SHIFT_M) -> np.ndarray:
-    """Offsets [N, 2], those longer than `max_shift_m` scaled down to it."""
+    """Return the offsets [N, 2], those longer than `max_shift_m` scaled down to it."""
     length_m = np.linalg.norm(offsets_m, axis=1, keepdims=True)
     return offsets_m * np.minimum(1.0, max_shift_m / np.maximum(length_m, 1e-9))
 
@@ -132,7 +132,7 @@ class LearnedResidual:
         self._infer(ReflectionState(*(np.zeros((1, *shape)) for shape in self._shapes().values())))
 
     def __call__(self, reflection: ReflectionState) -> np.ndarray:
-        """Offsets float64 [N, 2] in metres, none longer than the bound; N may be 0.
+        """Return the offsets float64 [N, 2] in metres, none longer than the bound; N may be 0.
 
         Raises `ValueError` where an input has another shape or is not finite.
         """
@@ -167,9 +167,12 @@ class LearnedResidual:
 
     def _check_shapes(self) -> None:
         """Raise `ValueError` unless file and card agree on every name and shape; the batch is free."""
-        wanted = {**self._shapes(), "residual": (2,)}
-        found = {put.name: tuple(put.shape[1:]) for put in (*self._session.get_inputs(), *self._session.get_outputs())}
-        if found != wanted:
-            raise ValueError(f"{self._path}: inputs and output of the network must be {wanted}, got {found}")
-        if any(isinstance(put.shape[0], int) for put in self._session.get_inputs()):
+        expected = {**self._shapes(), "residual": (2,)}
+        actual = {
+            tensor.name: tuple(tensor.shape[1:])
+            for tensor in (*self._session.get_inputs(), *self._session.get_outputs())
+        }
+        if actual != expected:
+            raise ValueError(f"{self._path}: inputs and output of the network must be {expected}, got {actual}")
+        if any(isinstance(tensor.shape[0], int) for tensor in self._session.get_inputs()):
             raise ValueError(f"{self._path}: the network must take any number of images, takes a fixed one")

@@ -1,4 +1,4 @@
-"""The geometry stage as one sentence: classified peaks in, bird's-eye view of what is hidden out."""
+"""The geometry stage: from classified peaks to the bird's-eye view of hidden objects."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import MOST_PEAKS, BevFrame, BevGrid, PathClass, Peaks, Wall
 
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
-#: -> the last two with the walls that earlier scans showed.
+#: -> the last two, extended by the walls of earlier scans.
 Remembered = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
 
 
@@ -51,10 +51,10 @@ class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
 
 @dataclass(frozen=True)
 class FoldedScan:
-    """What a scan's peaks become before objects are formed: direct returns, walls, folded places.
+    """Intermediate result of a scan before objects are formed: direct returns, walls, folded positions.
 
-    A place that is not `hidden` (bool [N]) is explained by what is seen directly: it may be true, the image of
-    something in plain sight, and tells nothing new.
+    A position that is not `hidden` (bool [N]) is explained by a directly visible object: it may be a true image of that
+    object, but adds no information.
     """
 
     returns: DirectReturns
@@ -70,7 +70,7 @@ def fold_scan(
     confidence: Confidence | None = None,
     remembered: Remembered | None = None,
 ) -> FoldedScan:
-    """Peaks -> walls -> images folded back, Eqs. (18) and (19), the improbable ones dropped.
+    """Find walls in the peaks and fold the images back, Eqs. (18) and (19); drop the improbable ones.
 
     Raises `ValueError` for more than `MOST_PEAKS`.
     """
@@ -93,7 +93,7 @@ def recover_bev(
     confidence: Confidence | None = None,
     remembered: Remembered | None = None,
 ) -> BevFrame:
-    """Peaks -> folded places -> hidden points and objects; tracks are added by `ScanMemory`."""
+    """Form hidden points and objects from peaks by way of folded positions; tracks are added by `ScanMemory`."""
     scan = fold_scan(peaks, params, residual, confidence, remembered)
     hidden = scan.recovered.select(scan.hidden)
     return BevFrame(
@@ -113,7 +113,7 @@ def recover_bev(
 def direct_structure(
     peaks: Peaks, params: GeometryParams, remembered: Remembered | None = None
 ) -> tuple[DirectReturns, list[Wall]]:
-    """Direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
+    """Return the direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
     direct = peaks.path_class == PathClass.LOS
     range_m, azimuth_rad = peaks.range_m[direct], peaks.azimuth_rad[direct]
     points_m = xy_from_polar(range_m, azimuth_rad)
@@ -126,16 +126,18 @@ def direct_structure(
 
 
 def warm(params: GeometryParams) -> None:
-    """Compile the stage's kernels, or load them, and lay out its grid: the first scan should not pay for that.
+    """Compile the stage's kernels, or load them, and lay out its grid, so that the first scan does not wait for it.
 
-    Types are the same whatever the parameters, so one made-up street, with the default ones, calls for all kernels.
+    Types do not depend on the parameters, so one synthetic street with the default ones needs all kernels.
     """
     recover_bev(made_up_peaks(), GeometryParams())
     observability([], 0.0, params.grid, params.visibility)
 
 
 def made_up_peaks() -> Peaks:
-    """A facade with a kink, a vehicle before it, and two images behind it of which one belongs to that vehicle."""
+    """Return a facade with a kink, a vehicle before it, and two images behind it of which one belongs to that
+    vehicle.
+    """
     along = np.linspace(0.0, 10.0, 9)
     facade = np.stack([np.full(9, 20.0), along - 10.0], axis=1)
     oblique = np.stack([20.0 - 0.4 * along, along + 1.0], axis=1)
@@ -159,7 +161,7 @@ def made_up_peaks() -> Peaks:
 
 
 def condition_flags(peaks: Peaks) -> tuple[str, ...]:
-    """Conditions of the scan a reader of its view should know."""
+    """Return the conditions of the scan that a reader of its view should know."""
     present = {
         "incoherent": peaks.incoherent,
         "missing_beams": bool(peaks.missing_beams),

@@ -1,7 +1,7 @@
 """Compiled search for wall segments: hypotheses of a RANSAC scored, refit and cut at gaps, the best of them kept.
 
-The rules are those of `models.perception.geometry.walls`, which calls this once for every wall it looks for: a search
-is some thousand sums over a few dozen points, which would be as many small array calls.
+The rules are those of `models.perception.geometry.walls`, which calls this once for every wall. A search is some
+thousand sums over a few dozen points; without compilation it would be as many small array calls.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from models.perception.geometry.lines import Line, fitted, gains, residual_gain,
 
 #: Hypotheses that are refit and compared in each round of the search.
 FINALISTS = 4
-#: Times that a line's weights follow it.
+#: Refits with weights that follow the line.
 FIT_ROUNDS = 3
 #: Log likelihood a point must add to continue a wall.
 MIN_EXTENSION_GAIN = 1.0
 
 
 class Limits(NamedTuple):
-    """What acts as a mirror, as in `WallParams`."""
+    """Conditions for a mirror, as in `WallParams`."""
 
     min_inliers: int
     max_gap_m: float
@@ -42,7 +42,7 @@ class Segment(NamedTuple):
     ay: float
     bx: float
     by: float
-    acts: bool
+    is_mirror: bool
 
 
 _NOTHING = Segment(Line(0.0, 1.0, 0.0, math.inf, math.inf), -math.inf, 0.0, 0.0, 0.0, 0.0, False)
@@ -52,7 +52,7 @@ _NOTHING = Segment(Line(0.0, 1.0, 0.0, math.inf, math.inf), -math.inf, 0.0, 0.0,
 def best_segment(
     points_m: np.ndarray, covariance_m2: np.ndarray, pairs: np.ndarray, limits: Limits
 ) -> tuple[Segment, np.ndarray]:
-    """The highest-scoring segment among the finalists of one RANSAC and the indices of its points.
+    """Return the highest-scoring segment among the finalists of one RANSAC and the indices of its points.
 
     `pairs` [H] numbers the pairs of points [N, 2] that the hypotheses go through, in the order (0, 1), (0, 2) ...
     (N - 2, N - 1), ascending. Where no segment acts as a mirror the one returned does not either.
@@ -64,12 +64,12 @@ def best_segment(
     count = 0
     for index in np.argsort(-total, kind="mergesort"):
         # hypotheses with the same inliers become the same line
-        if _holds_alike(gain, index, finalists[:count]):
+        if _has_same_inliers(gain, index, finalists[:count]):
             continue
         finalists[count] = index
         count += 1
         segment, run = _best_on_line(points_m, covariance_m2, np.flatnonzero(gain[index] > 0.0), limits)
-        if segment.acts and segment.score > best.score:
+        if segment.is_mirror and segment.score > best.score:
             best, best_run = segment, run
         if count == FINALISTS:
             break
@@ -78,7 +78,9 @@ def best_segment(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _lines_through(points_m: np.ndarray, pairs: np.ndarray) -> np.ndarray:
-    """Lines (nx, ny, offset) [H, 3] through the numbered pairs of points, without those of coinciding points."""
+    """Return the lines (nx, ny, offset) [H, 3] through the numbered pairs of points, without those of coinciding
+    points.
+    """
     lines = np.empty((len(pairs), 3))
     count, first, row_start = 0, 0, 0
     for pair in pairs:
@@ -97,7 +99,7 @@ def _lines_through(points_m: np.ndarray, pairs: np.ndarray) -> np.ndarray:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What each point adds to each line's score [H, N] and the scores [H]."""
+    """Return what each point adds to each line's score [H, N] and the scores [H]."""
     gain, total = np.empty((len(lines), len(points_m))), np.empty(len(lines))
     for h in range(len(lines)):
         gain[h] = gains(points_m, covariance_m2, lines[h, 0], lines[h, 1], lines[h, 2])
@@ -106,12 +108,12 @@ def _support(points_m: np.ndarray, covariance_m2: np.ndarray, lines: np.ndarray)
 
 
 @njit(cache=True, nogil=True)
-def _holds_alike(gain: np.ndarray, index: int, others: np.ndarray) -> bool:
-    """Whether a row of gains [H, N] has the same inliers as one of the others."""
-    for other in others:
+def _has_same_inliers(gain: np.ndarray, index: int, rows: np.ndarray) -> bool:
+    """Return whether a row of gains [H, N] has the same inliers as one of some other rows."""
+    for row in rows:
         alike = True
         for i in range(gain.shape[1]):
-            if (gain[index, i] > 0.0) != (gain[other, i] > 0.0):
+            if (gain[index, i] > 0.0) != (gain[row, i] > 0.0):
                 alike = False
                 break
         if alike:
@@ -123,7 +125,7 @@ def _holds_alike(gain: np.ndarray, index: int, others: np.ndarray) -> bool:
 def _best_on_line(
     points_m: np.ndarray, covariance_m2: np.ndarray, inliers: np.ndarray, limits: Limits
 ) -> tuple[Segment, np.ndarray]:
-    """The best segment on one hypothesis: refit twice (inliers follow the line), then cut at gaps."""
+    """Return the best segment on one hypothesis: refit twice (inliers follow the line), then cut at gaps."""
     best, best_run = _NOTHING, inliers
     line = best.line
     for _ in range(2):
@@ -142,14 +144,14 @@ def _best_on_line(
         if len(run) < limits.min_inliers:
             continue
         segment = supported(points_m[run], covariance_m2[run], limits)
-        if segment.acts and segment.score > best.score:
+        if segment.is_mirror and segment.score > best.score:
             best, best_run = segment, run
     return best, best_run
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -> Segment:
-    """The line through points [N, 2], at least two of them, and whether they make it a mirror."""
+    """Return the line through points [N, 2], at least two of them, and whether they make it a mirror."""
     line = fitted(points_m, covariance_m2, FIT_ROUNDS)
     nx, ny, offset_m = line.nx, line.ny, line.offset_m
     reach = points_m[:, 1] * nx - points_m[:, 0] * ny
@@ -158,31 +160,34 @@ def supported(points_m: np.ndarray, covariance_m2: np.ndarray, limits: Limits) -
     bx, by = -high * ny - offset_m * nx, high * nx - offset_m * ny
     gain = gains(points_m, covariance_m2, nx, ny, offset_m)
     score = gain.sum()
-    acts = bool(
+    is_mirror = bool(
         np.count_nonzero(gain) >= limits.min_inliers
         and math.hypot(bx - ax, by - ay) >= limits.min_length_m
         and line.angle_std_rad <= limits.max_angle_std_rad
         and offset_m >= limits.min_offset_m
         and score >= limits.min_score
     )
-    return Segment(line, score, ax, ay, bx, by, acts)
+    return Segment(line, score, ax, ay, bx, by, is_mirror)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def left_over(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, run: np.ndarray) -> np.ndarray:
-    """Points a wall leaves: neither its own, nor within its ends and as near as errors allow; bool [N]."""
+    """Return the points that a wall does not explain: not its own, nor between its ends within their errors; bool
+    [N].
+    """
     line = segment.line
     low, high = segment.ay * line.nx - segment.ax * line.ny, segment.by * line.nx - segment.bx * line.ny
     gain = gains(points_m, covariance_m2, line.nx, line.ny, line.offset_m)
     reach = points_m[:, 1] * line.nx - points_m[:, 0] * line.ny
-    left = (gain <= 0.0) | (reach < low) | (reach > high)
-    left[run] = False
-    return left
+    is_left = (gain <= 0.0) | (reach < low) | (reach > high)
+    is_left[run] = False
+    return is_left
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def next_on_line(points_m: np.ndarray, covariance_m2: np.ndarray, segment: Segment, limits: Limits) -> int:
-    """Index of the point [N, 2] nearest to the ends of a segment among those that continue it, -1 where none does.
+    """Return the index of the point [N, 2] nearest to the ends of a segment among those that continue it, -1 where
+    none does.
 
     A point must lie on the line within its own error and that of the line so far out.
     """

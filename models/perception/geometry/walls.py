@@ -1,12 +1,12 @@
 """Walls from direct returns: line RANSAC in each cluster, refit by weighted total least squares, cut at gaps.
 
 Two error models share one code. `polar`: each point brings its covariance (range is some 20 times sharper than
-cross-range), so a point far along the beam may stand metres off a wall seen edge-on and centimetres off a wall faced.
+cross-range), so a far point may lie metres off a wall seen edge-on, but only centimetres off a wall seen face-on.
 `euclidean`, the published form: every point within `inlier_m` of the line counts alike.
 
 A line's score is its log likelihood over that of scattered points: sum of log(p(residual | wall) / p(scattered)).
-A line that only gathers points because their errors are wide earns little, which is what keeps clutter from becoming
-walls along the line of sight.
+A line that gathers points only because their errors are wide scores little, so clutter along the line of sight does not
+become a wall.
 """
 
 from __future__ import annotations
@@ -25,13 +25,16 @@ from models.perception.geometry.wall_search import Limits, Segment, best_segment
 from msgs.values.arrays import require_positive
 from msgs.values.perception import Wall
 
-#: Pieces of walls that are looked at for each wall that may be kept, the best first: each is held against each.
-_MOST_CANDIDATES = 4
+#: Candidate pieces for each wall that may be kept, the best first: all pairs of them are compared.
+_MAX_CANDIDATES = 4
 
 
 class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How walls are found. What acts as a mirror: at least `min_inliers` points over `min_length_m`, on a line known to
-    `max_angle_std_rad`, that stands `min_offset_m` or more off the radar and outscores scattered points."""
+    """Parameters of the wall fit.
+
+    A mirror has at least `min_inliers` points over `min_length_m`, an angle known to `max_angle_std_rad`, an offset of
+    `min_offset_m` or more from the radar, and a higher likelihood than scattered points.
+    """
 
     error_model: Literal["polar", "euclidean"] = "polar"
     rounds: int = 200
@@ -41,7 +44,7 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     min_inliers: int = 4
     min_length_m: float = 2.5
     max_gap_m: float = 6.5
-    #: A wall that answers at few spots, too far apart for one cluster, must outscore scattered points by more.
+    #: A wall that reflects at few spots, too far apart for one cluster, needs a higher score over scattered points.
     sparse_gap_m: float = 12.0
     sparse_min_score: float = 15.0
     max_angle_std_rad: float = math.radians(6.0)
@@ -51,11 +54,11 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
     max_walls: int = 12
     #: Lines of different clusters join, grow and hide each other; without it they stay as RANSAC leaves them.
     joined: bool = True
-    #: A wall is cut at a gap this wide through which so many returns of another wall are seen; 0: never.
+    #: A wall is split at a gap this wide through which so many returns of another wall are visible; 0: never.
     open_gap_m: float = 2.0
     seen_through_points: int = 2
-    #: A wall reaches on to the end of another that lies on its line, this far off at most, unless something is seen
-    #: through it there; 0: never.
+    #: A wall extends to the end of another that lies on its line, at most this far, unless returns are visible through
+    #: it there; 0: never.
     corner_reach_m: float = 10.0
     #: Walls that an arc explains better than lines are arcs.
     curved: bool = True
@@ -72,7 +75,8 @@ class WallParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 def find_walls(
     points_m: np.ndarray, covariance_m2: np.ndarray, labels: np.ndarray, params: WallParams
 ) -> tuple[list[Wall], np.ndarray]:
-    """Walls of clustered points [N, 2] with covariances [N, 2, 2], and the wall of each point (-1: none), int64 [N].
+    """Return the walls of clustered points [N, 2] with covariances [N, 2, 2], and the wall of each point (-1: none),
+    int64 [N].
 
     Walls come sorted by support (most inliers, then nearest). Deterministic: the generator is seeded by `params.seed`.
     """
@@ -83,7 +87,7 @@ def find_walls(
     for label in range(int(labels.max(initial=NOISE)) + 1):
         fits += _walls_of_cluster(points_m, covariance_m2, np.flatnonzero(labels == label), params, rng)
     if params.joined:
-        fits = _one_building(points_m, covariance_m2, fits, params, rng)
+        fits = _join_clusters(points_m, covariance_m2, fits, params, rng)
     fits = fits[: params.max_walls]
     wall_of_point = np.full(len(points_m), -1, np.int64)
     for index, fit in reversed(list(enumerate(fits))):
@@ -91,12 +95,12 @@ def find_walls(
     return [fit.as_wall() for fit in fits], wall_of_point
 
 
-def _one_building(
+def _join_clusters(
     points_m: np.ndarray, covariance_m2: np.ndarray, fits: list[LineFit], params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
-    """Walls joined over clusters, with sparse ones and arcs, opened where the radar sees through; best first."""
-    if len(fits) > _MOST_CANDIDATES * params.max_walls:
-        fits = sorted(fits, key=lambda fit: -fit.score)[: _MOST_CANDIDATES * params.max_walls]
+    """Join walls over clusters, add sparse ones and arcs, and split them where the radar sees through; best first."""
+    if len(fits) > _MAX_CANDIDATES * params.max_walls:
+        fits = sorted(fits, key=lambda fit: -fit.score)[: _MAX_CANDIDATES * params.max_walls]
     fits = _merge_duplicates(points_m, covariance_m2, fits, params)
     sparse = msgspec.structs.replace(params, max_gap_m=params.sparse_gap_m, min_score=params.sparse_min_score)
     free = np.flatnonzero(~claimed(len(points_m), fits))
@@ -114,7 +118,7 @@ def _one_building(
 
 
 def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
-    """Covariances [N, 2, 2] that decide who is an inlier."""
+    """Return the covariances [N, 2, 2] that decide who is an inlier."""
     eye = np.eye(2)
     if params.error_model == "euclidean":
         return np.tile((params.inlier_m / INLIER_SIGMAS) ** 2 * eye, (len(covariance_m2), 1, 1))
@@ -124,27 +128,29 @@ def _error_model(covariance_m2: np.ndarray, params: WallParams) -> np.ndarray:
 def _walls_of_cluster(
     points_m: np.ndarray, covariance_m2: np.ndarray, members: np.ndarray, params: WallParams, rng: np.random.Generator
 ) -> list[LineFit]:
-    """Sequential RANSAC: the best wall, then the best among the points it leaves, until none has support."""
-    found: list[LineFit] = []
+    """Fit walls by sequential RANSAC: the best wall, then the best among the remaining points, until none has
+    support.
+    """
+    fits: list[LineFit] = []
     limits = _limits(params)
     while len(members) >= params.min_inliers:
         points, covariance = points_m[members], covariance_m2[members]
         segment, run = best_segment(points, covariance, _pairs(len(members), params.rounds, rng), limits)
-        if not segment.acts:
+        if not segment.is_mirror:
             break
-        found.append(_as_fit(segment, members[run]))
+        fits.append(_as_fit(segment, members[run]))
         members = members[left_over(points, covariance, segment, run)]
-    return found
+    return fits
 
 
 def _pairs(count: int, rounds: int, rng: np.random.Generator) -> np.ndarray:
-    """Which pairs of so many points the hypotheses go through: all of them where they are no more than `rounds`."""
+    """Return the numbers of the point pairs that define the hypotheses: all pairs where there are at most `rounds`."""
     pairs = count * (count - 1) // 2
     return np.arange(pairs) if pairs <= rounds else np.sort(rng.choice(pairs, rounds, replace=False))
 
 
 def _limits(params: WallParams) -> Limits:
-    """What the search is told of its parameters; all of one type, for which it is compiled."""
+    """Return the limits of the search, each of the type for which it is compiled."""
     return Limits(
         int(params.min_inliers),
         float(params.max_gap_m),
@@ -156,7 +162,7 @@ def _limits(params: WallParams) -> Limits:
 
 
 def _as_fit(segment: Segment, members: np.ndarray) -> LineFit:
-    """A segment with the points it stands on."""
+    """Return a segment with its points."""
     line = segment.line
     return LineFit(
         normal=np.array([line.nx, line.ny]),
@@ -170,18 +176,18 @@ def _as_fit(segment: Segment, members: np.ndarray) -> LineFit:
 
 
 def _as_segment(fit: LineFit) -> Segment:
-    """The same for the search."""
+    """Return a fit as a segment for the search."""
     line = Line(float(fit.normal[0]), float(fit.normal[1]), fit.offset_m, fit.angle_std_rad, fit.offset_std_m)
     (ax, ay), (bx, by) = fit.ends_m.tolist()
     return Segment(line, fit.score, ax, ay, bx, by, True)
 
 
 def _supported(points_m: np.ndarray, covariance_m2: np.ndarray, run: np.ndarray, params: WallParams) -> LineFit | None:
-    """The line through one run of points, None unless it can act as a mirror (see `WallParams`)."""
+    """Return the line through one run of points, None unless it can act as a mirror (see `WallParams`)."""
     if len(run) < params.min_inliers:
         return None
     segment = supported(points_m[run], covariance_m2[run], _limits(params))
-    return _as_fit(segment, run) if segment.acts else None
+    return _as_fit(segment, run) if segment.is_mirror else None
 
 
 def _merge_duplicates(
@@ -206,14 +212,16 @@ def _merge_duplicates(
 
 
 def _joined(
-    points_m: np.ndarray, covariance_m2: np.ndarray, one: LineFit, other: LineFit, params: WallParams
+    points_m: np.ndarray, covariance_m2: np.ndarray, first: LineFit, second: LineFit, params: WallParams
 ) -> LineFit | None:
-    """One wall in place of two, None where the two are not one: the joint line must keep 90 % of their score."""
-    if abs(float(one.normal @ other.normal)) < math.cos(math.radians(30.0)):
+    """Return one wall in place of two, None where they are different walls: the joint line must keep 90 % of their
+    score.
+    """
+    if abs(float(first.normal @ second.normal)) < math.cos(math.radians(30.0)):
         return None
-    members = np.flatnonzero(claimed(len(points_m), (one, other)))
+    members = np.flatnonzero(claimed(len(points_m), (first, second)))
     joint = _supported(points_m, covariance_m2, members, params)
-    if joint is None or joint.score < 0.9 * (one.score + other.score):
+    if joint is None or joint.score < 0.9 * (first.score + second.score):
         return None
     reach = np.sort(points_m[joint.members] @ np.array([-joint.normal[1], joint.normal[0]]))
     return joint if np.diff(reach).max(initial=0.0) <= params.max_gap_m else None
@@ -222,29 +230,29 @@ def _joined(
 def _extended(
     points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, free: np.ndarray, params: WallParams
 ) -> LineFit:
-    """The wall with the free points that continue it, nearest first, whatever cluster they are in.
+    """Return the wall with the free points that continue it, nearest first, whatever cluster they are in.
 
-    A smooth wall answers at few spots (the foot of the perpendicular above all), often further apart than a cluster
+    A smooth wall reflects at few spots (above all at the foot of the perpendicular), often further apart than a cluster
     reaches. A point must lie on the line within its own error and that of the line so far out.
     """
     limits = _limits(params)
     while len(free):
-        taken = next_on_line(points_m[free], covariance_m2[free], _as_segment(fit), limits)
-        if taken < 0:
+        nearest = next_on_line(points_m[free], covariance_m2[free], _as_segment(fit), limits)
+        if nearest < 0:
             break
-        longer = _supported(points_m, covariance_m2, np.append(fit.members, free[taken]), params)
+        longer = _supported(points_m, covariance_m2, np.append(fit.members, free[nearest]), params)
         if longer is not None and longer.score >= fit.score:
             fit = longer
-        free = np.delete(free, taken)
+        free = np.delete(free, nearest)
     return fit
 
 
 def _opened(
     points_m: np.ndarray, covariance_m2: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams
 ) -> list[LineFit]:
-    """The parts of a wall between the gaps through which another wall is seen: what is seen behind proves an opening.
+    """Split a wall at the gaps through which another wall is visible: returns behind it prove an opening.
 
-    Arcs, which their own returns bend, stay whole; a part that cannot stand on its own is no wall.
+    Arcs, which their own returns bend, stay whole; a part without enough support of its own is no wall.
     """
     if fit.curvature_per_m != 0.0:
         return [fit]
@@ -267,11 +275,11 @@ def _opened(
 
 
 def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: WallParams) -> LineFit:
-    """The wall drawn on to the corner it makes with another: what stands before a corner hides the walls' returns."""
+    """Extend the wall to the corner that it forms with another: objects before a corner hide the walls' returns."""
     if fit.curvature_per_m != 0.0 or len(fits) < 2:
         return fit
     low, high = np.sort(fit.ends_m @ fit.tangent).tolist()
-    seen: np.ndarray | None = None
+    passed: np.ndarray | None = None
     for other in fits:
         # walls along one another make no corner
         if other is fit or abs(float(fit.normal @ other.normal)) > 0.5:
@@ -280,8 +288,8 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
         for at in (other.ends_m[on_line] @ fit.tangent).tolist():
             if not 0.0 < max(low - at, at - high) <= params.corner_reach_m:
                 continue
-            seen = _passed_at(fit, points_m) if seen is None else seen
-            between = (seen > min(at, high)) & (seen < max(at, low)) & ((seen < low) | (seen > high))
+            passed = _passed_at(fit, points_m) if passed is None else passed
+            between = (passed > min(at, high)) & (passed < max(at, low)) & ((passed < low) | (passed > high))
             if between.sum() < params.seen_through_points:
                 low, high = min(low, at), max(high, at)
     ends_m = np.array([low, high])[:, None] * fit.tangent - fit.offset_m * fit.normal
@@ -289,7 +297,7 @@ def _to_corner(points_m: np.ndarray, fit: LineFit, fits: list[LineFit], params: 
 
 
 def _passed_at(fit: LineFit, points_m: np.ndarray) -> np.ndarray:
-    """Where along a wall's line the rays pass to those of the points [N, 2] that lie a metre or more behind it; [M]."""
+    """Return where rays to the points [N, 2] that lie a metre or more behind a wall cross its line, along it; [M]."""
     depth_m = -(points_m @ fit.normal + fit.offset_m)
     points_m, depth_m = points_m[depth_m > 1.0], depth_m[depth_m > 1.0]
     # the height over the line falls from offset_m at the radar to -depth_m
@@ -297,7 +305,7 @@ def _passed_at(fit: LineFit, points_m: np.ndarray) -> np.ndarray:
 
 
 def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:
-    """Keep walls in order, without those that stand wholly behind a kept one: the radar sees no mirror there."""
+    """Keep walls in order, without those wholly behind a kept one: they are no mirrors for the radar."""
     kept: list[LineFit] = []
     for fit in fits:
         samples = np.stack([fit.ends_m[0], fit.ends_m.mean(axis=0), fit.ends_m[1]])
@@ -307,7 +315,9 @@ def _drop_walls_behind_walls(fits: list[LineFit]) -> list[LineFit]:
 
 
 def _hides(wall: LineFit, points_m: np.ndarray) -> bool:
-    """All rays from the radar to the points [N, 2] pass through the wall on their way, by more than its own error."""
+    """Return whether all rays from the radar to the points [N, 2] cross the wall, which they pass by more than its
+    error.
+    """
     depth_m = -(points_m @ wall.normal + wall.offset_m)
     if not (depth_m > 1.0).all():
         return False

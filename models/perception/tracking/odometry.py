@@ -1,6 +1,6 @@
-"""Where the vehicle is, from its speed and yaw rate alone: an odometry frame that drifts slowly and never jumps.
+"""Odometry from speed and yaw rate alone: a frame that drifts slowly and never jumps.
 
-The bias of the gyroscope is taken off: see `yaw_rate_bias`.
+The bias of the gyroscope is subtracted: see `yaw_rate_bias`.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from msgs.values.frames import Pose2
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState, ego_motion
 
-#: States that may wait for a scan: 10 s of them at 100 a second.
-MOST_WAITING = 1000
+#: Largest number of states that wait for a scan: 10 s at 100 a second.
+MAX_WAITING_STATES = 1000
 
 
 class OdometryParams(BiasParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How the bias is learnt, and what silence ends the frame."""
+    """Parameters of the bias estimate, and the silence that ends the frame."""
 
     #: A state holds this long; after a longer silence, or a clock that went back, a new frame begins.
     max_gap_s: float = 1.0
-    #: Poses are kept for questions about the past.
+    #: Poses are kept this long for queries about the past.
     history_s: float = 5.0
 
 
@@ -36,7 +36,7 @@ class Placed(NamedTuple):
     yaw_rate_rps: float
 
 
-class _Known(NamedTuple):
+class _StampedPose(NamedTuple):
     """A pose with the motion measured there."""
 
     stamp_ns: int
@@ -46,18 +46,18 @@ class _Known(NamedTuple):
 
 
 class Odometry:
-    """Integrates vehicle states to poses; a change of the frame's number says that old poses mean nothing any more."""
+    """Integrator of vehicle states to poses; a change of the frame number invalidates old poses."""
 
     def __init__(self, params: OdometryParams | None = None) -> None:
         self._params = params or OdometryParams()
-        self._known: deque[_Known] = deque()
+        self._poses: deque[_StampedPose] = deque()
         self._frame = 0
         self._bias = YawRateBias(self._params)
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:
-        """The bias that is taken off the newest yaw rate."""
-        return self._bias.estimate(self._known[-1].stamp_ns if self._known else 0)
+        """The bias that is subtracted from the newest yaw rate."""
+        return self._bias.estimate(self._poses[-1].stamp_ns if self._poses else 0)
 
     @property
     def yaw_rate_bias_rps(self) -> float:
@@ -66,47 +66,47 @@ class Odometry:
 
     @property
     def driving_bias(self) -> BiasEstimate:
-        """What driving alone has shown of the bias, good enough to be taken off or not."""
+        """Bias from driving alone, accurate enough to be subtracted or not."""
         return self._bias.driving
 
     def add(self, state: VehicleState) -> None:
-        """Take in a state; those not valid, late or repeated count for nothing."""
+        """Take in a state; states that are not valid, late or repeated are ignored."""
         if not state.valid or self._is_late(state.stamp_ns):
             return
         pose = self._next_pose(state)
         yaw_rate_rps = self._bias.corrected(state)
-        self._known.append(_Known(state.stamp_ns, pose, state.speed_mps, yaw_rate_rps))
-        while self._known[0].stamp_ns < state.stamp_ns - ns_from_s(self._params.history_s):
-            self._known.popleft()
+        self._poses.append(_StampedPose(state.stamp_ns, pose, state.speed_mps, yaw_rate_rps))
+        while self._poses[0].stamp_ns < state.stamp_ns - ns_from_s(self._params.history_s):
+            self._poses.popleft()
 
     def at(self, stamp_ns: int) -> Placed | None:
-        """The vehicle at a time, None where no state near enough is known."""
-        index = bisect_right(self._known, stamp_ns, key=lambda one: one.stamp_ns) - 1
+        """Return the vehicle's pose at a time, None where no state is near enough."""
+        index = bisect_right(self._poses, stamp_ns, key=lambda pose: pose.stamp_ns) - 1
         if index < 0:
             return None
-        start = self._known[index]
+        start = self._poses[index]
         elapsed_s = s_from_ns(stamp_ns - start.stamp_ns)
         if elapsed_s > self._params.max_gap_s:
             return None
-        after = self._known[index + 1] if index + 1 < len(self._known) else start
+        after = self._poses[index + 1] if index + 1 < len(self._poses) else start
         share = elapsed_s / max(s_from_ns(after.stamp_ns - start.stamp_ns), elapsed_s, 1e-9)
         speed_mps = start.speed_mps + share * (after.speed_mps - start.speed_mps)
         yaw_rate_rps = start.yaw_rate_rps + share * (after.yaw_rate_rps - start.yaw_rate_rps)
         return Placed(self._frame, _moved(start, speed_mps, yaw_rate_rps, elapsed_s), speed_mps, yaw_rate_rps)
 
     def _is_late(self, stamp_ns: int) -> bool:
-        """Behind the newest, but not so far that the clock must have been set back."""
-        return bool(self._known) and 0 <= self._known[-1].stamp_ns - stamp_ns <= ns_from_s(self._params.max_gap_s)
+        """Return whether a stamp lies behind the newest, but not so far that the clock must have been set back."""
+        return bool(self._poses) and 0 <= self._poses[-1].stamp_ns - stamp_ns <= ns_from_s(self._params.max_gap_s)
 
     def _next_pose(self, state: VehicleState) -> Pose2:
-        """Pose at a new state: the trapezoid of both motions, or the origin of a new frame."""
-        if self._known:
-            last = self._known[-1]
+        """Return the pose at a new state: the trapezoid of both motions, or the origin of a new frame."""
+        if self._poses:
+            last = self._poses[-1]
             elapsed_s = s_from_ns(state.stamp_ns - last.stamp_ns)
             if 0.0 < elapsed_s <= self._params.max_gap_s:
                 self._bias.add(state, elapsed_s)
                 return _moved(last, state.speed_mps, self._bias.corrected(state), elapsed_s)
-            self._known.clear()
+            self._poses.clear()
             self._frame += 1
         self._bias.interrupt()
         self._bias.add(state, 0.0)
@@ -116,9 +116,9 @@ class Odometry:
 class ScanOdometry:
     """The vehicle at each scan's stamp, from the states stamped at or before it, whatever order they arrive in.
 
-    States wait, sorted by their stamps, until a scan asks for a time; those of later stamps go on waiting and the
-    motion of the last one is held up to the scan's. A state has the whole scan and the time of its processing to
-    arrive; one that comes after the question, though older, is too late for that scan. The answer thus depends on the
+    States wait, sorted by their stamps, until a scan queries a time; states with later stamps keep waiting, and the
+    motion of the last one is held up to the scan's stamp. A state has the whole scan and the time of its processing to
+    arrive; one that arrives after the query, though older, is too late for that scan. The result thus depends on the
     states alone: a graph, a replay and a chain in one process agree.
     """
 
@@ -126,48 +126,50 @@ class ScanOdometry:
         self._params = params or OdometryParams()
         self._odometry = Odometry(self._params)
         self._waiting: list[VehicleState] = []
-        self._asked_ns: int | None = None
-        self._told = False
+        self._last_query_ns: int | None = None
+        self._has_state = False
 
     def add(self, state: VehicleState) -> None:
         """Take in a state."""
         insort(self._waiting, state, key=_order)
-        # where no scans come the states must not pile up
-        if len(self._waiting) > MOST_WAITING:
+        # bound the queue where no scans arrive
+        if len(self._waiting) > MAX_WAITING_STATES:
             self._take(1)
 
     def at(self, stamp_ns: int) -> Placed | None:
-        """The vehicle at a scan's stamp; `standing` as long as no state has come, None where none is near enough."""
-        asked_ns, self._asked_ns = self._asked_ns, stamp_ns
-        if asked_ns is not None and asked_ns - stamp_ns > ns_from_s(self._params.max_gap_s):
-            # the clock was set back: what waits from before would come up once more when it gets there
-            self._waiting = [state for state in self._waiting if state.stamp_ns <= asked_ns]
+        """Return the vehicle's pose at a scan's stamp; `standing` while no state has arrived, None where none is near
+        enough.
+        """
+        last_query_ns, self._last_query_ns = self._last_query_ns, stamp_ns
+        if last_query_ns is not None and last_query_ns - stamp_ns > ns_from_s(self._params.max_gap_s):
+            # the clock was set back: waiting states from before would be used again later
+            self._waiting = [state for state in self._waiting if state.stamp_ns <= last_query_ns]
         self._take(bisect_right(self._waiting, stamp_ns, key=lambda state: state.stamp_ns))
-        return self._odometry.at(stamp_ns) if self._told else standing()
+        return self._odometry.at(stamp_ns) if self._has_state else standing()
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:
-        """The bias that is taken off the newest yaw rate that was taken in."""
+        """The bias that is subtracted from the newest yaw rate in use."""
         return self._odometry.yaw_rate_bias
 
     def _take(self, count: int) -> None:
         for state in self._waiting[:count]:
             self._odometry.add(state)
         del self._waiting[:count]
-        self._told |= count > 0
+        self._has_state |= count > 0
 
 
 def _order(state: VehicleState) -> tuple[int, float, float, bool]:
-    """By stamp; among equal ones by what they say, so that their arrival does not decide."""
+    """Return the sort key: the stamp, then the values, so that the order of arrival has no effect."""
     return state.stamp_ns, state.speed_mps, state.yaw_rate_rps, state.valid
 
 
 def standing() -> Placed:
-    """The place of a radar that never moves, in a frame of its own."""
+    """Return the pose of a radar that never moves, in a frame of its own."""
     return Placed(-1, Pose2(), 0.0, 0.0)
 
 
-def _moved(start: _Known, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
-    """Pose after a time over which the motion changes evenly to the given one."""
+def _moved(start: _StampedPose, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:
+    """Return the pose after a time over which the motion changes linearly to the given one."""
     mean = 0.5 * (start.speed_mps + speed_mps), 0.5 * (start.yaw_rate_rps + yaw_rate_rps)
     return start.pose @ ego_motion(*mean, elapsed_s)

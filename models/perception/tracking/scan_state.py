@@ -1,4 +1,4 @@
-"""What outlasts a scan: where the vehicle has gone, the walls it passed, the objects it follows."""
+"""State across scans: the vehicle's path, the walls it passed, the tracked objects."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from msgs.values.vehicle import VehicleState
 
 
 class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is kept from scan to scan, and how."""
+    """Parameters of the state kept across scans."""
 
     tracking: bool = True
-    #: Walls of earlier scans serve as mirrors too, where vehicle states tell how the radar moved between them.
+    #: Walls of earlier scans serve as mirrors too, where vehicle states give the motion of the radar between scans.
     wall_map: bool = False
     odometry: OdometryParams = OdometryParams()
     tracker: TrackerParams = TrackerParams()
@@ -28,7 +28,7 @@ class MemoryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class ScanMemory:
-    """Of one radar: vehicle states in as they come; scans in the order of their stamps."""
+    """State across scans of one radar: vehicle states in any order, scans in the order of their stamps."""
 
     def __init__(self, params: MemoryParams) -> None:
         self._odometry = ScanOdometry(params.odometry)
@@ -36,24 +36,26 @@ class ScanMemory:
         self._walls = WallMap(params.walls) if params.wall_map else None
 
     def add(self, state: VehicleState) -> None:
-        """Take in a state of the vehicle; see `ScanOdometry` for which states count for which scan."""
+        """Take in a state of the vehicle; see `ScanOdometry` for the states that each scan uses."""
         self._odometry.add(state)
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:
-        """The bias that is taken off the yaw rate."""
+        """The bias that is subtracted from the yaw rate."""
         return self._odometry.yaw_rate_bias
 
     def walls_at(self, peaks: Peaks) -> Remembered | None:
-        """What `recover_bev` is to ask for walls of earlier scans; None where none are kept or no state has come."""
-        place = self._odometry.at(peaks.stamp_ns)
-        # a radar that only seems to stand would see every wall in several places
-        if self._walls is None or place is None or place == standing():
+        """Return the wall prior for `recover_bev`; None where no walls are kept or no state has arrived."""
+        pose = self._odometry.at(peaks.stamp_ns)
+        # a radar that only seems to stand would find every wall at several positions
+        if self._walls is None or pose is None or pose == standing():
             return None
-        return partial(self._walls.step, peaks.stamp_ns, place, peaks.vehicle_from_radar)
+        return partial(self._walls.step, peaks.stamp_ns, pose, peaks.vehicle_from_radar)
 
     def tracked(self, view: BevFrame, vehicle_from_radar: Pose2) -> BevFrame:
-        """The view with its tracks; where no vehicle state has ever come (`view.ego` is None) the radar stands."""
+        """Return the view with its tracks; the radar is stationary as long as no vehicle state has arrived (`view.ego`
+        is None).
+        """
         if self._tracker is None:
             return view
         tracks = self._tracker.step(view, self._odometry.at(view.stamp_ns), vehicle_from_radar)

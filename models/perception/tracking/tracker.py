@@ -1,4 +1,4 @@
-"""Hidden objects followed over scans in an odometry frame: nearly-constant-velocity Kalman filters and assignment.
+"""Tracking of hidden objects over scans in an odometry frame: nearly-constant-velocity Kalman filters and assignment.
 
 Each object comes with its own covariance and its own time of measurement, so a track is predicted to that time, gated
 by Mahalanobis distance and assigned to at most one object of a scan (global nearest neighbour). A track is confirmed
@@ -29,38 +29,38 @@ from msgs.values.vehicle import ego_motion
 
 #: Cost of a pair outside the gate: larger than any sum of those inside.
 FORBIDDEN = 1e9
-#: An object measured further from its scan's stamp is none of that scan.
+#: An object measured further from its scan's stamp does not belong to that scan.
 LONGEST_SCAN_NS = 2_000_000_000
-#: A radar that sits where the vehicle's motion is told of.
+#: A radar at the reference point of the vehicle's motion.
 FRONT = Pose2()
-#: What is measured of a state (x, y, vx, vy).
+#: Measurement matrix of a state (x, y, vx, vy).
 MEASURED = np.eye(2, 4)
 
 
 class TrackerParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How objects may move, when a track is believed, when it is given up, how far its path is looked ahead."""
+    """Motion model, track confirmation and deletion, and the horizon of the prediction."""
 
     #: Spectral density of the white acceleration: after 1 s the velocity has this variance more.
     acceleration_density_m2ps3: float = 2.0
-    #: Of the velocity of an object seen once, along each axis.
+    #: Standard deviation of the velocity of an object detected once, along each axis.
     first_speed_std_mps: float = 8.0
-    #: Added to each object's own: the middle of what is seen of a vehicle wanders over its face.
+    #: Added to each object's own: the centre of the visible part of a vehicle wanders over its face.
     place_std_m: float = 0.4
     #: Square of the Mahalanobis distance: 99.7 % of true pairs in two dimensions.
     gate: float = 11.8
     confirm_hits: int = 3
     confirm_scans: int = 5
-    #: A confirmed track is given up after more misses in a row.
+    #: A confirmed track is deleted after more misses in a row.
     max_misses: int = 5
-    #: And all of them where no scan came for longer, or the clock went back by more.
+    #: All tracks are deleted where no scan arrived for longer, or the clock went back by more.
     max_gap_s: float = 2.0
     horizon_s: float = 6.0
     step_s: float = 0.1
-    #: An object is in sight with its nose, so far ahead of the middle of what was seen.
+    #: An object comes into sight with its nose, so far ahead of the centre of its visible part.
     nose_m: float = 2.0
-    #: Walls seen so lately still stand: a scan does not find every wall.
+    #: Walls of scans this recent still block: a scan does not find every wall.
     wall_memory_s: float = 1.5
-    #: Slower objects go nowhere: the time to appear is then that of the ego's own way.
+    #: Slower objects count as stationary: the time to appear then follows from the ego motion alone.
     slow_mps: float = 0.5
 
     def __post_init__(self) -> None:
@@ -81,7 +81,7 @@ class Estimate:
     covariance: np.ndarray
 
     def at(self, stamp_ns: int, density_m2ps3: float) -> Estimate:
-        """The state at another time, before or after; uncertainty grows either way."""
+        """Return the state at another time, before or after; uncertainty grows either way."""
         if stamp_ns == self.stamp_ns:
             return self
         elapsed_s = s_from_ns(stamp_ns - self.stamp_ns)
@@ -89,25 +89,27 @@ class Estimate:
         covariance = step @ self.covariance @ step.T + motion_noise(elapsed_s, density_m2ps3)
         return Estimate(stamp_ns, step @ self.mean, _symmetric(covariance))
 
-    def updated(self, place_m: np.ndarray, place_covariance_m2: np.ndarray) -> Estimate:
-        """After a place was measured; Joseph's form, a sum of squares whatever the gain's rounding."""
-        gain = _gain(self.covariance, place_covariance_m2)
+    def updated(self, position_m: np.ndarray, measurement_covariance_m2: np.ndarray) -> Estimate:
+        """Return the state after a position measurement; Joseph's form, a sum of squares whatever the gain's
+        rounding.
+        """
+        gain = _gain(self.covariance, measurement_covariance_m2)
         rest = np.eye(4) - gain @ MEASURED
-        covariance = rest @ self.covariance @ rest.T + gain @ place_covariance_m2 @ gain.T
-        return Estimate(self.stamp_ns, self.mean + gain @ (place_m - self.mean[:2]), _symmetric(covariance))
+        covariance = rest @ self.covariance @ rest.T + gain @ measurement_covariance_m2 @ gain.T
+        return Estimate(self.stamp_ns, self.mean + gain @ (position_m - self.mean[:2]), _symmetric(covariance))
 
 
 def motion_noise(elapsed_s: float, density_m2ps3: float) -> np.ndarray:
-    """Covariance [4, 4] that white acceleration adds over a time, which may be negative."""
-    # back in time only place and velocity change the sign they vary together with
+    """Return the covariance [4, 4] that white acceleration adds over a time, which may be negative."""
+    # back in time only the covariance of position and velocity changes its sign
     length_s, cross = abs(elapsed_s), 0.5 * elapsed_s * abs(elapsed_s)
     block = np.array([[length_s**3 / 3.0, cross], [cross, length_s]])
     return density_m2ps3 * np.kron(block, np.eye(2))
 
 
-def _gain(covariance: np.ndarray, place_covariance_m2: np.ndarray) -> np.ndarray:
-    """Kalman gain [4, 2] of a measured place."""
-    return np.linalg.solve(covariance[:2, :2] + place_covariance_m2, covariance[:2]).T
+def _gain(covariance: np.ndarray, measurement_covariance_m2: np.ndarray) -> np.ndarray:
+    """Return the Kalman gain [4, 2] of a measured position."""
+    return np.linalg.solve(covariance[:2, :2] + measurement_covariance_m2, covariance[:2]).T
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
@@ -116,30 +118,30 @@ def _symmetric(matrix: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Sighting:
-    """A hidden object in the odometry frame: place [2], covariance [2, 2], time of measurement."""
+    """A hidden object in the odometry frame: position [2], covariance [2, 2], time of measurement."""
 
     stamp_ns: int
-    place_m: np.ndarray
+    position_m: np.ndarray
     covariance_m2: np.ndarray
 
 
 @dataclass
-class _Followed:
-    """A track at work."""
+class _TrackState:
+    """State of one track."""
 
     id: int
     first_ns: int
     estimate: Estimate
     #: Hit or miss in the last scans, newest last.
-    seen: deque[bool]
+    hits: deque[bool]
     confirmed: bool = False
     misses: int = 0
-    #: A wall stood before it at some time: only then can it come into sight.
+    #: A wall hid it at some time: only then can it come into sight.
     was_blocked: bool = False
 
 
 @dataclass(frozen=True)
-class _WallsSeen:
+class _ScanWalls:
     """Walls of one scan, ends a and b [W, 2] in the odometry frame."""
 
     stamp_ns: int
@@ -149,38 +151,40 @@ class _WallsSeen:
 
 @dataclass
 class Tracker:
-    """Follows the hidden objects of one radar; one call a scan, in the order of their stamps."""
+    """Tracker of the hidden objects of one radar; one call a scan, in the order of their stamps."""
 
     params: TrackerParams = field(default_factory=TrackerParams)
-    _tracks: list[_Followed] = field(default_factory=list, init=False)
-    _walls: list[_WallsSeen] = field(default_factory=list, init=False)
+    _tracks: list[_TrackState] = field(default_factory=list, init=False)
+    _walls: list[_ScanWalls] = field(default_factory=list, init=False)
     _next_id: int = field(default=1, init=False)
     _last_ns: int | None = field(default=None, init=False)
     _frame: int | None = field(default=None, init=False)
-    _said: tuple[Track, ...] = field(default=(), init=False)
+    _messages: tuple[Track, ...] = field(default=(), init=False)
 
-    def step(self, frame: BevFrame, place: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
-        """Confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
+    def step(self, frame: BevFrame, pose: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
+        """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
-        `place`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it nothing can be followed and all tracks
-        end, as they do when its frame changes. `standing` is the place of a radar that never moves. A scan that
-        comes twice or late changes nothing and brings the tracks of the one before it once more.
+        `pose`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it no object can be tracked and all tracks
+        end, as they do when its frame changes. `standing` is the pose of a radar that never moves. A repeated or late
+        scan changes nothing and returns the tracks of the scan before it again.
         """
-        if place is None:
+        if pose is None:
             self._forget(None)
             return ()
         if self._is_late(frame.stamp_ns):
-            return self._said
-        if place.frame != self._frame or self._is_gap(frame.stamp_ns):
-            self._forget(place.frame)
+            return self._messages
+        if pose.frame != self._frame or self._is_gap(frame.stamp_ns):
+            self._forget(pose.frame)
         self._last_ns = frame.stamp_ns
-        odom_from_radar = place.odom_from_vehicle @ vehicle_from_radar
+        odom_from_radar = pose.odom_from_vehicle @ vehicle_from_radar
         self._follow(sightings(frame, odom_from_radar, self.params.place_std_m), frame.stamp_ns)
-        a, b = self._standing_walls(frame, odom_from_radar)
-        confirmed = [one for one in self._tracks if one.confirmed]
-        ahead_m = radar_ahead(place, vehicle_from_radar, self.params)
-        self._said = tuple(self._told(one, frame.stamp_ns, odom_from_radar, ahead_m, a, b) for one in confirmed)
-        return self._said
+        a, b = self._recent_walls(frame, odom_from_radar)
+        confirmed = [track for track in self._tracks if track.confirmed]
+        ahead_m = radar_ahead(pose, vehicle_from_radar, self.params)
+        self._messages = tuple(
+            self._to_message(track, frame.stamp_ns, odom_from_radar, ahead_m, a, b) for track in confirmed
+        )
+        return self._messages
 
     def _is_late(self, stamp_ns: int) -> bool:
         if self._last_ns is None:
@@ -192,128 +196,139 @@ class Tracker:
 
     def _forget(self, frame: int | None) -> None:
         """End all tracks; the next id stays."""
-        self._tracks, self._walls, self._last_ns, self._frame, self._said = [], [], None, frame, ()
+        self._tracks, self._walls, self._last_ns, self._frame, self._messages = [], [], None, frame, ()
 
-    def _follow(self, seen: Sequence[Sighting], stamp_ns: int) -> None:
+    def _follow(self, measurements: Sequence[Sighting], stamp_ns: int) -> None:
         """Assign, update, begin and end tracks."""
         density = self.params.acceleration_density_m2ps3
-        pairs = assign([one.estimate for one in self._tracks], seen, self.params)
-        for index, one in enumerate(self._tracks):
+        pairs = assign([track.estimate for track in self._tracks], measurements, self.params)
+        for index, track in enumerate(self._tracks):
             hit = pairs.get(index)
             if hit is not None:
-                there = seen[hit]
-                one.estimate = one.estimate.at(there.stamp_ns, density).updated(there.place_m, there.covariance_m2)
+                sighting = measurements[hit]
+                track.estimate = track.estimate.at(sighting.stamp_ns, density).updated(
+                    sighting.position_m, sighting.covariance_m2
+                )
             else:
-                one.estimate = one.estimate.at(max(stamp_ns, one.estimate.stamp_ns), density)
-            self._count(one, hit is not None)
-        self._tracks = [one for one in self._tracks if self._is_kept(one)]
-        taken = set(pairs.values())
-        self._tracks += [self._begun(there) for index, there in enumerate(seen) if index not in taken]
+                track.estimate = track.estimate.at(max(stamp_ns, track.estimate.stamp_ns), density)
+            self._count(track, hit is not None)
+        self._tracks = [track for track in self._tracks if self._is_kept(track)]
+        assigned = set(pairs.values())
+        self._tracks += [self._begun(sighting) for index, sighting in enumerate(measurements) if index not in assigned]
 
-    def _count(self, one: _Followed, hit: bool) -> None:
-        one.seen.append(hit)
-        one.misses = 0 if hit else one.misses + 1
-        one.confirmed |= sum(one.seen) >= self.params.confirm_hits
+    def _count(self, track: _TrackState, hit: bool) -> None:
+        track.hits.append(hit)
+        track.misses = 0 if hit else track.misses + 1
+        track.confirmed |= sum(track.hits) >= self.params.confirm_hits
 
-    def _is_kept(self, one: _Followed) -> bool:
-        if one.confirmed:
-            return one.misses <= self.params.max_misses
-        # with more misses than this the hits cannot be had within the window
-        return one.seen.count(False) <= self.params.confirm_scans - self.params.confirm_hits
+    def _is_kept(self, track: _TrackState) -> bool:
+        if track.confirmed:
+            return track.misses <= self.params.max_misses
+        # with more misses than this, too few hits remain possible within the window
+        return track.hits.count(False) <= self.params.confirm_scans - self.params.confirm_hits
 
-    def _begun(self, there: Sighting) -> _Followed:
-        """A track of an object seen for the first time."""
+    def _begun(self, sighting: Sighting) -> _TrackState:
+        """Return a track of an object detected for the first time."""
         covariance = np.zeros((4, 4))
-        covariance[:2, :2] = there.covariance_m2
+        covariance[:2, :2] = sighting.covariance_m2
         covariance[2:, 2:] = self.params.first_speed_std_mps**2 * np.eye(2)
-        estimate = Estimate(there.stamp_ns, np.append(there.place_m, np.zeros(2)), covariance)
-        one = _Followed(self._next_id, there.stamp_ns, estimate, deque([True], self.params.confirm_scans))
-        one.confirmed = self.params.confirm_hits == 1
+        estimate = Estimate(sighting.stamp_ns, np.append(sighting.position_m, np.zeros(2)), covariance)
+        track = _TrackState(self._next_id, sighting.stamp_ns, estimate, deque([True], self.params.confirm_scans))
+        track.confirmed = self.params.confirm_hits == 1
         self._next_id += 1
-        return one
+        return track
 
-    def _standing_walls(self, frame: BevFrame, odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-        """Ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
+    def _recent_walls(self, frame: BevFrame, odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
+        """Return the ends [W, 2] in the odometry frame of the walls of this scan and of those shortly before."""
         oldest_ns = frame.stamp_ns - ns_from_s(self.params.wall_memory_s)
-        self._walls = [one for one in self._walls if one.stamp_ns >= oldest_ns]
-        self._walls.append(_WallsSeen(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
-        return np.concatenate([one.a for one in self._walls]), np.concatenate([one.b for one in self._walls])
+        self._walls = [walls for walls in self._walls if walls.stamp_ns >= oldest_ns]
+        self._walls.append(_ScanWalls(frame.stamp_ns, *_wall_ends(frame.walls, odom_from_radar)))
+        return np.concatenate([walls.a for walls in self._walls]), np.concatenate([walls.b for walls in self._walls])
 
-    def _told(
-        self, one: _Followed, stamp_ns: int, odom_from_radar: Pose2, ahead_m: np.ndarray, a: np.ndarray, b: np.ndarray
+    def _to_message(
+        self,
+        track: _TrackState,
+        stamp_ns: int,
+        odom_from_radar: Pose2,
+        ahead_m: np.ndarray,
+        a: np.ndarray,
+        b: np.ndarray,
     ) -> Track:
-        """A track as others are told of it."""
-        now = one.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
+        """Return the message of a track."""
+        now = track.estimate.at(stamp_ns, self.params.acceleration_density_m2ps3)
         hidden = hidden_ahead(now.mean, ahead_m, a, b, self.params)
-        one.was_blocked |= bool(hidden[0])
+        track.was_blocked |= bool(hidden[0])
         radar_from_odom = odom_from_radar.inverse()
         at_m, velocity = radar_from_odom.apply(now.mean[:2]), radar_from_odom.rotate(now.mean[2:])
         return Track(
-            id=one.id,
+            id=track.id,
             x_m=float(at_m[0]),
             y_m=float(at_m[1]),
             velocity_x_mps=float(velocity[0]),
             velocity_y_mps=float(velocity[1]),
-            age_s=max(s_from_ns(stamp_ns - one.first_ns), 0.0),
+            age_s=max(s_from_ns(stamp_ns - track.first_ns), 0.0),
             cov_m2=_rotated(now.covariance[:2, :2], radar_from_odom),
             velocity_cov_m2ps2=_rotated(now.covariance[2:, 2:], radar_from_odom),
-            misses=one.misses,
-            time_to_appear_s=self._time_to_appear_s(hidden) if one.was_blocked else None,
+            misses=track.misses,
+            time_to_appear_s=self._time_to_appear_s(hidden) if track.was_blocked else None,
         )
 
     def _time_to_appear_s(self, hidden: np.ndarray) -> float | None:
-        """Time of the first step in sight, None where there is none within the horizon."""
+        """Return the time of the first step in sight, None where there is none within the horizon."""
         return None if hidden.all() else float(hidden.argmin()) * self.params.step_s
 
 
 def sightings(frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> list[Sighting]:
-    """The hidden objects of a scan in the odometry frame, without those whose numbers make no sense."""
-    good = (one for one in frame.objects if _makes_sense(one, frame.stamp_ns))
-    return [_sighting(one, frame, odom_from_radar, place_std_m) for one in good]
+    """Return the valid hidden objects of a scan in the odometry frame."""
+    valid = (item for item in frame.objects if _is_valid(item, frame.stamp_ns))
+    return [_sighting(item, frame, odom_from_radar, place_std_m) for item in valid]
 
 
-def _makes_sense(one: HiddenObject, stamp_ns: int) -> bool:
-    """A finite place, a covariance that is one, a time near its scan's."""
-    covariance = np.array(one.cov_m2)
-    if not np.isfinite([one.x_m, one.y_m, *covariance.ravel()]).all():
+def _is_valid(item: HiddenObject, stamp_ns: int) -> bool:
+    """Return whether an object has a finite position, a valid covariance and a time near its scan's."""
+    covariance = np.array(item.cov_m2)
+    if not np.isfinite([item.x_m, item.y_m, *covariance.ravel()]).all():
         return False
-    timely = one.stamp_ns == 0 or abs(one.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
+    timely = item.stamp_ns == 0 or abs(item.stamp_ns - stamp_ns) <= LONGEST_SCAN_NS
     return timely and bool(np.linalg.eigvalsh(_symmetric(covariance))[0] >= 0.0)
 
 
-def _sighting(one: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> Sighting:
+def _sighting(item: HiddenObject, frame: BevFrame, odom_from_radar: Pose2, place_std_m: float) -> Sighting:
     turn = _rotation(odom_from_radar)
-    covariance = _symmetric(turn @ np.array(one.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2)
+    covariance = _symmetric(turn @ np.array(item.cov_m2) @ turn.T) + place_std_m**2 * np.eye(2)
     # an object without a stamp of its own was measured at the frame's
-    return Sighting(one.stamp_ns or frame.stamp_ns, odom_from_radar.apply(np.array([one.x_m, one.y_m])), covariance)
+    return Sighting(item.stamp_ns or frame.stamp_ns, odom_from_radar.apply(np.array([item.x_m, item.y_m])), covariance)
 
 
-def assign(tracks: Sequence[Estimate], seen: Sequence[Sighting], params: TrackerParams) -> dict[int, int]:
-    """Which track has which sighting: as many pairs within the gate as possible, then the likeliest."""
-    cost = np.full((len(tracks), len(seen)), FORBIDDEN)
+def assign(tracks: Sequence[Estimate], measurements: Sequence[Sighting], params: TrackerParams) -> dict[int, int]:
+    """Assign sightings to tracks: as many pairs within the gate as possible, then the likeliest."""
+    cost = np.full((len(tracks), len(measurements)), FORBIDDEN)
     for i, track in enumerate(tracks):
-        for j, there in enumerate(seen):
-            cost[i, j] = _pair_cost(track.at(there.stamp_ns, params.acceleration_density_m2ps3), there, params.gate)
+        for j, sighting in enumerate(measurements):
+            cost[i, j] = _pair_cost(
+                track.at(sighting.stamp_ns, params.acceleration_density_m2ps3), sighting, params.gate
+            )
     rows, columns = linear_sum_assignment(cost)
     pairs = zip(rows.tolist(), columns.tolist(), strict=True)
     return {i: j for i, j in pairs if cost[i, j] < FORBIDDEN}
 
 
-def _pair_cost(track: Estimate, there: Sighting, gate: float) -> float:
-    """Twice the negative logarithm of the likelihood, but for a constant; `FORBIDDEN` outside the gate."""
-    spread = track.covariance[:2, :2] + there.covariance_m2
-    offset = there.place_m - track.mean[:2]
+def _pair_cost(track: Estimate, sighting: Sighting, gate: float) -> float:
+    """Return twice the negative log likelihood, up to a constant; `FORBIDDEN` outside the gate."""
+    spread = track.covariance[:2, :2] + sighting.covariance_m2
+    offset = sighting.position_m - track.mean[:2]
     distance = float(offset @ np.linalg.solve(spread, offset))
-    # the wider track must not win by being vague
+    # the determinant keeps a track with a wide covariance from winning
     return distance + float(np.linalg.slogdet(spread)[1]) if distance <= gate else FORBIDDEN
 
 
 def hidden_ahead(
     state: np.ndarray, radar_m: np.ndarray, a: np.ndarray, b: np.ndarray, params: TrackerParams
 ) -> np.ndarray:
-    """Whether walls a -> b [W, 2] hide an object from the radar [steps, 2] now and in each step ahead; bool [steps].
+    """Return whether walls a -> b [W, 2] hide an object from the radar [steps, 2] now and in each step ahead; bool
+    [steps].
 
-    The object (x, y, vx, vy) goes on as it does and is in sight when its nose is. Odometry frame.
+    The object (x, y, vx, vy) keeps its velocity and is in sight when its nose is. Odometry frame.
     """
     times_s = _steps_s(params)
     speed_mps = math.hypot(state[2], state[3])
@@ -324,27 +339,24 @@ def hidden_ahead(
 
 
 def _steps_s(params: TrackerParams) -> np.ndarray:
-    """Times from now to the horizon [steps]."""
+    """Return the times from now to the horizon [steps]."""
     return params.step_s * np.arange(round(params.horizon_s / params.step_s) + 1)
 
 
-def radar_ahead(place: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
-    """Places of the radar [steps, 2] in the odometry frame from now on if the vehicle goes on as it does."""
+def radar_ahead(pose: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
+    """Return the positions of the radar [steps, 2] in the odometry frame if the vehicle keeps its speed and yaw
+    rate.
+    """
     times_s = _steps_s(params)
-    motions = (ego_motion(place.speed_mps, place.yaw_rate_rps, float(time_s)) for time_s in times_s)
-    poses = [place.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
-    return np.array([[pose.x_m, pose.y_m] for pose in poses])
+    motions = (ego_motion(pose.speed_mps, pose.yaw_rate_rps, float(time_s)) for time_s in times_s)
+    poses = [pose.odom_from_vehicle @ motion @ vehicle_from_radar for motion in motions]
+    return np.array([[radar_pose.x_m, radar_pose.y_m] for radar_pose in poses])
 
 
 def _wall_ends(walls: Sequence[Wall], odom_from_radar: Pose2) -> tuple[np.ndarray, np.ndarray]:
-    """Ends of walls in the odometry frame, each [W, 2]."""
+    """Return the ends of walls in the odometry frame, each [W, 2]."""
     ends = np.array([wall.ends_m for wall in walls], np.float64).reshape(-1, 2, 2)
     return odom_from_radar.apply(ends[:, 0]), odom_from_radar.apply(ends[:, 1])
-
-
-def track_to_json(track: Track) -> dict[str, object]:
-    """One track of a line of `tracks.jsonl`: plain numbers, exact, so that equal tracks give equal bytes."""
-    return {name: getattr(track, name) for name in track.__struct_fields__}
 
 
 def _rotation(pose: Pose2) -> np.ndarray:
@@ -353,7 +365,7 @@ def _rotation(pose: Pose2) -> np.ndarray:
 
 
 def _rotated(covariance: np.ndarray, pose: Pose2) -> Covariance:
-    """A covariance in the axes that a pose leads to."""
+    """Return a covariance rotated into the axes of a pose."""
     turn = _rotation(pose)
     (xx, xy), (_, yy) = (turn @ covariance @ turn.T).tolist()
     return (xx, xy), (xy, yy)

@@ -1,13 +1,13 @@
-"""Walls gathered over scans in the odometry frame: a wall too weak for one scan becomes a mirror by several.
+"""Wall map over scans in the odometry frame: several scans confirm a wall that is too weak for one.
 
 A line is kept with the covariance of its direction and offset and with its evidence, the log likelihood of its returns
 over that of scattered ones, which adds up over scans and fades. Every scan corrects the line (a Kalman filter of two
-states) by the wall found there or, where none was found, by the returns that lie on it. Noise of a scan's own adds to
-the covariance each time, for errors of successive scans are alike, and that of odometry with the way driven.
+states) by the wall found there or, where none was found, by the returns that lie on it. Each scan adds process noise to
+the covariance, because errors of successive scans are alike; odometry adds noise with the distance driven.
 
-Things that move make lines too. A kept line is a mirror only where one scan alone showed it longer than any vehicle's
-side, and only along what at least two scans showed; a wall that does not answer loses evidence, and one through which
-returns are seen is gone at once.
+Moving objects form lines too. A kept line is a mirror only where one scan alone showed it longer than any vehicle's
+side, and only along the part that at least two scans showed. A wall in view without returns loses evidence; one with
+returns behind it is dropped at once.
 """
 
 from __future__ import annotations
@@ -32,36 +32,36 @@ RADAR = np.zeros(2)
 
 
 class WallMapParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is kept, how sure it must be, how it is forgotten."""
+    """Conditions for keeping a line, for using it as a mirror, and for dropping it."""
 
-    #: Lines are begun by fewer returns, less sure ones, than make a wall of a single scan.
+    #: A line starts from fewer and less certain returns than a wall of a single scan.
     candidate: WallParams = WallParams(
         min_inliers=3, min_score=4.0, max_angle_std_rad=math.radians(15.0), sparse_min_score=6.0, curved=False
     )
-    #: A kept line is a mirror from so many scans, so much evidence and so sure a direction on.
+    #: A kept line is a mirror from so many scans, so much evidence and so certain a direction on.
     min_scans: int = 3
     min_score: float = 12.0
     max_angle_std_rad: float = math.radians(4.0)
     #: And where one scan alone showed it this long: longer than a vehicle.
     min_span_m: float = 6.0
-    #: Evidence fades to 1/e in this time and over this way; it never exceeds `most_score`.
+    #: Evidence fades to 1/e in this time and over this distance; it never exceeds `most_score`.
     fade_s: float = 5.0
     fade_m: float = 30.0
     most_score: float = 40.0
-    #: A scan in which a wall did not answer, though in view, costs so much evidence.
+    #: Evidence that a scan costs in which a wall in view gave no return.
     miss_score: float = 3.0
-    #: So many returns of a scan behind a line prove that it is none.
+    #: Number of returns of a scan behind a line that prove that it is no wall.
     seen_through_points: int = 2
     #: Unevenness of real walls, added to each return's own error.
     flatness_m: float = 0.08
-    #: Errors that a scan adds to a line: those of its returns that the next scan will have too.
+    #: Errors that a scan adds to a line: those that the returns of the next scan share.
     scan_angle_std_rad: float = math.radians(0.3)
     scan_offset_std_m: float = 0.03
     #: Of odometry, over a metre driven and a radian turned.
     place_std_m_per_m: float = 0.02
     heading_std_rad_per_m: float = math.radians(0.05)
     heading_std_rad_per_rad: float = 0.02
-    #: Two lines are one where they differ by less than so many standard deviations and this much besides.
+    #: Two lines are one where they differ by less than so many standard deviations plus these margins.
     same_sigmas: float = 3.0
     same_angle_rad: float = math.radians(2.0)
     same_offset_m: float = 0.2
@@ -77,11 +77,11 @@ class WallMapParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
 
 
 @dataclass
-class _Kept:
+class _KeptLine:
     """A line in the odometry frame, through `middle_m` [2] with a normal at `normal_rad`.
 
-    `covariance` [2, 2] is that of (offset [m] at the middle, direction [rad]); low and high are ends along the normal
-    turned to the left, from the middle, of what one scan showed and of what two did.
+    `covariance` [2, 2] is that of (offset [m] at the middle, direction [rad]); `seen_m` and `sure_m` are the ends
+    (along the normal turned to the left, from the middle) of the parts that one scan and that two scans showed.
     """
 
     middle_m: np.ndarray
@@ -106,7 +106,7 @@ class _Kept:
         self.middle_m = self.middle_m - shift_m * normal
 
     def reached(self, low_m: float, high_m: float) -> None:
-        """Note what a further scan showed of it: what two showed is sure."""
+        """Extend the line by a further scan; the part that two scans showed is certain."""
         twice = max(self.seen_m[0], low_m), min(self.seen_m[1], high_m)
         if twice[0] < twice[1]:
             self.sure_m = twice if self.sure_m is None else _union(self.sure_m, twice)
@@ -119,7 +119,7 @@ class _Kept:
 class _Local:
     """A kept line in the radar frame of a scan: normal towards the radar [2], tangent [2], middle [2], offset."""
 
-    kept: _Kept
+    kept: _KeptLine
     normal: np.ndarray
     middle_m: np.ndarray
     offset_m: float
@@ -127,7 +127,7 @@ class _Local:
     sign: float
 
     @classmethod
-    def of(cls, kept: _Kept, radar_from_odom: Pose2) -> _Local:
+    def of(cls, kept: _KeptLine, radar_from_odom: Pose2) -> _Local:
         angle_rad = kept.normal_rad + radar_from_odom.yaw_rad
         normal = np.array([math.cos(angle_rad), math.sin(angle_rad)])
         middle_m = radar_from_odom.apply(kept.middle_m)
@@ -139,19 +139,19 @@ class _Local:
         return np.array([-self.normal[1], self.normal[0]])
 
     def along_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Places of points [N, 2] along the line, from its middle [N]."""
+        """Return the coordinates of points [N, 2] along the line, from its middle [N]."""
         return np.asarray((points_m - self.middle_m) @ self.tangent)
 
     def off_m(self, points_m: np.ndarray) -> np.ndarray:
-        """Heights of points [N, 2] over the line [N]."""
+        """Return the heights of points [N, 2] over the line [N]."""
         return np.asarray((points_m - self.middle_m) @ self.normal)
 
     def ends_m(self, reach_m: tuple[float, float]) -> np.ndarray:
-        """The ends [2, 2] of a stretch of it."""
+        """Return the ends [2, 2] of a stretch of it."""
         return self.middle_m + np.array(reach_m)[:, None] * self.tangent
 
     def as_wall(self, reach_m: tuple[float, float]) -> Wall:
-        """The value that travels, over a stretch of the line."""
+        """Return the message value over a stretch of the line."""
         ends_m = self.ends_m(reach_m)
         at = np.array([1.0, 0.5 * (reach_m[0] + reach_m[1])])
         (ax, ay), (bx, by) = ends_m.tolist()
@@ -166,75 +166,77 @@ class _Local:
 
 
 class WallMap:
-    """The walls one radar has seen; one call a scan, in the order of their stamps."""
+    """Map of the walls of one radar; one call a scan, in the order of their stamps."""
 
     def __init__(self, params: WallMapParams | None = None) -> None:
         self._params = params or WallMapParams()
-        self._kept: list[_Kept] = []
+        self._kept: list[_KeptLine] = []
         self._last: tuple[int, Placed] | None = None
 
     def step(
         self,
         stamp_ns: int,
-        place: Placed,
+        pose: Placed,
         vehicle_from_radar: Pose2,
         points_m: np.ndarray,
         covariance_m2: np.ndarray,
         walls: list[Wall],
         wall_of_point: np.ndarray,
     ) -> tuple[list[Wall], np.ndarray]:
-        """The walls of a scan, sharpened by earlier ones, and those that only several scans show; radar frame.
+        """Return the walls of a scan, sharpened by earlier ones, and those that only several scans show; radar frame.
 
         Returns [N, 2] with covariances [N, 2, 2], walls and the wall of each return [N] are those of `find_walls`; the
-        last two come back with the remembered walls behind the scan's own. A scan that comes twice or late changes
+        last two come back with the walls of earlier scans after the scan's own. A repeated or late scan changes
         nothing.
         """
-        if self._last is not None and self._last[1].frame == place.frame and stamp_ns <= self._last[0]:
+        if self._last is not None and self._last[1].frame == pose.frame and stamp_ns <= self._last[0]:
             return walls, wall_of_point
-        self._age(stamp_ns, place)
-        odom_from_radar = place.odom_from_vehicle @ vehicle_from_radar
+        self._age(stamp_ns, pose)
+        odom_from_radar = pose.odom_from_vehicle @ vehicle_from_radar
         radar_from_odom = odom_from_radar.inverse()
         walls, met = self._merge(walls, radar_from_odom)
         free = np.flatnonzero(wall_of_point == -1)
         wall_of_point = wall_of_point.copy()
-        for kept in [one for one in self._kept if id(one) not in met]:
+        for kept in [line for line in self._kept if id(line) not in met]:
             local = _Local.of(kept, radar_from_odom)
-            on = free[self._on(local, points_m[free], covariance_m2[free])]
-            if len(on):
-                self._support(local, points_m[on], covariance_m2[on])
-                free = np.setdiff1d(free, on)
+            on_line = free[self._on(local, points_m[free], covariance_m2[free])]
+            if len(on_line):
+                self._support(local, points_m[on_line], covariance_m2[on_line])
+                free = np.setdiff1d(free, on_line)
             elif self._in_view(local, walls):
                 kept.score -= self._params.miss_score
             local = _Local.of(kept, radar_from_odom)
             if self._seen_through(local, points_m):
                 kept.score = 0.0
-            elif self._acts(local):
-                wall_of_point[on] = len(walls)
+            elif self._is_mirror(local):
+                wall_of_point[on_line] = len(walls)
                 walls = [*walls, local.as_wall(kept.sure_m or kept.seen_m)]
         self._begin(points_m[free], covariance_m2[free], odom_from_radar)
-        self._kept = sorted((one for one in self._kept if one.score > 0.0), key=lambda one: -one.score)
+        self._kept = sorted((line for line in self._kept if line.score > 0.0), key=lambda line: -line.score)
         self._kept = self._kept[: self._params.max_walls]
         return walls, wall_of_point
 
-    def _age(self, stamp_ns: int, place: Placed) -> None:
-        """Let evidence fade and uncertainty grow since the last scan; another odometry frame is another world."""
-        last, self._last = self._last, (stamp_ns, place)
-        if last is None or last[1].frame != place.frame:
+    def _age(self, stamp_ns: int, pose: Placed) -> None:
+        """Let evidence fade and uncertainty grow since the last scan; a new odometry frame clears the map."""
+        last, self._last = self._last, (stamp_ns, pose)
+        if last is None or last[1].frame != pose.frame:
             self._kept = []
             return
-        moved = last[1].odom_from_vehicle.inverse() @ place.odom_from_vehicle
-        way_m = math.hypot(moved.x_m, moved.y_m)
+        moved = last[1].odom_from_vehicle.inverse() @ pose.odom_from_vehicle
+        driven_m = math.hypot(moved.x_m, moved.y_m)
         params = self._params
-        fade = math.exp(-s_from_ns(stamp_ns - last[0]) / params.fade_s - way_m / params.fade_m)
+        fade = math.exp(-s_from_ns(stamp_ns - last[0]) / params.fade_s - driven_m / params.fade_m)
         angle = params.scan_angle_std_rad**2 + (params.heading_std_rad_per_rad * moved.yaw_rad) ** 2
-        angle += way_m * params.heading_std_rad_per_m**2
-        offset = params.scan_offset_std_m**2 + (params.place_std_m_per_m * way_m) ** 2
-        for one in self._kept:
-            one.score *= fade
-            one.covariance = one.covariance + np.diag([offset, angle])
+        angle += driven_m * params.heading_std_rad_per_m**2
+        offset = params.scan_offset_std_m**2 + (params.place_std_m_per_m * driven_m) ** 2
+        for line in self._kept:
+            line.score *= fade
+            line.covariance = line.covariance + np.diag([offset, angle])
 
     def _merge(self, walls: list[Wall], radar_from_odom: Pose2) -> tuple[list[Wall], set[int]]:
-        """Each straight wall of a scan with the kept line it is one with, or a new one; and `id` of those lines."""
+        """Merge each straight wall of a scan with its kept line, or keep it as a new one; also return the `id` of those
+        lines.
+        """
         merged: list[Wall] = []
         met: set[int] = set()
         for wall in walls:
@@ -250,7 +252,7 @@ class WallMap:
         return merged, met
 
     def _same(self, wall: Wall, met: set[int], radar_from_odom: Pose2) -> _Local | None:
-        """The kept line that a wall is one with: the nearest of those within the errors of both."""
+        """Return the kept line that matches a wall: the nearest of those within the errors of both; None: none."""
         best: tuple[float, _Local] | None = None
         for kept in self._kept:
             local = _Local.of(kept, radar_from_odom)
@@ -260,7 +262,7 @@ class WallMap:
         return best[1] if best else None
 
     def _correct(self, local: _Local, wall: Wall) -> None:
-        """A kept line corrected by a wall of a scan."""
+        """Correct a kept line by a wall of a scan."""
         ends_m = np.array(wall.ends_m)
         low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
         at_m = ends_m.mean(axis=0)[None]
@@ -273,7 +275,7 @@ class WallMap:
         local.kept.inliers = max(local.kept.inliers, wall.inliers)
 
     def _on(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
-        """Which returns [N] lie on a kept line, within the errors of both and near what was seen of it; bool [N]."""
+        """Return which returns [N] lie on a kept line, within the errors of both and near its known part; bool [N]."""
         along_m = local.along_m(points_m)
         near = (along_m > local.kept.seen_m[0] - self._params.max_gap_m) & (
             along_m < local.kept.seen_m[1] + self._params.max_gap_m
@@ -281,14 +283,14 @@ class WallMap:
         return near & (self._gains(local, points_m, covariance_m2) > 1.0)
 
     def _gains(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> np.ndarray:
-        """What each return adds to the evidence of a kept line [N]."""
+        """Return what each return adds to the evidence of a kept line [N]."""
         factors = np.stack([np.ones(len(points_m)), local.along_m(points_m)], axis=1)
         own = np.einsum("ni,ij,nj->n", factors, local.kept.covariance, factors) + self._params.flatness_m**2
         widened = covariance_m2 + own[:, None, None] * np.eye(2)
         return gains(np.array(points_m), widened, local.normal[0], local.normal[1], local.offset_m)
 
     def _support(self, local: _Local, points_m: np.ndarray, covariance_m2: np.ndarray) -> None:
-        """A kept line corrected by returns that lie on it."""
+        """Correct a kept line by returns that lie on it."""
         along_m, kept = local.along_m(points_m), local.kept
         gained = float(self._gains(local, points_m, covariance_m2).sum())
         noise = np.einsum("i,nij,j->n", local.normal, covariance_m2, local.normal) + self._params.flatness_m**2
@@ -299,7 +301,7 @@ class WallMap:
         kept.inliers = max(kept.inliers, len(points_m))
 
     def _in_view(self, local: _Local, walls: list[Wall]) -> bool:
-        """Whether the radar ought to see a kept line: its middle ahead, and no wall of the scan before it."""
+        """Return whether a kept line should be visible: its middle ahead, and no wall of the scan in front of it."""
         middle_m = local.ends_m(local.kept.seen_m).mean(axis=0)
         if abs(math.atan2(middle_m[1], middle_m[0])) > self._params.view_rad:
             return False
@@ -307,18 +309,18 @@ class WallMap:
         return not crosses(RADAR, 0.98 * middle_m[None], arrays.a, arrays.b).any()
 
     def _seen_through(self, local: _Local, points_m: np.ndarray) -> bool:
-        """Whether returns of a scan lie behind what is sure of a kept line, past more than its own error."""
+        """Return whether returns of a scan lie behind the certain part of a kept line, by more than its own error."""
         if local.kept.sure_m is None:
             return False
         low_m, high_m = local.kept.sure_m
         trim_m = min(1.0, 0.25 * (high_m - low_m))
         ends_m = local.ends_m((low_m + trim_m, high_m - trim_m))
         behind = local.sign * local.off_m(points_m) < -1.0
-        cut = crosses(RADAR, points_m[behind], ends_m[:1], ends_m[1:])
-        return bool(cut.sum() >= self._params.seen_through_points)
+        crossed = crosses(RADAR, points_m[behind], ends_m[:1], ends_m[1:])
+        return bool(crossed.sum() >= self._params.seen_through_points)
 
-    def _acts(self, local: _Local) -> bool:
-        """Whether a kept line is a mirror."""
+    def _is_mirror(self, local: _Local) -> bool:
+        """Return whether a kept line is a mirror."""
         kept, params = local.kept, self._params
         sure = kept.scans >= params.min_scans and kept.score >= params.min_score and kept.sure_m is not None
         long = kept.span_m >= params.min_span_m
@@ -327,24 +329,24 @@ class WallMap:
         return sure and long and straight and shows
 
     def _is_ahead(self, local: _Local) -> bool:
-        """Whether any of a kept line lies in the field of view: only there does it mirror anything."""
+        """Return whether any part of a kept line lies in the field of view: only there it can be a mirror."""
         x_m, y_m = local.ends_m(local.kept.sure_m or local.kept.seen_m).T
         share = np.linspace(0.0, 1.0, 9)
         azimuth_rad = np.arctan2(y_m[0] + share * (y_m[1] - y_m[0]), x_m[0] + share * (x_m[1] - x_m[0]))
         return bool((np.abs(azimuth_rad) <= self._params.view_rad).any())
 
     def _begin(self, points_m: np.ndarray, covariance_m2: np.ndarray, odom_from_radar: Pose2) -> None:
-        """New lines among returns on none."""
+        """Start new lines from returns on no kept line."""
         labels = np.zeros(len(points_m), np.int64)
-        found, _ = find_walls(points_m, covariance_m2, labels, self._params.candidate)
-        self._kept += [_begun(wall, self._params.candidate.min_score, odom_from_radar) for wall in found]
+        walls, _ = find_walls(points_m, covariance_m2, labels, self._params.candidate)
+        self._kept += [_begun(wall, self._params.candidate.min_score, odom_from_radar) for wall in walls]
 
 
-def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _Kept:
-    """A line kept from its first scan on."""
+def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _KeptLine:
+    """Return a new kept line from a wall of its first scan."""
     ends_m = np.array(wall.ends_m)
     half_m = 0.5 * float(np.hypot(*(ends_m[1] - ends_m[0])))
-    return _Kept(
+    return _KeptLine(
         middle_m=odom_from_radar.apply(ends_m.mean(axis=0)),
         normal_rad=wrap_angle(math.atan2(wall.normal[1], wall.normal[0]) + odom_from_radar.yaw_rad),
         covariance=np.diag([max(wall.offset_std_m, 1e-3) ** 2, max(wall.angle_std_rad, 1e-4) ** 2]),
@@ -357,14 +359,14 @@ def _begun(wall: Wall, score: float, odom_from_radar: Pose2) -> _Kept:
 
 
 def _turn_rad(local: _Local, wall: Wall) -> float:
-    """Angle from a kept line's normal to a wall's, as lines: within a quarter turn."""
+    """Return the angle from a kept line's normal to a wall's, as lines: within a quarter turn."""
     normal = local.sign * local.normal
     cross = normal[0] * wall.normal[1] - normal[1] * wall.normal[0]
     return math.atan2(cross, float(normal @ np.array(wall.normal)))
 
 
 def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
-    """How far a wall lies from a kept line in units of what is allowed, infinite where more."""
+    """Return the distance of a wall from a kept line in units of the allowed distance, infinite where more."""
     ends_m = np.array(wall.ends_m)
     low_m, high_m = np.sort(local.along_m(ends_m)).tolist()
     gap_m = max(low_m - local.kept.seen_m[1], local.kept.seen_m[0] - high_m)
@@ -372,21 +374,19 @@ def _apart(local: _Local, wall: Wall, params: WallMapParams) -> float:
     angle_std_rad = math.sqrt(local.kept.covariance[1, 1] + wall.angle_std_rad**2)
     offset_std_m = math.sqrt(at @ local.kept.covariance @ at + wall.offset_std_m**2)
     turned = abs(_turn_rad(local, wall)) / (params.same_sigmas * angle_std_rad + params.same_angle_rad)
-    shifted = abs(local.off_m(ends_m.mean(axis=0)[None])[0]) / (
-        params.same_sigmas * offset_std_m + params.same_offset_m
-    )
-    return max(turned, shifted) if gap_m <= params.max_gap_m and max(turned, shifted) <= 1.0 else math.inf
+    offset = abs(local.off_m(ends_m.mean(axis=0)[None])[0]) / (params.same_sigmas * offset_std_m + params.same_offset_m)
+    return max(turned, offset) if gap_m <= params.max_gap_m and max(turned, offset) <= 1.0 else math.inf
 
 
-def _sharpened(wall: Wall, kept: _Kept, radar_from_odom: Pose2) -> Wall:
-    """A wall of a scan, with its own ends put on the line that all scans gave."""
+def _sharpened(wall: Wall, kept: _KeptLine, radar_from_odom: Pose2) -> Wall:
+    """Return a wall of a scan with its own ends on the line of all scans."""
     local = _Local.of(kept, radar_from_odom)
     low_m, high_m = np.sort(local.along_m(np.array(wall.ends_m))).tolist()
     return msgspec.structs.replace(local.as_wall((low_m, high_m)), inliers=wall.inliers)
 
 
-def _union(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
-    return min(one[0], other[0]), max(one[1], other[1])
+def _union(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
+    return min(first[0], second[0]), max(first[1], second[1])
 
 
 __all__ = ["WallMap", "WallMapParams"]

@@ -1,9 +1,9 @@
-"""Estimate the bias of the yaw-rate gyroscope: at rest, and while driving from steering and wheel speeds.
+"""Bias of the yaw-rate gyroscope: estimated at rest, and while driving from steering and wheel speeds.
 
 At rest the gyroscope shows its bias. While driving, the yaw rate also follows from the steering, speed * curvature, and
 from the wheels, difference of the sides / track. Both have constant errors of their own (a steering wheel that is not
 centred, tyres of unequal size), which grow with the speed; the bias does not. A drive at several speeds, or a slow one,
-tells them apart; at one high speed they cannot be told apart, and the standard deviation stays large.
+separates them; at one high speed they cannot be separated, and the standard deviation stays large.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from msgs.values.vehicle import VehicleState
 
 #: States are averaged over blocks of this length; a gap ends a block unused.
 _BLOCK_S, _MAX_STEP_S = 0.5, 0.25
-#: What the models of steering and wheels cover: forward, no racing, no wheel that spins or locks.
+#: Range of the models of steering and wheels: forward, no racing, no wheel that spins or locks.
 _MIN_SPEED_MPS, _MAX_SPEED_MPS, _MAX_YAW_RATE_RPS = 1.0, 60.0, 1.0
 _MAX_LATERAL_MPS2, _MAX_ALONG_MPS2 = 4.0, 3.0
-#: Beyond these no car steers, and no wheels differ.
+#: Larger steering angles and wheel differences are implausible.
 _MAX_STEERING_RAD, _MAX_WHEELS_MPS = 20.0, 10.0
 #: Errors of steering and wheels last for several blocks (camber, side wind): so many count as one.
 _BLOCKS_PER_ERROR = 4.0
 #: An error beyond this many standard deviations counts less.
 _OUTLIER = 2.5
-#: Blocks over which the size of the errors is learnt.
+#: Blocks over which the size of the errors is estimated.
 _ERROR_BLOCKS = 40.0
 
 #: Unknowns: bias [rad/s]; curvature of a steering wheel at zero [1/m]; curvature by steering angle [1/(m rad)];
@@ -44,23 +44,23 @@ _WALK = np.array([3.6e-5, 9e-5, 1e-4, 0.0, 1.7e-5, 1e-4])
 _MAX_UNDERSTEER = 0.01
 #: A longer pause counts as one of this length.
 _MAX_PAUSE_S = 600.0
-#: Of a bias learnt at rest: the steps of a gyroscope, of which noise averages out and the rest does not.
+#: Standard deviation of a bias learnt at rest: the steps of a gyroscope do not average out completely.
 _REST_STD_RPS = math.radians(0.03)
 
 
 class BiasParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """When the vehicle stands, how fast its bias is learnt, and when one learnt while driving is good enough."""
+    """Conditions of standstill, time constant of the bias, and the accuracy required of a bias learnt while driving."""
 
     standstill_speed_mps: float = 0.05
-    #: The vehicle stands once it has been this slow for so long: a car rocks as it stops.
+    #: The vehicle is at rest once it has been this slow for so long: a car rocks as it stops.
     settle_s: float = 0.5
     #: Time constant of the bias after the first so many seconds, in which it is their plain mean.
     bias_time_s: float = 10.0
     #: A yaw rate at rest beyond this is no bias: a turntable, a ferry.
     max_bias_rps: float = 0.05
-    #: A bias learnt while driving is taken off once its standard deviation is below this.
+    #: A bias learnt while driving is subtracted once its standard deviation is below this.
     max_driving_std_rps: float = math.radians(0.3)
-    #: A bias learnt at rest holds for so long, whatever driving says.
+    #: A bias learnt at rest holds for so long, whatever driving shows.
     rest_holds_s: float = 600.0
 
     def __post_init__(self) -> None:
@@ -69,7 +69,7 @@ class BiasParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class BiasSource(StrEnum):
-    """What the bias that is taken off was learnt from."""
+    """Source of the bias that is subtracted."""
 
     NONE = "none"
     REST = "standstill"
@@ -77,10 +77,10 @@ class BiasSource(StrEnum):
 
 
 class BiasEstimate(NamedTuple):
-    """The bias that is taken off the yaw rate, its source, and why there is none (empty if there is one)."""
+    """The bias that is subtracted from the yaw rate, its source, and the reason for none (empty if there is one)."""
 
     rps: float
-    #: Standard deviation; that of a bias without source is what is known of it.
+    #: Standard deviation; without a source, that of the prior knowledge.
     std_rps: float
     source: BiasSource
     why: str = ""
@@ -95,7 +95,9 @@ class BiasEstimate(NamedTuple):
 
 
 class YawRateBias:
-    """Learns the bias from vehicle states in the order of their stamps; a standstill has priority over driving."""
+    """Estimator of the bias from vehicle states in the order of their stamps; a standstill has priority over
+    driving.
+    """
 
     def __init__(self, params: BiasParams | None = None) -> None:
         self._params = params or BiasParams()
@@ -107,7 +109,7 @@ class YawRateBias:
         self._driven_s = 0.0
 
     def interrupt(self) -> None:
-        """Forget what the vehicle did just now: states were missed. What was learnt stays."""
+        """Clear the current block and standstill after missed states; the estimate stays."""
         self._slow_since_ns = None
         self._driving.interrupt()
 
@@ -140,7 +142,7 @@ class YawRateBias:
         return 0.0 if self.rests(state) else state.yaw_rate_rps - self.estimate(state.stamp_ns).rps
 
     def estimate(self, stamp_ns: int) -> BiasEstimate:
-        """Return the bias that is taken off at a time."""
+        """Return the bias that is subtracted at a time."""
         driving, params = self._driving, self._params
         is_learnt = driving.std_rps <= params.max_driving_std_rps and abs(driving.bias_rps) <= params.max_bias_rps
         if self._rested_s > 0.0 and self._last_rest_ns is not None:
@@ -153,7 +155,7 @@ class YawRateBias:
 
     @property
     def driving(self) -> BiasEstimate:
-        """What driving alone has shown, good enough to be taken off or not."""
+        """Bias from driving alone, accurate enough to be subtracted or not."""
         return BiasEstimate(self._driving.bias_rps, self._driving.std_rps, BiasSource.DRIVING, "", self._driven_s)
 
     def _why_not(self) -> str:
@@ -163,8 +165,8 @@ class YawRateBias:
         if not (driving.has_steering or driving.has_wheels):
             return "the vehicle never stood, and neither steering nor wheel speeds are known"
         if driving.std_rps <= self._params.max_driving_std_rps:
-            most = math.degrees(self._params.max_bias_rps)
-            return f"driving gives {math.degrees(driving.bias_rps):.2f} deg/s, which is beyond {most:.2f}"
+            max_bias_deg_s = math.degrees(self._params.max_bias_rps)
+            return f"driving gives {math.degrees(driving.bias_rps):.2f} deg/s, which is beyond {max_bias_deg_s:.2f}"
         return (
             f"the vehicle never stood, and {driving.used_s:.0f} s of driving{self._speeds()} leave a standard "
             f"deviation of {math.degrees(driving.std_rps):.2f} deg/s, more than {limit:.2f}"
@@ -184,7 +186,7 @@ class _Errors(NamedTuple):
     of_speed: float
 
     def variance(self, block: _Block) -> float:
-        """Variance of the error of a block."""
+        """Return the variance of the error of a block."""
         turning_rps = math.hypot(self.of_rate * block.yaw_rate_rps, self.of_change * block.yaw_change_rps)
         return self.floor_rps**2 + turning_rps**2 + (self.of_speed * block.speed_mps) ** 2
 
@@ -202,14 +204,14 @@ class _Block(NamedTuple):
 
 
 class _Source:
-    """How well the model of one source holds: the mean square of its errors over what was expected."""
+    """Fit of the model of one source: the mean square of its errors over the expected one."""
 
     def __init__(self, errors: _Errors) -> None:
         self._errors = errors
         self._excess = 1.0
 
     def variance(self, block: _Block) -> float:
-        """Variance of an error, the many blocks that it lasts for taken into account."""
+        """Return the variance of an error, the many blocks that it lasts for taken into account."""
         return _BLOCKS_PER_ERROR * max(self._excess, 1.0) * self._errors.variance(block)
 
     def note(self, error_rps: float, block: _Block) -> None:
@@ -247,17 +249,17 @@ class DrivingBias:
         self._states.clear()
 
     def set_bias(self, bias_rps: float) -> None:
-        """Take the bias from a standstill; what is known of steering and wheels stays."""
+        """Take the bias from a standstill; the estimates of steering and wheels stay."""
         self._mean[BIAS] = bias_rps
         self._cov[BIAS, :] = self._cov[:, BIAS] = 0.0
         self._cov[BIAS, BIAS] = _REST_STD_RPS**2
 
     def add(self, state: VehicleState) -> None:
-        """Take in a state of a moving vehicle; one beyond what the models cover ends the block unused."""
+        """Take in a state of a moving vehicle; one beyond the range of the models ends the block unused."""
         if not _is_covered(state):
             self.interrupt()
             return
-        # nobody drives with the steering wheel at exactly zero: then it is not measured
+        # a steering wheel at exactly zero all the time is not measured
         self.has_steering |= state.steering_rad != 0.0
         states = self._states
         if states and not 0.0 < s_from_ns(state.stamp_ns - states[-1].stamp_ns) <= _MAX_STEP_S:
@@ -271,7 +273,7 @@ class DrivingBias:
             del states[:-1]
 
     def _walk(self, stamp_ns: int, elapsed_s: float) -> None:
-        """Let all unknowns walk since the last block; a clock that was set back leaves the length of this one."""
+        """Let all unknowns walk since the last block; after a clock that was set back, for the length of this one."""
         pause_s = 0.0 if self._walked_ns is None else s_from_ns(stamp_ns - self._walked_ns)
         self._walked_ns = stamp_ns
         self._cov[np.diag_indices(6)] += min(max(pause_s, elapsed_s), _MAX_PAUSE_S) * _WALK**2
@@ -289,7 +291,9 @@ class DrivingBias:
             self._update(*self._by_wheels(block, block.wheels_mps), self._wheels, block)
 
     def _by_steering(self, block: _Block) -> tuple[float, np.ndarray]:
-        """Yaw rate that the steering gives, with its derivatives; understeer takes from it as the speed grows."""
+        """Return the yaw rate that the steering gives, with its derivatives; understeer takes from it as the speed
+        grows.
+        """
         bias_rps, centre, ratio, understeer, _, _ = self._mean
         speed_mps, steered = block.speed_mps, block.steered
         grip = 1.0 + understeer * speed_mps**2
@@ -298,12 +302,12 @@ class DrivingBias:
         return bias_rps + turn_rps, slope
 
     def _by_wheels(self, block: _Block, wheels_mps: float) -> tuple[float, np.ndarray]:
-        """Yaw rate that the wheels give, with its derivatives."""
+        """Return the yaw rate that the wheels give, with its derivatives."""
         slope = np.array([1.0, 0.0, 0.0, 0.0, block.speed_mps, wheels_mps])
         return float(slope @ self._mean), slope
 
     def _update(self, expected_rps: float, slope: np.ndarray, source: _Source, block: _Block) -> None:
-        """Kalman update with the measured yaw rate of a block, outliers counting less."""
+        """Update the filter with the measured yaw rate of a block; outliers count less."""
         error_rps = block.yaw_rate_rps - expected_rps
         spread = self._cov @ slope
         prior = float(slope @ spread)
@@ -321,12 +325,12 @@ class DrivingBias:
 
 def _block_of(states: list[VehicleState]) -> _Block:
     wheels = [state.wheel_speed_difference_mps for state in states]
-    known = [value for value in wheels if value is not None]
+    measured = [value for value in wheels if value is not None]
     return _Block(
         yaw_rate_rps=_mean([state.yaw_rate_rps for state in states]),
         speed_mps=_mean([state.speed_mps for state in states]),
         steered=_mean([state.speed_mps * state.steering_rad for state in states]),
-        wheels_mps=_mean(known) if len(known) == len(states) else None,
+        wheels_mps=_mean(measured) if len(measured) == len(states) else None,
         yaw_change_rps=states[-1].yaw_rate_rps - states[0].yaw_rate_rps,
         speed_change_mps=states[-1].speed_mps - states[0].speed_mps,
     )
@@ -346,7 +350,7 @@ def _is_covered(state: VehicleState) -> bool:
 
 
 def _is_usable(block: _Block, elapsed_s: float) -> bool:
-    """Whether the vehicle neither slides nor brakes hard."""
+    """Return whether the vehicle neither slides nor brakes hard."""
     return (
         abs(block.speed_mps * block.yaw_rate_rps) <= _MAX_LATERAL_MPS2
         and abs(block.speed_change_mps) <= _MAX_ALONG_MPS2 * elapsed_s

@@ -1,12 +1,12 @@
 """A detector that is always on, blind for its dead time after each detection: the law of its first photon in a period.
 
 With A(t) the probability of being armed and r(t) the rate of detections, A' = -flux A + r(t - dead time) and
-r = flux A: what is detected comes back armed one dead time later. Dead time of the last period reaches into this one,
-so that A at its start is the state of a Markov chain. Of those armed, B have not detected anything since the period
-began: B starts as A does and regains only what was detected before. The first photon has the rate flux B.
+r = flux A: a detector re-arms one dead time after a detection. Dead time of the last period reaches into this one,
+so that A at its start is the state of a Markov chain. Of the armed detectors, B have no detection yet in this
+period: B starts as A does and regains only detections from before the period. The first photon has the rate flux B.
 
-Cells are so chosen that the dead time is a whole number of them to one part in 1e8 of the period. Flux within a cell is
-exact in everything but one respect: what comes back armed within a cell does so in step with the cell's flux. The error
+Cells are chosen so that the dead time is a whole number of them to one part in 1e8 of the period. Flux within a cell
+is exact except in one respect: detectors that re-arm within a cell do so in step with the cell's flux. The error
 falls with the square of the cell.
 """
 
@@ -22,12 +22,12 @@ from numba import njit
 
 from msgs.values.lidar import SpadParams
 
-MOST_CELLS = 1 << 22
-#: Dead time (what is left over whole periods) below this share of a period changes no first photon: it is left out.
+MAX_CELLS = 1 << 22
+#: Dead time (beyond whole periods) below this share of a period changes no first photon: it is left out.
 SHORTEST_SHARE = 2.0**-18
-#: Periods stepped through at most while the detector forgets how it started, and cells of them all.
+#: Maximum periods stepped through while the detector forgets its initial state, and cells of them all.
 START_PERIODS, START_CELLS = 64, 1 << 24
-#: Cells swept over at most while the lasting law is looked for.
+#: Maximum cells swept over in the search for the stationary law.
 LASTING_CELLS = 1 << 24
 SETTLED, FORGOTTEN = 1e-12, 1e-10
 
@@ -41,7 +41,7 @@ class DeadTimeGrid(NamedTuple):
 
 
 class ArmedLaw(NamedTuple):
-    """Of one period and each of its cells, float64 [cells]: those who have yet to detect the period's first photon."""
+    """For one period and each of its cells, float64 [cells]: detectors still waiting for the period's first photon."""
 
     #: Armed at the start of the cell.
     waiting: np.ndarray
@@ -50,35 +50,35 @@ class ArmedLaw(NamedTuple):
 
 
 def decimal(value: float) -> Fraction:
-    """A parameter as the decimal it was written as: 55e-12 is 55 / 10^12, not the double next to it."""
+    """Return a parameter as the decimal it was written as: 55e-12 is 55 / 10^12, not the double next to it."""
     return Fraction(repr(float(value)))
 
 
 def dead_time_grid(spad: SpadParams, cells_per_rms: int) -> DeadTimeGrid:
-    """Cells of a period, about so many in one standard deviation of the pulse, of which the dead time is a multiple.
+    """Return the cells of a period: about so many per standard deviation of the pulse, a divisor of the dead time.
 
-    Raises `ValueError` where that takes more than `MOST_CELLS`.
+    Raises `ValueError` if that takes more than `MAX_CELLS`.
     """
     periods, rest = divmod(decimal(spad.dead_time_s), 1 / decimal(spad.repetition_rate_hz))
     share = float(rest * decimal(spad.repetition_rate_hz))
     share = share if share >= SHORTEST_SHARE else 0.0
-    least = math.ceil(cells_per_rms * max(spad.period_s / spad.timing_rms_s, 64.0, 0.25 / share if share else 0.0))
-    if least > MOST_CELLS:
+    minimum = math.ceil(cells_per_rms * max(spad.period_s / spad.timing_rms_s, 64.0, 0.25 / share if share else 0.0))
+    if minimum > MAX_CELLS:
         raise ValueError(
-            f"spad.irf_fwhm_s must be wider, {spad.irf_fwhm_s:g} s takes {least} cells a period of at most "
-            f"{MOST_CELLS}: count event by event, or choose spad.arming 'gated'"
+            f"spad.irf_fwhm_s must be wider, {spad.irf_fwhm_s:g} s takes {minimum} cells a period of at most "
+            f"{MAX_CELLS}: count event by event, or choose spad.arming 'gated'"
         )
-    candidates = np.arange(least, least + min(least, 1 << 16))
+    candidates = np.arange(minimum, minimum + min(minimum, 1 << 16))
     cells = int(candidates[np.argmin(np.abs(candidates * share - np.rint(candidates * share)))])
     return DeadTimeGrid(cells, min(int(periods), spad.pulses), round(cells * share))
 
 
 def armed_laws(counts: np.ndarray, grid: DeadTimeGrid, pulses: int) -> Iterator[tuple[ArmedLaw, int]]:
-    """Laws of successive periods and for how many each holds, of a detector that is armed when the first one begins.
+    """Yield the laws of successive periods and for how many each holds; the detector is armed at the first one's start.
 
     `counts` [cells] are mean detections of an always armed detector. The start is stepped through until the detector
-    has forgotten it, `START_PERIODS` at most; the lasting (stationary) law holds for the rest. Where the dead time
-    lasts for periods something may be remembered longer: less than one count of the whole measurement.
+    has forgotten it, `START_PERIODS` at most; the stationary law holds for the rest. If the dead time lasts for
+    several periods the memory may last longer: less than one count of the whole measurement.
     """
     cells = _Cells(counts, grid)
     law, before = cells.lasting()
@@ -99,7 +99,7 @@ def armed_laws(counts: np.ndarray, grid: DeadTimeGrid, pulses: int) -> Iterator[
 
 
 class _Cells:
-    """One period's cells, and what becomes of a detector in them."""
+    """Cells of one period, and the propagation of a detector's state through them."""
 
     def __init__(self, counts: np.ndarray, grid: DeadTimeGrid) -> None:
         self.counts, self.grid = counts, grid
@@ -107,7 +107,7 @@ class _Cells:
         self.hit, self.late = -np.expm1(-counts), regained(counts)
 
     def period(self, armed: float, older: np.ndarray, newer: np.ndarray) -> tuple[ArmedLaw, np.ndarray, float]:
-        """First-photon law and detections [cells] of one period, and the probability of being armed at its end.
+        """Return first-photon law and detections [cells] of one period, and the probability of being armed at its end.
 
         `older` and `newer` are detections of the periods from which some come back in its first and later cells;
         `newer` is not read where that is the period itself.
@@ -122,7 +122,7 @@ class _Cells:
         return ArmedLaw(waiting, rejoining), detected, armed
 
     def lasting(self) -> tuple[ArmedLaw, np.ndarray]:
-        """Stationary law, and the detections of a period.
+        """Return the stationary law, and the detections of a period.
 
         Whole periods of dead time scale it: A and r obey the same equation, and A(0) + r integrated over the dead time
         is 1. Sweeps that have not settled by then circle about it: their later half is averaged.
@@ -138,22 +138,22 @@ class _Cells:
         total = np.zeros((3, self.grid.cells))
         for sweep in range(sweeps):
             arrays = (np.empty(self.grid.cells) for _ in range(3))
-            *found, armed = _period(self.hit, self.late, armed, detected, detected, shift, False, whole > 0, *arrays)
-            # armed or within a dead time is everybody; rounding drifts off that
-            everybody = armed + found[2][self.grid.cells - shift :].sum()
-            armed, found = armed / everybody, [one / everybody for one in found]
-            change, detected = np.abs(found[2] - detected).max(), found[2]
+            *laws, armed = _period(self.hit, self.late, armed, detected, detected, shift, False, whole > 0, *arrays)
+            # every detector is armed or within a dead time; rounding drifts off that
+            total_probability = armed + laws[2][self.grid.cells - shift :].sum()
+            armed, laws = armed / total_probability, [part / total_probability for part in laws]
+            change, detected = np.abs(laws[2] - detected).max(), laws[2]
             if change <= SETTLED * detected.max():
-                total[:] = found
+                total[:] = laws
                 break
             if 2 * sweep >= sweeps:
-                total += np.array(found) / (sweeps - (sweeps + 1) // 2)
+                total += np.array(laws) / (sweeps - (sweeps + 1) // 2)
         waiting, rejoining, detected = total / (1.0 + whole * total[2].sum())
         return ArmedLaw(waiting, rejoining), detected
 
 
 def regained(counts: np.ndarray) -> np.ndarray:
-    """Share of those coming back evenly over m counts who are detected before these end, 1 - (1 - e^-m) / m."""
+    """Return the share re-arming evenly over m counts who are detected before these end, 1 - (1 - e^-m) / m."""
     small = counts < 0.1
     series, safe = np.zeros(counts.shape), np.where(small, 1.0, counts)
     # m / 2 - m^2 / 6 + m^3 / 24 ..: the next term is below a rounding
@@ -166,14 +166,14 @@ def regained(counts: np.ndarray) -> np.ndarray:
 def _period(  # type: ignore[no-untyped-def]
     hit, late, armed, older, newer, shift, apart, alike, waiting, rejoining, detected
 ):
-    """One period's laws. `apart`: nobody detected in it comes back in it; `alike`: everybody armed waits."""
+    """Return one period's laws. `apart`: no detection re-arms within it; `alike`: every armed detector waits."""
     cells, left = len(hit), armed
     for cell in range(cells):
         if cell < shift:
             source = older[cells + cell - shift]
         else:
             source = newer[cell - shift] if apart else detected[cell - shift]
-        # of those who come back only the ones from earlier periods still wait for their first photon
+        # of the re-armed detectors only those from earlier periods still wait for their first photon
         joins = source if cell < shift or apart or alike else 0.0
         waiting[cell], rejoining[cell] = left, joins
         detected[cell] = armed * hit[cell] + source * late[cell]

@@ -1,6 +1,6 @@
-"""Counting the first photon of every laser period: probabilities, histograms, and the way back to mean counts.
+"""Histograms of the first photon of every laser period: probabilities, draws, and the inverse to mean counts.
 
-A single-photon detector that is armed anew each period keeps its first detection alone. With mean counts m[i] in the
+A single-photon detector that is re-armed each period keeps its first detection alone. With mean counts m[i] in the
 bins of a period the first photon falls into bin i with exp(-(m[0] + .. + m[i-1])) (1 - exp(-m[i])): early bins fill,
 later ones are depleted (pile-up). Periods are independent here: the dead time ends before the next one begins.
 """
@@ -14,7 +14,7 @@ from numba import njit
 
 
 def first_photon_probability(mean_counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Probability of the first photon in each bin, float64 [..., bins], and of none at all [...].
+    """Return the probability of the first photon in each bin, float64 [..., bins], and of none at all [...].
 
     `mean_counts` [..., bins] of one period, signal and ambient light together. Raises `ValueError` where one is
     negative or not finite. Source: Poisson counts of Eqs. (11) and (12), first detection kept.
@@ -27,7 +27,7 @@ def first_photon_probability(mean_counts: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def first_photon_histogram(mean_counts: np.ndarray, periods: int | np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """First photons of so many periods, int64 [..., bins], of mean counts [..., bins]: an exact draw, bin after bin.
+    """Draw the first photons of so many periods, int64 [..., bins], of mean counts [..., bins]: exact, bin after bin.
 
     `periods` [...] may differ from histogram to histogram. Of the periods without a photon so far each has one in the
     next bin with 1 - exp(-m): no probability is ever normalised, whatever the flux. Raises `ValueError` for counts as
@@ -55,32 +55,34 @@ def _draw(probability, waiting, rng, histogram):  # type: ignore[no-untyped-def]
 
 
 def mean_counts_of(histogram: np.ndarray, periods: int) -> np.ndarray:
-    """Likeliest mean counts per bin and period, float64 [bins], of first photons int64 [bins]: pile-up undone.
+    """Return the likeliest mean counts per bin and period, float64 [bins], of first photons int64 [bins].
 
-    Infinite in the bin that took all that were left; NaN behind it, where nobody was left to see. Raises `ValueError`
-    where counts are negative or more than there were periods.
+    The inverse of pile-up. Infinite in the bin that took all that were left; NaN behind it. Raises `ValueError`
+    if counts are negative or more than there were periods.
     """
     histogram = np.asarray(histogram, np.int64)
     taken = np.cumsum(histogram)
     if (histogram < 0).any() or (len(taken) and taken[-1] > periods):
         raise ValueError(f"histogram must be counts of at most {periods} periods, got {histogram.sum()}")
-    # whole numbers until here: in floats the difference of 1e12 and its neighbour would be gone
-    left = (periods - taken + histogram).astype(np.float64)
-    share = np.divide(histogram, left, out=np.full(len(left), np.nan), where=left > 0.0)
+    # whole numbers until here: in floats the difference of 1e12 and its neighbour would be lost
+    waiting = (periods - taken + histogram).astype(np.float64)
+    share = np.divide(histogram, waiting, out=np.full(len(waiting), np.nan), where=waiting > 0.0)
     full = share == 1.0
     return np.where(full, np.inf, -np.log1p(-np.where(full, 0.0, share)))
 
 
 def bins_of_ticks(ticks: np.ndarray, ticks_per_bin: Fraction, bins: int) -> np.ndarray:
-    """Histogram bin of timestamps in whole ticks, int64 of the same shape, the period being so many bins.
+    """Return the histogram bin of timestamps in whole ticks, int64 of the same shape, the period being so many bins.
 
     The ratio is exact: with 55 ps and 1 / (512 x 15 MHz) every 264th bin edge is a tick, and an event there belongs to
-    the later bin. Raises `ValueError` where ticks are negative or so many that the product leaves 64 bits.
+    the later bin. Raises `ValueError` if ticks are negative or so many that the product leaves 64 bits.
     """
     ticks = np.asarray(ticks, np.int64)
-    factor, least, most = ticks_per_bin.denominator, int(ticks.min(initial=0)), int(ticks.max(initial=0))
-    if least < 0 or most * factor > np.iinfo(np.int64).max:
-        raise ValueError(f"ticks must be 0 or more and fit 64 bits times {factor}, got {least if least < 0 else most}")
+    factor, minimum, maximum = ticks_per_bin.denominator, int(ticks.min(initial=0)), int(ticks.max(initial=0))
+    if minimum < 0 or maximum * factor > np.iinfo(np.int64).max:
+        raise ValueError(
+            f"ticks must be 0 or more and fit 64 bits times {factor}, got {minimum if minimum < 0 else maximum}"
+        )
     return np.asarray(ticks * factor // ticks_per_bin.numerator % bins)
 
 

@@ -1,4 +1,4 @@
-"""Mean detections of an always armed photon counter: between times of a period, and the time at which a count is met.
+"""Mean detections of an always armed photon counter: between times of a period, and the time that reaches a count.
 
 The flux is periodic. A path adds its photons as a Gaussian about its delay, `timing_rms_s` wide and wrapped over the
 period; ambient light adds a constant rate. `photon_counting` draws and expects histograms from it.
@@ -17,7 +17,7 @@ from msgs.values.lidar import SpadParams
 #: Standard deviations after which a Gaussian is zero in doubles.
 REACH = 38.5
 #: A rate of more photons overflows.
-MOST_PHOTONS = 1e100
+MAX_PHOTONS = 1e100
 #: Nodes of a flux table in one standard deviation of the pulse.
 NODES_PER_RMS = 32
 #: Above so many periods a wrapped Gaussian is constant: its first harmonic is exp(-2 pi^2 2^2) = 5e-35.
@@ -43,9 +43,9 @@ class FluxTable(NamedTuple):
 
 
 def pulses_of(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray) -> Pulses:
-    """Pulses of paths [P], delays taken modulo the period; paths without photons are left out.
+    """Return the pulses of paths [P], delays taken modulo the period; paths without photons are left out.
 
-    Raises `ValueError` unless both are of one length, finite and not negative, photons no more than `MOST_PHOTONS`.
+    Raises `ValueError` unless both are of one length, finite and not negative, photons no more than `MAX_PHOTONS`.
     """
     delay_s, photons = np.asarray(delay_s, np.float64), np.asarray(photons, np.float64)
     if delay_s.ndim != 1 or delay_s.shape != photons.shape:
@@ -54,14 +54,14 @@ def pulses_of(spad: SpadParams, delay_s: np.ndarray, photons: np.ndarray) -> Pul
         wrong = ~(np.isfinite(values) & (values >= 0.0))
         if wrong.any():
             raise ValueError(f"{name} must be finite and not negative, got {float(values[wrong][0])!r}")
-    if photons.max(initial=0.0) > MOST_PHOTONS:
-        raise ValueError(f"photons must not exceed {MOST_PHOTONS:g} a pulse, got {float(photons.max())!r}")
+    if photons.max(initial=0.0) > MAX_PHOTONS:
+        raise ValueError(f"photons must not exceed {MAX_PHOTONS:g} a pulse, got {float(photons.max())!r}")
     some = photons > 0.0
     return Pulses(np.fmod(delay_s[some], spad.period_s), photons[some])
 
 
 def counts_between(spad: SpadParams, pulses: Pulses, edges_s: np.ndarray) -> np.ndarray:
-    """Mean detections between neighbouring edges within a period, float64 [edges - 1]; edges ascend.
+    """Return mean detections between neighbouring edges within a period, float64 [edges - 1]; edges ascend.
 
     Each is a difference of tails on the pulse's own side, so that it keeps its digits far from the pulse.
     """
@@ -73,7 +73,7 @@ def counts_between(spad: SpadParams, pulses: Pulses, edges_s: np.ndarray) -> np.
 
 
 def flux_table(spad: SpadParams, pulses: Pulses) -> FluxTable:
-    """The flux of one period, for `counts_at` and `time_at`; nodes only about the pulses, `NODES_PER_RMS` of them."""
+    """Return the flux of one period, for `counts_at`, `time_at`; nodes only about pulses, `NODES_PER_RMS` of them."""
     rms_s, period_s = spad.timing_rms_s, spad.period_s
     if rms_s > WIDEST_PERIODS * period_s:
         rate_hz = spad.ambient_rate_hz + pulses.photons.sum() / period_s
@@ -86,7 +86,7 @@ def flux_table(spad: SpadParams, pulses: Pulses) -> FluxTable:
 
 
 def _images(spad: SpadParams) -> int:
-    """Periods to either side from which a pulse reaches into this one."""
+    """Return the number of periods to either side from which a pulse reaches into this one."""
     return math.ceil(REACH * spad.timing_rms_s / spad.period_s)
 
 
@@ -134,13 +134,13 @@ def _add_rates(rate_hz, time_s, delay_s, photons, rms_s, period_s, images):  # t
 
 @njit(cache=True, nogil=True)
 def _cell_counts(u, gain, left, right):  # type: ignore[no-untyped-def]
-    """Counts from the start of a cell to its part u: the cubic with the cell's gain and the slopes at its ends."""
+    """Return counts from the start of a cell to its part u: a cubic of the cell's gain and the slopes at its ends."""
     return u * (left + u * (3.0 * gain - 2.0 * left - right + u * (left + right - 2.0 * gain)))
 
 
 @njit(cache=True, nogil=True)
 def cell_of(value, edges):  # type: ignore[no-untyped-def]
-    """Last cell between ascending edges that begins at or below a value; -1 before them all."""
+    """Return the last cell between ascending edges that begins at or below a value; -1 before them all."""
     low, high = -1, len(edges)
     while high - low > 1:
         middle = (low + high) >> 1
@@ -153,7 +153,7 @@ def cell_of(value, edges):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def counts_at(at_s, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
-    """Mean detections from the start of the period to a time within it; the last three are a `FluxTable`."""
+    """Return mean detections from the start of the period to a time within it; the last three are a `FluxTable`."""
     cell = min(max(cell_of(at_s, time_s), 0), len(time_s) - 2)
     width_s = time_s[cell + 1] - time_s[cell]
     u = (at_s - time_s[cell]) / width_s
@@ -163,7 +163,7 @@ def counts_at(at_s, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def time_at(wanted, time_s, counts, rate_hz):  # type: ignore[no-untyped-def]
-    """Time within the period at which mean detections reach a number: the inverse of `counts_at`."""
+    """Return the time within the period at which mean detections reach a number: the inverse of `counts_at`."""
     cell = min(max(cell_of(wanted, counts), 0), len(time_s) - 2)
     width_s, gain = time_s[cell + 1] - time_s[cell], counts[cell + 1] - counts[cell]
     rest = wanted - counts[cell]

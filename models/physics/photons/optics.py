@@ -1,8 +1,8 @@
 """Surfaces at 850 nm and the photons that come back from them: indices, Eqs. (13)-(16), and the chain of Eq. (10).
 
-What falls on a surface is reflected by its face, |Gamma|^2, or enters it. Of the reflected part the smooth face keeps a
-mirror, rho_rough, and the rest is scattered; of what enters, `albedo` comes out again, scattered. Scattered light is
-Lambertian. Nothing is gained: mirror, scattered light and loss add up to what fell.
+Light on a surface is reflected by its face, |Gamma|^2, or enters it. Of the reflected part the smooth face keeps a
+mirror, rho_rough, and the rest is scattered; of the entering part, `albedo` comes out again, scattered. Scattered
+light is Lambertian. Energy is conserved: mirror, scattered light and loss add up to the incident light.
 
 A worked example, Table 2 and a matt target of albedo 0.5 seen head-on at 8 m:
 
@@ -14,7 +14,7 @@ A worked example, Table 2 and a matt target of albedo 0.5 seen head-on at 8 m:
     detected      4.60078e7 x 0.5 x 3.90625e-7 = 8.98590 photons a pulse
 
 The same target behind two bounces at smooth glass (n = 1.51) at 60 deg, image at 8 m: |Gamma|^2 = 0.09084 each time,
-so 8.98590 x 0.09084^2 = 0.07415. By way of a matt wall of albedo 0.5 at 5 m, head-on, a patch of 0.0625 m^2 and albedo
+so 8.98590 x 0.09084^2 = 0.07415. Via a matt wall of albedo 0.5 at 5 m, head-on, a patch of 0.0625 m^2 and albedo
 0.5 that faces the spot over 2 m:
 
     wall to patch        0.5 / pi x 0.0625 / 2^2              = 2.48680e-3
@@ -36,7 +36,7 @@ from models.physics.materials import CONSTRUCTIONS, wall_name
 from models.physics.roughness import coherent_power, diffuse_share
 from msgs.values.lidar import SpadParams
 
-#: How TE and TM make one power: the mean of both powers, or Eq. (14) as printed, which is 0 at normal incidence.
+#: Combination of TE and TM powers: the mean of both, or Eq. (14) as printed, which is 0 at normal incidence.
 FresnelMean = Literal["mean", "printed"]
 
 CHOICE = "engineering choice"
@@ -59,21 +59,21 @@ class OpticalMaterial:
 
 
 _PAINTED = "white paint, commonly quoted 0.8 to 0.9"
-#: Every material of `models.physics.materials.TABLE`, and foliage. Roughness stands in the scene.
+#: Every material of `models.physics.materials.TABLE`, and foliage. Roughness is given in the scene.
 OPTICAL: dict[str, OpticalMaterial] = {
     "vacuum": OpticalMaterial(1.0, 0.0, 0.0, "definition", "definition"),
     "concrete": OpticalMaterial(1.6, 0.0, 0.35, CHOICE, "commonly quoted 0.3 to 0.4"),
     "brick": OpticalMaterial(1.6, 0.0, 0.45, CHOICE, "red brick, near infrared, commonly quoted 0.4 to 0.6"),
     "plasterboard": OpticalMaterial(1.52, 0.0, 0.85, "gypsum, measured", _PAINTED),
     "wood": OpticalMaterial(1.53, 0.0, 0.6, "cellulose, commonly quoted"),
-    # soda-lime float glass; what passes the pane is lost, the little that is scattered is dust
+    # soda-lime float glass; light that passes the pane is lost, the little that is scattered is dust
     "glass": OpticalMaterial(1.51, 0.0, 0.02, "soda-lime glass, measured"),
     "ceiling_board": OpticalMaterial(1.52, 0.0, 0.85, "gypsum, measured", _PAINTED),
     "chipboard": OpticalMaterial(1.53, 0.0, 0.6, "cellulose, commonly quoted"),
     "plywood": OpticalMaterial(1.53, 0.0, 0.65, "cellulose, commonly quoted"),
     "marble": OpticalMaterial(1.6, 0.0, 0.7, "calcite, mean of both axes, measured"),
     "floorboard": OpticalMaterial(1.5, 0.0, 0.5),
-    # bare iron: nothing that enters comes out; what a rough face scatters is its reflected light
+    # bare iron: no light that enters comes out; a rough face scatters its reflected light
     "metal": OpticalMaterial(2.95, 3.46, 0.0, "iron, Johnson and Christy 1974, between 821 and 892 nm", "opaque"),
     "very_dry_ground": OpticalMaterial(1.5, 0.0, 0.4),
     "medium_dry_ground": OpticalMaterial(1.5, 0.0, 0.25),
@@ -96,19 +96,19 @@ OBJECT_ALBEDO: dict[str, float] = {
 
 
 def optical_material(material: str) -> OpticalMaterial:
-    """What a wall's material, construction (its front layer) or volume is at 850 nm; ValueError if it is unknown."""
+    """Return a wall's material, a construction's front layer or a volume at 850 nm; ValueError if it is unknown."""
     name = wall_name(material)
     return OPTICAL[CONSTRUCTIONS[name][0].material if name in CONSTRUCTIONS else name]
 
 
 def matt_albedo(material: OpticalMaterial) -> float:
-    """Share that a rough piece of a material scatters when lit head-on: all it reflects, and what comes out of it."""
+    """Return the share that a rough piece scatters when lit head-on: all it reflects, and its scattered inner light."""
     face = float(fresnel_power(material.index, 1.0))
     return face + (1.0 - face) * material.albedo
 
 
 def fresnel_power(index: ArrayLike, cos_theta: ArrayLike, mean: FresnelMean = "mean") -> np.ndarray:
-    """Power share |Gamma|^2 that a smooth face in air reflects (broadcast), Eqs. (13)-(14).
+    """Return the power share |Gamma|^2 that a smooth face in air reflects (broadcast), Eqs. (13)-(14).
 
     `index` is n + jk. "mean": (|TE|^2 + |TM|^2) / 2, unpolarised light. "printed": |(TE + TM) / 2|^2, in which the two
     cancel at normal incidence. Raises ValueError unless n > 0, k >= 0, cosines lie in 0..1, and `mean` is known.
@@ -134,7 +134,7 @@ def optical_reflectance(
     wavelength_m: float,
     mean: FresnelMean = "mean",
 ) -> np.ndarray:
-    """Power share rho_opt that one bounce leaves in the mirror's direction (broadcast), Eqs. (15)-(16).
+    """Return the power share rho_opt that one bounce leaves in the mirror's direction (broadcast), Eqs. (15)-(16).
 
     Raises ValueError as `fresnel_power`, and for a negative roughness.
     """
@@ -152,7 +152,7 @@ def diffuse_reflectance(
     wavelength_m: float,
     mean: FresnelMean = "mean",
 ) -> np.ndarray:
-    """Power share that a surface scatters (broadcast): |Gamma|^2 (1 - rho_rough) + (1 - |Gamma|^2) albedo.
+    """Return the power share that a surface scatters (broadcast): |Gamma|^2 (1 - rho_rough) + (1 - |Gamma|^2) albedo.
 
     With `optical_reflectance` it is never more than 1. Raises ValueError as there, and for an albedo outside 0..1.
     """
@@ -163,7 +163,7 @@ def diffuse_reflectance(
 
 
 def photons_per_pulse(spad: SpadParams) -> float:
-    """Detections a pulse would give if all of its light came back: E_p / E_ph, both optics, quantum efficiency."""
+    """Return the detections of a pulse if all of its light came back: E_p / E_ph, both optics, quantum efficiency."""
     optics = spad.transmit_efficiency * spad.receive_efficiency * spad.quantum_efficiency
     return spad.pulse_energy_j / spad.photon_energy_j * optics
 
@@ -175,11 +175,11 @@ def direct_photons(
     cos_incidence: ArrayLike,
     spread_m: ArrayLike | None = None,
 ) -> np.ndarray:
-    """Mean detections per pulse of a matt surface that fills the beam (broadcast), Eq. (10): albedo cos psi (a / r)^2.
+    """Return mean detections per pulse of a matt surface that fills the beam, Eq. (10): albedo cos psi (a / r)^2.
 
-    By way of mirrors `range_m` is that of the image, and each bounce on the way out and back takes its share on top.
-    `spread_m` is the width of the beam per radian of its divergence in the plane of a curved mirror, `range_m` where
-    all mirrors are flat; light is never focused to more than there is: (a / r)^2 stands for a^2 / (r^2 + a^2). Raises
+    Broadcast. Via mirrors `range_m` is that of the image, and each outbound and inbound bounce takes its share on
+    top. `spread_m` is the width of the beam per radian of its divergence in the plane of a curved mirror, `range_m` if
+    all mirrors are flat; focusing never exceeds the total: (a / r)^2 stands for a^2 / (r^2 + a^2). Raises
     ValueError for a range that is not positive, and for an albedo or a cosine outside 0..1.
     """
     range_m, aperture_m = _lengths("range_m", range_m), spad.aperture_radius_m
@@ -192,25 +192,27 @@ def confocal_photons(
     spad: SpadParams,
     wall_range_m: ArrayLike,
     wall_albedo: ArrayLike,
-    leg_m: ArrayLike,
+    segment_m: ArrayLike,
     wall_cosine: ArrayLike,
     object_cosine: ArrayLike,
     object_area_m2: ArrayLike,
     object_albedo: ArrayLike,
 ) -> np.ndarray:
-    """Mean detections per pulse of a hidden patch by way of a matt wall (broadcast), Eqs. (8) and (10): L^-4.
+    """Return mean detections per pulse of a hidden patch via a matt wall (broadcast), Eqs. (8) and (10): L^-4.
 
-    Laser and detector share one spot on the wall. Light goes from there to the patch (`leg_m`, cosines at both ends),
-    back to the spot, and on to the aperture. The spot pi (r delta / 2)^2 / cos psi is seen under the same cos psi, so
-    neither enters, and grazing or distant spots need no care; that a spot reaches over the wall's end is left out.
-    Where a patch is as near as it is large, each leg takes at most all there is. Raises ValueError for lengths that are
-    not positive, a negative area, and shares or cosines outside 0..1.
+    Laser and detector share one spot on the wall. Light goes from there to the patch (`segment_m`, cosines at both
+    ends), back to the spot, and on to the aperture. The spot pi (r delta / 2)^2 / cos psi is seen under the same cos
+    psi, so neither enters, and grazing or distant spots need no special case; a spot reaching over the wall's end is
+    neglected. If a patch is as near as it is large, each segment takes at most all light. Raises ValueError for lengths
+    that are not positive, a negative area, and shares or cosines outside 0..1.
     """
-    wall_range_m, leg_m = _lengths("wall_range_m", wall_range_m), _lengths("leg_m", leg_m)
+    wall_range_m, segment_m = _lengths("wall_range_m", wall_range_m), _lengths("segment_m", segment_m)
     if not np.all(np.asarray(object_area_m2) >= 0.0):
         raise ValueError(f"object_area_m2 must not be negative, got {object_area_m2!r}")
     wall_albedo, object_albedo = _share("wall_albedo", wall_albedo), _share("object_albedo", object_albedo)
-    facing = _share("wall_cosine", wall_cosine) * _share("object_cosine", object_cosine) / (np.pi * np.square(leg_m))
+    facing = (
+        _share("wall_cosine", wall_cosine) * _share("object_cosine", object_cosine) / (np.pi * np.square(segment_m))
+    )
     # the footprint as the sensor sees it, pi (r delta / 2)^2: cos psi of footprint and of aperture cancel
     spot_m2 = np.pi * np.square(0.5 * spad.divergence_rad * wall_range_m)
     out = np.minimum(facing * object_area_m2, 1.0)
@@ -220,7 +222,7 @@ def confocal_photons(
 
 
 def _permittivity(index: ArrayLike) -> np.ndarray:
-    """(n - jk)^2, the sign of e^{+jwt}; ValueError unless n > 0 and k >= 0."""
+    """Return (n - jk)^2, the sign of e^{+jwt}; ValueError unless n > 0 and k >= 0."""
     index = np.asarray(index, np.complex128)
     if not np.all(np.isfinite(index) & (index.real > 0.0) & (index.imag >= 0.0)):
         raise ValueError(f"index must be n + jk with n > 0 and k >= 0, got {index!r}")

@@ -23,8 +23,8 @@ from msgs.files.array_files import array_names, load_arrays
 from msgs.values.perception import PathClass
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
-#: What every shard holds beside its profiles or values: noise [scenes], and the truth points of all scenes in one row,
-#: those of scene i at offset[i]..offset[i + 1].
+#: Arrays of every shard beside its profiles or values: noise [scenes], and the truth points of all scenes in one
+#: row, those of scene i at offset[i]..offset[i + 1].
 SHARD_ARRAYS = ("noise_power_mw", "offset", "range_m", "azimuth_rad", "path_class")
 #: Shares of training, validation and test: 1512, 324 and 324 of the published 2160.
 SHARES = (0.70, 0.15, 0.15)
@@ -32,19 +32,19 @@ SHARES = (0.70, 0.15, 0.15)
 
 @dataclass(frozen=True, kw_only=True)
 class FrameLabels:
-    """Truth points of one map, strongest first; arrays [points], places [points, 2]."""
+    """Truth points of one map, strongest first; arrays [points], positions [points, 2]."""
 
     range_m: np.ndarray
     azimuth_rad: np.ndarray
     #: `PathClass` values.
     path_class: np.ndarray
-    #: Mirrors on the way; -1 where the data set does not say.
+    #: Number of mirrors on the path; -1 if the data set does not say.
     order: np.ndarray
-    #: True place in the radar's frame; NaN where unknown.
+    #: True position in the radar's frame; NaN if unknown.
     hidden_xy_m: np.ndarray
-    #: Power in the beam that sees the point best; NaN where unknown.
+    #: Power in the beam that sees the point best; NaN if unknown.
     power_mw: np.ndarray
-    #: Index into the scene's objects, -1 for a wall or where unknown; and its class, "" where unknown.
+    #: Index into the scene's objects, -1 for a wall or if unknown; and its class, "" if unknown.
     object_index: np.ndarray
     object_class: np.ndarray
 
@@ -52,13 +52,13 @@ class FrameLabels:
         return len(self.range_m)
 
     def select(self, keep: np.ndarray) -> FrameLabels:
-        """The points of a mask or an index."""
+        """Return the points of a mask or an index."""
         return FrameLabels(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)
 class Scan:
-    """One scene of a shard as it is stored: beam profiles complex64 [beams, bins] or map values [range, azimuth]."""
+    """One scene of a shard as stored: beam profiles complex64 [beams, bins] or map values [range, azimuth]."""
 
     index: int
     profiles: np.ndarray | None
@@ -70,18 +70,18 @@ class Scan:
     place: str = ""
     relays: tuple[str, ...] = ()
     objects: tuple[str, ...] = ()
-    #: Indices of the objects that are seen in mirrors alone.
+    #: Indices of the objects that only mirrors show.
     hidden: tuple[int, ...] = ()
     scene_yaml: str = ""
-    #: Captures of one drive share it: a split never cuts a sequence in two.
+    #: Captures of one drive share it: a split never divides a sequence.
     sequence: str = ""
-    #: True places [M, 2] of all images together where they do not pair with them; None: those of the labels.
+    #: True positions [M, 2] of all images together if they do not pair with them; None: those of the labels.
     places_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Frame:
-    """A formed map with its truth and what is known of its scene."""
+    """A formed map with its truth and the facts of its scene."""
 
     index: int
     ra_map: RangeAzimuthMap
@@ -95,12 +95,12 @@ class Frame:
     places_m: np.ndarray | None = None
 
 
-#: A number that an array holds.
+#: A finite number of an array.
 SceneIndex = Annotated[int, msgspec.Meta(ge=-(1 << 62), le=1 << 62)]
 
 
 class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Scene indices of training, validation and test, sorted, and what the test scenes are."""
+    """Scene indices of training, validation and test, sorted, and the identity of the test scenes."""
 
     seed: int
     train: list[SceneIndex]
@@ -110,7 +110,7 @@ class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     test_sha256: str
 
     def of(self, name: str) -> np.ndarray:
-        """The scenes of one split, or of `all`."""
+        """Return the scenes of one split, or of `all`."""
         if name == "all":
             return np.sort(np.concatenate([self.train, self.validation, self.test])).astype(np.int64)
         if name not in ("train", "validation", "test"):
@@ -119,7 +119,7 @@ class Splits(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class DataSet:
-    """The scenes of a folder; raises `ValueError` naming the file where there are none or one is not a shard."""
+    """The scenes of a folder; raises `ValueError` naming the file if there are none or one is not a shard."""
 
     def __init__(self, directory: Path) -> None:
         self.directory = Path(directory)
@@ -128,10 +128,10 @@ class DataSet:
             raise ValueError(f"{self.directory} must hold shards (shard-*.npz), found none")
         self.series = _series(self.directory / "series.json")
         counts = [_scene_count(path) for path in paths]
-        self._place = [(path, scene) for path, count in zip(paths, counts, strict=True) for scene in range(count)]
+        self._location = [(path, scene) for path, count in zip(paths, counts, strict=True) for scene in range(count)]
 
     def __len__(self) -> int:
-        return len(self._place)
+        return len(self._location)
 
     @cached_property
     def grid(self) -> RangeAzimuthGrid:
@@ -143,7 +143,7 @@ class DataSet:
 
     @property
     def setup(self) -> RadarSetup:
-        """The radar that saw the scenes."""
+        """The radar that recorded the scenes."""
         return PRESETS[self.series.get("preset", "xband")]
 
     @cached_property
@@ -151,22 +151,22 @@ class DataSet:
         return AzimuthInterpolator(self.setup, self.grid)
 
     def scan(self, index: int) -> Scan:
-        """One scene as stored; raises `ValueError` where it holds what is not finite."""
-        path, scene = self._place[index]
+        """Return one scene as stored; raises `ValueError` if it holds a non-finite value."""
+        path, scene = self._location[index]
         return _scan(path, _arrays(path, path.stat().st_mtime_ns), scene, index)
 
-    def frame(self, index: int, seen: Callable[[Scan], Scan] = lambda scan: scan) -> Frame:
-        """One scene as a map with its truth; `seen` may put another radar before it."""
-        scan = seen(self.scan(index))
+    def frame(self, index: int, transform: Callable[[Scan], Scan] = lambda scan: scan) -> Frame:
+        """Return one scene as a map with its truth; `transform` may replace its radar by another."""
+        scan = transform(self.scan(index))
         names = ("index", "labels", "place", "relays", "objects", "hidden", "scene_yaml", "sequence", "places_m")
         return Frame(ra_map=scan_map(scan, self._interpolator), **{name: getattr(scan, name) for name in names})
 
-    def frames(self, indices: Iterable[int], seen: Callable[[Scan], Scan] = lambda scan: scan) -> Iterator[Frame]:
-        """Scenes one after the other, as `frame` makes them."""
-        return (self.frame(int(index), seen) for index in indices)
+    def frames(self, indices: Iterable[int], transform: Callable[[Scan], Scan] = lambda scan: scan) -> Iterator[Frame]:
+        """Yield scenes one after the other, as `frame` makes them."""
+        return (self.frame(int(index), transform) for index in indices)
 
     def fingerprint(self, index: int) -> str:
-        """What two scenes share only if they are the same: a hash of what the radar saw and of the truth."""
+        """Return a hash of the echoes and the truth of a scene; equal only for equal scenes."""
         scan = self.scan(index)
         measured = scan.values if scan.profiles is None else scan.profiles
         digest = hashlib.sha256(np.ascontiguousarray(measured).tobytes())
@@ -175,17 +175,17 @@ class DataSet:
         return digest.hexdigest()
 
     def identity(self, index: int) -> dict[str, str]:
-        """What two scenes share only if one gives the other away, by what it is: the same echoes, drive or place.
+        """Return the properties by which one scene reveals another, by kind: the same echoes, drive or place.
 
         A place simulated again, with other effects or another version, has other echoes and the same description;
-        captures of one drive follow one another.
+        captures of one drive are consecutive.
         """
         scan = self.scan(index)
-        known = {"echoes": self.fingerprint(index), "drive": scan.sequence, "place": scan.scene_yaml}
-        return {what: value for what, value in known.items() if value}
+        properties = {"echoes": self.fingerprint(index), "drive": scan.sequence, "place": scan.scene_yaml}
+        return {kind: value for kind, value in properties.items() if value}
 
 
-#: Kinds of numbers (`numpy.dtype.kind`) and axes of a shard's arrays; others are not looked at.
+#: Kinds of numbers (`numpy.dtype.kind`) and axes of a shard's arrays; other arrays are ignored.
 ARRAYS = {
     **dict.fromkeys(("profiles", "values"), ("cfiu", 3)),
     **dict.fromkeys(("noise_power_mw", "range_m", "azimuth_rad", "power_mw"), ("fiu", 1)),
@@ -197,7 +197,7 @@ ARRAYS = {
 
 
 class _Facts(msgspec.Struct):
-    """What a shard says of a scene, as far as it is used."""
+    """Facts of a scene in a shard, as far as they are used."""
 
     place: str = ""
     relays: tuple[Any, ...] = ()
@@ -206,7 +206,7 @@ class _Facts(msgspec.Struct):
 
 
 def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
-    """The map of a scan, formed from its profiles as on the vehicle or taken as it is."""
+    """Return the map of a scan, formed from its profiles as on the vehicle or taken unchanged."""
     grid = interpolator.grid
     if scan.profiles is not None:
         stamps_ns = np.zeros(len(scan.profiles), np.int64)
@@ -223,7 +223,7 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
         values=scan.values,
         azimuth_stamp_ns=np.zeros(grid.azimuth_bins, np.int64),
         noise_power_mw=scan.noise_power_mw,
-        # power alone cannot tell; a complex map made elsewhere counts as coherent
+        # power alone does not show it; a complex map made elsewhere counts as coherent
         incoherent=np.full(grid.range_bins, not np.any(scan.values.imag), np.bool_),
     )
 
@@ -254,7 +254,7 @@ def _scene_count(path: Path) -> int:
 
 
 def _open(path: Path) -> tuple[list[str], int]:
-    """Names of the arrays of a shard, and its scenes; 0 where it does not say."""
+    """Return the names of the arrays of a shard, and its number of scenes; 0 if it does not say."""
     try:
         scenes = sum(np.atleast_1d(noise).size for noise in load_arrays(path, ("noise_power_mw",)).values())
         return array_names(path), scenes
@@ -264,7 +264,7 @@ def _open(path: Path) -> tuple[list[str], int]:
 
 @lru_cache(maxsize=2)
 def _arrays(path: Path, changed_ns: int) -> dict[str, np.ndarray]:
-    """All arrays of a shard as of its last change; neighbouring scenes come from the same one."""
+    """Return all arrays of a shard as of its last change; neighbouring scenes come from the same one."""
     arrays = load_arrays(path)
     arrays.pop("plan", None)
     _check_arrays(path, arrays)
@@ -272,7 +272,7 @@ def _arrays(path: Path, changed_ns: int) -> dict[str, np.ndarray]:
 
 
 def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Raise `ValueError` naming the shard and the array that does not fit the others or holds what is no truth."""
+    """Raise `ValueError` naming the shard and the array that does not fit the others or is not valid truth."""
     _check_kinds(path, arrays)
     offset, scenes = arrays["offset"], len(arrays["noise_power_mw"])
     points = len(arrays["range_m"])
@@ -299,7 +299,7 @@ def _check_offset(path: Path, name: str, offset: np.ndarray, scenes: int, points
 
 
 def _check_kinds(path: Path, arrays: dict[str, np.ndarray]) -> None:
-    """Raise `ValueError` naming the shard and the array whose axes or kind of numbers are others than they must be."""
+    """Raise `ValueError` naming the shard and the array with wrong axes or a wrong kind of numbers."""
     for name in ARRAYS.keys() & arrays.keys():
         (kinds, axes), array = ARRAYS[name], arrays[name]
         if array.ndim != axes or array.dtype.kind not in kinds:
@@ -354,9 +354,9 @@ def _labels(arrays: dict[str, np.ndarray], points: slice) -> FrameLabels:
 
 
 def fixed_splits(directory: Path, seed: int = 0) -> Splits:
-    """Training, validation and test scenes of a folder, by scene or by sequence; the same ever after.
+    """Return training, validation and test scenes of a folder, by scene or by sequence; the same at every call.
 
-    Written to `splits.json` at the first call and read from there later. Raises `ValueError` where the file cannot be
+    Written to `splits.json` at the first call and read from there later. Raises `ValueError` if the file cannot be
     read, does not cover the folder's scenes once each, leaks a scene from one split into another, or names other test
     scenes than the folder holds.
     """
@@ -390,18 +390,18 @@ def _draw_splits(data: DataSet, seed: int) -> Splits:
 
 
 def _groups(data: DataSet) -> np.ndarray:
-    """The sequence of each scene, or its own number where it belongs to none."""
+    """Return the sequence of each scene, or its own number if it belongs to none."""
     return np.array([data.scan(index).sequence or f"scene {index:09d}" for index in range(len(data))])
 
 
 def scenes_sha256(data: DataSet, indices: Iterable[int]) -> str:
-    """One hash over the fingerprints of scenes, in order."""
+    """Return one hash over the fingerprints of scenes, in order."""
     return hashlib.sha256("".join(data.fingerprint(int(index)) for index in indices).encode()).hexdigest()
 
 
 def check_splits(data: DataSet, splits: Splits, path: Path) -> None:
-    """Raise `ValueError` unless the splits cover the data set once, share nothing, and test on what they say."""
-    seen: dict[str, tuple[str, int]] = {}
+    """Raise `ValueError` unless the splits cover the data set once, share nothing, and test on the stated scenes."""
+    split_of: dict[str, tuple[str, int]] = {}
     groups = _groups(data)
     for name in ("train", "validation", "test"):
         if not getattr(splits, name):
@@ -410,7 +410,7 @@ def check_splits(data: DataSet, splits: Splits, path: Path) -> None:
             if not 0 <= index < len(data):
                 raise ValueError(f"{path}: {name} must name scenes 0..{len(data) - 1}, got {index}")
             for key in (data.fingerprint(int(index)), str(groups[index])):
-                other, first = seen.setdefault(key, (name, int(index)))
+                other, first = split_of.setdefault(key, (name, int(index)))
                 if other != name:
                     raise ValueError(
                         f"{path}: {other} and {name} must share no scene, scenes {first} and {index} "
@@ -418,6 +418,6 @@ def check_splits(data: DataSet, splits: Splits, path: Path) -> None:
                     )
     if len(splits.of("all")) != len(data):
         raise ValueError(f"{path} must name each of {len(data)} scenes once, names {len(splits.of('all'))}")
-    found = scenes_sha256(data, splits.test)
-    if found != splits.test_sha256:
-        raise ValueError(f"{path}: test_sha256 must be {splits.test_sha256}, the test scenes have {found}")
+    sha256 = scenes_sha256(data, splits.test)
+    if sha256 != splits.test_sha256:
+        raise ValueError(f"{path}: test_sha256 must be {splits.test_sha256}, the test scenes have {sha256}")

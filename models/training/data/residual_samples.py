@@ -1,7 +1,7 @@
-"""What the residual network learns from: images folded back by the mirror law, and where they truly stand.
+"""Training samples of the residual network: images folded back by the mirror law, and their true positions.
 
-Two sources. `truth`: the labels of a scene with the wall fit of the released training. `peaks`: what the geometry stage
-really receives, the peaks a network detects, behind the walls found from them. Both run the stage's own code.
+Two sources. `truth`: the labels of a scene with the wall fit of the released training. `peaks`: the real input of the
+geometry stage, the peaks a network detects, behind the walls found from them. Both run the stage's own code.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ NEIGHBOURS = 16
 
 
 class SampleConfig(msgspec.Struct, frozen=True, kw_only=True):
-    """Where samples come from; part of a run's configuration."""
+    """Source of samples; part of a run's configuration."""
 
     source: Source = "peaks"
     #: Walls and association behind which detected images are folded.
     geometry: Geometry = "ours"
-    #: A detected image is the truth image it lies nearest to, within this (one to one).
+    #: A detected image is assigned to the nearest truth image within this (one to one).
     gate_m: float = 2.0
 
     def __post_init__(self) -> None:
@@ -52,17 +52,17 @@ class SampleConfig(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True, kw_only=True)
 class FoldedImages:
-    """Images of many scenes, folded back: what the network sees [N], what it should say, and all truth [M].
+    """Images of many scenes, folded back: the network's input [N], its target, and all truth [M].
 
-    `scene` [N] and `truth_scene` [M] say where each belongs; the order is that of the scenes.
+    `scene` [N] and `truth_scene` [M] give the scene of each; the order is that of the scenes.
     """
 
     images_m: np.ndarray
     patch_m: np.ndarray
     state: np.ndarray
-    #: Places by the mirror law alone, Eq. (19) [N, 2].
+    #: Positions by the mirror law alone, Eq. (19) [N, 2].
     folded_m: np.ndarray
-    #: Eq. (24), [N, 2]; NaN where the image is none of the truth.
+    #: Eq. (24), [N, 2]; NaN if the image has no true counterpart.
     target_m: np.ndarray
     scene: np.ndarray
     truth_m: np.ndarray
@@ -73,23 +73,23 @@ class FoldedImages:
 
     @property
     def reflection(self) -> ReflectionState:
-        """What the network sees."""
+        """Input of the network."""
         return ReflectionState(self.images_m, self.patch_m, self.state)
 
     def within(self, reach_m: float) -> np.ndarray:
-        """Images whose true place is known and within `reach_m` of where the mirror law puts them; bool [N]."""
+        """Return images whose true position is known and within `reach_m` of that of the mirror law; bool [N]."""
         # false for NaN
         return np.linalg.norm(self.target_m, axis=1) <= reach_m
 
     def select(self, keep: np.ndarray) -> FoldedImages:
-        """The images of a mask or an index, with all truth."""
+        """Return the images of a mask or an index, with all truth."""
         names = [field.name for field in fields(self) if not field.name.startswith("truth")]
-        chosen = {name: getattr(self, name)[keep] for name in names}
-        return FoldedImages(**chosen, truth_m=self.truth_m, truth_scene=self.truth_scene)
+        selected = {name: getattr(self, name)[keep] for name in names}
+        return FoldedImages(**selected, truth_m=self.truth_m, truth_scene=self.truth_scene)
 
 
 def join(parts: Iterable[FoldedImages]) -> FoldedImages:
-    """Many in one row."""
+    """Return several concatenated."""
     parts = [_none(), *parts]
     return FoldedImages(
         **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(FoldedImages)}
@@ -110,35 +110,35 @@ def _none() -> FoldedImages:
     )
 
 
-#: Images folded back, and what the network would see of them.
+#: Images folded back, and the network's input for them.
 Folded = tuple[Recovered, ReflectionState]
 
 
 def fold_ours(peaks: Peaks, params: GeometryParams | None = None) -> Folded:
-    """The images of a scene as the geometry stage folds them, hidden or not."""
+    """Return the images of a scene as folded by the geometry stage, hidden or not."""
     scan = fold_scan(peaks, params or GeometryParams())
     return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns, NEIGHBOURS)
 
 
 def fold_published(peaks: Peaks, params: PublishedParams | None = None) -> Folded:
-    """The images of a scene as the published back end folds them."""
-    seen = [_none().reflection]
+    """Return the images of a scene as folded by the published back end."""
+    states = [_none().reflection]
 
     def listen(reflection: ReflectionState) -> np.ndarray:
-        seen.append(reflection)
+        states.append(reflection)
         return np.zeros((len(reflection.images_m), 2))
 
     recovered = recover_published(peaks, params or PublishedParams(), listen)
-    return recovered, seen[-1]
+    return recovered, states[-1]
 
 
 GEOMETRIES: dict[Geometry, Callable[[Peaks], Folded]] = {"ours": fold_ours, "published": fold_published}
 
 
 def with_truth(folded: Folded, labels: FrameLabels, scene: int, gate_m: float = 2.0) -> FoldedImages:
-    """The folded images of one scene, each with the truth image it lies nearest to.
+    """Return the folded images of one scene, each with the nearest truth image.
 
-    Labels without a true place count for nothing.
+    Labels without a true position are ignored.
     """
     recovered, reflection = folded
     truth = labels.select((labels.path_class == PathClass.MIRRORED) & np.isfinite(labels.hidden_xy_m).all(axis=1))
@@ -160,7 +160,7 @@ def with_truth(folded: Folded, labels: FrameLabels, scene: int, gate_m: float = 
 
 
 def truth_peaks(labels: FrameLabels) -> Peaks:
-    """The labels of a scene as if they had been detected without error; snr and score say nothing."""
+    """Return the labels of a scene as if they had been detected without error; snr and score are without meaning."""
     count = len(labels)
     return Peaks(
         stamp_ns=0,
@@ -176,7 +176,7 @@ def truth_peaks(labels: FrameLabels) -> Peaks:
 
 
 def fold_frame(frame: Frame, source: Source, detector: Detector, config: SampleConfig) -> Iterator[FoldedImages]:
-    """The images of one scene by one source, or by both."""
+    """Yield the images of one scene by one source, or by both."""
     if source != "peaks":
         folded = fold_published(truth_peaks(frame.labels), TRAINING_WALLS)
         yield with_truth(folded, frame.labels, frame.index, config.gate_m)
@@ -193,7 +193,7 @@ def fold_scenes(
     config: SampleConfig,
     on_scene: Callable[[], None] = lambda: None,
 ) -> FoldedImages:
-    """The images of many scenes; `on_scene` hears of each."""
+    """Return the images of many scenes; `on_scene` is called for each."""
     parts: list[FoldedImages] = []
     for frame in data.frames(indices):
         parts += fold_frame(frame, source, detector, config)
@@ -202,13 +202,13 @@ def fold_scenes(
 
 
 def save_folded(path: Path, folded: FoldedImages) -> None:
-    """Write whole or not at all."""
+    """Write the images whole or not at all."""
     with whole(path) as part, part.open("wb") as file:
         np.savez(file, **{field.name: getattr(folded, field.name) for field in fields(FoldedImages)})
 
 
 def load_folded(path: Path) -> FoldedImages:
-    """Read what `save_folded` wrote; raises `ValueError` naming the file and what it lacks."""
+    """Read the file of `save_folded`; raises `ValueError` naming the file and the missing array."""
     names = [field.name for field in fields(FoldedImages)]
     try:
         arrays = load_arrays(path)
@@ -218,9 +218,9 @@ def load_folded(path: Path) -> FoldedImages:
 
 
 class RecoveredScores(msgspec.Struct, frozen=True, kw_only=True):
-    """How near recovered places stand to the truth."""
+    """Errors of recovered positions against the truth."""
 
-    #: Mean of |error x| + |error y|, Eq. (25), over the images within reach of their true place.
+    #: Mean of |error x| + |error y|, Eq. (25), over the images within reach of their true position.
     l1_m: float
     #: All images against all truth within 1 m, micro over scenes, none skipped.
     f1: float
@@ -231,7 +231,7 @@ class RecoveredScores(msgspec.Struct, frozen=True, kw_only=True):
 def recovered_scores(
     folded: FoldedImages, offsets_m: np.ndarray, reach_m: float = math.inf, tau_m: float = 1.0
 ) -> RecoveredScores:
-    """Scores of folded places moved by offsets [N, 2] (zero: the mirror law alone)."""
+    """Return scores of folded positions moved by offsets [N, 2] (zero: the mirror law alone)."""
     within = folded.within(reach_m)
     errors_m = np.abs(offsets_m - folded.target_m)[within].sum(axis=1)
     places_m = folded.folded_m + offsets_m

@@ -1,6 +1,6 @@
 """Training samples: scans from disk to encoded network inputs and truth cells.
 
-Profiles stay in memory (100 KiB a scene). Maps are formed anew at every use by the code that forms them on the vehicle,
+Profiles stay in memory (100 KiB a scene). Maps are formed at every use by the code that forms them on the vehicle,
 which takes a millisecond, so that every epoch sees each scene through another imperfect radar.
 """
 
@@ -28,12 +28,12 @@ class PointLabels:
     path_class: np.ndarray
 
     def flipped(self, azimuth_bins: int) -> PointLabels:
-        """The same points with left and right exchanged."""
+        """Return the same points with left and right exchanged."""
         return replace(self, column=azimuth_bins - 1 - self.column)
 
 
 def point_labels(labels: FrameLabels, grid: RangeAzimuthGrid) -> PointLabels:
-    """Truth of a map in cells of its grid."""
+    """Return the truth of a map in cells of its grid."""
     return PointLabels(
         row=grid.range_index(labels.range_m),
         column=grid.azimuth_index(labels.azimuth_rad),
@@ -52,11 +52,11 @@ class DenseSample:
 
 @dataclass(frozen=True, kw_only=True)
 class Perturbation:
-    """What may differ between the simulated radar and a real one, drawn anew for each scan."""
+    """Differences between the simulated radar and a real one, drawn for each scan."""
 
     gain_std_db: float = 0.4
     phase_std_rad: float = 0.05
-    #: Share of scans in which everything within some stretch of range moves: its phase turns from beam to beam.
+    #: Share of scans in which everything within a stretch of range moves: its phase turns from beam to beam.
     moving_share: float = 0.5
     #: Receiver noise is raised by up to this much.
     extra_noise_db: float = 6.0
@@ -66,9 +66,9 @@ class Perturbation:
 
 @dataclass(frozen=True, kw_only=True)
 class DataConfig:
-    """What is trained on and how it is seen; its fields travel in the run folder and the card."""
+    """Data of a training and their perturbation; its fields are kept in the run folder and the card."""
 
-    #: The data set whose fixed splits train, choose and test; and further ones that only train.
+    #: The data set whose fixed splits train, validate and test; and further ones that only train.
     directory: str = ""
     more: tuple[str, ...] = ()
     #: At most this many training scenes (0: all), drawn once.
@@ -77,7 +77,7 @@ class DataConfig:
     selection: Selection = field(default_factory=Selection)
     #: Of the perturbations.
     seed: int = 0
-    #: Share of the training samples seen through a perfect radar.
+    #: Share of the training samples formed with a perfect radar.
     clean_share: float = 0.5
     perturbation: Perturbation = Perturbation()
     encoding: Encoding = field(default_factory=Encoding)
@@ -97,33 +97,33 @@ class TrainingData:
     train: list[Scan]
     validation: list[DenseSample]
     config: DataConfig
-    #: The radar that saw them.
+    #: The radar that recorded them.
     setup: RadarSetup = field(default_factory=RadarSetup)
 
 
 def load_training_data(config: DataConfig) -> TrainingData:
-    """Scenes of the training and validation splits, and all of the further data sets.
+    """Return scenes of the training and validation splits, and all of the further data sets.
 
-    Raises `ValueError` where a folder holds no data set, maps of another grid than the configuration's, more azimuth
+    Raises `ValueError` if a folder holds no data set, maps of another grid than the configuration's, more azimuth
     detail than the configured columns sample, or, in a further one, another radar or a scene, a place or a drive of the
     validation or test split.
     """
     data, splits = DataSet(Path(config.directory)), fixed_splits(Path(config.directory))
     _check_grid(data, config.grid)
     config.encoding.check_array(data.setup, config.grid)
-    train = _chosen(data, splits.of("train"), config.selection)
+    train = _selected(data, splits.of("train"), config.selection)
     for directory in config.more:
         more = DataSet(Path(directory))
         _check_grid(more, config.grid)
         if more.setup is not data.setup:
             raise ValueError(f"{directory}: preset must be that of {config.directory}")
         _refuse_leaks(data, splits, more)
-        train += _chosen(more, np.arange(len(more)), config.selection)
+        train += _selected(more, np.arange(len(more)), config.selection)
     if 0 < config.limit < len(train):
         kept = np.sort(np.random.default_rng(config.seed).permutation(len(train))[: config.limit])
         train = [train[index] for index in kept]
     former = SampleFormer(config, data.setup)
-    validation = _chosen(data, splits.of("validation"), config.selection)
+    validation = _selected(data, splits.of("validation"), config.selection)
     formed = [former.sample(scan) for scan in validation]
     return TrainingData(train=train, validation=formed, config=config, setup=data.setup)
 
@@ -133,34 +133,34 @@ def _check_grid(data: DataSet, grid: RangeAzimuthGrid) -> None:
         raise ValueError(f"{data.directory}: grid must be {grid}, got {data.grid}")
 
 
-def _chosen(data: DataSet, indices: np.ndarray, selection: Selection) -> list[Scan]:
+def _selected(data: DataSet, indices: np.ndarray, selection: Selection) -> list[Scan]:
     scans = [data.scan(int(index)) for index in indices]
     return [scans[index] for index in select(scans, range(len(scans)), selection)]
 
 
 def _refuse_leaks(data: DataSet, splits: Splits, more: DataSet) -> None:
-    """Raise `ValueError` for a further data set that shows anything of the validation and test scenes."""
+    """Raise `ValueError` for a further data set that shares a scene, place or drive with validation or test."""
     held_out = {
         item: int(index) for index in (*splits.validation, *splits.test) for item in data.identity(index).items()
     }
     for index in range(len(more)):
-        for what, value in more.identity(index).items():
-            if (scene := held_out.get((what, value))) is not None:
+        for kind, value in more.identity(index).items():
+            if (scene := held_out.get((kind, value))) is not None:
                 raise ValueError(
                     f"{more.directory}: no scene may be held out in {data.directory}, {index} is its scene {scene} "
-                    f"(same {what})"
+                    f"(same {kind})"
                 )
 
 
 class SampleFormer:
-    """Forms the maps of scans of a radar (None: the default) and keeps the columns the network sees."""
+    """Forms the maps of scans of a radar (None: the default) and keeps the columns of the network's input."""
 
     def __init__(self, config: DataConfig, setup: RadarSetup | None = None) -> None:
         self.config, self.setup = config, setup or RadarSetup()
         self._interpolator = AzimuthInterpolator(self.setup, config.grid)
 
     def sample(self, scan: Scan, rng: np.random.Generator | None = None) -> DenseSample:
-        """The map of a scan; with a generator, seen through an imperfect radar and augmented."""
+        """Return the map of a scan; with a generator, formed by an imperfect radar and augmented."""
         config = self.config
         if rng is not None and scan.profiles is not None and rng.random() >= config.clean_share:
             scan = perturb_scan(scan, config.perturbation, rng, self.setup)
@@ -173,7 +173,7 @@ class SampleFormer:
         return sample if rng is None else augment(sample, config.grid.azimuth_bins, rng)
 
     def encode(self, samples: Sequence[DenseSample]) -> np.ndarray:
-        """Network inputs, float32 [batch, channels, range, columns]."""
+        """Return network inputs, float32 [batch, channels, range, columns]."""
         columns = np.stack([sample.columns for sample in samples])
         noise_power_mw = np.array([sample.noise_power_mw for sample in samples])
         return encode_columns(self.config.encoding, columns, noise_power_mw)
@@ -182,10 +182,10 @@ class SampleFormer:
 def perturb_scan(
     scan: Scan, perturbation: Perturbation, rng: np.random.Generator, setup: RadarSetup | None = None
 ) -> Scan:
-    """The same scene seen by a less perfect radar: beam gains, phases and receiver noise differ.
+    """Return the same scene recorded by a less perfect radar: beam gains, phases and receiver noise differ.
 
-    Of a digital array (`setup`) they are those of its columns, no beam is missing alone, and nothing moves between
-    beams of one time.
+    For a digital array (`setup`) they are those of its columns, no single beam is missing, and nothing moves between
+    beams, which have one time.
     """
     if scan.profiles is None:
         raise ValueError(f"scene {scan.index} must hold beam profiles to be perturbed, holds a map")
@@ -224,14 +224,14 @@ def _perturb_columns(scan: Scan, perturbation: Perturbation, rng: np.random.Gene
 
 
 def imperfect(scan: Scan, seed: int, setup: RadarSetup | None = None) -> Scan:
-    """The scene as an imperfect radar sees it, drawn from the scene's number; a map made elsewhere stays as it is."""
+    """Return the scene recorded by an imperfect radar drawn from its number; a map made elsewhere is unchanged."""
     if scan.profiles is None:
         return scan
     return perturb_scan(scan, Perturbation(), np.random.default_rng((seed, scan.index)), setup)
 
 
 def augment(sample: DenseSample, azimuth_bins: int, rng: np.random.Generator) -> DenseSample:
-    """Mirror left and right half of the time, turn the phase, and misjudge the noise by a decibel or so."""
+    """Mirror left and right half of the time, rotate the phase, and misjudge the noise by about a decibel."""
     columns, labels = sample.columns, sample.labels
     if rng.random() < 0.5:
         columns, labels = columns[:, ::-1], labels.flipped(azimuth_bins)
@@ -250,13 +250,13 @@ def shuffled_batches(
     rank: int = 0,
     ranks: int = 1,
 ) -> Iterator[tuple[np.ndarray, np.ndarray, list[PointLabels]]]:
-    """One epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out.
+    """Yield one epoch of augmented batches over scenes: their indices, inputs and truth; a remainder is left out.
 
-    Of several ranks each takes its part of every batch, and all together what one alone would.
+    Of several ranks each takes its part of every batch, and all together the batch of a single process.
     """
     order = np.random.default_rng(seed).permutation(len(scans))
     for start in range(0, len(order) - batch_size + 1, batch_size):
-        mine = order[start : start + batch_size][rank::ranks]
-        # each scene its own draws, whoever forms it
-        samples = [former.sample(scans[scene], np.random.default_rng((*seed, int(scene)))) for scene in mine]
-        yield mine, former.encode(samples), [sample.labels for sample in samples]
+        own_batch = order[start : start + batch_size][rank::ranks]
+        # each scene has its own draws, whichever rank forms it
+        samples = [former.sample(scans[scene], np.random.default_rng((*seed, int(scene)))) for scene in own_batch]
+        yield own_batch, former.encode(samples), [sample.labels for sample in samples]

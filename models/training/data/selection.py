@@ -1,4 +1,4 @@
-"""Which scenes of a data set count, by what is in them: training without one kind of wall or object, testing on it."""
+"""Selection of scenes by their contents: training without one kind of wall or object, testing on it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class SceneFacts(Protocol):
-    """What is known of a scene: a `Scan` or a `Frame`."""
+    """Facts of a scene: a `Scan` or a `Frame`."""
 
     @property
     def place(self) -> str:
@@ -25,7 +25,7 @@ class SceneFacts(Protocol):
         """Classes of its objects."""
 
 
-#: What a scene is chosen by, and how its kinds are read off.
+#: Criteria of a selection, and how to read the kinds of a scene.
 KINDS: dict[str, Callable[[SceneFacts], Iterable[str]]] = {
     "relay": lambda facts: facts.relays,
     "object": lambda facts: facts.objects,
@@ -34,7 +34,7 @@ KINDS: dict[str, Callable[[SceneFacts], Iterable[str]]] = {
 
 
 class Selection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Scenes with none of the kinds in `without_*` and, where `only_*` names some, with one of those at least."""
+    """Scenes with none of the kinds in `without_*` and, if `only_*` names some, with at least one of those."""
 
     without_relays: tuple[str, ...] = ()
     without_objects: tuple[str, ...] = ()
@@ -45,39 +45,41 @@ class Selection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
     @property
     def left_out(self) -> tuple[Selection, ...]:
-        """For each kind that this selection is without, the selection of the scenes that have it: what to test on."""
+        """For each excluded kind, the selection of the scenes that have it: the corresponding test sets."""
         return tuple(
-            Selection(**{f"only_{what}s": (kind,)}) for what in KINDS for kind in getattr(self, f"without_{what}s")
+            Selection(**{f"only_{criterion}s": (kind,)})
+            for criterion in KINDS
+            for kind in getattr(self, f"without_{criterion}s")
         )
 
     def takes(self, facts: SceneFacts) -> bool:
-        """Whether one scene counts."""
-        for what, kinds_of in KINDS.items():
-            there = frozenset(kinds_of(facts))
-            only = getattr(self, f"only_{what}s")
-            if there.intersection(getattr(self, f"without_{what}s")) or (only and not there.intersection(only)):
+        """Return whether one scene is selected."""
+        for criterion, kinds_of in KINDS.items():
+            kinds = frozenset(kinds_of(facts))
+            only = getattr(self, f"only_{criterion}s")
+            if kinds.intersection(getattr(self, f"without_{criterion}s")) or (only and not kinds.intersection(only)):
                 return False
         return True
 
 
 def parse_selection(without: Iterable[str] = (), only: Iterable[str] = ()) -> Selection:
-    """A selection from texts WHAT=KIND, such as `relay=container`; raises `ValueError` naming a text that is none."""
-    found: dict[str, tuple[str, ...]] = {}
+    """Return a selection from texts WHAT=KIND, such as `relay=container`; raises `ValueError` naming an invalid one."""
+    fields: dict[str, tuple[str, ...]] = {}
     for verb, texts in (("without", without), ("only", only)):
         for text in texts:
-            what, separator, kind = text.partition("=")
-            if what not in KINDS or not (separator and kind):
+            criterion, separator, kind = text.partition("=")
+            if criterion not in KINDS or not (separator and kind):
                 raise ValueError(f"{verb} must be {'|'.join(KINDS)}=KIND, got {text!r}")
-            found[f"{verb}_{what}s"] = (*found.get(f"{verb}_{what}s", ()), kind)
-    return Selection(**found)
+            fields[f"{verb}_{criterion}s"] = (*fields.get(f"{verb}_{criterion}s", ()), kind)
+    return Selection(**fields)
 
 
 def select(
     facts: Sequence[SceneFacts] | Mapping[int, SceneFacts], indices: Iterable[int], selection: Selection
 ) -> np.ndarray:
-    """Those of the scene indices that a selection takes, in their order, int64; `facts[index]` is of one scene.
+    """Return the scene indices that a selection takes, in their order, int64; `facts[index]` is of one scene.
 
-    Raises `ValueError` for a kind that no scene in `facts` has (the kinds that there are, by name) and where no scene
+    Raises `ValueError` for a kind that no scene in `facts` has (naming the existing kinds) and if no scene
     is left.
     """
     every = list(facts.values()) if isinstance(facts, Mapping) else list(facts)
@@ -89,31 +91,33 @@ def select(
 
 
 def check_kinds(selection: Selection, facts: Iterable[SceneFacts]) -> None:
-    """Raise `ValueError` for a kind that no scene has, with those that there are."""
+    """Raise `ValueError` for a kind that no scene has, naming the existing ones."""
     counts = kind_counts(facts)
-    for what in KINDS:
+    for criterion in KINDS:
         for verb in ("without", "only"):
-            for kind in getattr(selection, f"{verb}_{what}s"):
-                if kind not in counts[what]:
-                    raise ValueError(f"{verb} {what} must be one of {', '.join(sorted(counts[what]))}, got {kind!r}")
+            for kind in getattr(selection, f"{verb}_{criterion}s"):
+                if kind not in counts[criterion]:
+                    raise ValueError(
+                        f"{verb} {criterion} must be one of {', '.join(sorted(counts[criterion]))}, got {kind!r}"
+                    )
 
 
 def kind_counts(facts: Iterable[SceneFacts]) -> dict[str, dict[str, int]]:
-    """In how many scenes each kind of relay, object and place is."""
-    counts: dict[str, dict[str, int]] = {what: {} for what in KINDS}
-    for one in facts:
-        for what, kinds_of in KINDS.items():
-            for kind in frozenset(kinds_of(one)) - {""}:
-                counts[what][kind] = counts[what].get(kind, 0) + 1
+    """Return the number of scenes with each kind of relay, object and place."""
+    counts: dict[str, dict[str, int]] = {criterion: {} for criterion in KINDS}
+    for scene in facts:
+        for criterion, kinds_of in KINDS.items():
+            for kind in frozenset(kinds_of(scene)) - {""}:
+                counts[criterion][kind] = counts[criterion].get(kind, 0) + 1
     return counts
 
 
 def _text(selection: Selection) -> str:
-    """A selection as it is asked for."""
+    """Return a selection as the text of its options."""
     parts = [
-        f"{verb} {what}={kind}"
+        f"{verb} {criterion}={kind}"
         for verb in ("without", "only")
-        for what in KINDS
-        for kind in getattr(selection, f"{verb}_{what}s")
+        for criterion in KINDS
+        for kind in getattr(selection, f"{verb}_{criterion}s")
     ]
     return ", ".join(parts) or "no condition"

@@ -1,18 +1,18 @@
-"""The published data as a data set of maps: what its files hold, in our units and frames, with where all came from.
+"""The published data as a data set of maps: contents of its files, in our units and frames, with their origins.
 
 Axes of the source: x = r sin(-azimuth) to the right, y = r cos(azimuth) ahead; ours are x ahead and y to the left, so
 that (x, y) = (y, -x) of the source and azimuths agree in sign. Points are given in the plane; heights are dropped.
 
 - `sim`: a complex map `NAME.npy` [512, 256] and its points `NAME.npz` with L, G and T of shape (3, N) [m]. By the order
-  of the release's description L is direct (LOS), G the mirror images and T their true places; `SimKeys` can say
-  otherwise. The range axis is the supplement's 512 bins of c / 2B, printed as 0..109.4 m: maps stay as they are on the
+  of the release's description L is direct (LOS), G the mirror images and T their true positions; `SimKeys` can say
+  otherwise. The range axis is the supplement's 512 bins of c / 2B, printed as 0..109.4 m: maps stay unchanged on the
   default grid, which differs by a tenth of a bin at its far end.
 - `real`: a folder a capture with a Welch power spectrum [512, 256] and points of shape (N, 2). The range axis runs from
-  4.521 to 43.994 m; our grids start at 0, so power is interpolated onto 512 bins of 43.994 / 511 m, and what lies
-  before the start is filled with the map's noise. Power below zero, left over by the background's subtraction, counts
-  as zero. Values are square roots of power: no phase.
+  4.521 to 43.994 m; our grids start at 0, so power is interpolated onto 512 bins of 43.994 / 511 m, and cells
+  before the start are filled with the map's noise. Power below zero, left over by the background's subtraction,
+  counts as zero. Values are square roots of power: no phase.
 
-The source knows neither noise nor power in watt: noise is estimated from the quiet fifth of each map's cells, and
+The source states neither noise nor power in watt: noise is estimated from the quiet fifth of each map's cells, and
 powers are relative.
 """
 
@@ -49,7 +49,7 @@ QUIET_SHARE = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class SimKeys:
-    """Which array of a simulated points file is what."""
+    """Meaning of the arrays of a simulated points file."""
 
     direct: str = "L"
     image: str = "G"
@@ -67,7 +67,7 @@ class Capture:
 
 @dataclass(frozen=True, kw_only=True)
 class ImportedFrame:
-    """One frame in our terms: values complex64 [range, azimuth], noise, and truth arrays [points]."""
+    """One frame in our units and frames: values complex64 [range, azimuth], noise, and truth arrays [points]."""
 
     sequence: str
     values: np.ndarray
@@ -76,7 +76,7 @@ class ImportedFrame:
     azimuth_rad: np.ndarray
     path_class: np.ndarray
     hidden_xy_m: np.ndarray
-    #: True places [M, 2] of all images together, which need not pair with them (a labelled cloud does not).
+    #: True positions [M, 2] of all images together, which need not pair with them (a labelled cloud does not).
     places_m: np.ndarray
     #: Source files with their SHA-256, and cells that were below zero.
     source: dict[str, Any]
@@ -84,7 +84,7 @@ class ImportedFrame:
 
 @dataclass
 class ImportSummary:
-    """What an import did; `broken` are the captures left out, each with the reason."""
+    """Result of an import; `broken` are the captures left out, each with the reason."""
 
     frames: int = 0
     los_points: int = 0
@@ -94,21 +94,21 @@ class ImportSummary:
 
 
 def grid_of(kind: Kind) -> RangeAzimuthGrid:
-    """The grid that maps of a kind are imported onto."""
+    """Return the grid of imported maps of a kind."""
     return RangeAzimuthGrid() if kind == "sim" else RangeAzimuthGrid(range_bin_m=REAL_RANGE_M[1] / (SHAPE[0] - 1))
 
 
 def find_captures(directory: Path, kind: Kind) -> tuple[list[Capture], list[str]]:
-    """All captures below a folder, by name, and what is wrong with files that make none; ValueError without any."""
-    found, faults = _sim_captures(directory) if kind == "sim" else (_real_captures(directory), [])
-    if not found and not faults:
-        wanted = "NAME.npy with NAME.npz" if kind == "sim" else SPECTRUM
-        raise ValueError(f"{directory} must hold captures ({wanted}), found none")
-    return found, faults
+    """Return all captures below a folder, by name, and the faults of files without one; ValueError without captures."""
+    captures, faults = _sim_captures(directory) if kind == "sim" else (_real_captures(directory), [])
+    if not captures and not faults:
+        expected = "NAME.npy with NAME.npz" if kind == "sim" else SPECTRUM
+        raise ValueError(f"{directory} must hold captures ({expected}), found none")
+    return captures, faults
 
 
 def _sim_captures(directory: Path) -> tuple[list[Capture], list[str]]:
-    """Points files with the map of the same name: beside them, or the only one of that name anywhere below."""
+    """Return points files with the map of the same name: beside them, or the only one of that name anywhere below."""
     maps = [path for path in sorted(directory.rglob("*.npy")) if not _is_label_map(path)]
     captures, faults = [], []
     for points in sorted(directory.rglob("*.npz")):
@@ -120,13 +120,13 @@ def _sim_captures(directory: Path) -> tuple[list[Capture], list[str]]:
         name = _name(points.with_suffix(""), directory)
         captures.append(Capture(sequence=name, map_path=same[0], point_paths=(points,)))
     used = {capture.map_path for capture in captures}
-    named = {points.stem for points in directory.rglob("*.npz")}
-    lonely = [path for path in maps if path not in used and path.stem not in named]
-    return captures, faults + [f"{path} must have points of its name (.npz), found none" for path in lonely]
+    stems = {points.stem for points in directory.rglob("*.npz")}
+    unpaired = [path for path in maps if path not in used and path.stem not in stems]
+    return captures, faults + [f"{path} must have points of its name (.npz), found none" for path in unpaired]
 
 
 def _is_label_map(path: Path) -> bool:
-    """Whether an array is one of the release's label maps (512 x 256 x 5), which nobody needs beside the points."""
+    """Return whether an array is one of the release's label maps (512 x 256 x 5), which the points make redundant."""
     try:
         return load_array(path).ndim == 3
     except (OSError, ValueError):
@@ -146,15 +146,15 @@ def _real_captures(directory: Path) -> list[Capture]:
 
 
 def _name(path: Path, directory: Path) -> str:
-    """A path as it is called below the imported folder."""
+    """Return the name of a path below the imported folder."""
     return path.relative_to(directory).as_posix() if path != directory else directory.resolve().name
 
 
 def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | None = None) -> ImportedFrame:
-    """One capture in our terms.
+    """Return one capture in our units and frames.
 
     Raises `ValueError` that names file, field, value and rule: an array missing, of another shape or type, not finite,
-    images without true places (simulated: without as many), points off the grid.
+    images without true positions (simulated: without as many), points off the grid.
     """
     if kind == "sim":
         values, negative = _sim_map(capture.map_path), 0
@@ -189,7 +189,7 @@ def read_capture(capture: Capture, kind: Kind, directory: Path, keys: SimKeys | 
 
 
 def _load(path: Path) -> Any:
-    """An array or an archive; ValueError names a file that cannot be read."""
+    """Return an array or an archive; ValueError names a file that cannot be read."""
     try:
         return load_arrays(path) if is_archive(path) else load_array(path)
     except (OSError, ValueError) as error:
@@ -199,13 +199,13 @@ def _load(path: Path) -> Any:
 
 def _field(path: Path, arrays: Any, key: str) -> np.ndarray:
     if not isinstance(arrays, dict) or key not in arrays:
-        held = ", ".join(sorted(arrays)) if isinstance(arrays, dict) else "a single array"
-        raise ValueError(f"{path}: must hold {key}, holds {held or 'nothing'}")
+        names = ", ".join(sorted(arrays)) if isinstance(arrays, dict) else "a single array"
+        raise ValueError(f"{path}: must hold {key}, holds {names or 'nothing'}")
     return np.asarray(arrays[key])
 
 
 def _require(path: Path, name: str, array: np.ndarray, kinds: str, rule: str) -> None:
-    """ValueError unless an array's numbers are of the kinds asked for and finite."""
+    """Raise ValueError unless an array's numbers are of the given kinds and finite."""
     if array.dtype.kind not in kinds:
         raise ValueError(f"{path}: {name} must be {rule}, got {array.dtype}")
     if not np.isfinite(array).all():
@@ -228,14 +228,14 @@ def _sim_map(path: Path) -> np.ndarray:
 
 
 def _real_map(path: Path) -> tuple[np.ndarray, int]:
-    """Power of a spectrum, zero where the source is below, and how often that is."""
+    """Return the power of a spectrum, zero where the source is below, and the number of such cells."""
     power = _field(path, _load(path), SPECTRUM_KEY)
     _require_map(path, SPECTRUM_KEY, power, "fiu", "power (real)")
     return np.maximum(power.astype(np.float64), 0.0), int(np.count_nonzero(power < 0.0))
 
 
 def _sim_points(path: Path, keys: SimKeys) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Direct points, images and true places [N, 2] in the radar's frame."""
+    """Return direct points, images and true positions [N, 2] in the radar's frame."""
     arrays = _load(path)
     direct, image, true_place = (
         _points(path, key, _field(path, arrays, key), 1) for key in (keys.direct, keys.image, keys.true_place)
@@ -244,14 +244,14 @@ def _sim_points(path: Path, keys: SimKeys) -> tuple[np.ndarray, np.ndarray, np.n
 
 
 def _points(path: Path, name: str, array: Any, axis: int) -> np.ndarray:
-    """Points [N, 2] in the radar's frame of an array (3, N) (`axis` 1) or (N, 2) (`axis` 0) in the source's."""
+    """Return points [N, 2] in the radar's frame of an array (3, N) (`axis` 1) or (N, 2) (`axis` 0) in the source's."""
     if isinstance(array, dict):
         raise ValueError(f"{path}: {name} must be a single array (.npy), got an archive")
-    coordinates, wanted = (3, "(3, N)") if axis == 1 else (2, "(N, 2)")
+    coordinates, expected = (3, "(3, N)") if axis == 1 else (2, "(N, 2)")
     # without points, writers leave an array without its other axis
     points = array.reshape(coordinates, 0) if array.size == 0 else (array if axis == 1 else array.T)
     if points.ndim != 2 or len(points) != coordinates:
-        raise ValueError(f"{path}: {name} must have shape {wanted}, got {array.shape}")
+        raise ValueError(f"{path}: {name} must have shape {expected}, got {array.shape}")
     _require(path, name, array, "fiu", "real")
     return np.stack([points[1], -points[0]], axis=1).astype(np.float64)
 
@@ -268,15 +268,15 @@ def _check_on_grid(capture: Capture, range_m: np.ndarray, azimuth_rad: np.ndarra
 
 
 def noise_of(power: np.ndarray) -> float:
-    """Mean of exponential noise whose quiet fifth is that of a map's cells above zero; 0 for an empty map."""
+    """Return the mean of exponential noise whose quiet fifth is that of a map's cells above zero; 0 if empty."""
     present = power[power > 0.0]
     return float(np.quantile(present, QUIET_SHARE) / -np.log1p(-QUIET_SHARE)) if len(present) else 0.0
 
 
 def resampled(power: np.ndarray) -> tuple[np.ndarray, float]:
-    """Power [512, 256] on the source's real axis as one on our grid, which starts at 0; and its noise.
+    """Return power [512, 256] on the source's real axis resampled to our grid, which starts at 0; and its noise.
 
-    Linear in range. What lies before the source's start holds the noise: no step for a network to learn.
+    Linear in range. Cells before the source's start hold the noise: no step for a network to learn.
     """
     grid, noise = grid_of("real"), noise_of(power)
     source_row = (grid.range_m - REAL_RANGE_M[0]) / ((REAL_RANGE_M[1] - REAL_RANGE_M[0]) / (SHAPE[0] - 1))
@@ -298,7 +298,7 @@ def import_folder(
     """Write all captures below a folder as a data set of maps: shards and `series.json`.
 
     With `skip_broken` captures that cannot be read are counted, else the first raises `ValueError`. So do a folder
-    without captures, one of which none can be read, and a target that holds something. `on_capture` hears of progress.
+    without captures, one without a readable one, and a target that is not empty. `on_capture` reports progress.
     """
     if kind not in KINDS:
         raise ValueError(f"kind must be one of {', '.join(KINDS)}, got {kind!r}")
@@ -344,7 +344,7 @@ def _read_all(
 
 
 def _series(kind: Kind, keys: SimKeys | None, sources: list[dict[str, Any]], summary: ImportSummary) -> dict[str, Any]:
-    """What the folder says of itself."""
+    """Return the metadata of the folder."""
     first_m, last_m = SIM_RANGE_M if kind == "sim" else REAL_RANGE_M
     return {
         "format": "maps",
@@ -364,7 +364,7 @@ def _series(kind: Kind, keys: SimKeys | None, sources: list[dict[str, Any]], sum
 
 
 def _write_shard(out: Path, summary: ImportSummary, frames: list[ImportedFrame]) -> None:
-    """One more shard, and its counts."""
+    """Write one more shard, and count its captures."""
     number = summary.frames // SCENES_PER_SHARD
     path_class = np.concatenate([frame.path_class for frame in frames])
     arrays = {

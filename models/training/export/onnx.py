@@ -1,4 +1,4 @@
-"""From a trained network to the file and the card that the vehicle loads."""
+"""Export of a trained network to the file and the card that the vehicle loads."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ from msgs.values.perception import PathClass
 OPSET = 17
 #: Largest difference between torch and ONNX Runtime, in probability, that an fp32 export may show.
 PARITY = 1e-4
-#: Encoded maps that parity is checked on beside random inputs.
+#: Number of encoded maps for the parity check, beside random inputs.
 PARITY_MAPS = 8
 
 Precision = Literal["fp32", "fp16", "int8"]
@@ -47,9 +47,9 @@ Head = Literal["heatmap", "anchors"]
 
 
 class Exported(nn.Module):
-    """A network as its file answers: probabilities of a heatmap, or logits and offsets of anchors.
+    """A network with the outputs of its file: probabilities of a heatmap, or logits and offsets of anchors.
 
-    `half` computes in float16 inside; what goes in and comes out is float32 either way.
+    `half` computes in float16 inside; input and output are float32 either way.
     """
 
     def __init__(self, network: nn.Module, half: bool = False) -> None:
@@ -62,16 +62,16 @@ class Exported(nn.Module):
         self.eval()
 
     def forward(self, x: Tensor) -> Tensor:
-        """Encoded maps to answers."""
+        """Map encoded maps to answers."""
         answer = self.network(x.half() if self.half_precision else x).float()
         return torch.sigmoid(answer) if self.head == "heatmap" else answer
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExportConfig:
-    """What is exported from a run and what it is scored on."""
+    """Export of a run and the data that score it."""
 
-    #: Data set of the run, for its splits and the card's words; None: the folder that the run names.
+    #: Data set of the run, for its splits and the card's text; None: the folder that the run names.
     data_dir: Path | None = None
     #: Data set whose scenes all score the export; None: a split of `data_dir`.
     test_dir: Path | None = None
@@ -108,13 +108,13 @@ def write_onnx(network: nn.Module, example: tuple[Tensor, ...], path: Path, **na
     """Write a network as torch traces it with an example; `names` of its inputs, outputs and free axes."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with warnings.catch_warnings():
-        # the exporter that needs no further package; torch announces its successor at every call
+        # this exporter needs no further package; torch announces its successor at every call
         warnings.simplefilter("ignore")
         torch.onnx.export(network, example, str(path), dynamo=False, opset_version=OPSET, **names)
 
 
 def parity(model: Exported, path: Path, maps: Iterable[np.ndarray] = (), seed: int = 0) -> float:
-    """Largest difference of the answers of torch and ONNX Runtime over random inputs and encoded maps."""
+    """Return the largest difference of the answers of torch and ONNX Runtime over random inputs and encoded maps."""
     shape = model.network.config.in_channels, model.network.config.range_bins, model.network.config.columns
     rng = np.random.default_rng(seed)
     random = [(scale * rng.standard_normal(shape)).astype(np.float32) for scale in (0.0, 1.0, 10.0)]
@@ -122,7 +122,7 @@ def parity(model: Exported, path: Path, maps: Iterable[np.ndarray] = (), seed: i
 
 
 def largest_difference(model: Exported, path: Path, inputs: Iterable[np.ndarray]) -> float:
-    """Largest difference of the answers of torch and of a file to inputs [channels, range, columns].
+    """Return the largest difference of the answers of torch and of a file to inputs [channels, range, columns].
 
     Probabilities are compared, and offsets of anchors relative to the largest one (at least a cell).
     """
@@ -130,24 +130,24 @@ def largest_difference(model: Exported, path: Path, inputs: Iterable[np.ndarray]
     differences = []
     for encoded in inputs:
         with torch.no_grad():
-            wanted = model(torch.from_numpy(encoded[None])).numpy()
-        found = session.run(None, {session.get_inputs()[0].name: encoded[None]})[0]
-        differences.append(_difference(wanted[0], found[0], model.head))
-    # a value that is no number makes the largest one none either
+            expected = model(torch.from_numpy(encoded[None])).numpy()
+        answer = session.run(None, {session.get_inputs()[0].name: encoded[None]})[0]
+        differences.append(_difference(expected[0], answer[0], model.head))
+    # a NaN makes the largest value NaN too
     return float(np.max(differences))
 
 
-def _difference(wanted: np.ndarray, found: np.ndarray, head: Head) -> float:
+def _difference(expected: np.ndarray, answer: np.ndarray, head: Head) -> float:
     if head == "heatmap":
-        return float(np.abs(found - wanted).max())
+        return float(np.abs(answer - expected).max())
     classes = len(PathClass) + 1
-    probabilities = [torch.softmax(torch.from_numpy(one[:classes]), dim=0).numpy() for one in (wanted, found)]
-    largest_cells = max(1.0, float(np.abs(wanted[classes:]).max()))
-    offsets = np.abs(found[classes:] - wanted[classes:]).max() / largest_cells
+    probabilities = [torch.softmax(torch.from_numpy(logits[:classes]), dim=0).numpy() for logits in (expected, answer)]
+    largest_cells = max(1.0, float(np.abs(expected[classes:]).max()))
+    offsets = np.abs(answer[classes:] - expected[classes:]).max() / largest_cells
     return float(max(np.abs(probabilities[0] - probabilities[1]).max(), offsets))
 
 
-#: Thresholds that pursuit is tried at.
+#: Thresholds to try for pursuit.
 PURSUIT_THRESHOLDS = tuple(round(0.1 + 0.02 * step, 2) for step in range(16))
 
 
@@ -170,7 +170,7 @@ def export_run(
 ) -> ModelCard:
     """Export the best network of a run and write its card; the scores are those of the exported file.
 
-    `report` hears what is being done. Nothing is written at `model_path` before all is done. Raises `ValueError` where
+    `report` receives the progress. Nothing is written at `model_path` before all is done. Raises `ValueError` if
     a folder holds no run or no data set, or when an fp32 export differs from torch.
     """
     require_onnx(model_path)
@@ -229,7 +229,7 @@ def require_onnx(model_path: Path) -> None:
 
 
 def score_files(paths: Sequence[Path], frames: Iterable[Frame]) -> list[DetectionTally]:
-    """Detections of exported files, as the vehicle runs them, over the same frames."""
+    """Return detections of exported files, as the vehicle runs them, over the same frames."""
     predictors = [DensePredictor(path) for path in paths]
     tallies = [DetectionTally(predictor.card.grid) for predictor in predictors]
     for frame in frames:
@@ -240,7 +240,7 @@ def score_files(paths: Sequence[Path], frames: Iterable[Frame]) -> list[Detectio
 
 
 def _convert(model: Exported, reference: Path, file: Path, precision: Precision, maps: np.ndarray) -> None:
-    """The file of a precision, from the network or from its fp32 export."""
+    """Write the file of a precision, from the network or from its fp32 export."""
     if precision == "int8":
         quantize_int8(reference, file, maps)
     elif precision == "fp16":
@@ -258,7 +258,7 @@ def _cropped(network: nn.Module, range_bins: int) -> nn.Module:
 def _draft(
     model: Exported, run: RunConfig, encoding: Encoding, epoch: int, run_dir: Path, config: ExportConfig
 ) -> ModelCard:
-    """The card without what the file and its scores decide."""
+    """Return the card without the results of the file and its scores."""
     training = run.training
     draft = ModelCard(
         name=run_dir.name,
@@ -285,19 +285,19 @@ def _draft(
 
 
 def _training_command(run: RunConfig, run_dir: Path) -> str:
-    """The command of a run so far as its folder tells; `config` on the card says all of it."""
+    """Return the command of a run as far as its folder states it; `config` on the card is complete."""
     choice, schedule = run.training.network, run.training.schedule
     resolved, channels = choice.resolved, run.data.encoding.channels
     sizes = FAMILIES[choice.family].sizes.items()
-    size = next((name for name, one in sizes if replace(one, in_channels=len(channels)) == resolved), "")
-    inputs = next((name for name, one in INPUTS.items() if one == channels), "")
+    size = next((name for name, preset in sizes if replace(preset, in_channels=len(channels)) == resolved), "")
+    inputs = next((name for name, preset in INPUTS.items() if preset == channels), "")
     options = {
         "data": run.data.directory,
         "out": run_dir,
         "network": f"{choice.family}:{size}".rstrip(":"),
         "input": inputs,
         "objective": run.training.objective.kind,
-        "schedule": next((name for name, one in SCHEDULES.items() if one.kind == schedule.kind), ""),
+        "schedule": next((name for name, preset in SCHEDULES.items() if preset.kind == schedule.kind), ""),
         "epochs": schedule.epochs,
         "batch-size": schedule.batch_size,
         "learning-rate": schedule.learning_rate,
@@ -309,21 +309,21 @@ def _training_command(run: RunConfig, run_dir: Path) -> str:
 
 
 def _training_maps(scenes: _Scenes, run: RunConfig, encoding: Encoding, config: ExportConfig) -> np.ndarray:
-    """Encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
+    """Return encoded maps [maps, channels, range, columns] of training scenes, drawn with the run's seed."""
     count = config.calibration_maps if config.precision == "int8" else PARITY_MAPS
-    chosen = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
-    return np.stack([encode_map(encoding, frame.ra_map) for frame in scenes.data.frames(chosen)])
+    indices = np.random.default_rng(run.training.seed).permutation(scenes.splits.of("train"))[:count]
+    return np.stack([encode_map(encoding, frame.ra_map) for frame in scenes.data.frames(indices)])
 
 
 def _score_table(file: Path, head: Head, scenes: _Scenes) -> tuple[tuple[float, float], ...]:
-    """What the scores of the live detector's peaks are worth on the validation scenes; none for anchors."""
+    """Return the probabilities of the live detector's scores, from the validation scenes; none for anchors."""
     if head == "anchors":
         return ()
     return fit_table(*peak_outcomes(NetworkDetector(scenes.data.setup, file), scenes.validation))
 
 
 def best_pursuit_threshold(file: Path, frames: Iterable[Frame]) -> float:
-    """Where peaks by pursuit have the best Macro-F1, the lowest of equals."""
+    """Return the threshold of the best Macro-F1 of peaks by pursuit, the lowest of equals."""
     predictor = DensePredictor(file)
     tally = DetectionTally(predictor.card.grid, PURSUIT_THRESHOLDS)
     for frame in frames:
@@ -348,19 +348,19 @@ def _scores(tally: DetectionTally) -> tuple[ScoresAt, ...]:
 
 
 def _provenance(scenes: _Scenes, config: ExportConfig) -> dict[str, str | int]:
-    """How training and test scenes were made, and which the latter are."""
-    said: dict[str, str | int] = {"training": _command(scenes.data.directory), "test_scenes": len(scenes.tested)}
+    """Return the origin of training and test scenes, and the identity of the latter."""
+    provenance: dict[str, str | int] = {"training": _command(scenes.data.directory), "test_scenes": len(scenes.tested)}
     if config.test_dir is not None:
-        return said | {"test": _command(config.test_dir)}
-    return said | {"test": f"its {config.split} split", "test_sha256": scenes.splits.test_sha256}
+        return provenance | {"test": _command(config.test_dir)}
+    return provenance | {"test": f"its {config.split} split", "test_sha256": scenes.splits.test_sha256}
 
 
-#: What a series says of itself and the command takes.
+#: Entries of a series that the command takes.
 _RECIPE = ("places", "preset", "effects", "budget_db")
 
 
 def _command(data_dir: Path) -> str:
-    """The command that makes a data set again, from what its folder says."""
+    """Return the command that makes a data set again, from its folder's metadata."""
     try:
         series = msgspec.json.decode((data_dir / "series.json").read_bytes())
         if series.get("format") == "maps":
@@ -370,6 +370,6 @@ def _command(data_dir: Path) -> str:
     except (OSError, KeyError, msgspec.DecodeError) as error:
         raise ValueError(f"{data_dir} must hold a whole data set: {error}") from None
     command = f"mirrorwave sim dataset --out {data_dir} --count {count} --seed {series['seed']}"
-    # folders from before series named their recipe hold the first generator's streets
+    # folders from before series stated their recipe hold the first generator's streets
     recipe = {"places": "street_v1"} | {key: series[key] for key in _RECIPE if key in series}
     return command + "".join(f" --{key.replace('_', '-')} {value}" for key, value in recipe.items())

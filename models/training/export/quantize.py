@@ -1,4 +1,4 @@
-"""Smaller numbers for an exported network: 8-bit integers calibrated on real maps."""
+"""Quantisation of an exported network: 8-bit integers calibrated on real maps."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import onnx
 from onnxruntime import quantization
 from onnxruntime.quantization.shape_inference import quant_pre_process
 
-#: What is quantised: all that multiplies by learned weights, and the sums between, which would else go back and forth.
+#: Quantised operators: all that multiply by learned weights, and the sums between, which would else be converted twice.
 #: Attention (products of two activations), softmax, norms and the final sigmoid stay in fp32.
 QUANTIZED_OPS = ("Conv", "ConvTranspose", "Gemm", "MatMul", "Add")
 
 
 class _Maps(quantization.CalibrationDataReader):
-    """Encoded maps one after the other, as the calibration asks for them."""
+    """Encoded maps one after the other, as the calibration requests them."""
 
     def __init__(self, name: str, maps: Iterable[np.ndarray]) -> None:
         self._name, self._maps = name, iter(maps)
 
     def get_next(self) -> dict[str, np.ndarray] | None:
-        """The next input, or None after the last."""
+        """Return the next input, or None after the last."""
         encoded = next(self._maps, None)
         return None if encoded is None else {self._name: encoded[None]}
 
@@ -31,8 +31,8 @@ class _Maps(quantization.CalibrationDataReader):
 def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
     """Write an fp32 network as int8: static, weights per output channel, ranges of activations from `maps`.
 
-    `maps` are encoded inputs float32 [maps, channels, range, columns]; ranges are the smallest and the largest value
-    seen: percentiles cut the rare strong cells, which are the returns (99.999 % is no nearer to fp32, 99.99 % further).
+    `maps` are encoded inputs float32 [maps, channels, range, columns]; ranges are the smallest and the largest value:
+    percentiles cut the rare strong cells, which are the returns (99.999 % is no nearer to fp32, 99.99 % further).
     Input and output stay float32. Raises `ValueError` without maps or with maps of another shape.
     """
     entry = onnx.load(source).graph.input[0]
@@ -57,6 +57,6 @@ def quantize_int8(source: Path, target: Path, maps: np.ndarray) -> None:
 
 
 def _attention(graph: onnx.GraphProto) -> list[str]:
-    """Names of the products of two activations."""
+    """Return the names of the products of two activations."""
     learned = {tensor.name for tensor in graph.initializer}
     return [node.name for node in graph.node if node.op_type == "MatMul" and learned.isdisjoint(node.input)]

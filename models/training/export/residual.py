@@ -1,4 +1,4 @@
-"""From a trained residual network to the file and the card that the geometry stage loads."""
+"""Export of a trained residual network to the file and the card that the geometry stage loads."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def export_residual_onnx(network: ResidualReflectNet, path: Path) -> str:
 def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, command: str = "") -> ResidualCard:
     """Export the best network of a run and write its card, with the file's own scores on the images of test scenes.
 
-    Nothing is written at `model_path` before all is done. Raises `ValueError` where the folder holds no run, or when
+    Nothing is written at `model_path` before all is done. Raises `ValueError` if the folder holds no run, or when
     the file's residuals differ from torch's by more than 1e-3 m.
     """
     require_onnx(model_path)
@@ -56,7 +56,7 @@ def export_residual_run(run_dir: Path, test: FoldedImages, model_path: Path, com
 def _draft(
     network: ResidualReflectNet, run: ResidualRunConfig, epoch: int, sha256: str, name: str, command: str
 ) -> ResidualCard:
-    """The card without scores."""
+    """Return the card without scores."""
     return ResidualCard(
         name=name,
         sha256=sha256,
@@ -80,9 +80,9 @@ def _check_parity(path: Path, offsets_m: np.ndarray, wanted_m: np.ndarray) -> No
 
 
 def _metrics(test: FoldedImages, offsets_m: np.ndarray, reach_m: float) -> dict[str, float]:
-    """Scores with and without the residual, and on how much."""
+    """Return scores with and without the residual, and the number of their images."""
 
-    def named(scores: RecoveredScores, suffix: str) -> dict[str, float]:
+    def suffixed(scores: RecoveredScores, suffix: str) -> dict[str, float]:
         return {name + suffix: round(value, 4) for name, value in msgspec.structs.asdict(scores).items()}
 
     sizes = {
@@ -91,4 +91,4 @@ def _metrics(test: FoldedImages, offsets_m: np.ndarray, reach_m: float) -> dict[
         "images_within_reach": float(test.within(reach_m).sum()),
     }
     without = recovered_scores(test, np.zeros_like(test.folded_m), reach_m)
-    return sizes | named(recovered_scores(test, offsets_m, reach_m), "") | named(without, "_without")
+    return sizes | suffixed(recovered_scores(test, offsets_m, reach_m), "") | suffixed(without, "_without")

@@ -1,1 +1,1 @@
-"""What networks are trained towards: targets and losses."""
+"""Targets and losses of network training."""

@@ -1,4 +1,4 @@
-"""What the anchors of a radar tensor network are trained towards, and its loss."""
+"""Targets of the anchors of a radar tensor network, and their loss."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from models.training.data.samples import PointLabels
 def anchor_targets(
     labels: Sequence[PointLabels], shape: tuple[int, int], stride: int = 1, radius_cells: float | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Class [batch, rows, columns] (int64) and offset [batch, 2, rows, columns] (float32, cells) of every anchor.
+    """Return class [batch, rows, columns] (int64), offset [batch, 2, rows, columns] (float32, cells) of every anchor.
 
     `shape` is (rows, columns) of the anchors. An anchor within `radius_cells` of a point takes the class of the nearest
     and the offset to it, any other is noise; the default of 1.5 cells or one stride gives every point an anchor.
@@ -33,7 +33,7 @@ def anchor_targets(
 def _map_targets(
     labels: PointLabels, shape: tuple[int, int], stride: int, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Targets of one map; points off the map are left out."""
+    """Return the targets of one map; points off the map are left out."""
     at = np.stack([labels.row, labels.column], axis=-1).astype(np.float64)
     on_map = ((at > -0.5) & (at < stride * np.array(shape) - 0.5)).all(axis=-1)
     anchor, offset, owner = _anchors_about(at[on_map], stride, radius)
@@ -50,7 +50,7 @@ def _map_targets(
 
 
 def _anchors_about(at: np.ndarray, stride: int, radius: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Anchors in a square about each point: their indices [N, 2], offset to the point [N, 2], the point's index [N]."""
+    """Return anchors in a square about each point: indices [N, 2], offsets to the points [N, 2], their indices [N]."""
     reach = math.ceil(radius / stride)
     step = np.arange(-reach, reach + 1)
     square = np.stack(np.meshgrid(step, step, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -61,10 +61,10 @@ def _anchors_about(at: np.ndarray, stride: int, radius: float) -> tuple[np.ndarr
 
 
 def anchor_loss(output: Tensor, classes: Tensor, offsets: Tensor, background_weight: float = 1.0) -> Tensor:
-    """Loss of an answer [batch, 5, rows, columns] against the targets of `anchor_targets`, a scalar.
+    """Return the loss of an answer [batch, 5, rows, columns] against the targets of `anchor_targets`, a scalar.
 
     Softmax focal loss (gamma 2), its mean over the anchors of points plus `background_weight` times its mean over
-    noise, so that the many do not drown the few; and the smooth l1 distance [cells] of the offsets of anchors of
+    noise, so that the many do not outweigh the few; and the smooth l1 distance [cells] of the offsets of anchors of
     points, its mean. Finite without a single point and for any finite logit.
     """
     if output.shape[0] != len(classes) or output.shape[2:] != classes.shape[1:]:
@@ -78,5 +78,5 @@ def anchor_loss(output: Tensor, classes: Tensor, offsets: Tensor, background_wei
 
 
 def _mean_where(values: Tensor, mask: Tensor) -> Tensor:
-    """Mean of the values under a mask, 0 where it is empty."""
+    """Return the mean of the values under a mask, 0 where it is empty."""
     return torch.where(mask, values, 0.0).sum() / mask.sum().clamp(min=1)

@@ -8,14 +8,14 @@ from torch.nn import functional
 
 
 def binary_focal_loss(logits: Tensor, mask: Tensor, alpha: float = 0.99, gamma: float = 2.0) -> Tensor:
-    """Mean over all cells of the focal loss of `logits` against a `mask` of 0 and 1 of their shape, a scalar.
+    """Return the mean over all cells of the focal loss of `logits` against a 0/1 `mask` of their shape, a scalar.
 
     Cells of the mask weigh `alpha`, all others 1 - `alpha`. Written on logits: with z the logit towards the truth,
     (1 - p)^gamma is exp(gamma logsigmoid(-z)), so loss and gradient are finite for any finite logit.
     """
     if logits.shape != mask.shape:
         raise ValueError(f"logits must have the mask's shape {tuple(mask.shape)}, got {tuple(logits.shape)}")
-    # halves have no room for the weights of sure cells
+    # half precision cannot represent the weights of confident cells
     logits = logits.to(torch.promote_types(logits.dtype, torch.float32))
     mask = mask.to(logits.dtype)
     towards_truth = (2.0 * mask - 1.0) * logits

@@ -1,4 +1,4 @@
-"""Heatmaps that the dense network is trained towards, Eq. (22)."""
+"""Target heatmaps of the dense network, Eq. (22)."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ _REACH_SIGMA = 5.4
 
 
 def gaussian_heatmap(shape: tuple[int, int], row: np.ndarray, column: np.ndarray, sigma_px: float = 1.0) -> np.ndarray:
-    """Largest of the Gaussians around points, float32 [rows, columns]; exactly 1 in the cell of each point, Eq. (22).
+    """Return the maximum of the Gaussians around points, float32 [rows, columns], Eq. (22).
 
-    `row` and `column` are fractional cells [points]; each is rounded to its cell, points off the map are left out.
+    It is exactly 1 in the cell of each point. `row` and `column` are fractional cells [points]; each is rounded to its
+    cell, points off the map are left out.
     """
     heatmap = np.zeros(shape, np.float32)
     reach = int(np.ceil(_REACH_SIGMA * sigma_px))
@@ -36,7 +37,7 @@ def class_heatmaps(
     classes: int = 2,
     sigma_px: float = 1.0,
 ) -> np.ndarray:
-    """One heatmap per path class, float32 [classes, rows, columns]."""
+    """Return one heatmap per path class, float32 [classes, rows, columns]."""
     return np.stack(
         [gaussian_heatmap(shape, row[path_class == k], column[path_class == k], sigma_px) for k in range(classes)]
     )
@@ -45,7 +46,7 @@ def class_heatmaps(
 def class_masks(
     shape: tuple[int, int], row: np.ndarray, column: np.ndarray, path_class: np.ndarray, classes: int = 2
 ) -> np.ndarray:
-    """One mask per path class, float32 [classes, rows, columns]: 1 in the cell of each point, 0 elsewhere."""
+    """Return one mask per path class, float32 [classes, rows, columns]: 1 in the cell of each point, 0 elsewhere."""
     masks = np.zeros((classes, *shape), np.float32)
     cells = np.stack([np.rint(row), np.rint(column)], axis=-1).astype(np.int64)
     inside = ((cells >= 0) & (cells < shape)).all(axis=-1)

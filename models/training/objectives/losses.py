@@ -12,15 +12,15 @@ from torch.nn import functional
 def heatmap_focal_loss(
     logits: Tensor, heatmap: Tensor, alpha: float = 2.0, beta: float = 4.0, weights: Tensor | None = None
 ) -> Tensor:
-    """Focal loss of Eq. (23), a scalar; `logits` and `heatmap` have the same shape, `heatmap` is 1 at each peak.
+    """Return the focal loss of Eq. (23), a scalar; `logits` and `heatmap` are of one shape, `heatmap` is 1 at peaks.
 
     Written on logits: log c = logsigmoid(z), log(1 - c) = -softplus(z), so no probability is clamped and gradients
     stay finite for any logit. Divided by the number of peaks; without a peak, the sum of the negatives. `weights`
-    (None: all one) multiply the terms they are broadcast to. Raises `ValueError` where shapes differ.
+    (None: all 1) multiply the terms they are broadcast to. Raises `ValueError` if shapes differ.
     """
     if logits.shape != heatmap.shape:
         raise ValueError(f"logits must have the heatmap's shape {tuple(heatmap.shape)}, got {tuple(logits.shape)}")
-    # halves hold neither the square of a small confidence nor a sum over a map
+    # half precision holds neither the square of a small confidence nor a sum over a map
     logits = logits.to(torch.promote_types(logits.dtype, torch.float32))
     is_peak = heatmap == 1.0
     weight = torch.ones_like(heatmap) if weights is None else weights.expand_as(heatmap).to(heatmap.dtype)
@@ -34,7 +34,7 @@ def heatmap_focal_loss(
 class _Negatives(torch.autograd.Function):
     """Sum of w c^alpha softplus(z) with c = sigmoid(z), and its derivative w c^alpha (alpha (1 - c) softplus(z) + c).
 
-    Nearly all cells are negatives and the head is wide: left to autograd, these few products were a quarter of the
+    Nearly all cells are negatives and the head is wide: in autograd, these few products were a quarter of the
     time of a training step.
     """
 

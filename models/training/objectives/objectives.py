@@ -1,4 +1,4 @@
-"""What a network is trained towards, and how its answer is read: heatmaps, plain segmentation, anchors."""
+"""Objectives of a network, and the reading of its answer: heatmaps, plain segmentation, anchors."""
 
 from __future__ import annotations
 
@@ -47,14 +47,14 @@ class Objective(Protocol):
     """Loss of a batch of raw answers, and the points of one."""
 
     def loss(self, answer: Tensor, labels: Sequence[PointLabels]) -> Tensor:
-        """Scalar loss of answers [batch, ...] against the truth of each map."""
+        """Return scalar loss of answers [batch, ...] against the truth of each map."""
 
     def points(self, answer: np.ndarray, floor: float) -> Points:
-        """Points of one raw answer with at least this score."""
+        """Return points of one raw answer with at least this score."""
 
 
 def objective_of(config: ObjectiveConfig, network: Any) -> Objective:
-    """The objective of a network of this configuration; raises `ValueError` where one has anchors, the other none."""
+    """Return the objective of a network of this configuration; `ValueError` if only one of them has anchors."""
     stride = getattr(network, "anchor_stride", None)
     if (config.kind == "anchors") != (stride is not None):
         rule = "not be anchors for a network without anchors" if stride is None else "be anchors for such a network"
@@ -71,7 +71,7 @@ class Heatmaps:
         self.config, self.shape = config, shape
 
     def loss(self, answer: Tensor, labels: Sequence[PointLabels]) -> Tensor:
-        """Scalar loss of logits [batch, 2, range, azimuth]."""
+        """Return scalar loss of logits [batch, 2, range, azimuth]."""
         config = self.config
         if config.kind == "heatmap":
             heatmaps = [
@@ -86,7 +86,7 @@ class Heatmaps:
         return binary_focal_loss(answer, mask, config.alpha)
 
     def points(self, answer: np.ndarray, floor: float) -> Points:
-        """Local maxima of the confidence, section 3.1.1."""
+        """Return local maxima of the confidence, section 3.1.1."""
         return heatmap_points(expit(answer), floor, PeakParams().min_distance)
 
 
@@ -97,11 +97,11 @@ class Anchors:
         self.stride, self.shape = stride, shape
 
     def loss(self, answer: Tensor, labels: Sequence[PointLabels]) -> Tensor:
-        """Scalar loss of answers [batch, 5, rows, columns]."""
+        """Return scalar loss of answers [batch, 5, rows, columns]."""
         classes, offsets = anchor_targets(labels, self.shape, self.stride)
         device = answer.device
         return anchor_loss(answer, torch.from_numpy(classes).to(device), torch.from_numpy(offsets).to(device))
 
     def points(self, answer: np.ndarray, floor: float) -> Points:
-        """Anchors that are not noise, moved by their offsets."""
+        """Return anchors that are not noise, moved by their offsets."""
         return anchor_points(answer, self.stride, floor, PeakParams().min_distance)

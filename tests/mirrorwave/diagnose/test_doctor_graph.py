@@ -20,7 +20,6 @@ import pytest
 import zmq
 
 from mirrorwave.cli import main
-from mirrorwave.commands.graph.doctor import Finding, Status, check_graph, check_weights
 from mirrorwave.diagnose import doctor_graph
 from mirrorwave.diagnose.doctor_graph import (
     _check_node,
@@ -31,6 +30,8 @@ from mirrorwave.diagnose.doctor_graph import (
     check_room,
     graph_findings,
 )
+from mirrorwave.diagnose.doctor_machine import check_graph, check_weights
+from mirrorwave.diagnose.findings import Finding, Status
 from msgs.bus.topics import SENSOR_TOPICS
 from msgs.bus.zmq import socket_path
 from msgs.values.diagnostics import NodeState, NodeStatus, TopicCount

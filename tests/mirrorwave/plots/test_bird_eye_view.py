@@ -10,7 +10,7 @@ from matplotlib.colors import to_hex
 from matplotlib.patches import Polygon
 
 from mirrorwave.plots.bird_eye_view import box_corners_m, draw_bev
-from mirrorwave.plots.style import DIRECT_AREA, FOLLOWED, MIRROR_IMAGE, RECOVERED, SEEN_DIRECTLY, TRUTH
+from mirrorwave.plots.style import DIRECT_AREA, MIRROR_IMAGE, RECOVERED, SEEN_DIRECTLY, TRACKED, TRUTH
 from msgs.values.perception import (
     BevFrame,
     BevGrid,
@@ -147,7 +147,7 @@ def test_every_meaning_has_one_colour(saved_figures, tmp_path):
         MIRROR_IMAGE: ("area a mirror shows (echoes of 10 m² or more)", "mirror image"),
         RECOVERED: ("echo of a hidden object, recovered", "hidden object (recovered)", "its centre, 86 % sure"),
         TRUTH: ("true wall", "hidden object (truth)", "other object (truth)"),
-        FOLLOWED: ("followed object; arrow: its way in 1 s",),
+        TRACKED: ("followed object; arrow: its way in 1 s",),
     }
     colours = colours_of(panels["bird's-eye view"])
     for colour, labels in meanings.items():

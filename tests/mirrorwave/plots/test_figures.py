@@ -76,7 +76,7 @@ def words(figure: Figure) -> list[str]:
 
 
 def test_front_and_stages_of_the_committed_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
-    report = msgspec.json.decode(Path("launch/tradeoff.json").read_bytes(), type=Report)
+    report = msgspec.json.decode(Path("docs/results/tradeoff.json").read_bytes(), type=Report)
     draw_front(report, tmp_path / "front.png")
     draw_stages(report, tmp_path / "stages.png")
     front, stages = saved_figures

@@ -48,7 +48,7 @@ def test_every_row_of_the_table_agrees() -> None:
 def test_all_media_are_passive_at_both_ends_of_their_ranges() -> None:
     for name, rows in TABLE.items():
         for row in rows:
-            for frequency_ghz in (row.least_ghz, row.most_ghz):
+            for frequency_ghz in (row.min_ghz, row.max_ghz):
                 assert permittivity(name, frequency_ghz * 1e9).imag <= 0.0
 
 

@@ -67,13 +67,13 @@ def test_crossing_parameters_are_the_lines_meeting_point() -> None:
 
 
 @pytest.mark.parametrize(
-    ("target", "cut"),
+    ("target", "is_blocked"),
     [((10.0, 0.0), True), ((10.0, 9.9), True), ((10.0, 10.1), False), ((4.9, 0.0), False), ((-10.0, 0.0), False)],
 )
-def test_a_wall_blocks_what_is_behind_it_and_nothing_else(target: tuple[float, float], cut: bool) -> None:
+def test_a_wall_blocks_what_is_behind_it_and_nothing_else(target: tuple[float, float], is_blocked: bool) -> None:
     """Wall x = 5, |y| <= 5, seen from the origin: its shadow at x = 10 reaches |y| = 10."""
     a, b = np.array([[5.0, -5.0]]), np.array([[5.0, 5.0]])
-    assert crosses(np.zeros(2), np.array([target]), a, b)[0, 0] == cut
+    assert crosses(np.zeros(2), np.array([target]), a, b)[0, 0] == is_blocked
 
 
 def test_each_ray_may_have_its_own_origin() -> None:

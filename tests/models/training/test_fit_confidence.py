@@ -9,7 +9,7 @@ from scipy.optimize import approx_fprime
 from models.perception.geometry.confidence import FEATURES
 from models.training.fit_confidence import (
     FitConfig,
-    ScenePlaces,
+    ScenePositions,
     _Loss,
     best_threshold,
     confidence_metrics,
@@ -26,10 +26,10 @@ def drawn(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return features, rng.random(count) < probability, probability
 
 
-def scene(points: list[list[float]], truth: list[list[float]]) -> ScenePlaces:
+def scene(points: list[list[float]], truth: list[list[float]]) -> ScenePositions:
     points_m = np.array(points, np.float64).reshape(-1, 2)
     features = np.random.default_rng(len(points)).standard_normal((len(points), len(FEATURES)))
-    return ScenePlaces(points_m, features, np.full(len(points), 0.5), np.array(truth, np.float64).reshape(-1, 2))
+    return ScenePositions(points_m, features, np.full(len(points), 0.5), np.array(truth, np.float64).reshape(-1, 2))
 
 
 def test_the_gradient_is_that_of_the_loss() -> None:
@@ -77,13 +77,13 @@ def test_scenes_without_places_count_their_misses() -> None:
     assert found["recall_1m"] == pytest.approx(1.0 / 3.0, abs=1e-4)
 
 
-def places_of(likely: tuple[int, int], doubtful: tuple[int, int]) -> ScenePlaces:
+def places_of(likely: tuple[int, int], doubtful: tuple[int, int]) -> ScenePositions:
     """So many true and false places of two kinds, 10 m apart, told apart by the first feature: +1 and -1."""
     is_true = np.repeat([True, False, True, False], [*likely, *doubtful])
     points_m = np.column_stack([10.0 * np.arange(len(is_true)), np.zeros(len(is_true))])
     features = np.zeros((len(is_true), len(FEATURES)))
     features[:, 0] = np.repeat([1.0, -1.0], [sum(likely), sum(doubtful)])
-    return ScenePlaces(points_m, features, np.full(len(is_true), 0.5), points_m[is_true])
+    return ScenePositions(points_m, features, np.full(len(is_true), 0.5), points_m[is_true])
 
 
 def test_weights_are_those_of_training_scenes_threshold_and_metrics_those_of_validation_scenes() -> None:

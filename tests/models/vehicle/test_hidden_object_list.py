@@ -16,9 +16,9 @@ from models.vehicle.end_to_end import crc8_sae_j1850
 from models.vehicle.hidden_object_list import (
     HiddenObjectList,
     ListFrame,
+    listed_objects,
     message_rule,
     observable_share,
-    placed_objects,
     worst_std_m,
 )
 from models.vehicle.mapping import CanMapping, QuantityRule
@@ -143,7 +143,7 @@ def test_what_is_no_number_takes_no_place_from_what_is() -> None:
         msgspec.structs.replace(ONE, id=100 + i, x_m=math.nan if i % 2 else 1.0, score=0.99 if i % 2 else math.nan)
         for i in range(20)
     )
-    assert [one.id for one in placed_objects(broken + objects(16), 16)] == list(range(15, -1, -1))
+    assert [one.id for one in listed_objects(broken + objects(16), 16)] == list(range(15, -1, -1))
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_the_dbc_spreads_a_list_over_its_cycle() -> None:
     """The status first; never more than two frames at once; done before the next list; ids apart from the car's."""
     sent = frames(view())
     delays_ns = [frame.delay_ns for frame in sent]
-    assert (sent[0].message, delays_ns[0], LIST.places) == ("MW_OBJECT_LIST", 0, 16)
+    assert (sent[0].message, delays_ns[0], LIST.slots) == ("MW_OBJECT_LIST", 0, 16)
     assert max(delays_ns.count(delay_ns) for delay_ns in delays_ns) == 2
     assert delays_ns[-1] < LIST.period_ns == 100 * MS
     car = cantools.database.load_file("launch/can/mirrorwave.dbc")
@@ -290,4 +290,4 @@ def test_a_dbc_with_fewer_places_is_a_shorter_list() -> None:
         [one for one in database.messages if "OBJECT_0" in one.name or one.name == "MW_OBJECT_LIST"]
     )
     short = HiddenObjectList(text)
-    assert (short.places, len(short.frames(view(objects(20)), 0, LIMIT_NS, 0))) == (9, 19)
+    assert (short.slots, len(short.frames(view(objects(20)), 0, LIMIT_NS, 0))) == (9, 19)

@@ -22,7 +22,7 @@ from msgs.link.curve import CLOCK, STAMP, queue_messages
 from msgs.link.exporter import Exporter
 from msgs.link.importer import Importer, Server
 from msgs.link.keys import KeyPair
-from msgs.link.peer_clock import shifted
+from msgs.link.peer_clock import shift_stamps
 from msgs.values.diagnostics import LogRecord
 from msgs.values.vehicle import VehicleState
 from tests.msgs.bus.test_codec import CASES, assert_same
@@ -131,7 +131,7 @@ def renamed(message: msgspec.Struct) -> msgspec.Struct:
 
 def test_every_message_of_every_topic_arrives_as_it_was_in_our_clock_and_under_its_peer_s_name(bench: Bench) -> None:
     exporter, importer = bench.linked(*TOPICS)
-    originals = [sent(topic, shifted(message, AHEAD_NS), number) for number, (topic, message) in enumerate(CASES)]
+    originals = [sent(topic, shift_stamps(message, AHEAD_NS), number) for number, (topic, message) in enumerate(CASES)]
     for original in originals:
         exporter.send(original)
     bench.until(lambda: len(bench.came) == len(CASES))
@@ -141,7 +141,7 @@ def test_every_message_of_every_topic_arrives_as_it_was_in_our_clock_and_under_i
     assert abs(offset_ns - AHEAD_NS) <= error_ns
     for came, original in zip(bench.came, originals, strict=True):
         got = decode(came.frames)
-        assert_same(got.message, renamed(shifted(original.message, -offset_ns)))
+        assert_same(got.message, renamed(shift_stamps(original.message, -offset_ns)))
         assert got.envelope == came.envelope
         assert came.envelope.publisher == "sensor.node"
         assert came.envelope.sequence == original.envelope.sequence
@@ -387,7 +387,7 @@ def test_wrong_ends_are_refused_by_one_line(bench: Bench) -> None:
 
 def test_arrays_arrive_aligned(bench: Bench) -> None:
     exporter, _ = bench.linked("radar/ra_map")
-    exporter.send(sent("radar/ra_map", shifted(dict(CASES)["radar/ra_map"], AHEAD_NS)))
+    exporter.send(sent("radar/ra_map", shift_stamps(dict(CASES)["radar/ra_map"], AHEAD_NS)))
     bench.until(lambda: bench.came)
     values = decode([bytes(frame) for frame in bench.came[0].frames]).message.values  # type: ignore[attr-defined]
     assert isinstance(values, np.ndarray)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from msgs.bus.topics import TOPICS
-from msgs.link.peer_clock import ClockSample, PeerClock, shifted
+from msgs.link.peer_clock import ClockSample, PeerClock, shift_stamps
 from msgs.values.vehicle import VehicleState
 from tests.msgs.bus.test_codec import EXAMPLES
 
@@ -80,7 +80,7 @@ def test_stamps_are_moved_wherever_they_stand_and_zero_stays() -> None:
     ra_map = msgspec.structs.replace(
         EXAMPLES["radar/ra_map"][0], stamp_ns=10**15 + 5, azimuth_stamp_ns=10**15 + np.array([0, 7, 8, -(10**15)])
     )
-    moved: Any = shifted(ra_map, by_ns)
+    moved: Any = shift_stamps(ra_map, by_ns)
     assert moved.stamp_ns == 5
     assert moved.azimuth_stamp_ns.dtype == np.int64
     assert moved.azimuth_stamp_ns.tolist() == [0, 7, 8, 0]
@@ -92,10 +92,10 @@ def test_stamps_of_nested_values_are_moved_too() -> None:
     known = msgspec.structs.replace(view.objects[0], stamp_ns=10)
     ego = VehicleState(stamp_ns=20)
     view = msgspec.structs.replace(view, stamp_ns=30, objects=(known, view.objects[0]), ego=ego)
-    moved: Any = shifted(view, 7)
+    moved: Any = shift_stamps(view, 7)
     assert [moved.stamp_ns, moved.ego.stamp_ns, *(one.stamp_ns for one in moved.objects)] == [37, 27, 17, 0]
     assert moved.points is view.points
-    assert shifted(view, 0) is view
+    assert shift_stamps(view, 0) is view
 
 
 def test_every_field_that_is_a_time_of_a_clock_is_known() -> None:

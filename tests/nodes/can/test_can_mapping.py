@@ -111,7 +111,7 @@ def test_numbers_of_a_sign_signal() -> None:
 
 def test_the_page_documents_the_whole_format() -> None:
     """Every field, choice and algorithm of the mapping stands on the page, as code."""
-    page = Path("docs/can-mapping.md").read_text(encoding="utf-8")
+    page = Path("docs/guides/connect-my-car.md").read_text(encoding="utf-8")
     parts = (CanMapping, QuantityRule, WheelSpeedsRule, MessageRule, SignRule)
     names = {field.encode_name for part in parts for field in msgspec.structs.fields(part)}
     names |= {f"checksum.{field.encode_name}" for field in msgspec.structs.fields(ChecksumRule)}

@@ -8,7 +8,7 @@ import pytest
 
 from msgs.bus.interface import Envelope, Received
 from msgs.values.radar import RadarBeam
-from nodes.inputs.beam_queue import MOST_SCANS_WAITING, SHED_IN_A_ROW, BeamQueue
+from nodes.inputs.beam_queue import MAX_SCANS_WAITING, SHED_IN_A_ROW, BeamQueue
 
 BEAMS = 25
 
@@ -144,8 +144,8 @@ def test_a_flood_of_beams_of_one_scan_is_bounded() -> None:
     queue.take()
     for _ in range(20 * BEAMS):
         queue.put(beam(0, 1))
-    assert len(queue) == MOST_SCANS_WAITING * BEAMS
-    assert queue.shed_beams == (20 - MOST_SCANS_WAITING) * BEAMS
+    assert len(queue) == MAX_SCANS_WAITING * BEAMS
+    assert queue.shed_beams == (20 - MAX_SCANS_WAITING) * BEAMS
 
 
 def test_gaps_and_publishers_are_not_remembered_for_ever() -> None:

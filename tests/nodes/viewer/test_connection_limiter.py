@@ -17,7 +17,7 @@ import pytest
 
 from nodes.bev_viewer import Params, create
 from nodes.process.logs import BusLogHandler, install_handlers
-from nodes.viewer import connection_limiter as door_module
+from nodes.viewer import connection_limiter
 from nodes.viewer import server as server_module
 from nodes.viewer.newest import Board, json_text
 from nodes.viewer.server import ViewerServer
@@ -233,25 +233,25 @@ def test_strangers_that_never_end_their_requests_shut_nobody_out(
     server: ViewerServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """More than may stand there, each with half a request: the oldest had to go."""
-    monkeypatch.setattr(door_module, "MAX_VISITORS", 100)
+    monkeypatch.setattr(connection_limiter, "MAX_PENDING", 100)
     strangers = [knock(server, "GET / HTTP/1.1\r\nX: ") for _ in range(120)]
     try:
         until(lambda: len(server._server.server_state.connections) <= 100)
         assert status(answer(server, "/TOKEN/")) == 200
-        assert server._door.visitors <= 100
+        assert server._limiter.pending <= 100
         assert has_ended(strangers[0])
     finally:
         for stranger in strangers:
             stranger.close()
-    until(lambda: server._door.visitors == 0)
+    until(lambda: server._limiter.pending == 0)
 
 
 def test_a_stranger_does_not_stay(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nor one that sends a byte now and then: time counts from its arrival. A page is no stranger: it stays."""
     with ViewerServer(Board(), title="test") as server, page(server) as one:
         # no clock runs for it any more, however long its handshake took
-        until(lambda: server.clients == 1 and server._door.visitors == 0)
-        monkeypatch.setattr(door_module, "VISIT_S", 0.2)
+        until(lambda: server.clients == 1 and server._limiter.pending == 0)
+        monkeypatch.setattr(connection_limiter, "PENDING_S", 0.2)
         with knock(server, "GET / HTTP/1.1\r\nX: ") as slow:
             until(lambda: has_ended(slow, b"x"))
         assert answers(one)
@@ -268,7 +268,7 @@ def test_dead_pages_keep_neither_their_places_nor_their_sockets(monkeypatch: pyt
             stack.enter_context(page(server, buffer_bytes=4096))
         until(lambda: server.clients == 4)
         monkeypatch.setattr(server_module, "ACKNOWLEDGE_S", 0.1)
-        monkeypatch.setattr(door_module, "LEAVE_S", 0.1)
+        monkeypatch.setattr(connection_limiter, "LINGER_S", 0.1)
         board.post("view", lambda: (json_text({"type": "view"}), bytes(4_000_000)))
         until(lambda: server.clients == 0 and not server._server.server_state.connections)
         with page(server) as alive:
@@ -326,7 +326,7 @@ def test_what_comes_and_goes_leaves_nothing(server: ViewerServer) -> None:
 
     def held() -> tuple[int, int, int, int]:
         state = server._server.server_state
-        return len(os.listdir("/proc/self/fd")), len(state.connections), len(state.tasks), server._door.visitors
+        return len(os.listdir("/proc/self/fd")), len(state.connections), len(state.tasks), server._limiter.pending
 
     def come_and_go(number: int) -> None:
         kind = number % 4

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from msgs.values.radar import RadarParams
-from sim_player.effects import PATH_EFFECTS, PATHS
+from sim_player.effects.names import PATH_EFFECTS
+from sim_player.effects.table import PATHS
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.world import Snapshot, World, prepare, snapshot
 from sim_player.trace.echoes import Echoes

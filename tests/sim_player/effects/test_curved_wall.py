@@ -9,11 +9,13 @@ import pytest
 
 from models.physics.curved_mirror import focusing
 from models.physics.surface_integral import wall_field
-from sim_player.effects.curved_wall import NAME, as_chords
+from sim_player.effects.curved_wall import as_chords
 from sim_player.scene.description import SceneRadar
 from sim_player.scene.world import snapshot
 from sim_player.trace.snapshot import Tracing
 from tests.sim_player.effects.point_scenes import RADAR, one_way_field, points_world, traced, unit_weight, wall
+
+NAME = "curved_wall"
 
 ENDS = (15.0, -10.0), (15.0, 10.0)
 POINT = (5.0, 6.0, 1.0)

@@ -9,8 +9,10 @@ import pytest
 
 from models.physics.fresnel import coherent_power, half_space_reflection
 from models.physics.materials import permittivity
-from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD, NAME
+from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+
+NAME = "diffuse_scattering"
 
 FAR = [(-5.0, -300.0, 1.0)]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
-from sim_player.effects.edge_diffraction import NAME, edges_of
+from sim_player.effects.edge_diffraction import edges_of
 from sim_player.scene.world import World, snapshot
 from sim_player.trace.snapshot import Tracing
 from tests.sim_player.effects.point_scenes import (
@@ -22,6 +22,8 @@ from tests.sim_player.effects.point_scenes import (
     unit_weight,
     wall,
 )
+
+NAME = "edge_diffraction"
 
 #: So long that its other end is far off.
 SCREEN = wall((10.0, 0.0), (10.0, -4000.0))

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from models.physics.materials import permittivity
-from sim_player.effects.ground_bounce import NAME
 from sim_player.scene.description import Surface
 from tests.sim_player.effects.point_scenes import RADAR, WAVENUMBER, points_world, traced, unit_weight, wall
+
+NAME = "ground_bounce"
 
 GROUND = Surface(role="ground", material="asphalt")
 

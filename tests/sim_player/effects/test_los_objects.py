@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from msgs.values.perception import PathClass
-from sim_player.effects.los_objects import NAME
 from sim_player.scene.description import Scene, SceneObject
 from sim_player.scene.world import prepare
 from tests.sim_player.effects.point_scenes import points_world, traced, unit_weight, wall
+
+NAME = "los_objects"
 
 
 def test_radar_equation_and_direction() -> None:

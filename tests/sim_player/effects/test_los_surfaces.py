@@ -9,10 +9,11 @@ import pytest
 
 from models.physics.fresnel import coherent_power, slab_reflection
 from models.physics.materials import permittivity
-from sim_player.effects.los_surfaces import NAME
 from sim_player.scene.description import Ego
 from sim_player.trace.conversion import weights
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+
+NAME = "los_surfaces"
 
 FAR = [(-5.0, -300.0, 1.0)]
 

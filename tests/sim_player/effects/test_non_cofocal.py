@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from msgs.values.perception import PathClass
-from sim_player.effects.non_cofocal import NAME
 from sim_player.scene.description import Ego, SceneRadar
 from sim_player.trace.conversion import as_paths
 from tests.sim_player.effects.point_scenes import points_world, traced, unit_weight, wall
+
+NAME = "non_cofocal"
 
 POINT = (6.0, 5.0, 1.0)
 WALLS = (wall((12.0, -9.0), (12.0, 9.0)), wall((-9.0, -8.0), (9.0, -8.0)))

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from msgs.values.perception import PathClass
-from sim_player.effects.object_interreflection import NAME
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, wall
+
+NAME = "object_interreflection"
 
 ONE, TWO = (10.0, 2.0, 1.0), (13.0, -4.0, 0.5)
 

@@ -10,9 +10,10 @@ import pytest
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
 from models.physics.mirror import blocked, crossing_parameters, reflect, wall_from_ends
-from sim_player.effects.second_relay import NAME
 from sim_player.trace.echoes import Echoes
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+
+NAME = "second_relay"
 
 CORNER = (wall((10.0, -20.0), (10.0, 10.0)), wall((-20.0, 10.0), (10.0, 10.0)))
 HIDDEN = (2.0, -3.0, 1.0)

@@ -9,8 +9,9 @@ import pytest
 
 from models.physics.fresnel import coherent_power, slab_reflection
 from models.physics.materials import permittivity
-from sim_player.effects.specular_relay import NAME
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+
+NAME = "specular_relay"
 
 POINT = (4.0, 6.0, 2.0)
 

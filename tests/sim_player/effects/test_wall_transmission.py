@@ -10,11 +10,12 @@ import pytest
 
 from models.physics.fresnel import slab_transmission
 from models.physics.materials import permittivity
-from sim_player.effects import PATHS
-from sim_player.effects.wall_transmission import NAME
+from sim_player.effects.table import PATHS
 from sim_player.scene.description import Scene, SceneObject
 from sim_player.scene.world import prepare
 from tests.sim_player.effects.point_scenes import RADAR, points_world, traced, unit_weight, wall
+
+NAME = "wall_transmission"
 
 BEHIND = (12.0, 3.0, 1.0)
 

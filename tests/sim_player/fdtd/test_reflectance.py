@@ -148,7 +148,7 @@ def test_every_absent_cell_has_its_reason(table: ReflectanceTable) -> None:
     assert len(rows) == np.count_nonzero(table.status != MEASURED)
     assert {row[-1] for row in rows} <= set(STATUS[1:])
     assert np.isnan(table.specular_share[table.status != MEASURED]).all()
-    assert (table.error_db[table.status == MEASURED] <= reflectance.MOST_ERROR_DB).all()
+    assert (table.error_db[table.status == MEASURED] <= reflectance.MAX_ERROR_DB).all()
 
 
 def test_a_changed_file_is_refused(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from sim_player.generate.placement import Boxes, Walls, chords, hidden, images, 
 from sim_player.generate.places import (
     CLASS_SHARE,
     GROUND_SHARE,
-    MOST_SPEED_MPS,
+    MAX_SPEED_MPS,
     PLACE_KINDS,
     Place,
     draw_place,
@@ -200,7 +200,7 @@ def test_motion_only_if_asked() -> None:
     assert all(scene.ego.speed_mps > 0.0 for scene in scenes)
     speeds = [(thing.class_, thing.speed_mps) for scene in scenes for thing in scene.objects]
     assert any(speed > 5.0 for _, speed in speeds)
-    assert all(0.0 <= speed <= MOST_SPEED_MPS[name] for name, speed in speeds)
+    assert all(0.0 <= speed <= MAX_SPEED_MPS[name] for name, speed in speeds)
 
 
 @pytest.mark.parametrize(

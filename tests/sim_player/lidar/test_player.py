@@ -11,7 +11,7 @@ import pytest
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from sim_player.lidar.player import BLOCK, LidarPlayer
-from sim_player.lidar.spad import SpadOptions, Way, expected_histograms
+from sim_player.lidar.spad import LightRoute, SpadOptions, expected_histograms
 from sim_player.scene.description import Scene, load_scene
 from sim_player.trace.ray_tracing import prepare, trace
 from sim_player.trace.truth import scene_truth
@@ -58,7 +58,7 @@ def test_what_moves_moves_within_a_scan() -> None:
 
     def car_at_51(ego_mps: float, scan: int) -> float:
         paths = LidarPlayer(hidden_car(ego_mps=ego_mps)).paths(scan)
-        car = (paths.thing == 0) & (paths.way == Way.MIRROR) & (paths.azimuth_index == 51)
+        car = (paths.thing == 0) & (paths.route == LightRoute.MIRROR) & (paths.azimuth_index == 51)
         return float(paths.range_m[car][0])
 
     cosine = np.cos(np.radians(36.0))
@@ -104,7 +104,7 @@ def test_the_hidden_car_stands_over_the_ambient_light() -> None:
 
 def test_options_reach_the_histograms() -> None:
     player = LidarPlayer(hidden_car(), options=SpadOptions(nlos=()))
-    assert set(player.paths(0).way.tolist()) == {Way.DIRECT}
+    assert set(player.paths(0).route.tolist()) == {LightRoute.DIRECT}
 
 
 @pytest.mark.parametrize(

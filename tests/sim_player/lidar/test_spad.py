@@ -16,9 +16,9 @@ from msgs.values.radar import RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.lidar.optical_surfaces import _cut, _split
 from sim_player.lidar.spad import (
+    LightRoute,
     OpticalPaths,
     SpadOptions,
-    Way,
     expected_histograms,
     join_paths,
     label_paths,
@@ -55,9 +55,11 @@ def plate(x_m: float, y_m: float, size_m: float = 0.2, yaw_deg: float = 0.0, z_m
     )
 
 
-def found(scene: Scene, setup: LidarSetup, options: SpadOptions = SURE, way: Way | None = None) -> OpticalPaths:
+def found(
+    scene: Scene, setup: LidarSetup, options: SpadOptions = SURE, route: LightRoute | None = None
+) -> OpticalPaths:
     paths = optical_paths(prepare(scene), setup, 0.0, options)
-    return paths if way is None else paths.take(paths.way == way)
+    return paths if route is None else paths.take(paths.route == route)
 
 
 @pytest.mark.parametrize("range_m", [3.0, 10.25, 47.0])
@@ -96,14 +98,14 @@ def slanted(roughness_mm: float = 0.0, material: str = "glass") -> Scene:
 
 def test_mirror_path_ends_at_the_image() -> None:
     """The image of (6, 5) in x - y = 6 is (11, 0): 11 m, and R_s^2 of the direct return from there."""
-    path = found(slanted(), lidar(), way=Way.MIRROR)
+    path = found(slanted(), lidar(), route=LightRoute.MIRROR)
     assert path.range_m[0] == pytest.approx(11.0, abs=1e-9)
     assert path.kind[0] == PathClass.MIRRORED
     assert path.thing[0] == 0
     mirror = float(fresnel_power(1.51, math.sqrt(0.5)))
     white = matt_albedo(OPTICAL["plasterboard"])
     assert path.photons[0] == pytest.approx(photons_per_pulse(DARK) * mirror**2 * white * (5e-3 / 11.0) ** 2, rel=1e-6)
-    printed = found(slanted(), lidar(), SpadOptions(fresnel="printed"), way=Way.MIRROR)
+    printed = found(slanted(), lidar(), SpadOptions(fresnel="printed"), route=LightRoute.MIRROR)
     factor = float(fresnel_power(1.51, math.sqrt(0.5), "printed")) / mirror
     assert printed.photons[0] / path.photons[0] == pytest.approx(factor**2, rel=1e-9)
 
@@ -122,7 +124,7 @@ def test_mirror_path_ends_at_the_image() -> None:
 def test_what_stands_on_a_leg_takes_the_mirrored_light(blocker: SceneObject, mirrored: list[tuple[int, float]]) -> None:
     """Before the wall, between wall and plate, behind the plate, behind the wall, above: object and range seen."""
     scene = slanted()
-    paths = found(msgspec.structs.replace(scene, objects=(*scene.objects, blocker)), lidar(), way=Way.MIRROR)
+    paths = found(msgspec.structs.replace(scene, objects=(*scene.objects, blocker)), lidar(), route=LightRoute.MIRROR)
     assert [(thing, pytest.approx(range_m)) for thing, range_m in mirrored] == list(
         zip(paths.thing.tolist(), paths.range_m.tolist(), strict=True)
     )
@@ -131,18 +133,18 @@ def test_what_stands_on_a_leg_takes_the_mirrored_light(blocker: SceneObject, mir
 def test_rough_wall_has_no_mirror_and_more_scattered_light() -> None:
     """0.1 mm at 850 nm: the mirror is gone, its light is in the diffuse return and in the confocal one."""
     smooth, rough = (found(slanted(roughness_mm), lidar()) for roughness_mm in (0.0, 0.1))
-    assert set(smooth.way.tolist()) == {Way.DIRECT, Way.MIRROR, Way.DIFFUSE}
-    assert set(rough.way.tolist()) == {Way.DIRECT, Way.DIFFUSE}
+    assert set(smooth.route.tolist()) == {LightRoute.DIRECT, LightRoute.MIRROR, LightRoute.DIFFUSE}
+    assert set(rough.route.tolist()) == {LightRoute.DIRECT, LightRoute.DIFFUSE}
     face = float(fresnel_power(1.51, math.sqrt(0.5)))
     inside = (1.0 - face) * OPTICAL["glass"].albedo
     assert rough.photons[0] / smooth.photons[0] == pytest.approx((inside + face) / inside, rel=1e-9)
-    light = [one.photons[one.way == Way.DIFFUSE].sum() for one in (smooth, rough)]
+    light = [one.photons[one.route == LightRoute.DIFFUSE].sum() for one in (smooth, rough)]
     assert light[1] / light[0] == pytest.approx(((inside + face) / inside) ** 2, rel=1e-9)
 
 
 def test_foliage_scatters_and_mirrors_nothing() -> None:
     paths = found(slanted(material="hedge"), lidar())
-    assert set(paths.way.tolist()) == {Way.DIRECT, Way.DIFFUSE}
+    assert set(paths.route.tolist()) == {LightRoute.DIRECT, LightRoute.DIFFUSE}
     expected = photons_per_pulse(DARK) * 0.5 * math.sqrt(0.5) * (5e-3 / 6.0) ** 2
     assert paths.photons[0] == pytest.approx(expected, rel=1e-6)
 
@@ -159,7 +161,7 @@ def test_confocal_return_by_hand(leg_m: float) -> None:
         wall((4.0, -2.0), (8.0, 2.0), material="plasterboard", roughness_mm=0.1),
         objects=(plate(6.0, leg_m, yaw_deg=-90.0),),
     )
-    paths = found(scene, lidar(), way=Way.DIFFUSE)
+    paths = found(scene, lidar(), route=LightRoute.DIFFUSE)
     slant, albedo = math.sqrt(0.5), OPTICAL["plasterboard"].albedo
     face = float(fresnel_power(1.52, slant))
     relay, white = face + (1.0 - face) * albedo, matt_albedo(OPTICAL["plasterboard"])
@@ -176,11 +178,11 @@ def test_confocal_return_of_a_car_is_blocked_by_walls_and_by_itself() -> None:
     """A car to the left of the spot returns from its near side alone; behind another wall nothing is left."""
     relay, car = wall((10.0, -3.0), (10.0, 12.0), material="plasterboard"), SceneObject(class_="car", x_m=5.0, y_m=6.0)
     between = wall((1.0, 3.0), (9.9, 3.0), material="concrete", role="occluder")
-    seen = found(place(relay, objects=(car,)), lidar(), way=Way.DIFFUSE)
+    seen = found(place(relay, objects=(car,)), lidar(), route=LightRoute.DIFFUSE)
     # from (10, 0, 1) the nearest patch centre is 6.1 m off, the last ones in sight lie by the far end
     assert 10.0 + math.hypot(2.75, 5.1) - 0.2 < seen.range_m.min() < 10.0 + math.hypot(2.75, 5.1) + 0.2
     assert seen.range_m.max() < 10.0 + math.hypot(7.25, 5.1) + 0.2
-    assert len(found(place(relay, between, objects=(car,)), lidar(), way=Way.DIFFUSE)) == 0
+    assert len(found(place(relay, between, objects=(car,)), lidar(), route=LightRoute.DIFFUSE)) == 0
 
 
 def test_curved_mirror_spreads_light() -> None:
@@ -193,7 +195,7 @@ def test_curved_mirror_spreads_light() -> None:
         found(
             place(wall((10.0 + sag, -4.0), (10.0 + sag, 4.0), curvature_per_m=curvature), behind),
             lidar(),
-            way=Way.MIRROR,
+            route=LightRoute.MIRROR,
         )
         for sag, curvature in ((0.0, 0.0), (20.0 - math.sqrt(20.0**2 - 16.0), -0.05))
     )
@@ -231,7 +233,7 @@ def test_azimuths_alone_are_the_same_as_in_the_whole() -> None:
     whole = optical_paths(world, lidar(grid=grid), 0.0, SURE)
     parts = [optical_paths(world, lidar(grid=grid), 0.0, SURE, np.arange(start, start + 1)) for start in range(41)]
     joined = join_paths(parts)
-    order = [np.lexsort((one.range_m, one.way, one.azimuth_index)) for one in (whole, joined)]
+    order = [np.lexsort((one.range_m, one.route, one.azimuth_index)) for one in (whole, joined)]
     np.testing.assert_array_equal(whole.azimuth_index[order[0]], joined.azimuth_index[order[1]])
     np.testing.assert_allclose(whole.photons[order[0]], joined.photons[order[1]], rtol=1e-12)
 
@@ -242,13 +244,13 @@ def test_what_is_skipped_is_under_its_bound_and_the_budget() -> None:
         world, setup = prepare(scene), lidar(msgspec.structs.replace(DARK, measurement_time_s=0.03))
         plans = {plan.name: plan for plan in plan_optics(world, setup)}
         every = optical_paths(world, setup, 0.0, SURE)
-        for name, way in (("mirror", Way.MIRROR), ("diffuse", Way.DIFFUSE)):
-            there = setup.spad.pulses * every.photons[every.way == way].sum()
+        for name, way in (("mirror", LightRoute.MIRROR), ("diffuse", LightRoute.DIFFUSE)):
+            there = setup.spad.pulses * every.photons[every.route == way].sum()
             assert there <= plans[name].bound
             assert plans[name].used == (name in used) == (plans[name].bound > 1e-3)
         kept = optical_paths(world, setup)
-        ways = {Way.MIRROR: "mirror", Way.DIFFUSE: "diffuse"}
-        assert {ways[way] for way in kept.way.tolist() if way != Way.DIRECT} == used
+        ways = {LightRoute.MIRROR: "mirror", LightRoute.DIFFUSE: "diffuse"}
+        assert {ways[way] for way in kept.route.tolist() if way != LightRoute.DIRECT} == used
         assert plans["closed_form"].used
         assert not plans["carry_over"].used
     assert not any(plan.used for plan in plan_optics(world, setup, 0.0, SpadOptions(nlos=()))[:2])
@@ -306,7 +308,7 @@ def test_labels_make_the_same_mirror_path() -> None:
     assert len(images)
     assert set(images.thing.tolist()) == {0}
     rays = optical_paths(world, setup)
-    rays = rays.take((rays.way == Way.MIRROR) & (rays.thing == 0))
+    rays = rays.take((rays.route == LightRoute.MIRROR) & (rays.thing == 0))
     assert rays.range_m.min() - 0.3 < images.range_m.min()
     assert images.range_m.max() < rays.range_m.max() + 5.0
     mirror = images.photons / (photons_per_pulse(DARK) * OBJECT_ALBEDO["car"] * (5e-3 / images.range_m) ** 2)
@@ -314,7 +316,7 @@ def test_labels_make_the_same_mirror_path() -> None:
     assert np.all((mirror > least) & (mirror < most))
     direct = paths.take(paths.kind == PathClass.LOS)
     assert -1 in direct.thing
-    assert np.all(direct.way == Way.DIRECT)
+    assert np.all(direct.route == LightRoute.DIRECT)
 
 
 def test_cut_and_split_of_meshes() -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
 from sim_player.planner.bounds import Envelope, _overlap_kernel, swept_pattern
 from sim_player.scene.front_end import NO_FAULTS

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from models.physics.waveform import window_noise_gain
-from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, SIGNAL_EFFECTS, WEIGHT_EFFECTS
+from sim_player.effects.names import PATH_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS, SIGNAL, WEIGHTS
 from sim_player.generate.places import random_place
+from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
 from sim_player.planner.plan import Plan, choose, chosen, clean_profiles, plan_effects, plan_world, planned_profiles
-from sim_player.planner.plan import plan as planner
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
@@ -175,7 +176,7 @@ def test_choices_by_word() -> None:
     some = choose(world, asked.setup, "los_objects, thermal_noise")
     assert some is not None
     assert some.used == {"los_objects", "thermal_noise"}
-    assert set(PATH_EFFECTS + WEIGHT_EFFECTS + SIGNAL_EFFECTS) == set(ALL_EFFECTS)
+    assert {*PATH_EFFECTS, *WEIGHTS, *SIGNAL} == ALL_EFFECTS
 
 
 @pytest.mark.parametrize("bad", ["", " , ", "magic", "los_objects,magic"])

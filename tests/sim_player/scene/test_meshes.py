@@ -101,10 +101,10 @@ def test_unknown_format_and_absurd_sizes_are_refused(tmp_path: Path, monkeypatch
     with pytest.raises(ValueError, match=r"format: must be one of \.obj, .*, got '\.dae'"):
         load_mesh(written(tmp_path, TETRAHEDRON, "x.dae"))
     path = written(tmp_path, TETRAHEDRON)
-    monkeypatch.setattr(meshes, "MOST_FACES", 3)
+    monkeypatch.setattr(meshes, "MAX_FACES", 3)
     with pytest.raises(ValueError, match="faces: at most 3, got 4: simplify"):
         load_mesh(path)
-    monkeypatch.setattr(meshes, "MOST_BYTES", 10)
+    monkeypatch.setattr(meshes, "MAX_BYTES", 10)
     with pytest.raises(ValueError, match="size: at most"):
         load_mesh(path)
 

@@ -246,7 +246,7 @@ def test_interior_faces_are_left_out() -> None:
 
 def test_large_meshes_get_larger_patches() -> None:
     """A bus keeps the bound on the number of patches by growing them, and says how large they are."""
-    pieces = patches(box(12.0, 2.55, 3.1), most=200)
+    pieces = patches(box(12.0, 2.55, 3.1), max_patches=200)
     assert len(pieces) <= 200
     assert pieces.patch_m > mesh_rcs.PATCH_M
     assert pieces.area_m2.sum() == pytest.approx(2.0 * (12.0 * 2.55 + 12.0 * 3.1 + 2.55 * 3.1))
@@ -261,8 +261,8 @@ def test_large_meshes_get_larger_patches() -> None:
         (lambda m: mesh_rcs_m2(m, X, XBAND_M, ray_spacing_m=0.0), "ray_spacing_m must be finite and positive"),
         (lambda m: mesh_rcs_m2(m, X, XBAND_M, ray_spacing_m=1e-5), "ray_spacing_m: at most 16000000 rays, got"),
         (lambda m: patches(m, patch_m=-1.0), "patch_m must be finite and positive"),
-        (lambda m: patches(m, most=0), "most must be at least 1"),
-        (lambda m: patches(m, most=1), "most: the faces of plate point 2 ways, got 1 patches"),
+        (lambda m: patches(m, max_patches=0), "most must be at least 1"),
+        (lambda m: patches(m, max_patches=1), "most: the faces of plate point 2 ways, got 1 patches"),
         (lambda m: mesh_centres(box(1, 1, 1, "cheese"), XBAND_M), "unknown material 'cheese'"),
     ],
 )

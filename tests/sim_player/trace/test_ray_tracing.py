@@ -15,7 +15,8 @@ from models.physics.materials import permittivity
 from models.physics.mirror import reflect, specular_points
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams, RadarSetup
-from sim_player.effects.names import ALL_EFFECTS, PATH_EFFECTS, bit
+from sim_player.effects.names import PATH_EFFECTS, bit
+from sim_player.effects.table import ALL_EFFECTS
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.trace.conversion import weights
 from sim_player.trace.echoes import Echoes

@@ -34,7 +34,7 @@ from msgs.values.diagnostics import NodeState, NodeStatus, ShedCount, TopicCount
 from msgs.values.perception import BevFrame, BevGrid
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
-from nodes.inputs.beam_queue import MOST_SCANS_WAITING, BeamQueue
+from nodes.inputs.beam_queue import MAX_SCANS_WAITING, BeamQueue
 from nodes.node import Stop
 
 ANSWER = "perception/hidden_objects"
@@ -403,14 +403,14 @@ def test_a_node_that_never_connects_ends_it(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_paced_beams_are_all_folded_up_to_what_only_a_flood_would_pile() -> None:
-    most = MOST_SCANS_WAITING * BEAMS
+    most = MAX_SCANS_WAITING * BEAMS
     for paced, kept in ((False, 0), (True, most)):
         queue = BeamQueue(0.5)
         queue.load = 5.0
         for number in range(most):
             queue.put(received("radar/beam", beam(number // BEAMS, number % BEAMS), paced, number))
         assert (len(queue) == kept) if paced else (queue.shed_scans > 0)
-    queue.put(received("radar/beam", beam(MOST_SCANS_WAITING, 0), True, most))
+    queue.put(received("radar/beam", beam(MAX_SCANS_WAITING, 0), True, most))
     assert (len(queue), queue.shed_beams) == (most, 1)
 
 

@@ -151,7 +151,7 @@ def steady(speed_mps: float) -> Drive:
 
 
 def peaks_recording(path: Path, way: Drive, scans: int) -> Path:
-    """The yard of tests/vehicle as peaks, with the bus's states, as a recording without raw beams holds them."""
+    """The yard of tests/models/vehicle as peaks, with the bus's states, as a recording without raw beams holds them."""
     by_stamp: dict[int, list[np.ndarray]] = {}
     for one in sightings(way, scans):
         by_stamp.setdefault(one.stamp_ns, []).append(one.points_m)
@@ -182,7 +182,7 @@ def peaks(stamp_ns: int, scan_id: int, points_m: np.ndarray) -> Peaks:
 
 
 def test_mounting_and_clock_of_a_recorded_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """0.2 m, 2 deg and 80 ms put in; tolerance as in tests/vehicle, and the files are what the graph takes."""
+    """0.2 m, 2 deg and 80 ms put in; tolerance as in tests/models/vehicle, and the files are what the graph takes."""
     recording = peaks_recording(tmp_path / "drive.mcap", drive(), 60)
     mount, clock = tmp_path / "mount.yaml", tmp_path / "clock.yaml"
     prior = ("--prior", PRIOR.x_m, PRIOR.y_m, 0.0)

@@ -12,10 +12,9 @@ import pytest
 
 from mirrorwave.api import views
 from mirrorwave.cli import main
+from mirrorwave.convert.result_lines import bev_to_json, track_to_json
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
-from models.perception.geometry.objects import bev_to_json
-from models.perception.tracking.tracker import track_to_json
 from msgs.recording.mcap import RecordingWriter, info
 from msgs.values.radar import BeamGrid
 from msgs.values.vehicle import VehicleState
@@ -52,10 +51,10 @@ def test_process_is_the_chain_cut_at_the_topics(capture: Path, tmp_path: Path) -
     once = (tmp_path / "once" / "objects.jsonl").read_bytes()
     assert once == (tmp_path / "twice" / "objects.jsonl").read_bytes()
     player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))
-    chain = Chain(player.setup, CfarDetector(player.setup))
+    chain = Chain.of(player.setup, CfarDetector(player.setup))
     state = player.vehicle_state(0)
-    frames = [frame for scan in (0, 1) for index in range(25) for frame in chain.add(player.beam(scan, index), state)]
-    assert once.decode() == "".join(json.dumps(bev_to_json(frame)) + "\n" for frame in frames)
+    views = [view for scan in (0, 1) for index in range(25) for view in chain.add(player.beam(scan, index), state)]
+    assert once.decode() == "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in views)
 
 
 def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
@@ -69,7 +68,7 @@ def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
     lines = [json.loads(line) for line in (tmp_path / "tracks.jsonl").read_text().splitlines()]
     assert [line["scan_id"] for line in lines] == [0, 1, 2, 3, 4]
     player = scene_player(Params(scene=drive, chirps_per_beam=chirps))
-    chain = Chain(player.setup, CfarDetector(player.setup))
+    chain = Chain.of(player.setup, CfarDetector(player.setup))
     views = [
         view
         for scan in range(5)
@@ -77,7 +76,7 @@ def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
         for view in chain.add(player.beam(scan, index), player.vehicle_state(player.stamp_ns(scan, index)))
     ]
     assert lines[-1]["tracks"]
-    expected = [json.dumps([track_to_json(one) for one in view.tracks]) for view in views]
+    expected = [json.dumps([track_to_json(one) for one in view.frame.tracks]) for view in views]
     assert [json.dumps(line["tracks"]) for line in lines] == expected
 
 

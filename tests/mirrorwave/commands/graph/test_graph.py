@@ -12,8 +12,8 @@ from xml.etree import ElementTree
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.commands.graph.graph import GraphNode, GraphPicture, Link, launch_picture, layers, text_lines
 from mirrorwave.diagnose.graph_drawing import _boxes, _layout, _places, dot_text, svg_text
+from mirrorwave.diagnose.graph_picture import GraphNode, GraphPicture, Link, launch_picture, layers, text_lines
 
 SVG = "{http://www.w3.org/2000/svg}"
 

@@ -17,7 +17,7 @@ import pytest
 import zmq
 
 from mirrorwave.cli import main
-from mirrorwave.commands.graph import topics as topic_verbs
+from mirrorwave.diagnose import topic_rates
 from mirrorwave.diagnose.foreign_topic import decode_foreign
 from mirrorwave.diagnose.topic_delay import DelayWatch
 from mirrorwave.diagnose.topic_echo import CsvLines, field_of, parse_condition, text_lines
@@ -286,9 +286,9 @@ def measured(
             for at_s, by, count in arrivals
         ]
     )
-    monkeypatch.setattr(topic_verbs, "_listen", lambda domain, topics: bus)
-    monkeypatch.setattr(topic_verbs.time, "monotonic", lambda: bus.now_s)
-    return topic_verbs._measure(["vehicle/state"], duration_s, "default")
+    monkeypatch.setattr(topic_rates, "listen", lambda domain, topics: bus)
+    monkeypatch.setattr(topic_rates.time, "monotonic", lambda: bus.now_s)
+    return topic_rates.measure(["vehicle/state"], duration_s, "default")
 
 
 def test_a_message_that_comes_late_is_not_a_flood(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -424,7 +424,7 @@ def test_without_a_graph_one_line_says_so(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr("mirrorwave.diagnose.running_graph.FIND_S", 0.2)
-    monkeypatch.setattr("mirrorwave.commands.graph.topics.FIND_S", 0.2)
+    monkeypatch.setattr("mirrorwave.diagnose.topic_rates.FIND_S", 0.2)
     monkeypatch.chdir(tmp_path)
     assert main(words) == 1
     said = capsys.readouterr()

@@ -14,11 +14,11 @@ from mirrorwave import cli
 from mirrorwave.studies.compare import runner as compare_run
 from mirrorwave.studies.compare.evaluation import Score, score
 from mirrorwave.studies.compare.figures import draw_comparison
-from mirrorwave.studies.compare.report import Reach, Report, Row, make_report, markdown, roughness_loss_db, write_report
+from mirrorwave.studies.compare.report import Reach, Report, Row, make_report, markdown, roughness_loss_db
 from mirrorwave.studies.compare.runner import Plan, SceneResult, Seen, run_plan
 from mirrorwave.studies.compare.scene import sensors_of
 from mirrorwave.studies.compare.sensors import SENSORS, Sight, SpadSensor, count_threshold
-from mirrorwave.studies.tradeoff.report import Interval
+from mirrorwave.studies.report import Interval, write_report
 from sim_player.generate.comparison_scenes import Corner, corner_scene, shown_points
 from sim_player.scene.description import load_scene
 from tests.mirrorwave.figures import assert_readable_at_page_width
@@ -47,7 +47,7 @@ def test_all_files_are_written_and_say_the_same(
     made: tuple[Path, list[SceneResult], Report], saved_figures: list[Figure]
 ) -> None:
     out, _, report = made
-    write_report(report, out)
+    write_report(out, "compare", report, markdown(report))
     draw_comparison(report, out / "compare.png")
     assert msgspec.json.decode((out / "compare.json").read_bytes(), type=Report) == report
     text = (out / "compare.md").read_text()
@@ -132,14 +132,11 @@ def test_a_run_goes_on_and_gives_the_same(
     made: tuple[Path, list[SceneResult], Report], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out, results, _ = made
-    first = out / "scenes" / "range-000-000.msgpack"
-    first.unlink()
+    (out / "scenes" / "range-000-000.msgpack").unlink()
     looked = []
-    monkeypatch.setattr(
-        compare_run, "run_job", lambda job, run=compare_run.run_job: (looked.append(job.path), run(job))
-    )
+    monkeypatch.setattr(compare_run, "run_job", lambda job, run=compare_run.run_job: looked.append(job) or run(job))
     again = run_plan(PLAN, out)
-    assert looked == [first]
+    assert [(job.sweep, job.index, job.viewpoint) for job in looked] == [("range", 0, 0)]
     scores = [{name: one.score for name, one in result.seen.items()} for result in (*results, *again)]
     assert scores[: len(results)] == scores[len(results) :]
     with pytest.raises(ValueError, match=r"plan\.json: out must be a new folder or hold the same run"):
@@ -219,7 +216,7 @@ def test_a_damaged_result_is_named(tmp_path: Path) -> None:
     run_plan(plan, tmp_path)
     path = tmp_path / "scenes" / "range-000-000.msgpack"
     path.write_bytes(path.read_bytes()[:20])
-    with pytest.raises(ValueError, match=r"range-000-000\.msgpack: .*without this file its scene is looked at again"):
+    with pytest.raises(ValueError, match=r"range-000-000\.msgpack: .*without this file its job is done again"):
         run_plan(plan, tmp_path)
 
 

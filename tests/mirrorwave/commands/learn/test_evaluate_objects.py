@@ -11,7 +11,7 @@ import msgspec
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.commands.learn.evaluate_objects import ObjectRequest, measured, tables
+from mirrorwave.studies.evaluate.object_report import ObjectRequest, measured, tables
 from mirrorwave.studies.evaluate.objects import (
     ObjectPlan,
     ObjectSet,
@@ -20,10 +20,8 @@ from mirrorwave.studies.evaluate.objects import (
     read_sets,
     run_objects,
 )
-from mirrorwave.studies.tradeoff.profile_chain import ProfileParts, profile_setting
-from mirrorwave.studies.tradeoff.settings import Setting
+from mirrorwave.studies.tradeoff.settings import profile_setting
 from models.evaluation.object_metrics import FOUND_M
-from msgs.values.radar import RadarSetup
 from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.generate.places import draw_place
 from sim_player.scene.description import scene_to_yaml
@@ -139,7 +137,7 @@ def test_loss_of_several_sets_is_their_mean(monkeypatch: pytest.MonkeyPatch, tmp
     sets = read_sets()
     small = {name: ObjectSet(seed=seed, places=1, effects="basic") for name, seed in (("a", 1), ("b", 2))}
     monkeypatch.setattr(
-        "mirrorwave.commands.learn.evaluate_objects.read_sets",
+        "mirrorwave.studies.evaluate.object_report.read_sets",
         lambda: msgspec.structs.replace(sets, sets=small, false_cost=0.25),
     )
     request = ObjectRequest(
@@ -174,12 +172,6 @@ def test_options_that_do_not_fit_are_refused_in_one_line(
     err = capsys.readouterr().err.strip()
     assert fault in err
     assert "\n" not in err
-
-
-def test_a_residual_network_is_refused_outside_the_graph() -> None:
-    setting = Setting(switch="profile", value="own", params={"geometry": {"residual": "r.onnx"}})
-    with pytest.raises(ValueError, match=r"own: geometry\.residual must be none outside the graph, got 'r\.onnx'"):
-        ProfileParts.of(setting, RadarSetup())
 
 
 def test_progress_is_counted_for_every_place(tmp_path: Path) -> None:

@@ -15,17 +15,17 @@ import typer
 from typer.testing import CliRunner
 
 from mirrorwave.commands.learn.tradeoff import tradeoff
+from mirrorwave.node_chain import STAGE_PARAMS
+from mirrorwave.studies.report import Interval, Times
 from mirrorwave.studies.tradeoff.report import (
-    Interval,
     Report,
     Row,
-    Times,
     latency_ms,
     measuring_ms,
     read_report,
     with_front,
 )
-from mirrorwave.studies.tradeoff.runner import BEFORE, PARAMS, PARTS, Plan, peak_memory_mib, run_plan
+from mirrorwave.studies.tradeoff.runner import BEFORE, PARTS, Plan, peak_memory_mib, run_plan
 from mirrorwave.studies.tradeoff.settings import Setting, read_settings
 from models.perception.detection.cfar import CfarParams, cfar_peaks
 from models.perception.detection.onnx_model import DEFAULT_MODEL
@@ -58,7 +58,7 @@ def test_every_committed_row_sets_what_its_nodes_know() -> None:
     assert len(rows) >= 40
     for row in rows:
         for stage, params in row.params.items():
-            convert_at(params, PARAMS[stage], f"{row.name}: {stage}")
+            convert_at(params, STAGE_PARAMS[stage], f"{row.name}: {stage}")
 
 
 def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Report]) -> None:
@@ -175,8 +175,8 @@ def test_the_front_is_what_none_beats_in_both() -> None:
 
 
 def test_the_documented_schema_is_that_of_the_report() -> None:
-    """`python -c "..."` of docs/formats.md writes it anew."""
-    documented = json.loads((CHECKOUT / "docs" / "tradeoff.schema.json").read_text())
+    """`python -c "..."` of docs/guides/formats.md writes it anew."""
+    documented = json.loads((CHECKOUT / "docs" / "results" / "tradeoff.schema.json").read_text())
     assert documented == msgspec.json.schema(Report)
 
 

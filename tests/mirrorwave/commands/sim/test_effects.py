@@ -11,7 +11,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from mirrorwave.cli import main
-from sim_player.effects.names import ALL_EFFECTS
+from sim_player.effects.table import ALL_EFFECTS
 from tests.mirrorwave.figures import assert_readable_at_page_width
 
 SCENE = "launch/scenes/corner.yaml"

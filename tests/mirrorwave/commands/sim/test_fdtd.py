@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from mirrorwave.commands.sim import fdtd as sim_fdtd
 from mirrorwave.commands.sim.fdtd import reflectance, wall
 from mirrorwave.console import error_line, exit_code_of
+from mirrorwave.studies.walls import transmission
 from sim_player.fdtd import Experiment
 from sim_player.fdtd.reflectance import Entry
 
@@ -46,7 +46,7 @@ def test_a_beam_is_drawn(
     options: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """3 cm of concrete in a small domain: square cells, 10 a wavelength, come within 1 dB in R and 5 % in T (dB)."""
-    monkeypatch.setattr(sim_fdtd, "layout", lambda layers, frequency_hz: Experiment(0.3, 0.07, 0.06, 0.04))
+    monkeypatch.setattr(transmission, "layout", lambda layers, frequency_hz: Experiment(0.3, 0.07, 0.06, 0.04))
     run(wall, f"--thickness-mm 30 --json --plot {tmp_path / 'a.png'} {options}")
     found = json.loads(capsys.readouterr().out)
     assert (tmp_path / "a.png").stat().st_size > 20_000

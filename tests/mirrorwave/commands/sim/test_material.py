@@ -12,14 +12,15 @@ import numpy as np
 import pytest
 import typer
 
-from mirrorwave.commands.sim.material import material, overview, parse_angles
+from mirrorwave.commands.sim.material import material
 from mirrorwave.console import error_line, exit_code_of
+from mirrorwave.studies.walls.curves import overview, parse_angles
 from models.physics.attenuation import gas_db_per_m, rain_db_per_m, vegetation_db
 from models.physics.fresnel import slab_reflection, slab_transmission, stack_reflection, stack_transmission
 from models.physics.materials import permittivity, wall_layers
 from msgs.files.shipped import CHECKOUT
 
-PAGE = CHECKOUT / "docs" / "materials.md"
+PAGE = CHECKOUT / "docs" / "explain" / "materials.md"
 WAVELENGTH_M = 299_792_458.0 / 10e9
 
 
@@ -208,7 +209,7 @@ def test_without_a_name_all_are_listed(capsys: pytest.CaptureFixture[str]) -> No
 
 
 def test_the_page_shows_the_figures_of_the_code() -> None:
-    """`docs/materials.md` holds the table that `mirrorwave sim material` prints, row by row."""
+    """`docs/explain/materials.md` holds the table that `mirrorwave sim material` prints, row by row."""
     lines = PAGE.read_text().splitlines()
     for row in (list(overview()[0]), *(list(row.values()) for row in overview())):
         assert "| " + " | ".join(row) + " |" in lines

@@ -11,9 +11,10 @@ from typer.testing import CliRunner
 
 from mirrorwave.commands.graph.launch import launch
 from mirrorwave.profiles import profile_names
+from mirrorwave.studies.report import Interval, Times
 from mirrorwave.studies.tradeoff import latency_budget
 from mirrorwave.studies.tradeoff.latency_budget import Timed, measure, pick, reason, timed_profiles
-from mirrorwave.studies.tradeoff.report import Interval, Report, Row, Times
+from mirrorwave.studies.tradeoff.report import Report, Row
 from mirrorwave.studies.tradeoff.settings import Setting, profiles
 from models.training.files import json_lines
 

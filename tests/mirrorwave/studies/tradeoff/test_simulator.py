@@ -7,6 +7,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from mirrorwave.studies.report import write_report
 from mirrorwave.studies.tradeoff import simulator as tradeoff_simulator
 from mirrorwave.studies.tradeoff import simulator_cases as tradeoff_simulator_cases
 from mirrorwave.studies.tradeoff.simulator import (
@@ -17,7 +18,6 @@ from mirrorwave.studies.tradeoff.simulator import (
     run_simulator_plan,
     simulator_markdown,
     simulator_plan,
-    write_simulator_report,
 )
 from mirrorwave.studies.tradeoff.simulator_cases import BODIES, GROUPS, SAME_DB
 from mirrorwave.studies.tradeoff.simulator_figures import draw_simulator
@@ -183,7 +183,7 @@ def test_levels_agree_and_the_literal_one_runs_once(tmp_path: Path, monkeypatch:
 def test_report_reads_back_and_draws_the_same_bytes(made: tuple[Path, SimulatorReport], tmp_path: Path) -> None:
     """A group that is not there, or of which nothing is sound, leaves its panel empty."""
     report = made[1]
-    write_simulator_report(report, tmp_path)
+    write_report(tmp_path, "tradeoff-simulator", report, simulator_markdown(report))
     read = msgspec.json.decode((tmp_path / "tradeoff-simulator.json").read_bytes(), type=SimulatorReport)
     assert read == report
     assert (tmp_path / "tradeoff-simulator.md").read_text() == simulator_markdown(report)

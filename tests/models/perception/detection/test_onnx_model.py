@@ -137,7 +137,7 @@ def test_all_that_is_wrong_is_said_at_once(model: Path) -> None:
         "net.onnx: sha256 must be ",
         "net.json: card.input_shape must be (1, 5, 32, 8), got (1, 5, 32, 16)",
         "net.json: card.output_shape must be (1, 2, 32, 64), got (1, 3, 32, 64)",
-        "docs/train-on-my-captures.md",
+        "docs/guides/train-on-my-captures.md",
     ):
         assert said.count(part) == 1
     assert "\n" not in said
@@ -148,7 +148,7 @@ def test_a_network_without_a_card_is_told_what_one_holds(model: Path) -> None:
     card_path(model).unlink()
     with pytest.raises(ValueError) as caught:
         DensePredictor(model)
-    for part in ("net.json: No such file", "input is (1, 5, 32, 8)", "output is (1, 2, 32, 64)", "docs/train-on"):
+    for part in ("net.json: No such file", "input is (1, 5, 32, 8)", "output is (1, 2, 32, 64)", "guides/train-on"):
         assert part in str(caught.value)
     card_path(model).write_text('{"name": "mine", "threshold": "high", "precision": "fp8"}')
     with pytest.raises(ValueError) as caught:

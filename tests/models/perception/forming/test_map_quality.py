@@ -13,8 +13,8 @@ from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
     array_deviation,
-    drowned_beams,
     has_spurs,
+    interfered_beams,
     lost_chirps,
     silent_beams,
 )
@@ -89,18 +89,18 @@ def test_silent_beams_are_named(dead: tuple[int, ...]) -> None:
     assert tuple(np.flatnonzero(silent_beams(profiles, NOISE_MW))) == dead
 
 
-def test_a_drowned_beam_is_named_but_not_two_in_a_row() -> None:
+def test_an_interfered_beam_is_named_but_not_two_in_a_row() -> None:
     noise_mw = np.full(BEAMS, NOISE_MW)
     noise_mw[7] *= 10.0
-    assert np.flatnonzero(drowned_beams(noise_mw)).tolist() == [7]
+    assert np.flatnonzero(interfered_beams(noise_mw)).tolist() == [7]
     # its neighbour must see in its place
     for beside in (10.0 * NOISE_MW, np.nan):
         noise_mw[8] = beside
-        assert not drowned_beams(noise_mw).any()
-    assert not drowned_beams(np.full(1, NOISE_MW)).any()
+        assert not interfered_beams(noise_mw).any()
+    assert not interfered_beams(np.full(1, NOISE_MW)).any()
 
 
-def test_drowned_beams_are_judged_by_the_median_of_all() -> None:
+def test_interfered_beams_are_judged_by_the_median_of_all() -> None:
     """A beam counts from 6 dB, a ratio of 3.981, over the median beam, which holds the plain noise in both cases.
 
     Seven of 25 beams 30 dB up, none beside another: all seven are named. Judged by the mean they would lift the limit
@@ -110,11 +110,11 @@ def test_drowned_beams_are_judged_by_the_median_of_all() -> None:
     several = [1, 4, 7, 10, 13, 16, 19]
     noise_mw = np.full(BEAMS, NOISE_MW)
     noise_mw[several] *= 1000.0
-    assert np.flatnonzero(drowned_beams(noise_mw)).tolist() == several
+    assert np.flatnonzero(interfered_beams(noise_mw)).tolist() == several
     for ratio, named in ((4.2, [12]), (3.9, [])):
         noise_mw = np.full(BEAMS, NOISE_MW)
         noise_mw[12] *= ratio
-        assert np.flatnonzero(drowned_beams(noise_mw)).tolist() == named
+        assert np.flatnonzero(interfered_beams(noise_mw)).tolist() == named
 
 
 @pytest.mark.parametrize("level_db", [25.0, 45.0, 70.0])

@@ -1,15 +1,14 @@
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from models.perception.geometry.objects import ObjectParams, bev_to_json, form_objects, joint_score
+from models.perception.geometry.objects import ObjectParams, form_objects, joint_score
 from models.perception.geometry.recovery import Recovered
-from msgs.values.perception import BevFrame, BevGrid, HiddenObject, HiddenPoint, Wall
+from msgs.values.perception import HiddenObject, Wall
 
 OCCLUDER = Wall(normal=(0.0, -1.0), offset_m=5.0, ends_m=((4.0, 5.0), (24.0, 5.0)), inliers=9)
 
@@ -130,25 +129,6 @@ def test_nothing_recovered_is_no_object():
 def test_joint_score_stays_within_zero_and_one():
     assert joint_score(np.array([0.5, 0.5])) == 0.75
     assert joint_score(np.array([1.0, 0.3])) == 1.0
-
-
-def test_json_line_has_the_fields_of_the_contract():
-    grid = BevGrid(rows=2, columns=3)
-    frame = BevFrame(
-        stamp_ns=12, scan_id=3, walls=(OCCLUDER,), grid=grid,
-        points=(HiddenPoint(x_m=0.1, y_m=2.0, score=0.5, image_x_m=3.0, image_y_m=4.0, wall=0),),
-        objects=objects_of(recovered(face(15.0, 9.0, 2.0, 3))), los_points_m=np.zeros((0, 2), np.float32),
-        visibility=np.zeros((2, 3), np.uint8),
-    )  # fmt: skip
-    line = bev_to_json(frame)
-    assert json.loads(json.dumps(line, allow_nan=False)) == line
-    assert set(line) == {"scan_id", "stamp_ns", "frame", "walls", "points", "objects"}
-    assert line["walls"] == [
-        {"normal": [0.0, -1.0], "offset_m": 5.0, "ends_m": [[4.0, 5.0], [24.0, 5.0]], "inliers": 9}
-    ]
-    assert line["points"] == [{"x_m": 0.1, "y_m": 2.0, "score": 0.5}]
-    (one,) = line["objects"]
-    assert set(one) == {"id", "x_m", "y_m", "length_m", "width_m", "yaw_rad", "score", "cov_m2"}
 
 
 def test_a_stray_peak_in_the_beam_of_a_long_vehicle_is_part_of_it() -> None:

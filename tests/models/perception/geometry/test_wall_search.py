@@ -59,7 +59,7 @@ def test_search_finds_the_best_segment_of_its_finalists(seed: int) -> None:
     chosen = np.sort(np.random.default_rng(seed).choice(len(first), 120, replace=False))
     segment, run = best_segment(points, covariance, chosen, LIMITS)
     scores = by_arrays(points, covariance, first[chosen], second[chosen])
-    assert segment.acts == bool(scores)
+    assert segment.is_mirror == bool(scores)
     assert segment.score == pytest.approx(max(scores), rel=1e-9)
     assert segment == supported(points[run], covariance[run], LIMITS)
 
@@ -70,7 +70,7 @@ def test_walls_are_found_one_after_the_other() -> None:
     left, runs = np.arange(15), []
     while len(left) >= 2:
         segment, run = best_segment(points[left], covariance[left], np.arange(len(left) * (len(left) - 1) // 2), LIMITS)
-        if not segment.acts:
+        if not segment.is_mirror:
             break
         runs.append(sorted(left[run].tolist()))
         left = left[left_over(points[left], covariance[left], segment, run)]
@@ -80,7 +80,7 @@ def test_walls_are_found_one_after_the_other() -> None:
 def test_nothing_is_found_where_nothing_can_be() -> None:
     points, covariance = np.ones((6, 2)), np.tile(0.01 * np.eye(2), (6, 1, 1))
     segment, run = best_segment(points, covariance, np.arange(15), LIMITS)  # all points coincide: no hypothesis
-    assert (segment.acts, len(run)) == (False, 0)
+    assert (segment.is_mirror, len(run)) == (False, 0)
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,8 @@ def test_nothing_is_found_where_nothing_can_be() -> None:
 def test_each_limit_denies_a_mirror(name: str, value: float) -> None:
     points, covariance = scene(0)
     points, covariance = points[8:15], covariance[8:15]
-    assert supported(points, covariance, LIMITS).acts
-    assert not supported(points, covariance, LIMITS._replace(**{name: value})).acts
+    assert supported(points, covariance, LIMITS).is_mirror
+    assert not supported(points, covariance, LIMITS._replace(**{name: value})).is_mirror
 
 
 def test_next_on_line_is_the_nearest_that_lies_on_it() -> None:

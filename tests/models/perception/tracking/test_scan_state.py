@@ -14,9 +14,8 @@ from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
 from models.perception.forming.ra_forming import FormingParams, RaFormer
 from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.perception.tracking.odometry import MOST_WAITING, Odometry, ScanOdometry, standing
+from models.perception.tracking.odometry import MAX_WAITING_STATES, Odometry, ScanOdometry, standing
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
-from models.perception.tracking.tracker import track_to_json
 from msgs.bus.interface import Envelope, Received
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import Peaks
@@ -84,7 +83,7 @@ def lines(steps: Iterator[list[VehicleState | Peaks]]) -> str:
             for one in messages
         ]
         told += [out.message for out in node.step(received, 0)]
-    return "\n".join(repr([track_to_json(one) for one in view.tracks]) for view in told)
+    return "\n".join(repr(view.tracks) for view in told)
 
 
 def test_arrival_does_not_decide() -> None:
@@ -98,12 +97,12 @@ def test_arrival_does_not_decide() -> None:
 def test_the_chain_says_the_same_as_the_node() -> None:
     player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4))
     detector = CfarDetector(player.setup)
-    chain = Chain(player.setup, detector, memory=MemoryParams(wall_map=True))
+    chain = Chain.of(player.setup, detector, memory=MemoryParams(wall_map=True))
     memory = ScanMemory(MemoryParams())
     for number in range(4):
         state = player.vehicle_state(player.stamp_ns(number))
         memory.add(state)
-        frames = [view for index in range(25) for view in chain.add(player.beam(number, index), state)]
+        frames = [view.frame for index in range(25) for view in chain.add(player.beam(number, index), state)]
         tracks = memory.tracked(frames[0], Pose2()).tracks
         assert frames[0].tracks == tracks
     assert tracks
@@ -153,12 +152,12 @@ def test_a_clock_that_was_set_back_begins_anew() -> None:
 def test_states_without_scans_do_not_pile_up() -> None:
     """A radar that is off for a minute: the pose is that of all states, what waits is bounded."""
     ours, plain = ScanOdometry(), Odometry()
-    stamps_ns = range(0, 3 * MOST_WAITING * STATE_NS, STATE_NS)
+    stamps_ns = range(0, 3 * MAX_WAITING_STATES * STATE_NS, STATE_NS)
     every = [VehicleState(stamp_ns=ns, speed_mps=3.0, yaw_rate_rps=0.1) for ns in stamps_ns]
     for state in every:
         ours.add(state)
         plain.add(state)
-    assert len(ours._waiting) == MOST_WAITING
+    assert len(ours._waiting) == MAX_WAITING_STATES
     assert ours.at(every[-1].stamp_ns) == plain.at(every[-1].stamp_ns)
 
 

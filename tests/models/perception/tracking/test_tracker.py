@@ -136,7 +136,7 @@ def test_a_sighting_is_turned_into_the_odometry_frame_with_its_error():
     (there,) = sightings(
         frame(0, seen(10.0, 0.0, cov_m2=((4.0, 0.0), (0.0, 1.0)))), Pose2(1.0, 2.0, math.radians(30.0)), 0.4
     )
-    assert there.place_m == pytest.approx([1.0 + 5.0 * math.sqrt(3.0), 7.0])
+    assert there.position_m == pytest.approx([1.0 + 5.0 * math.sqrt(3.0), 7.0])
     slant = 0.75 * math.sqrt(3.0)
     np.testing.assert_allclose(there.covariance_m2, [[3.25 + 0.16, slant], [slant, 1.75 + 0.16]], rtol=1e-12)
 

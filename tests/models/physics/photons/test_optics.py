@@ -222,7 +222,7 @@ def test_no_distance_gives_more_than_was_sent() -> None:
         (lambda: direct_photons(SpadParams(), 0.0, 0.5, 1.0), "range_m must be finite and positive"),
         (lambda: direct_photons(SpadParams(), math.inf, 0.5, 1.0), "range_m must be finite and positive"),
         (lambda: direct_photons(SpadParams(), 1.0, 0.5, -0.1), "cos_incidence must lie in 0..1"),
-        (lambda: confocal_photons(SpadParams(), 1.0, 0.5, 0.0, 1, 1, 1, 0.5), "leg_m must be finite and positive"),
+        (lambda: confocal_photons(SpadParams(), 1.0, 0.5, 0.0, 1, 1, 1, 0.5), "segment_m must be finite and positive"),
         (lambda: confocal_photons(SpadParams(), 1.0, 0.5, 1.0, 1, 1, -1, 0.5), "object_area_m2 must not be negative"),
     ],
 )

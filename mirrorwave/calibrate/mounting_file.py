@@ -1,0 +1,45 @@
+"""A mounting as a file for `launch --params-file`, and in lines for people."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import yaml
+
+from msgs.files.whole_files import write_whole
+from msgs.values.wording import counted
+
+if TYPE_CHECKING:
+    from models.vehicle.mounting import Known, Mounting
+
+
+def write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
+    """A file for `launch --params-file`, with what its figures rest on as comments."""
+    seen = f"{counted(one.sightings, 'sighting')} of {counted(len(one.walls), 'wall')}"
+    notes = [
+        f"# {counted(one.scans, 'scan')}, {seen}, rms {one.rms_m:.3f} m",
+        *(f"# {line}" for line in mounting_lines(one)),
+    ]
+    write_whole(out, ("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False)).encode())
+
+
+def mounting_lines(one: Mounting) -> list[str]:
+    """What is known and what is not, a line each."""
+    degree = math.degrees(1.0)
+    return [
+        _line("x", one.x_m, "m", 1.0),
+        _line("y", one.y_m, "m", 1.0),
+        _line("yaw", one.yaw_rad, "deg", degree),
+        _line("clock offset", one.clock_offset_s, "ms", 1e3),
+    ]
+
+
+def _line(name: str, known: Known, unit: str, factor: float) -> str:
+    value, std = factor * known.value, factor * known.std
+    if known.observed:
+        return f"{name}: {value:.3f} {unit}, standard deviation {std:.3f}"
+    if known.std == 0.0:
+        return f"{name}: {value:.3f} {unit}, as given"
+    return f"{name}: {value:.3f} {unit}, as given: this drive does not tell (standard deviation {std:.3f})"

@@ -1,0 +1,74 @@
+"""Every echo the tracer finds in a scene: its path, length, direction and weight."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from msgs.values.perception import PathClass
+from sim_player.effects.names import PATH_EFFECTS, bit
+from sim_player.planner.plan import choose
+from sim_player.scene.description import Scene
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.truth import best_power_mw
+from sim_player.trace.vertices import ways_out
+
+
+class EchoPaths(NamedTuple):
+    """Paths of a scene, the strongest first: their power [mW] and the vertices of each [V, 3]."""
+
+    paths: Paths
+    power_mw: np.ndarray
+    vertices_m: list[np.ndarray]
+
+
+def echo_paths(scene: Scene, seed: int, choice: str, budget_db: float, strongest: int | None) -> EchoPaths:
+    """Trace a scene with some effects; of all paths only the `strongest` where that is given."""
+    world = prepare(scene, seed)
+    plan = choose(world, scene.setup, choice, budget_db)
+    paths = trace(world) if plan is None else plan.paths
+    power_mw = best_power_mw(scene.setup, paths)
+    order = np.argsort(-power_mw, kind="stable")
+    kept = order if strongest is None else order[:strongest]
+    return EchoPaths(paths.take(kept), power_mw[kept], ways_out(world, paths.take(kept)))
+
+
+def path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
+    """One path as the contract has it (DESIGN section 4), with the effects it needs."""
+    weight = complex(found.amplitude[index])
+    return {
+        "kind": _kind(found, index),
+        "order": int(found.order[index]),
+        "points_m": way.tolist(),
+        "virtual_m": found.virtual_m[index].tolist(),
+        "length_m": float(found.length_m[index]),
+        "amplitude": [weight.real, weight.imag],
+        "surface": int(found.surface[index]),
+        "object": int(found.thing[index]),
+        "effects": _needs(found, index),
+    }
+
+
+def path_line(found: Any, index: int, power_mw: float) -> tuple[object, ...]:
+    """Return one path as a row of the table."""
+    return (
+        _kind(found, index),
+        int(found.order[index]),
+        f"{found.length_m[index]:.2f}",
+        f"{math.degrees(found.azimuth_rad[index]):.1f}",
+        f"{10.0 * math.log10(max(power_mw, 1e-30)):.0f}",
+        int(found.thing[index]),
+        int(found.surface[index]),
+        ", ".join(_needs(found, index)),
+    )
+
+
+def _kind(found: Any, index: int) -> str:
+    return "mnlos" if found.kind[index] == PathClass.MIRRORED else "los"
+
+
+def _needs(found: Any, index: int) -> list[str]:
+    return [name for name in PATH_EFFECTS if int(found.needs[index]) & bit(name)]

@@ -1,0 +1,211 @@
+"""Nodes and topics of a graph: of a running one by its sockets and heartbeats, or of a launch file by declaration.
+
+Of a launch file nothing is started: inputs and outputs are those that the nodes' classes declare.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from msgs.bus.topics import TOPICS
+from msgs.values.wording import counted
+
+if TYPE_CHECKING:
+    from nodes.process.launch_file import LaunchFile, NodeEntry
+
+#: All nodes speak on these; they say nothing about who works for whom.
+HEALTH_TOPICS = frozenset({"diagnostics/node", "log"})
+
+
+class Link(msgspec.Struct, frozen=True, kw_only=True):
+    """A topic at one node: as it reads it or as it publishes it; figures None where nothing was measured."""
+
+    topic: str
+    hz: float | None = None
+    #: Messages lost on the way or unreadable, as the reader counts them.
+    lost: int = 0
+
+
+class GraphNode(msgspec.Struct, frozen=True, kw_only=True):
+    """A node of the graph; `state` is "declared" where it comes from a launch file."""
+
+    node: str
+    state: str
+    reason: str = ""
+    module: str = ""
+    inputs: tuple[Link, ...] = ()
+    outputs: tuple[Link, ...] = ()
+
+
+class GraphPicture(msgspec.Struct, frozen=True, kw_only=True):
+    """A graph: its nodes, sources first."""
+
+    title: str
+    nodes: tuple[GraphNode, ...]
+
+    def topics(self) -> list[str]:
+        """Topics of all nodes, in the order of the topic table."""
+        used = {link.topic for node in self.nodes for link in (*node.inputs, *node.outputs)}
+        return [*(topic for topic in TOPICS if topic in used), *sorted(used - set(TOPICS))]
+
+    def publishers(self, topic: str) -> list[str]:
+        """Nodes that publish a topic."""
+        return [node.node for node in self.nodes if any(link.topic == topic for link in node.outputs)]
+
+    def readers(self, topic: str) -> list[str]:
+        """Nodes that read a topic."""
+        return [node.node for node in self.nodes if any(link.topic == topic for link in node.inputs)]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, as JSON has it."""
+        topics = [
+            {
+                "topic": topic,
+                "nominal_hz": (TOPICS[topic].rate_hz or None) if topic in TOPICS else None,
+                "publishers": self.publishers(topic),
+                "readers": self.readers(topic),
+            }
+            for topic in self.topics()
+        ]
+        return {"title": self.title, "nodes": msgspec.to_builtins(self.nodes), "topics": topics}
+
+
+def running_picture(domain: str, window_s: float, health: bool = False) -> GraphPicture:
+    """The running graph of a domain; raises `ConnectionError` where none runs."""
+    from mirrorwave.commands.graph.nodes import collect_heartbeats, topic_rows
+    from mirrorwave.diagnose.running_graph import no_graph
+    from msgs.bus.zmq import list_publishers, run_dir
+    from msgs.values.diagnostics import NodeState
+    from nodes.viewer.node_table import is_of_peer
+
+    advertised = list_publishers(run_dir(domain))
+    # a peer's nodes meet elsewhere: what comes of them is published here by a link
+    heard = {
+        name: beats for name, beats in collect_heartbeats(run_dir(domain), window_s).items() if not is_of_peer(name)
+    }
+    rows = {name: topic_rows(beats) for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
+    if not rows and not advertised:
+        raise no_graph(domain)
+    nodes = []
+    for name in sorted({*rows, *(node for _, node in advertised)}):
+        state, reason = (heard[name][-1].state, heard[name][-1].reason) if name in rows else ("silent", "no heartbeat")
+        opened = {topic for topic, node in advertised if node == name}
+        outputs = {topic: Link(topic=topic) for topic in opened} | {
+            link.topic: link for link in _links(rows.get(name, []), "out")
+        }
+        inputs = {link.topic: link for link in _links(rows.get(name, []), "in")}
+        nodes.append(_node(name, str(state), reason, inputs, outputs, health))
+    return GraphPicture(title=f"domain {domain}", nodes=_sources_first([node for node in nodes if _has_work(node)]))
+
+
+def launch_picture(path: Path, health: bool = False) -> GraphPicture:
+    """The graph of a launch file as its nodes' classes declare it; ValueError as from `launch`."""
+    from nodes.process.launch_file import read_launch_file
+
+    launch: LaunchFile = read_launch_file(path)
+    nodes = []
+    for name, entry in launch.nodes.items():
+        inputs, outputs = _declared(name, entry)
+        links = [{topic: Link(topic=topic) for topic in topics} for topics in (inputs, outputs)]
+        node = _node(name, "declared", "", links[0], links[1], health)
+        nodes.append(msgspec.structs.replace(node, module=entry.module))
+    return GraphPicture(title=str(path), nodes=_sources_first(nodes))
+
+
+def text_lines(picture: GraphPicture) -> list[str]:
+    """The graph for people: each node, what it reads and from whom, what it publishes and for whom."""
+    lines = [f"{picture.title}: {counted(len(picture.nodes), 'node')}, {counted(len(picture.topics()), 'topic')}"]
+    for node in picture.nodes:
+        state = "" if node.state == "declared" else f" [{node.state}{': ' + node.reason if node.reason else ''}]"
+        lines += ["", f"{node.node}{state}"]
+        arrows = [(link, "<-", picture.publishers(link.topic), "NO PUBLISHER") for link in node.inputs]
+        arrows += [(link, "->", picture.readers(link.topic), "nobody reads it") for link in node.outputs]
+        for at, (link, arrow, others, nobody) in enumerate(arrows):
+            branch = "`-" if at == len(arrows) - 1 else "|-"
+            lines.append(f"  {branch} {link.topic} {arrow} {', '.join(others) or nobody}{figures_text(link)}")
+    return lines
+
+
+def figures_text(link: Link) -> str:
+    """Rate and losses of a link, in words; empty where nothing was measured."""
+    parts = ([] if link.hz is None else [f"{link.hz:.3g} Hz"]) + ([f"{link.lost} LOST"] if link.lost else [])
+    return f"  ({', '.join(parts)})" if parts else ""
+
+
+def _links(rows: list[dict[str, Any]], way: str) -> list[Link]:
+    return [
+        Link(topic=row["topic"], hz=row["hz"], lost=row["lost"] + row["rejected"]) for row in rows if row["way"] == way
+    ]
+
+
+def _node(
+    name: str, state: str, reason: str, inputs: dict[str, Link], outputs: dict[str, Link], health: bool
+) -> GraphNode:
+    chosen = [
+        tuple(links[topic] for topic in sorted(links) if health or topic not in HEALTH_TOPICS)
+        for links in (inputs, outputs)
+    ]
+    return GraphNode(node=name, state=state, reason=reason, inputs=chosen[0], outputs=chosen[1])
+
+
+def _has_work(node: GraphNode) -> bool:
+    # the supervisor reads heartbeats only; it belongs in the picture when it has something to say
+    return bool(node.inputs or node.outputs or node.reason)
+
+
+def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Inputs and outputs of a node by its class; parameters are checked, nothing is created."""
+    from nodes.node import Node
+    from nodes.process.validation import convert_at
+
+    try:
+        module = importlib.import_module(entry.module)
+    except ModuleNotFoundError as error:
+        raise ValueError(f"{name}.module: no module named {error.name!r}") from None
+    if not hasattr(module, "Params"):
+        raise ValueError(f"{name}.module: {entry.module} is no node, it must define Params and create(params)")
+    params = convert_at(dict(entry.params), module.Params, f"{name}.params")
+    kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == entry.module]
+    nodes = [kind for kind in kinds if issubclass(kind, Node)]
+    # what a recorder reads is in its parameters, and what a link carries
+    chosen = params.chosen_topics() if hasattr(params, "chosen_topics") else ()
+    imported = params.imported_topics() if hasattr(params, "imported_topics") else ()
+    inputs = dict.fromkeys([*(topic for kind in nodes for topic in kind.inputs), *chosen])
+    return tuple(inputs), tuple(dict.fromkeys([*(topic for kind in nodes for topic in kind.outputs), *imported]))
+
+
+def layers(nodes: tuple[GraphNode, ...] | list[GraphNode]) -> dict[str, int]:
+    """How far each node stands from the sources: one more than the furthest node whose topics it reads.
+
+    A node that would close a circle counts from what stands before the circle.
+    """
+    publishers: dict[str, list[str]] = {}
+    for node in nodes:
+        for link in node.outputs:
+            publishers.setdefault(link.topic, []).append(node.node)
+    before = {
+        node.node: [name for link in node.inputs for name in publishers.get(link.topic, []) if name != node.node]
+        for node in nodes
+    }
+    depth: dict[str, int] = {}
+
+    def depth_of(name: str, path: tuple[str, ...]) -> int:
+        if name not in depth:
+            others = [other for other in before[name] if other not in path]
+            found = max((depth_of(other, (*path, name)) + 1 for other in others), default=0)
+            if len(others) < len(before[name]):
+                return found
+            depth[name] = found
+        return depth[name]
+
+    return {name: depth_of(name, (name,)) for name in before}
+
+
+def _sources_first(nodes: list[GraphNode]) -> tuple[GraphNode, ...]:
+    depth = layers(nodes)
+    return tuple(sorted(nodes, key=lambda node: depth[node.node]))

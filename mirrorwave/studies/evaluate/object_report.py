@@ -1,0 +1,252 @@
+"""Sets of random places with every profile on the same beams, as tables object by object."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from mirrorwave.console import progress_bar
+from mirrorwave.studies.evaluate.objects import (
+    ObjectPlan,
+    ObjectSet,
+    PlaceResult,
+    read_sets,
+    run_objects,
+    scenes_sha256,
+)
+from mirrorwave.studies.report import table
+from mirrorwave.studies.tradeoff.settings import profile_setting
+from models.evaluation.frame_scores import Estimate, bootstrap_weights
+from models.evaluation.object_metrics import (
+    BANDS,
+    FALSE_M,
+    FOUND_M,
+    NOTHING_M,
+    ObjectReport,
+    ObjectScores,
+    Ratio,
+    ScoreBin,
+    mean_loss,
+    object_report,
+)
+
+#: Title, columns, rows.
+Table = tuple[str, Sequence[str], Sequence[Sequence[object]]]
+#: Name of the set that options describe.
+DRAWN = "drawn"
+#: What the words of the tables mean.
+DEFINITIONS = {
+    "hidden": "out of direct sight, with at least one mirror that shows a part of it; asked in every scan",
+    "found": f"a report of its own, one to one, errs by {FOUND_M:g} m at most",
+    "error": "from the centre of the report to the nearest visible face of the true box or to its centre, whichever is "
+    "nearer, the truth moved to the time of the report; `by centre`: to the true centre alone",
+    "image": "strongest scattering centre among its images in the map, over the noise of the beam that sees it best",
+    "false": f"a report more than {FALSE_M:g} m from every object out of sight",
+    "nothing there": f"a report more than {NOTHING_M:g} m from the box of every object, in sight or not",
+    "without the gate": "error of every report against the nearest object out of sight, in places that hold one",
+    "true": f"share of the reports of a score that found an object; within {FALSE_M:g} m: that are not false",
+    "loss": "missed objects + false cost x false reports, a scan",
+    "interval": "95 % percentile interval over places drawn with replacement; all profiles share the draws",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectRequest:
+    """What the options ask for."""
+
+    sets: Sequence[str]
+    profiles: Sequence[str]
+    places: int | None
+    moving: bool
+    effects: str
+    seed: int
+    draws: int
+    workers: int
+    false_cost: float | None
+    out: Path | None
+
+
+def measured(request: ObjectRequest) -> dict[str, Any]:
+    """Run all places that are not there yet; the whole report."""
+    plans, false_cost = _plans(request)
+    with ExitStack() as stack:
+        out = stack.enter_context(_folder(request.out))
+        tick = stack.enter_context(progress_bar("places", sum(plan.set.places for plan in plans.values())))
+        runs = {name: run_objects(plan, out / name, request.workers, tick) for name, plan in plans.items()}
+    sets = {name: _set_report(plan, runs[name], request, false_cost) for name, plan in plans.items()}
+    losses = {
+        profile: mean_loss({name: one["profiles"][profile] for name, one in sets.items()})
+        for profile in request.profiles
+    }
+    return {
+        "definitions": DEFINITIONS,
+        "draws": request.draws,
+        "bootstrap_seed": request.seed,
+        "false_cost": false_cost,
+        "sets": sets,
+        "mean_loss": losses,
+    }
+
+
+def _plans(request: ObjectRequest) -> tuple[dict[str, ObjectPlan], float]:
+    """Each set with its profiles, and what a false report costs."""
+    committed = read_sets()
+    for name in request.sets:
+        if name not in committed.sets:
+            raise ValueError(f"--set must be one of {', '.join(committed.sets)}, got {name!r}")
+    if request.sets and (request.places is not None or request.moving or request.effects != "all"):
+        raise ValueError("--set says places, motion and effects itself: leave out --places, --moving and --effects")
+    if len(set(request.profiles)) < len(request.profiles) or len(set(request.sets)) < len(request.sets):
+        raise ValueError("--profile and --set must each name a thing once")
+    sets = {name: committed.sets[name] for name in request.sets}
+    if not sets:
+        drawn = ObjectSet(
+            seed=request.seed, places=request.places or 100, moving=request.moving, effects=request.effects
+        )
+        sets = {DRAWN: drawn}
+    settings = [profile_setting(name) for name in request.profiles]
+    plans = {name: ObjectPlan(set=one, profiles=settings) for name, one in sets.items()}
+    return plans, committed.false_cost if request.false_cost is None else request.false_cost
+
+
+@contextmanager
+def _folder(out: Path | None) -> Iterator[Path]:
+    """The folder asked for, else one that goes when the run ends."""
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        yield out
+        return
+    with TemporaryDirectory(prefix="mirrorwave-") as folder:
+        yield Path(folder)
+
+
+def _set_report(
+    plan: ObjectPlan, results: list[PlaceResult], request: ObjectRequest, false_cost: float
+) -> dict[str, Any]:
+    """Measures of all profiles on one set."""
+    weights = bootstrap_weights(plan.set.places, request.draws, request.seed)
+    return {
+        "seed": plan.set.seed,
+        "places": plan.set.places,
+        "moving": plan.set.moving,
+        "effects": plan.set.effects,
+        "scenes_sha256": scenes_sha256(results),
+        "profiles": {
+            one.value: object_report(ObjectScores([result.rows[one.value] for result in results]), weights, false_cost)
+            for one in plan.profiles
+        },
+    }
+
+
+def tables(results: Mapping[str, Any]) -> Iterator[Table]:
+    """All tables of a report, for a terminal or a page."""
+    for name, one in results["sets"].items():
+        motion = "in motion" if one["moving"] else "at rest"
+        reports: dict[str, ObjectReport] = one["profiles"]
+        title = f"{name}: {one['places']} places {motion}, seed {one['seed']}, effects {one['effects']}"
+        yield f"{title}; scenes {one['scenes_sha256'][:16]}...", HEADINGS, [
+            _headline(profile, report) for profile, report in reports.items()
+        ]  # fmt: skip
+        yield _recalls(f"{name}: found by the SNR of the strongest image", BANDS, reports, "recall_by_band")
+        classes = sorted({kind for report in reports.values() for kind in report.recall_by_class})
+        yield _recalls(f"{name}: found by class", classes, reports, "recall_by_class")
+        yield _errors(name, reports)
+        yield _scores(name, reports)
+    if len(results["sets"]) > 1:
+        rows = [(profile, f"{loss:.3f}") for profile, loss in results["mean_loss"].items()]
+        yield f"mean loss over the sets, false cost {results['false_cost']:g}", ("profile", "loss a scan"), rows
+
+
+HEADINGS = ("profile", "hidden objects found", "vehicles", "by centre", "reports", "false", "nothing there",
+            "false a scan", "loss a scan")  # fmt: skip
+
+
+def _headline(profile: str, report: ObjectReport) -> tuple[object, ...]:
+    return (
+        profile,
+        str(report.recall),
+        _short(report.recall_vehicles),
+        _short(report.recall_by_centre),
+        report.reports,
+        str(report.false),
+        _short(report.nothing),
+        _rate(report.false_per_scan),
+        _rate(report.loss),
+    )
+
+
+def _short(ratio: Ratio) -> str:
+    return "-" if ratio.value is None else f"{ratio.part:g} of {ratio.whole:g} ({ratio.value:.2f})"
+
+
+def _rate(ratio: Ratio) -> str:
+    return "-" if ratio.value is None else f"{ratio.value:.2f} [{ratio.low:.2f}, {ratio.high:.2f}]"
+
+
+def _recalls(title: str, groups: Sequence[str], reports: Mapping[str, ObjectReport], name: str) -> Table:
+    rows = [
+        (profile, *(_short(getattr(report, name)[group]) for group in groups)) for profile, report in reports.items()
+    ]
+    return title, ("profile", *groups), rows
+
+
+def _errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:
+    """Quantiles of the errors of what was found, and of all reports."""
+    kinds = {
+        "found": "error_found_m",
+        "found, by centre": "centre_found_m",
+        "without the gate": "error_ungated_m",
+        "without the gate, by centre": "centre_ungated_m",
+    }
+    rows = [
+        (profile, kind, *(f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]" for one in found.values()))
+        for profile, report in reports.items()
+        for kind, field in kinds.items()
+        if (found := _estimates(report, field))
+    ]
+    return f"{name}: position error [m]", ("profile", "of", "p50", "p75", "p90", "p95"), rows
+
+
+def _estimates(report: ObjectReport, field: str) -> dict[str, Estimate]:
+    found: dict[str, Estimate] = getattr(report, field)
+    return found
+
+
+def _scores(name: str, reports: Mapping[str, ObjectReport]) -> Table:
+    """What scores are worth."""
+    rows = [
+        (profile, f"{one.low:g}..{one.high:g}", one.mean_score, *_share_cells(one))
+        for profile, report in reports.items()
+        for one in report.scores
+        if one.found.whole
+    ]
+    errors = ", ".join(
+        f"{profile} {report.calibration_error:.2f}"
+        for profile, report in reports.items()
+        if report.calibration_error is not None
+    )
+    columns = ("profile", "score", "mean", "true", "within 2 m")
+    return f"{name}: scores and the share that is true; calibration error {errors or '-'}", columns, rows
+
+
+def _share_cells(one: ScoreBin) -> tuple[str, str]:
+    return str(one.found), _short(one.near)
+
+
+def page(results: Mapping[str, Any]) -> str:
+    """The tables as Markdown."""
+    lines = ["# Hidden objects, object by object", ""]
+    lines += [f"- {word}: {meaning}" for word, meaning in results["definitions"].items()]
+    for title, columns, rows in tables(results):
+        lines += ["", f"## {title}", "", *table(columns, ([_text(cell) for cell in row] for row in rows))]
+    return "\n".join(lines) + "\n"
+
+
+def _text(cell: object) -> str:
+    if cell is None:
+        return "-"
+    return f"{cell:.2f}" if isinstance(cell, float) else str(cell)

@@ -1,0 +1,243 @@
+"""A wave on its way through a wall, and tables of simulated walls, beside the formula that the ray tracer uses."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from rich.progress import Progress
+
+    from sim_player.fdtd import Experiment, Transmission
+    from sim_player.fdtd.reflectance import Comparison, ReflectanceTable
+
+
+#: A picture of more cells takes minutes and gigabytes.
+MOST_CELLS = 3_000_000
+#: Cells per wavelength of the column that reads R and T.
+COLUMN_CELLS = 40.0
+#: Thickness [mm] of a wall of one material where none is given.
+USUAL_THICKNESS_MM = 400.0
+
+
+@dataclass(frozen=True)
+class WallAnswer:
+    """R and T of one wall [dB]: exact, by the column, and by the beam of the picture if there is one."""
+
+    title: str
+    frequency_hz: float
+    angle_deg: float
+    polarisation: str
+    exact_db: tuple[float, float]
+    column_db: tuple[float, float]
+    beam: Transmission | None
+    #: Air of the picture before and behind the wall.
+    before_m: float = 0.0
+    behind_m: float = 0.0
+
+
+def wall_of(
+    name: str, thickness_mm: float | None, frequency_ghz: float
+) -> tuple[str, tuple[tuple[complex, float], ...]]:
+    """Title and layers of a wall; ValueError names the option."""
+    from models.physics.materials import CONSTRUCTIONS, is_volume, wall_layers, wall_name
+
+    key = wall_name(name)
+    if is_volume(key):
+        raise ValueError(f"--material must be a wall, {key} is a volume and mirrors nothing")
+    if not (math.isfinite(frequency_ghz) and frequency_ghz > 0.0):
+        raise ValueError(f"--frequency-ghz must be finite and positive, got {frequency_ghz!r}")
+    if key in CONSTRUCTIONS:
+        if thickness_mm is not None:
+            raise ValueError(f"--thickness-mm must not be given for {key}, which has the thicknesses of its layers")
+        return key, wall_layers(key, None, 1e9 * frequency_ghz)
+    thickness_mm = USUAL_THICKNESS_MM if thickness_mm is None else thickness_mm
+    if not 0.0 < thickness_mm < math.inf:
+        raise ValueError(f"--thickness-mm must be positive, got {thickness_mm!r}")
+    return f"{thickness_mm:g} mm of {key}", wall_layers(key, 1e-3 * thickness_mm, 1e9 * frequency_ghz)
+
+
+def answer(
+    title: str, layers: Any, frequency_hz: float, angle_deg: float, polarisation: Any, picture: bool
+) -> WallAnswer:
+    """Ask the formula, the column of cells and, for a picture, the beam; progress goes to stderr."""
+    from models.physics.fresnel import stack_reflection, stack_transmission
+    from msgs.values.units import SPEED_OF_LIGHT_MPS
+    from sim_player.fdtd import reflect, transmission_experiment
+
+    setup = layout(layers, frequency_hz) if picture else None
+    angle_rad = math.radians(angle_deg)
+    media, thicknesses_m = zip(*layers, strict=True)
+    case = (media, thicknesses_m, np.cos(angle_rad), SPEED_OF_LIGHT_MPS / frequency_hz, polarisation)
+    exact_db = _level_db(stack_reflection(*case)), _level_db(stack_transmission(*case))
+    column = reflect(layers, angle_rad, frequency_hz, polarisation, COLUMN_CELLS)
+    beam, sides_m = None, (0.0, 0.0)
+    if setup is not None:
+        with _progress() as progress:
+            on_step = _Steps(progress, title)
+            beam = transmission_experiment(layers, frequency_hz, polarisation, angle_rad, setup, on_step)
+        sides_m = setup.before_m, setup.behind_m
+    column_db = _level_db(column.r), _level_db(column.t)
+    return WallAnswer(title, frequency_hz, angle_deg, polarisation, exact_db, column_db, beam, *sides_m)
+
+
+def layout(layers: Any, frequency_hz: float) -> Experiment:
+    """The experiment's layout, as wide in wavelengths at every frequency; ValueError where it takes too many cells."""
+    from msgs.values.units import SPEED_OF_LIGHT_MPS
+    from sim_player.fdtd import Experiment
+    from sim_player.fdtd.rough import cell_size
+
+    wavelength_m = SPEED_OF_LIGHT_MPS / frequency_hz
+    setup = Experiment(30.0 * wavelength_m, 3.3 * wavelength_m, 10.0 * wavelength_m, 5.0 * wavelength_m)
+    cell_m = cell_size(layers, wavelength_m, setup.cells_per_wavelength)
+    depth_m = setup.before_m + setup.behind_m + sum(thickness_m for _, thickness_m in layers)
+    cells = setup.width_m * depth_m / cell_m**2
+    if cells > MOST_CELLS:
+        raise ValueError(
+            f"--plot takes at most {MOST_CELLS} cells, got {cells:.0f}; ask for a thinner wall or a lower frequency"
+        )
+    return setup
+
+
+def as_document(table: ReflectanceTable) -> dict[str, Any]:
+    """Card, comparison and absent cells as plain values."""
+    keys = ("wall", "frequency_hz", "polarisation", "roughness_m", "angle_deg", "reason")
+    return {
+        "card": table.card,
+        "comparison": [_comparison_row(one) for one in table.compare()],
+        "absent": [dict(zip(keys, row, strict=True)) for row in table.absent()],
+    }
+
+
+def rebuild_table(path: Path, workers: int) -> None:
+    """Build a table and write it; what is done lies beside it until all is."""
+    from sim_player.fdtd.reflectance import build_tables, table_entries
+
+    if not path.absolute().parent.is_dir():
+        raise NotADirectoryError(20, "its directory does not exist", str(path))
+    partial = path.with_suffix(".cells.jsonl")
+    with _progress() as progress:
+        task = progress.add_task("simulating walls")
+        table = build_tables(
+            table_entries(), lambda done, total: progress.update(task, completed=done, total=total), partial, workers
+        )
+    table.save(path, provenance(workers))
+    partial.unlink(missing_ok=True)
+
+
+def provenance(workers: int) -> dict[str, Any]:
+    """Where a table comes from: command, version of the code, kind of machine, day."""
+    import os
+    import platform
+    from datetime import UTC, datetime
+
+    return {
+        "command": "mirrorwave sim reflectance --rebuild",
+        "version": _version(),
+        "machine": f"{platform.system()} {platform.machine()}, {os.cpu_count()} cores, {workers} processes",
+        "date": datetime.now(UTC).date().isoformat(),
+    }
+
+
+def _version() -> str:
+    """What git calls this checkout; "unknown" outside of one."""
+    import subprocess
+
+    command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+
+
+class _Steps:
+    """Progress of an experiment: its two runs, without and with the wall, each end when the field has decayed."""
+
+    def __init__(self, progress: Progress, title: str) -> None:
+        self.progress, self.task = progress, progress.add_task(f"a beam on {title}", total=2.0)
+        self.runs, self.steps = 0, 0
+
+    def __call__(self, steps: int, residue: float) -> None:
+        from sim_player.fdtd.experiment import DECAY
+
+        if steps < self.steps:
+            self.runs += 1
+        self.steps = steps
+        share = math.log(min(max(residue, DECAY), 1.0)) / math.log(DECAY)
+        self.progress.update(self.task, completed=self.runs + share)
+
+
+def _progress() -> Progress:
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TaskProgressColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    columns = (
+        "{task.description}",
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        "left",
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+
+def _comparison_row(one: Comparison) -> dict[str, Any]:
+    worst_db, error_db, angle_deg = one.worst
+    return {
+        "wall": one.wall,
+        "frequency_hz": one.frequency_hz,
+        "polarisation": one.polarisation,
+        "roughness_m": one.roughness_m,
+        "worst_db": worst_db,
+        "worst_error_db": error_db,
+        "worst_angle_deg": angle_deg,
+        "angles": len(one.angles_deg),
+        "within_half_db": one.agreeing,
+        "absent": one.absent,
+    }
+
+
+def wall_document(found: WallAnswer) -> dict[str, Any]:
+    """Return an answer as JSON has it."""
+    document = {
+        "wall": found.title,
+        "frequency_hz": found.frequency_hz,
+        "angle_deg": found.angle_deg,
+        "polarisation": found.polarisation,
+        "exact": dict(zip(("r_db", "t_db"), found.exact_db, strict=True)),
+        "fdtd": dict(zip(("r_db", "t_db"), found.column_db, strict=True)) | {"cells_per_wavelength": COLUMN_CELLS},
+    }
+    beam = found.beam
+    if beam is not None:
+        document["beam"] = {
+            "r_db": beam.reflection_db,
+            "t_db": beam.transmission_db,
+            "cells": beam.cells,
+            "steps": beam.steps,
+            "residue": beam.residue,
+        }
+    return document
+
+
+def levels_of(found: WallAnswer) -> list[tuple[str, float, float]]:
+    """Return what told R and T [dB] of a wall, and both."""
+    rows = [("exact", *found.exact_db), (f"fdtd, {COLUMN_CELLS:g} cells a wavelength", *found.column_db)]
+    if found.beam is not None:
+        rows.append(("beam of the picture, 10 cells", found.beam.reflection_db, found.beam.transmission_db))
+    return rows
+
+
+def _level_db(field: Any) -> float:
+    return 20.0 * math.log10(max(abs(complex(field)), 1e-30))

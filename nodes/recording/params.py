@@ -1,0 +1,61 @@
+"""Parameters of a recorder, which both of its modes read."""
+
+from __future__ import annotations
+
+import msgspec
+
+from msgs.bus.topics import TOPICS, topic_facts
+from msgs.recording.mcap import RAW_TOPIC
+
+#: Seconds and bytes are fewer: what is larger would be no time and no size any more.
+_MAX = 1e18
+
+
+class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where to record to and what; at most one of splitting and snapshots."""
+
+    path: str
+    #: None: all topics but raw beams.
+    topics: tuple[str, ...] | None = None
+    #: Raw beams too.
+    raw: bool = False
+    #: Written into the recording's metadata.
+    metadata: dict[str, str] = {}
+    #: A new file before one grows larger, and when one has lasted so long; path is then name-00001.mcap, ...
+    split_bytes: int | None = None
+    split_s: float | None = None
+    #: The oldest file of this run is deleted when there are more.
+    max_parts: int | None = None
+    #: Hold the last seconds in memory, in at most so many bytes, and write them when SIGUSR1 comes.
+    snapshot_s: float | None = None
+    snapshot_bytes: int = 1 << 30
+    #: The recording ends in good order before the disk has less room than this.
+    min_free_bytes: int = 100_000_000
+    #: Where `mirrorwave bag snapshot` finds the recorder; a launch fills it in.
+    run_dir: str | None = None
+
+    def __post_init__(self) -> None:
+        if not self.path:
+            raise ValueError("path must name a file")
+        for topic in self.topics or ():
+            topic_facts(topic)
+        for name in ("split_bytes", "split_s", "max_parts", "snapshot_s", "snapshot_bytes"):
+            value = getattr(self, name)
+            if value is not None and not 0 < value < _MAX:
+                raise ValueError(f"{name} must be above zero and below {_MAX:g}, got {value!r}")
+        if self.min_free_bytes < 0:
+            raise ValueError(f"min_free_bytes must not be negative, got {self.min_free_bytes!r}")
+        if self.max_parts is not None and not self.splits:
+            raise ValueError(f"max_parts needs split_bytes or split_s, got {self.max_parts!r} without")
+        if self.snapshot_s is not None and self.splits:
+            raise ValueError("snapshot_s must not stand beside split_bytes or split_s: each snapshot is a file already")
+
+    @property
+    def splits(self) -> bool:
+        """Whether the recording goes into several files."""
+        return self.split_bytes is not None or self.split_s is not None
+
+    def chosen_topics(self) -> tuple[str, ...]:
+        """Topics to record, in the order of the topic table."""
+        wanted = set(TOPICS) - {RAW_TOPIC} if self.topics is None else set(self.topics)
+        return tuple(topic for topic in TOPICS if topic in wanted or (self.raw and topic == RAW_TOPIC))

@@ -1,0 +1,32 @@
+"""The doctor names what fails and why."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import pytest
+
+from mirrorwave.diagnose.doctor_machine import check_graph, check_packages, check_run_dir, check_weights
+from mirrorwave.diagnose.findings import Status
+
+
+def test_packages_load_and_a_quiet_domain_is_well(tmp_path: Path) -> None:
+    assert {finding.status for finding in check_packages()} == {Status.OK}
+    assert {finding.status for finding in [*check_run_dir(tmp_path), *check_graph(tmp_path)]} == {Status.OK}
+
+
+@pytest.mark.parametrize(
+    ("card", "status"),
+    [
+        (None, Status.FAILED),
+        ({"sha256": "0"}, Status.FAILED),
+        ({"sha256": hashlib.sha256(b"n").hexdigest()}, Status.OK),
+    ],
+)
+def test_weights_must_be_what_their_card_says(tmp_path: Path, card: dict | None, status: Status) -> None:
+    (tmp_path / "net.onnx").write_bytes(b"n")
+    if card is not None:
+        (tmp_path / "net.json").write_text(json.dumps(card))
+    assert [finding.status for finding in check_weights(tmp_path)] == [status]

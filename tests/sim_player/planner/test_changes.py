@@ -1,0 +1,68 @@
+"""Every effect has a bound of what it changes: that of its kind, or its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sim_player.effects.table import EFFECTS, SIGNAL, ArrayEffect, SignalEffect, always
+from sim_player.planner.ablation import EffectAblation
+from sim_player.planner.changes import change_bound
+from sim_player.scene.description import Scene, SceneObject, SceneRadar
+from sim_player.scene.front_end import FrontEnd, Spur
+from sim_player.scene.world import prepare
+from tests.sim_player.effects.point_scenes import wall
+
+FRONT_END = FrontEnd(
+    coupling_db=-20.0,
+    iq_gain_db=0.5,
+    flicker_corner_hz=1e5,
+    leakage_dbm=-60.0,
+    spurs=(Spur(frequency_hz=1e7, power_dbm=-80.0),),
+)
+
+
+def ablation(front_end: FrontEnd = FRONT_END) -> EffectAblation:
+    """All effects of a wall beside a car, with a faulty front end."""
+    scene = Scene(
+        name="car",
+        surfaces=(wall((12.0, -5.0), (12.0, 8.0), material="concrete"),),
+        objects=(SceneObject(class_="car", x_m=8.0, y_m=3.0),),
+        radar=SceneRadar(front_end=front_end),
+    )
+    found = EffectAblation(prepare(scene), scene.setup, 0.0)
+    found.begin(exact=True)
+    return found
+
+
+@pytest.fixture(scope="module")
+def full() -> EffectAblation:
+    return ablation()
+
+
+@pytest.mark.parametrize("name", EFFECTS)
+def test_every_effect_has_a_bound(full: EffectAblation, name: str) -> None:
+    bound = change_bound(full, name)
+    assert bound.shape == full.shape
+    assert np.isfinite(bound).all()
+    assert (bound >= 0.0).all()
+
+
+@pytest.mark.parametrize("name", SIGNAL)
+def test_signal_effects_that_are_there_change_something(full: EffectAblation, name: str) -> None:
+    assert change_bound(full, name).any()
+
+
+def test_faults_that_are_not_stated_change_nothing() -> None:
+    faultless = ablation(FrontEnd())
+    for name in ("flicker", "leakage", "iq_imbalance", "spurs"):
+        assert not change_bound(faultless, name).any(), name
+
+
+def test_effect_without_a_bound_is_an_error(full: EffectAblation, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A signal effect that the planner knows no bound of must not pass for one that changes nothing."""
+    monkeypatch.setitem(EFFECTS, "hum", SignalEffect("mains in the receiver", always))
+    with pytest.raises(KeyError, match="hum has no bound"):
+        change_bound(full, "hum")
+    monkeypatch.setitem(EFFECTS, "element_pattern", ArrayEffect("gain falls off the element's axis", always))
+    assert change_bound(full, "element_pattern").any()
