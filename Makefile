@@ -46,7 +46,7 @@ unexport PYTHONDONTWRITEBYTECODE
 test: setup-dev  ## all tests
 	$(PYTEST)
 
-test-fast: setup-dev  ## all tests but those that start processes or take a second or more each
+test-fast: setup-dev  ## all tests but those that start processes (graph) or compute for half a second or more (slow)
 	$(PYTEST) -m "not graph and not slow"
 
 lint: setup-dev  ## style, types, house laws
