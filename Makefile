@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test lint audit stability reference bench faults soak fuzz tables fdtd-figures compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast lint audit stability reference bench faults soak fuzz tables fdtd-figures compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -34,16 +34,20 @@ setup-dev: $(VENV)/.installed-dev  ## the same with training, tests and linters
 demo: setup  ## a simulated corner through the whole graph: hidden objects beside truth, and a picture
 	$(BIN)/mirrorwave demo
 
-# each of the three parts of the tests is ended when it takes longer; pyproject.toml has the limit of a single test
+# a run of tests is ended when it takes longer; pyproject.toml has the limit of a single test
 TEST_LIMIT_S ?= 5400
-PYTEST := timeout --foreground --verbose --kill-after 300 $(TEST_LIMIT_S) $(BIN)/python -m pytest -q
+# one more than there are cores: that many compute while the first waits for the processes that its tests start
+WORKERS ?= $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1)))
+# in workers: what a worker dies of, pytest outlives and names. tests/scheduling.py has their order.
+PYTEST := timeout --foreground --verbose --kill-after 300 $(TEST_LIMIT_S) $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile
+# where a machine forbids it (containers often do) every process that a test starts would compile all modules again
+unexport PYTHONDONTWRITEBYTECODE
 
 test: setup-dev  ## all tests
-	@# graphs of processes want the machine to themselves; those of the documentation, which count no losses, two at a
-	@# time. Every part runs in workers: what a worker dies of, pytest outlives and names.
-	$(PYTEST) -m "not graph" -n auto --dist loadfile --ignore=tests/docs
-	$(PYTEST) -n 2 --dist load tests/docs
-	$(PYTEST) -m graph -n 1 --ignore=tests/docs
+	$(PYTEST)
+
+test-fast: setup-dev  ## all tests but those that start processes (graph) or compute for half a second or more (slow)
+	$(PYTEST) -m "not graph and not slow"
 
 lint: setup-dev  ## style, types, house laws
 	$(BIN)/ruff check .

@@ -1,13 +1,25 @@
-"""How a run of tests ends early, by a worker that died or by SIGTERM: at once, naming what was running; no tolerance
-that cannot fail."""
+"""How a run of tests uses the machine, and how it ends early, by a worker that died or by SIGTERM: at once, naming what
+was running; no tolerance that cannot fail."""
 
 from __future__ import annotations
 
+import gc
+import os
 import signal
 from typing import Any
 
+# as verbs and nodes do, before numpy is imported: threads that wait for each other take the cores of other tests
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 import numpy as np
 import pytest
+
+from tests.scheduling import FromBothEnds, in_order
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    # tests in the background of a shell: what they start would not hear the Ctrl-C that ends it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 class Ending:
@@ -61,6 +73,31 @@ def pytest_configure(config: pytest.Config) -> None:
     # who runs tests itself would hand the handler of SIGTERM on to what they fork
     if config.getoption("dist", "no") != "no" and not hasattr(config, "workerinput"):
         config.pluginmanager.register(Ending())
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> FromBothEnds | None:
+    return FromBothEnds(config, log) if config.getoption("dist") == "loadfile" else None
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection(session: pytest.Session) -> object:
+    """Some million objects that stay: to look through them for garbage, again and again, would take a third longer."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.enable()
+        gc.freeze()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.nodeid.startswith("tests/docs/test_pages.py::test_page["):
+            item.add_marker("slow")
+    if hasattr(config, "workerinput"):
+        items[:] = in_order(items)
 
 
 #: pytest's own, added to a relative one that is asked for.

@@ -337,6 +337,7 @@ def _stays(address: ast.expr, constants: dict[str, object]) -> bool:
     return isinstance(value, str) and (value in LOOPBACK or value.startswith(("ipc://", "inproc://")))
 
 
+@pytest.mark.slow
 def test_no_door_stands_open() -> None:
     """Data cannot run code, no shell reads arguments, nobody waits for other machines without keys."""
     found = {path: open_doors(module_name(path), path.read_text()) for path in SOURCES}

@@ -1,6 +1,6 @@
 """`make test` ends whatever becomes of a test: a worker that dies, a test that hangs, a run that is stopped.
 
-Each part of it is run with its own options on a few small files.
+It is run with its own options on a few small files.
 """
 
 from __future__ import annotations
@@ -17,13 +17,17 @@ from pathlib import Path
 import pytest
 
 from msgs.files.shipped import CHECKOUT
+from tests import scheduling
 
 ROOT = CHECKOUT
 #: Nothing is measured against this: it ends a run that would not end.
 PATIENCE_S = 600.0
 #: The end of a run as pytest tells it.
 LAST_LINE = re.compile(r"^(no tests ran|(\d+ (failed|passed)(, )?)+) in [\d.]+s", re.MULTILINE)
-PLAIN, DOCS, GRAPH = range(3)
+
+#: Where tests are handed out one by one, not by files.
+SEPARATE = "tests/graph/test_supervisor.py"
+assert SEPARATE in scheduling.SEPARATE
 
 KILLED = "os.kill(os.getpid(), signal.SIGKILL)"
 #: Compiled code that holds the interpreter: no other thread runs, no handler of a signal is called.
@@ -32,33 +36,36 @@ STUCK = "re.match('(a+)+$', 60 * 'a' + 'b')"
 SILENT = "signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals()); ctypes.string_at(0)"
 
 
-def parts() -> list[list[str]]:
-    """The commands of `make test` that run tests, of this interpreter and without the paths of this project."""
-    said = subprocess.run(["make", "-n", "test"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    commands = [shlex.split(line) for line in said.splitlines() if " -m pytest " in line]
-    found = [[sys.executable if word.endswith("/python") else word for word in words] for words in commands]
-    return [[word for word in words if "tests/docs" not in word] for words in found]
+def commands(goal: str) -> list[list[str]]:
+    """The commands of a goal that run tests, by this interpreter."""
+    said = subprocess.run(["make", "-n", goal], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    found = [shlex.split(line) for line in said.splitlines() if " -m pytest " in line]
+    return [[sys.executable if word.endswith("/python") else word for word in words] for words in found]
 
 
-def write(folder: Path, part: int, body: str, at: int) -> None:
-    """Three files of three tests; the one of the second file at `at` does `body`."""
-    for file in "abc":
-        bodies = [body if (file, number) == ("b", at) else "pass" for number in range(3)]
-        write_file(folder / f"test_{file}.py", part, bodies)
+def write(folder: Path, body: str, at: int, is_graph: bool = False, file: str = "test_b.py") -> None:
+    """Three files of three tests; the one of `file`, the second, at `at` does `body`."""
+    for path in (folder / "test_a.py", folder / file, folder / "test_c.py"):
+        bodies = [body if (path, number) == (folder / file, at) else "pass" for number in range(3)]
+        write_file(path, bodies, is_graph)
 
 
-def write_file(path: Path, part: int, bodies: list[str]) -> None:
+def write_file(path: Path, bodies: list[str], is_graph: bool = False) -> None:
     lines = ["import ctypes, os, re, signal, time", "import pytest"]
-    lines += ["pytestmark = pytest.mark.graph"] if part == GRAPH else []
+    lines += ["pytestmark = pytest.mark.graph"] if is_graph else []
     lines += [f"def test_{number}(): {body}" for number, body in enumerate(bodies)]
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n")
 
 
-def start(folder: Path, part: int, *options: str) -> subprocess.Popen[str]:
-    """A part of `make test` on the tests of a folder."""
+def start(folder: Path, *options: str, goal: str = "test") -> subprocess.Popen[str]:
+    """`make test` on the tests of a folder, in two workers."""
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
-    environment |= {"PYTHONPATH": str(ROOT), "PYTEST_XDIST_AUTO_NUM_WORKERS": "2"}
+    # plugins that no test here uses would be most of the time
+    environment |= {"PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     here = [
+        "-p",
+        "xdist",
         "-c",
         str(ROOT / "pyproject.toml"),
         "--rootdir",
@@ -67,9 +74,12 @@ def start(folder: Path, part: int, *options: str) -> subprocess.Popen[str]:
         "tests.conftest",
         "-p",
         "no:cacheprovider",
+        "-n",
+        "2",
     ]
+    (command,) = commands(goal)
     return subprocess.Popen(
-        [*parts()[part], *here, *options, "."],
+        [*command, *here, *options, "."],
         cwd=folder,
         env=environment,
         stdout=subprocess.PIPE,
@@ -88,32 +98,32 @@ def end(run: subprocess.Popen[str]) -> str:
 
 
 @pytest.mark.parametrize(
-    ("part", "body", "at"),
+    ("body", "at", "is_graph", "file"),
     [
-        (PLAIN, KILLED, 0),
-        (PLAIN, KILLED, 1),
-        (PLAIN, KILLED, 2),
-        (DOCS, KILLED, 2),
-        (GRAPH, SILENT, 2),
+        (KILLED, 0, False, "test_b.py"),
+        (KILLED, 1, False, "test_b.py"),
+        (KILLED, 2, False, "test_b.py"),
+        (KILLED, 2, False, SEPARATE),
+        (SILENT, 2, True, "test_b.py"),
     ],
-    ids=["first killed", "middle killed", "last killed", "of docs killed", "of graphs crashed"],
+    ids=["first killed", "middle killed", "last killed", "separate killed", "of graphs crashed"],
 )
 def test_a_test_that_takes_its_process_with_it_ends_the_run_and_is_named(
-    part: int, body: str, at: int, tmp_path: Path
+    body: str, at: int, is_graph: bool, file: str, tmp_path: Path
 ) -> None:
     """Killed, or crashed without a word; first, in the middle, last of its file."""
-    write(tmp_path, part, body, at)
-    run = start(tmp_path, part)
+    write(tmp_path, body, at, is_graph, file)
+    run = start(tmp_path)
     said = end(run)
     assert run.returncode == 1, said
-    assert f"crashed while running 'test_b.py::test_{at}'" in said
+    assert f"crashed while running '{file}::test_{at}'" in said
     assert LAST_LINE.search(said), said
 
 
-@pytest.mark.parametrize("part", [PLAIN, GRAPH])
-def test_a_test_that_hangs_ends_the_run_and_is_named(part: int, tmp_path: Path) -> None:
-    write_file(tmp_path / "test_b.py", part, [STUCK])
-    run = start(tmp_path, part, "-o", "faulthandler_timeout=1")
+@pytest.mark.parametrize("is_graph", [False, True])
+def test_a_test_that_hangs_ends_the_run_and_is_named(is_graph: bool, tmp_path: Path) -> None:
+    write_file(tmp_path / "test_b.py", [STUCK], is_graph)
+    run = start(tmp_path, "-o", "faulthandler_timeout=1")
     said = end(run)
     assert run.returncode == 1, said
     assert "Timeout (0:00:01)!" in said
@@ -133,9 +143,9 @@ def pytest_sessionfinish(session):
 
 def test_a_worker_that_dies_after_its_last_test_fails_the_run(tmp_path: Path) -> None:
     """Also when another ends in order after it."""
-    write(tmp_path, PLAIN, "pass", 0)
+    write(tmp_path, "pass", 0)
     (tmp_path / "conftest.py").write_text(DIES)
-    run = start(tmp_path, PLAIN)
+    run = start(tmp_path)
     said = end(run)
     assert run.returncode == 1, said
     assert "node down" in said
@@ -153,9 +163,9 @@ def pytest_runtest_logstart(nodeid):
 
 def test_a_run_that_is_stopped_names_the_test_that_it_was_at(tmp_path: Path) -> None:
     """As its limit of time does it, by SIGTERM."""
-    write(tmp_path, PLAIN, "time.sleep(3600.0)", 1)
+    write(tmp_path, "time.sleep(3600.0)", 1)
     (tmp_path / "conftest.py").write_text(TELLS)
-    run = start(tmp_path, PLAIN)
+    run = start(tmp_path)
     try:
         end_s = time.monotonic() + PATIENCE_S
         while not (tmp_path / "running").exists():
@@ -169,6 +179,52 @@ def test_a_run_that_is_stopped_names_the_test_that_it_was_at(tmp_path: Path) -> 
     assert LAST_LINE.search(said), said
 
 
-def test_every_test_and_every_part_has_a_limit_of_time(pytestconfig: pytest.Config) -> None:
+TAKEN = """
+import os, pathlib
+def pytest_runtest_logstart(nodeid):
+    worker = os.environ.get("PYTEST_XDIST_WORKER")
+    if worker:
+        with pathlib.Path(f"taken by {worker}").open("a") as file:
+            print(nodeid, file=file)
+"""
+
+
+def test_graphs_run_one_at_a_time_and_the_longest_of_the_others_first(tmp_path: Path) -> None:
+    """The worker that is ready first begins with the graphs, most in a file first; the other with most that is slow."""
+    say, await_it = "pathlib.Path({0!r}).touch()", "while not pathlib.Path({0!r}).exists(): time.sleep(0.01)"
+    for name, tests in {
+        "short": [("other", "pass")],
+        "slow": [("slow", "pass")],
+        # both workers have begun before either goes on, and the second one's file lasts as long as there are graphs
+        "slower": [("slow", say.format("second")), ("slow", await_it.format("done"))],
+        "graph": [("graph", say.format("done"))],
+        "graphs": [("graph", await_it.format("second")), ("graph", "pass"), ("other", "pass")],
+    }.items():
+        said = [f"@pytest.mark.{mark}\ndef test_{at}():\n    {body}\n" for at, (mark, body) in enumerate(tests)]
+        (tmp_path / f"test_{name}.py").write_text("\n".join(["import pathlib, time, pytest", *said]))
+    (tmp_path / "conftest.py").write_text(TAKEN)
+    run = start(tmp_path, "-o", "markers=graph\nslow\nother")
+    said = end(run)
+    assert run.returncode == 0, said
+    taken = [(tmp_path / f"taken by gw{worker}").read_text().splitlines() for worker in (0, 1)]
+    files = [list(dict.fromkeys(nodeid.split("::")[0] for nodeid in one)) for one in taken]
+    assert sorted(files) == [["test_graphs.py", "test_graph.py"], ["test_slower.py", "test_slow.py", "test_short.py"]]
+
+
+def test_the_fast_run_leaves_out_what_is_slow_or_starts_processes(tmp_path: Path) -> None:
+    marks = ("graph", "slow", "parametrize('number', [1])")
+    for mark in marks:
+        argument = "number" if "number" in mark else ""
+        text = f"import pytest\n@pytest.mark.{mark}\ndef test_it({argument}): pass\n"
+        (tmp_path / f"test_{mark[:5]}.py").write_text(text)
+    run = start(tmp_path, "-vv", goal="test-fast")
+    said = end(run)
+    assert run.returncode == 0, said
+    assert "1 passed" in said
+    assert "test_param.py::test_it[1]" in said
+
+
+def test_every_test_and_every_run_has_a_limit_of_time(pytestconfig: pytest.Config) -> None:
     assert float(pytestconfig.getini("faulthandler_timeout")) > 0.0
-    assert [words[0] for words in parts()] == ["timeout"] * 3
+    for goal in ("test", "test-fast"):
+        assert [words[0] for words in commands(goal)] == ["timeout"]

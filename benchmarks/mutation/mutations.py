@@ -211,7 +211,8 @@ class Workspace:
         command = [sys.executable, "-m", "pytest", "-q", "-x", "--tb=no", "-p", "no:cacheprovider", "-m", "not graph"]
         command += [*(f"--deselect={name}" for name in without), *tests]
         environment = os.environ | {"PYTHONPATH": str(self.folder), "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
-        environment |= {"MIRRORWAVE_RUN_DIR": str(self.folder.parent / "run")}
+        # a mutant as long as the original and of the same second would be run from the original's bytecode
+        environment |= {"MIRRORWAVE_RUN_DIR": str(self.folder.parent / "run"), "PYTHONDONTWRITEBYTECODE": "1"}
         environment |= {} if numba_cache is None else {"NUMBA_CACHE_DIR": str(numba_cache)}
         code, output = self._run(command, environment, until_s)
         if code in (-signal.SIGTERM, -signal.SIGINT, -signal.SIGHUP):

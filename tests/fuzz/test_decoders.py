@@ -49,6 +49,7 @@ def _quiet() -> Iterator[None]:
     logging.disable(logging.NOTSET)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TARGETS)
 def test_valid_inputs_are_read_and_changed_ones_read_or_refused(name: str, tmp_path: Path) -> None:
     target = TARGETS[name]
@@ -60,6 +61,7 @@ def test_valid_inputs_are_read_and_changed_ones_read_or_refused(name: str, tmp_p
         execute(target, mutated(rng.choice(seeds), target.kinds, rng), tmp_path / "box")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(CORPUS.rglob("*.bin")), ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_what_was_found_stays_mended(path: Path, tmp_path: Path) -> None:
     execute(TARGETS[path.parent.name], split(path.read_bytes()), tmp_path / "box")

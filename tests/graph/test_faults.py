@@ -761,6 +761,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> bytes:
     return path.read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("share", "scans"), [(0.0, None), (0.75, 2), (0.9999, 3)])
 def test_a_cut_recording_is_played_up_to_its_cut(
     share: float,
@@ -845,6 +846,7 @@ def seen_with(
     return views, maps, former
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jump_s", [3600.0, -12.0])
 def test_a_radar_clock_that_is_set_within_a_scan_is_flagged(jump_s: float, caplog: pytest.LogCaptureFixture) -> None:
     """Radar and vehicle on one clock that is set in the middle of scan 3, and back in the middle of scan 6: the beams
@@ -864,6 +866,7 @@ def test_a_radar_clock_that_is_set_within_a_scan_is_flagged(jump_s: float, caplo
     assert former.health()[0] is NodeState.READY
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jump_s", [3600.0])
 def test_a_vehicle_clock_that_is_set_costs_the_motion_until_it_is_right(jump_s: float) -> None:
     """The vehicle's stamps alone jump, before scan 2, and are right again from scan 5: meanwhile no state fits a scan,

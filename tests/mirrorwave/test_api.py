@@ -38,6 +38,7 @@ def lines_of(found: list[View]) -> str:
     return "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in found)
 
 
+@pytest.mark.slow
 def test_views_are_what_process_writes(capture: Path, tmp_path: Path) -> None:
     assert main(["process", str(capture), "--out", str(tmp_path)]) == 0
     found = list(views(capture))
@@ -47,6 +48,7 @@ def test_views_are_what_process_writes(capture: Path, tmp_path: Path) -> None:
     assert all(view.ra_map.scan_id == view.peaks.scan_id == view.scan_id for view in found)
 
 
+@pytest.mark.slow
 def test_profile_and_overrides_reach_the_nodes(capture: Path, tmp_path: Path) -> None:
     assert main(["process", str(capture), "--out", str(tmp_path), "--profile", "cfar"]) == 0
     assert lines_of(list(views(capture, "cfar"))) == (tmp_path / "objects.jsonl").read_text()
@@ -106,6 +108,7 @@ def test_what_does_not_fit_is_refused_in_one_line(beams: tuple[RadarSetup, list[
         next(views(tmp_path / "empty.mcap"))
 
 
+@pytest.mark.slow
 def test_a_view_draws_itself(beams: tuple[RadarSetup, list[RadarBeam]], tmp_path: Path) -> None:
     setup, one_scan = beams
     view = Perception(setup, "cfar").see(np.stack([beam.samples for beam in one_scan]))

@@ -14,6 +14,7 @@ from mirrorwave.convert.result_lines import bev_to_json
 SCENE = "launch/scenes/hidden_car_spad.yaml"
 
 
+@pytest.mark.slow
 def test_a_recorded_lidar_gives_the_hidden_car_the_same_every_time(tmp_path: Path) -> None:
     """By `process` twice, and by the Python interface: the car, 4.5 m x 1.8 m about (26, 8)."""
     recording = tmp_path / "spad.mcap"

@@ -113,6 +113,7 @@ def test_unfiltered_keeps_every_place_of_the_same_network() -> None:
     assert "unfiltered" in profile_names()
 
 
+@pytest.mark.slow
 @needs(ALLEY)
 def test_one_object_within_15_cm_in_the_alley_of_another_simulator(tmp_path: Path) -> None:
     """The outside capture: one hidden car; the report lies within 0.15 m of its visible face, and is the only one."""

@@ -21,6 +21,7 @@ from mirrorwave.exit_signals import HUNG_UP
 from mirrorwave.terminal import READER_LEFT
 from msgs.recording.mcap import RecordingReader, info
 from nodes.recording.files import recorded_files
+from tests.mirrorwave.endings import hears_endings
 
 pytestmark = pytest.mark.graph
 
@@ -53,12 +54,37 @@ LISTENING = [
 @pytest.fixture
 def box(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of its own, its name short enough for a graph's sockets; nothing that was started in it is left."""
+    with made_box() as path, graphs_meet_in(path, monkeypatch):
+        yield path
+
+
+@pytest.fixture(scope="module")
+def box_of_all() -> Iterator[Path]:
+    with made_box() as path, pytest.MonkeyPatch.context() as patch, graphs_meet_in(path, patch), graph(path):
+        yield path
+
+
+@pytest.fixture
+def running(box_of_all: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A graph that runs, for verbs that leave it as it is; nothing but its own processes is left."""
+    with graphs_meet_in(box_of_all, monkeypatch):
+        yield
+
+
+@contextmanager
+def made_box() -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="mw-") as name:
-        monkeypatch.setenv("MIRRORWAVE_RUN_DIR", name)
-        monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
         (Path(name) / "t.yaml").write_text(TICKING)
         yield Path(name)
-        wait_for(lambda: processes_of(name) == [])
+
+
+@contextmanager
+def graphs_meet_in(path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(path))
+    monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
+    before = processes_of(path)
+    yield
+    wait_for(lambda: processes_of(path) == before)
 
 
 def wait_for(what: Callable[[], object]) -> None:
@@ -175,8 +201,9 @@ def test_a_terminal_that_is_closed_costs_no_recording(box: Path) -> None:
 
 
 @pytest.mark.parametrize("verb", ["topic echo radar/ra_map", "topic hz radar/ra_map --duration 1000", "top"])
-def test_other_verbs_end_at_once_and_quietly(box: Path, verb: str) -> None:
-    with graph(box), started(verb.split()) as process:
+def test_other_verbs_end_at_once_and_quietly(running: None, verb: str) -> None:
+    with started(verb.split()) as process:
+        wait_for(lambda: hears_endings(process))
         # well within its set-up or its work
         time.sleep(1.0)
         code, _, trouble = hang_up(process)
@@ -282,8 +309,8 @@ def test_verbs_end_quietly_when_their_reader_has_left(verb: str) -> None:
 
 
 @pytest.mark.parametrize("verb", LISTENING)
-def test_listening_verbs_do_not_wait_for_their_next_line(verb: str, box: Path) -> None:
-    with graph(box), started(verb.split()) as process:
+def test_listening_verbs_do_not_wait_for_their_next_line(verb: str, running: None) -> None:
+    with started(verb.split()) as process:
         assert process.stdout is not None
         process.stdout.close()
         assert process.wait(PATIENCE_S) == READER_LEFT
@@ -308,13 +335,12 @@ def test_a_body_that_survives_every_exception_ends_with_its_reader(box: Path) ->
             process.kill()
 
 
-def test_the_head_of_a_stream(box: Path) -> None:
-    with graph(box):
-        echo = through_shell("mirrorwave topic echo vehicle/state | head -3")
-        assert (echo.returncode, echo.stdout.count("\n"), echo.stderr) == (READER_LEFT, 3, "")
-        top = through_shell("mirrorwave top --window 0.5 | head -12")
-        assert (top.returncode, top.stdout.count("\n"), top.stderr) == (READER_LEFT, 12, "")
-        assert "tick" in top.stdout
+def test_the_head_of_a_stream(running: None) -> None:
+    echo = through_shell("mirrorwave topic echo vehicle/state | head -3")
+    assert (echo.returncode, echo.stdout.count("\n"), echo.stderr) == (READER_LEFT, 3, "")
+    top = through_shell("mirrorwave top --window 0.5 | head -12")
+    assert (top.returncode, top.stdout.count("\n"), top.stderr) == (READER_LEFT, 12, "")
+    assert "tick" in top.stdout
 
 
 def test_a_graph_goes_on_when_its_log_has_no_reader(box: Path) -> None:

@@ -181,6 +181,7 @@ def test_can_decode_shows_the_list(bus: dict, tmp_path: Path, capsys: pytest.Cap
     assert len(report["samples"]) == 66
 
 
+@pytest.mark.slow
 def test_can_decode_flags_damaged_and_lost_frames(bus: dict, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     path = write_log(bus, tmp_path / "out.log")
     lines = path.read_text().splitlines()

@@ -45,6 +45,7 @@ for module, unwanted in json.loads(sys.argv[1]):
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 def test_a_node_starts_without_what_it_does_not_need(chain: list[tuple[str, tuple[str, ...]]]) -> None:
     program = [sys.executable, "-c", PROGRAM, json.dumps(chain)]

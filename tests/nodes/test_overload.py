@@ -127,6 +127,7 @@ def test_overload_sheds_whole_scans_and_counts_each(cost_ms: float) -> None:
     assert scans == sorted(set(scans))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cost_ms", [16.0, 25.0])
 def test_what_is_published_under_overload_is_not_old(cost_ms: float) -> None:
     """Begun at most half a scan late, a scan is done when its beams have been folded: never a growing delay."""
@@ -142,6 +143,7 @@ def test_without_shedding_the_delay_would_grow() -> None:
     assert rig.run(60, cost_ms=25.0)[-1].late_ms > 5_000.0
 
 
+@pytest.mark.slow
 def test_the_former_recovers_with_the_next_scan() -> None:
     rig = Rig()
     rig.run(10, cost_ms=2.0)
@@ -168,6 +170,7 @@ def test_a_fast_former_catches_up_with_a_pause(pause_ms: float, shed_scans: int)
     assert len(rig.maps) == 10 - shed_scans
 
 
+@pytest.mark.slow
 def test_the_queue_is_bounded() -> None:
     rig = Rig()
     rig.run(60, cost_ms=11.9)

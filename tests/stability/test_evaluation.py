@@ -50,6 +50,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
     return error
 
 
+@pytest.mark.slow
 def test_frames_without_signal_or_truth_are_scored(tmp_path: Path) -> None:
     """Noise, an empty map, no noise power: every method answers, false alarms count, nothing is skipped or not finite
     but what has no value."""

@@ -740,6 +740,7 @@ def naive_encoding(encoding: Encoding, columns: np.ndarray, noise_power_mw: floa
 STEP = {"fp32": 2.0**-17, "fp16": 2.0**-8, "int8": 2.0**-6}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "precision",
     [

@@ -224,6 +224,7 @@ def test_mirrored_twice_is_where_it_was(point: np.ndarray, ends: Any, towards: n
     np.testing.assert_allclose(twice, point, rtol=0.0, atol=ROUNDING_M)
 
 
+@pytest.mark.slow
 @quick
 @given(places_m, places_m, walls_m)
 def test_range_of_the_image_is_the_length_of_the_path(origin: np.ndarray, target: np.ndarray, ends: Any) -> None:
@@ -242,6 +243,7 @@ def test_range_of_the_image_is_the_length_of_the_path(origin: np.ndarray, target
     np.testing.assert_allclose(back, there, rtol=0.0, atol=ROUNDING_M * max(1.0, 200.0 / grazing))
 
 
+@pytest.mark.slow
 @quick
 @given(places_m, places_m, walls_m, motions)
 def test_walls_images_and_cuts_turn_with_the_scene(
@@ -285,6 +287,7 @@ def test_a_wall_split_in_two_shows_and_hides_the_same(origin: np.ndarray, seed: 
 # --- waves at walls
 
 
+@pytest.mark.slow
 @settings(quick, max_examples=400)
 @given(passive_media, cosines, polarisations)
 def test_a_passive_half_space_returns_no_more_than_it_gets(
@@ -294,6 +297,7 @@ def test_a_passive_half_space_returns_no_more_than_it_gets(
     assert abs(reflection) <= 1.0 + 4.0 * np.finfo(float).eps
 
 
+@pytest.mark.slow
 @settings(quick, max_examples=400)
 @given(passive_media, cosines, thicknesses_m, wavelengths_m, polarisations)
 def test_a_passive_slab_returns_and_passes_no_more_than_it_gets(
@@ -323,6 +327,7 @@ def test_a_wall_passes_as_much_from_either_side(layers: list[tuple[complex, floa
 # --- the simulated radar
 
 
+@pytest.mark.slow
 @slow
 @given(scenes, motions)
 def test_paths_turn_with_the_scene(index: int, motion: Pose2) -> None:
@@ -331,6 +336,7 @@ def test_paths_turn_with_the_scene(index: int, motion: Pose2) -> None:
     assert_same_paths(paths_of(carried(view, motion)), paths_of(view))
 
 
+@pytest.mark.slow
 @slow
 @given(scenes)
 def test_a_scene_left_for_right_gives_paths_left_for_right(index: int) -> None:
@@ -443,6 +449,7 @@ def formed(setup: RadarSetup, samples: np.ndarray) -> RangeAzimuthMap:
     return maps[0]
 
 
+@pytest.mark.slow
 @slow
 @given(st.floats(-60.0, 60.0))
 def test_gain_of_signal_and_noise_moves_no_peak(gain_db: float) -> None:

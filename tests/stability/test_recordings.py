@@ -86,6 +86,7 @@ def check_cut(cut: Path, size: int, whole: Path, out: Path) -> None:
     assert (loss is None) == (size >= whole.stat().st_size - 8)
 
 
+@pytest.mark.slow
 def test_a_small_recording_cut_at_every_byte(tmp_path: Path) -> None:
     """No cut raises; each costs the chunk it goes through and those behind it; the rest is copied, exactly."""
     whole = write(tmp_path / "whole.mcap", 4, 2, topics=2)
@@ -107,6 +108,7 @@ def test_a_small_recording_cut_at_every_byte(tmp_path: Path) -> None:
             copy_recording(cut, out, overwrite=True)
 
 
+@pytest.mark.slow
 def test_a_large_recording_cut_at_random_bytes(large: Path, tmp_path: Path) -> None:
     raw = large.read_bytes()
     sizes, ends = chunk_sizes(large), chunk_ends(large)
@@ -122,6 +124,7 @@ def test_a_large_recording_cut_at_random_bytes(large: Path, tmp_path: Path) -> N
             check_cut(cut, at, large, out)
 
 
+@pytest.mark.slow
 def test_a_large_recording_with_flipped_bytes(large: Path, tmp_path: Path) -> None:
     """One byte wrong, wherever: at most one chunk is lost, no message is changed, and what is lost is told."""
     raw = bytearray(large.read_bytes())
@@ -142,6 +145,7 @@ def test_a_large_recording_with_flipped_bytes(large: Path, tmp_path: Path) -> No
         assert count == len(expected) or loss is not None, f"byte {at}"
 
 
+@pytest.mark.slow
 def test_damage_to_the_frame_of_a_chunk_costs_that_chunk_alone(large: Path, tmp_path: Path) -> None:
     """Each byte of a record's head and a chunk's own fields: lengths that lie, times that jump, types that are none."""
     raw = bytearray(large.read_bytes())

@@ -91,6 +91,7 @@ def test_a_day_on_a_circle(errors: Errors, elapsed_s: float) -> None:
     errors(naive=math.dist(exact, naive), ours=math.dist(exact, (pose.x_m, pose.y_m)))
 
 
+@pytest.mark.slow
 @pytest.mark.hard(
     where="msgs.values.frames.Pose2",
     naive="running sums in float32",

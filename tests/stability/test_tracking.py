@@ -68,6 +68,7 @@ def test_sharp_place_of_a_vague_object(errors: Errors) -> None:
     errors(naive=naive, ours=ours)
 
 
+@pytest.mark.slow
 @pytest.mark.hard(
     where="models.perception.tracking.tracker.Estimate",
     naive="(I - K H) P",
@@ -159,6 +160,7 @@ def test_a_scan_that_comes_twice_or_late_changes_nothing() -> None:
     assert told == last_track(in_order)
 
 
+@pytest.mark.slow
 @pytest.mark.hard(
     where="models.perception.tracking.odometry.Odometry",
     naive="steps along the heading",

@@ -85,6 +85,7 @@ def test_the_last_value_of_a_range_counts_and_the_next_does_not(scale: str) -> N
         assert naive_wrong > 0
 
 
+@pytest.mark.slow
 @pytest.mark.hard(
     where="models.vehicle.end_to_end",
     naive="new less last",

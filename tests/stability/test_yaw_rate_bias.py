@@ -64,6 +64,7 @@ def test_the_clock_of_the_epoch_changes_nothing(errors: Errors) -> None:
     errors(naive=abs(bias_after(rounded) - wanted), ours=abs(bias_after(shifted) - wanted))
 
 
+@pytest.mark.slow
 def test_the_covariance_stays_one_over_hours() -> None:
     """Three hours of town without a rest: no eigenvalue below zero, and a standard deviation that has settled."""
     bias, part = DrivingBias(), drive(60.0, town, turns)
@@ -137,6 +138,7 @@ def test_sensors_that_come_and_go() -> None:
 numbers = st.one_of(st.floats(-20.0, 20.0), st.sampled_from([0.0, -0.0, 5e-324, 0.05, 1.0, 60.0]))
 
 
+@pytest.mark.slow
 @settings(max_examples=150, deadline=None)
 @given(
     st.lists(

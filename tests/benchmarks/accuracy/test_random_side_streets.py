@@ -172,6 +172,7 @@ SMALL = Settings(
 )
 
 
+@pytest.mark.slow
 def test_a_run_goes_on_where_it_was_stopped_and_workers_change_nothing(tmp_path: Path) -> None:
     out = tmp_path / "drives.jsonl"
     whole = results_of(SMALL, 2, 2, out)

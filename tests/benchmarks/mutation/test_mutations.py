@@ -72,6 +72,7 @@ SURVIVES = mutation("exchanged", "width * height", "height * width")
 ENDLESS = mutation("endless", "limit -= 1", "limit += 1")
 
 
+@pytest.mark.slow
 def test_a_mutant_is_killed_survives_or_runs_out_of_time(tree: Path, tmp_path: Path) -> None:
     """3 + 4 is not 12; the factors may be exchanged; counting upwards never ends. The test that fails in the unchanged
     tree too kills nothing and is named, and the tree stays what it is.
@@ -91,6 +92,7 @@ def test_a_mutant_is_killed_survives_or_runs_out_of_time(tree: Path, tmp_path: P
     assert (row["status"], row["killed_by"]) == ("killed", "tests/test_shapes.py::test_area")
 
 
+@pytest.mark.slow
 def test_verdicts_hold_until_something_they_hang_on_changes(tree: Path, tmp_path: Path) -> None:
     """A survivor is not judged again, though the log's last line was cut; of a new test that imports its module only
     that is run, and it kills. Time that is up stays up, unless more of it is given.
@@ -137,6 +139,7 @@ def test_every_mutation_of_the_list_fits_its_file(one: Mutation) -> None:
     assert one.group == "guard" or stages_of(ROOT, one)[0] != ["tests/stability"]
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_mutations() -> None:
     drawn, again, other = draw(5, 3), draw(5, 3), draw(5, 4)
     assert drawn == again

@@ -105,6 +105,7 @@ def assert_is_the_point(found: dict[str, float], speed_mps: float = SPEED_MPS) -
     assert found["closing_speed_mps"] == pytest.approx(speed_mps, abs=0.17)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("content", "config"),
     [
@@ -143,6 +144,7 @@ def test_a_channel_comes_back_as_it_went_in() -> None:
         assert np.array_equal(samples, cube.reshape(LOOPS, 8, SAMPLES).astype(np.complex64))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("masks", [(1, 4, 2), (1, 2, 4), (2, 1, 4)])
 def test_a_higher_transmitter_is_left_out(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], masks: tuple[int, ...]
@@ -161,6 +163,7 @@ def test_a_higher_transmitter_is_left_out(
     assert_is_the_point(said["per_frame"][0]["returns"][0])
 
 
+@pytest.mark.slow
 def test_a_json_configuration_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """And the device may come from the command line; receivers that run to the right turn the angle round."""
     config = json.dumps(as_json_config(None))
@@ -198,6 +201,7 @@ def test_maps_serve_the_detectors(tmp_path: Path) -> None:
 FRAME = two_lanes(point())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cut", [1, 2, 3, 4, 4 * SAMPLES, len(FRAME) // 2, len(FRAME) - 1, len(FRAME)])
 def test_a_cut_last_frame_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str], cut: int) -> None:
     """Whole frames are kept, code 3, and the loss is named; down to within a sample."""
@@ -210,6 +214,7 @@ def test_a_cut_last_frame_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert_is_the_point(said["per_frame"][0]["returns"][0])
 
 
+@pytest.mark.slow
 def test_a_capture_until_it_was_stopped(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """`frames` 0 takes as many as there are; 51 frames make a second file."""
     short = CFG.replace(f"frameCfg 0 1 {LOOPS} 2", "frameCfg 0 1 1 0")
@@ -288,6 +293,7 @@ def test_four_lanes_want_four_receivers(tmp_path: Path, capsys: pytest.CaptureFi
     assert "channelCfg.rx_mask must be 15 with four lanes (xwr14xx), got 7" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_two_lanes_take_fewer_receivers(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Receivers 2 and 4 alone: a wavelength apart, so that 20 deg has an alias at -41 deg; its range stands."""
     config = CFG.replace("channelCfg 15 3 0", "channelCfg 10 3 0")
@@ -323,6 +329,7 @@ def test_wrong_json_is_named(
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_files_and_options_are_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = write(tmp_path, FRAME * 2)
     assert main([*words, "--device", "xwr18xx"]) == 2
@@ -342,6 +349,7 @@ def test_files_and_options_are_checked(tmp_path: Path, capsys: pytest.CaptureFix
     assert main(words) == 2
 
 
+@pytest.mark.slow
 def test_silence_has_no_returns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A frame of zeros, as the board writes for packets that it lost, is a map like any other."""
     assert main([*write(tmp_path, bytes(len(FRAME)) + FRAME), "--json"]) == 0
@@ -350,6 +358,7 @@ def test_silence_has_no_returns(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert_is_the_point(said["per_frame"][1]["returns"][0])
 
 
+@pytest.mark.slow
 def test_noise_alone_has_no_returns(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """One value reaches 15 dB over the mean with exp(-31.6); a map is chosen from half a million."""
     rng = np.random.default_rng(11)
@@ -358,6 +367,7 @@ def test_noise_alone_has_no_returns(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert [each["returns"] for each in json.loads(capsys.readouterr().out)["per_frame"]] == [[], []]
 
 
+@pytest.mark.slow
 def test_full_scale_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Every fourth code at the end of the scale."""
     codes = np.tile(np.array([32767, 0, 0, 0], "<i2"), len(FRAME) // 8)
@@ -382,6 +392,7 @@ def real_cfg() -> str:
     return text.replace(f"frameCfg 0 1 {LOOPS} 2", "frameCfg 0 1 128 1")
 
 
+@pytest.mark.slow
 @needs(AWR)
 def test_real_77_ghz_capture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The published samples in the board's own layout: 2.93 m, 0.56 m/s, 6.8 deg (docs/results/accuracy.md)."""

@@ -66,6 +66,7 @@ def ra_map() -> RangeAzimuthMap:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("filled", [True, False])
 @pytest.mark.parametrize("with_map", [True, False])
 def test_draws_full_and_empty_frames(tmp_path, filled, with_map):
@@ -74,6 +75,7 @@ def test_draws_full_and_empty_frames(tmp_path, filled, with_map):
     assert out.read_bytes().startswith(PNG_SIGNATURE)
 
 
+@pytest.mark.slow
 def test_equal_frames_give_equal_bytes(tmp_path):
     for name in ("a.png", "b.png"):
         draw_bev(frame(), tmp_path / name)
@@ -91,6 +93,7 @@ def drawn(saved_figures, tmp_path, *what):
     return saved_figures[-1], {axes.get_title(): axes for axes in saved_figures[-1].axes}
 
 
+@pytest.mark.slow
 def test_the_legend_has_words_that_a_driver_knows(saved_figures, tmp_path):
     figure, _ = drawn(saved_figures, tmp_path, truth(), ra_map())
     (legend,) = legends_of(figure)
@@ -104,6 +107,7 @@ def test_the_legend_has_words_that_a_driver_knows(saved_figures, tmp_path):
     assert_readable_at_page_width(figure)
 
 
+@pytest.mark.slow
 def test_the_title_counts_and_says_conditions_in_words(saved_figures, tmp_path):
     figure, _ = drawn(saved_figures, tmp_path, truth())
     assert figure.get_suptitle().splitlines() == [
@@ -114,6 +118,7 @@ def test_the_title_counts_and_says_conditions_in_words(saved_figures, tmp_path):
     assert figure.get_suptitle().splitlines()[0] == "Scan 5 at 1.500 s: 1 hidden object"
 
 
+@pytest.mark.slow
 def test_the_view_is_large_beside_the_map_and_both_axes_have_units(saved_figures, tmp_path):
     figure, panels = drawn(saved_figures, tmp_path, truth(), ra_map())
     view, small = panels["bird's-eye view"], panels["what the radar measures"]
@@ -140,6 +145,7 @@ def colours_of(axes: Axes) -> dict[str, str]:
     return found
 
 
+@pytest.mark.slow
 def test_every_meaning_has_one_colour(saved_figures, tmp_path):
     _, panels = drawn(saved_figures, tmp_path, truth(), ra_map())
     meanings = {
@@ -164,6 +170,7 @@ def direct_area(axes: Axes) -> Polygon:
     return found
 
 
+@pytest.mark.slow
 def test_direct_sight_stops_at_the_true_wall(saved_figures, tmp_path):
     """The mask calls all cells seen; the true wall stands 20 m ahead, 9 m to either side (24.2 degrees)."""
     _, panels = drawn(saved_figures, tmp_path, truth())

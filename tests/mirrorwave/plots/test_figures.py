@@ -75,6 +75,7 @@ def words(figure: Figure) -> list[str]:
     return [text.get_text() for legend in legends_of(figure) for text in legend.get_texts()]
 
 
+@pytest.mark.slow
 def test_front_and_stages_of_the_committed_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
     report = msgspec.json.decode(Path("docs/results/tradeoff.json").read_bytes(), type=Report)
     draw_front(report, tmp_path / "front.png")
@@ -88,6 +89,7 @@ def test_front_and_stages_of_the_committed_run(tmp_path: Path, saved_figures: li
         assert_readable_at_page_width(figure)
 
 
+@pytest.mark.slow
 def test_precision_and_groups_of_many_methods(tmp_path: Path, saved_figures: list[Figure]) -> None:
     """26 methods: no name of the legend falls off the figure."""
     curves = ("los", "mirrored", "recovered_1m", "hidden_1m")
@@ -166,6 +168,7 @@ def an_hour() -> dict[str, Any]:
     return {"minutes": minutes}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("draw", "result", "signs"),
     [

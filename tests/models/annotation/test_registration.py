@@ -49,6 +49,7 @@ def two_clouds(scene: Scene, other: Viewpoint) -> tuple[PlacedCloud, np.ndarray,
     return PlacedCloud(first.points_m, first.radar_from_lidar), second.points_m, second.radar_from_lidar
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("known", [True, False])
 def test_pose_comes_back(known: bool) -> None:
     """Layout: a crossing seen from (0, 0) and (9, -3), 2 cm of range noise; first pose off by 0.5 m and 4 degrees, or
@@ -63,12 +64,14 @@ def test_pose_comes_back(known: bool) -> None:
     assert found.start == ("given" if known else "global")
 
 
+@pytest.mark.slow
 def test_same_input_gives_the_same_bytes() -> None:
     placed, points_m, truth = two_clouds(scene_from_yaml(CROSSING), Viewpoint(x_m=9.0, y_m=-3.0))
     poses = {register(points_m, [placed], truth, PARAMS, seed=0).target_from_source.tobytes() for _ in range(2)}
     assert len(poses) == 1
 
 
+@pytest.mark.slow
 def test_a_corridor_is_refused_for_it_slides() -> None:
     """Two endless walls: partners for nearly all points, a residual of the noise, and yet the pose may lie anywhere
     along x. The refusal names the direction."""
@@ -79,6 +82,7 @@ def test_a_corridor_is_refused_for_it_slides() -> None:
     assert "slides along (1.00" in (found.fault(PARAMS) or "")
 
 
+@pytest.mark.slow
 def test_clouds_of_different_places_are_refused() -> None:
     placed, _, _ = two_clouds(scene_from_yaml(CROSSING), Viewpoint(x_m=0.0, y_m=0.0))
     elsewhere = lidar_cloud(scene_from_yaml(CORRIDOR), Viewpoint(x_m=0.0, y_m=0.0), LIDAR, 3)

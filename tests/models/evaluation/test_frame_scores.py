@@ -131,6 +131,7 @@ def random_scores(frames: int, hit: float, seed: int) -> FrameScores:
     return FrameScores(counts, np.ones((frames, 4, 4)))
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_and_pairs_are_tighter() -> None:
     """Recall of 10 binomial trials a frame, 60 frames: the percentile interval's half width is near
     1.96 sqrt(p q / 600) = 0.032 (tolerance a third), and it covers p in at least 85 of 100 repetitions.

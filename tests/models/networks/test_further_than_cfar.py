@@ -69,6 +69,7 @@ def test_gradients_reach_every_parameter() -> None:
         assert parameter.grad.abs().sum() > 0, name
 
 
+@pytest.mark.slow
 def test_learns_one_map() -> None:
     """One map with a patch of 8 x 8 cells a class: the loss falls below a fifth, 95 % of the cells are right."""
     net = network()

@@ -51,6 +51,7 @@ def test_gradients_reach_every_parameter() -> None:
         assert parameter.grad.abs().sum() > 0, name
 
 
+@pytest.mark.slow
 def test_learns_one_map() -> None:
     """One map with a point a class: the loss falls below a tenth, and both points come back within half a cell."""
     net = network()

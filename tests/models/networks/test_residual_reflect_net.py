@@ -94,6 +94,7 @@ def test_gradients_reach_every_parameter() -> None:
         assert parameter.grad.abs().sum() > 0, name
 
 
+@pytest.mark.slow
 def test_learns_a_few_residuals() -> None:
     net = network()
     inputs, wanted = example(), torch.randn(8, 2)

@@ -49,6 +49,7 @@ def test_table_3_has_the_published_tensors() -> None:
     assert len(net.state_dict()) == len(list(net.parameters())) == 322
 
 
+@pytest.mark.slow
 def test_rows_of_table_3() -> None:
     """Output size of every stage, [batch, rows, columns, channels]; the logits are cut to the 256 columns of a map."""
     net = without_values(TABLE_3)
@@ -74,6 +75,7 @@ def test_rows_of_table_3() -> None:
     assert logits.shape == (1, *TABLE_3.output_shape) == (1, 2, 512, 256)
 
 
+@pytest.mark.slow
 def test_native_takes_the_map_itself_with_the_same_parameters() -> None:
     net = without_values(NATIVE)
     assert net(torch.empty(1, 3, 512, 256, device="meta")).shape == (1, *NATIVE.output_shape) == (1, 2, 512, 256)
@@ -90,6 +92,7 @@ def test_compact_is_small_and_its_bottleneck_sees_the_scene() -> None:
     assert logits.shape == (1, *COMPACT.output_shape) == (1, 2, 320, 256)
 
 
+@pytest.mark.slow
 def test_windows_tile_or_shrink() -> None:
     """20 rows under a window of 8 take 5; where one window covers an axis nothing is shifted along it."""
     config = SwinUNetConfig(range_bins=320, columns=256, crop_columns=0, embed=32, heads=(2, 4, 8, 8))
@@ -236,6 +239,7 @@ def test_same_seed_gives_the_same_network_and_the_same_training_step() -> None:
     assert torch.equal(step(), step())
 
 
+@pytest.mark.slow
 def test_onnx_opset_17_agrees_with_torch(tmp_path: Path) -> None:
     """Confidences to 1e-4 in fp32, as every exported network here."""
     net = network(replace(SMALL, depths=(2, 1, 1, 1)))

@@ -70,6 +70,7 @@ def test_gradients_reach_every_parameter(config: UNetConfig) -> None:
         assert parameter.grad.abs().sum() > 0, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [TINY, FOLDED])
 def test_learns_one_map(config: UNetConfig) -> None:
     """One map with one peak a class: the loss falls below a fifth, and the strongest cells are the peaks."""

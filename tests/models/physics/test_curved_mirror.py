@@ -170,6 +170,7 @@ def near_caustic(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.n
             return origin, target, a, b, curvature
 
 
+@pytest.mark.slow
 def test_no_fermat_point_is_lost() -> None:
     """2100 layouts, a third of them at a caustic, against a grid of 5000 points on each arc.
 
@@ -293,6 +294,7 @@ HOLLOW = np.array([30.0, -37.0]), np.array([30.0, 37.0]), 0.025
 RADAR = np.array([12.0, -12.0])
 
 
+@pytest.mark.slow
 def test_caustic_of_a_hollow_wall_stays_bounded() -> None:
     """Layout: the wall of 0.025 1/m, radar 44 m from its middle; targets 1 cm apart on a line across the caustic.
 
@@ -373,6 +375,7 @@ def test_phase_turns_behind_the_caustic() -> None:
         assert np.angle(ours[0].gain[index]) == pytest.approx(turn_rad, abs=0.02)
 
 
+@pytest.mark.slow
 def test_fields_near_random_caustics() -> None:
     """Layout: hollow walls of 0.02-0.08 1/m, targets within decimetres of the caustic, heights up to 5 m; 120 of them.
 

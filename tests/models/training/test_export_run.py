@@ -146,6 +146,7 @@ def test_all_scenes_of_another_data_set_can_score_it(run_dir: Path, tmp_path: Pa
     assert card.data["test_scenes"] == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["fp16", "int8"])
 def test_smaller_numbers_say_what_they_cost(run_dir: Path, tmp_path: Path, precision: str) -> None:
     """A thousandth of a probability for 11 bits, a few hundredths for 8; the card tells both."""

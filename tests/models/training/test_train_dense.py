@@ -76,6 +76,7 @@ class KilledError(Exception):
     pass
 
 
+@pytest.mark.slow
 def test_learns_which_return_stands_behind_another(tmp_path: Path) -> None:
     """32 scenes, 40 epochs of a tiny network: chance level of the class is 0.5, so 0.8 means that it was learned."""
     training = DenseTraining(config(epochs=40, learning_rate=1e-2, batch_size=4), data(32), tmp_path)
@@ -177,6 +178,7 @@ def test_learning_rate_follows_its_schedule(kind: str) -> None:
         assert int(np.argmax(factors)) == 15
 
 
+@pytest.mark.slow
 def test_two_processes_train_one_network(tmp_path: Path) -> None:
     """Layout: torchrun starts two processes on this CPU for two epochs of the two training scenes of four."""
     write_dataset(tmp_path / "data", count=4, seed=1)

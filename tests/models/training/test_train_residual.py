@@ -64,6 +64,7 @@ class KilledError(Exception):
     pass
 
 
+@pytest.mark.slow
 def test_learns_what_the_mirror_law_leaves_over(tmp_path: Path) -> None:
     """l1 is 0.8 + 0.6 m in wall coordinates without, F1 at 1 m near 0 for the places are 1 m off; found to 0.4 m."""
     training = ResidualTraining(config(epochs=12, learning_rate=3e-3), images(256), images(64, 1), tmp_path)

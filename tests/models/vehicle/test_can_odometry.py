@@ -59,6 +59,7 @@ def places(driven: list[VehicleState]) -> list[tuple[int, Pose2]]:
     return [(stamp_ns, place.odom_from_vehicle) for stamp_ns, place in found]
 
 
+@pytest.mark.slow
 def test_a_silence_ends_the_frame_and_nothing_else_does(states: list[VehicleState]) -> None:
     frames = [place.frame for _, place in placed(states)]
     assert sorted(set(frames)) == [0, 1] or sorted(set(frames)) == [-1, 0, 1]
@@ -126,6 +127,7 @@ def test_a_parked_car_stands_beside_the_drive(driven: list[VehicleState], places
     assert all(np.hypot(one.velocity_x_mps, one.velocity_y_mps) > 0.5 * slowest_mps for one in standing_ego)
 
 
+@pytest.mark.slow
 def test_the_log_drives_past_the_side_street(states: list[VehicleState]) -> None:
     """`benchmarks.accuracy.side_street --log` in short: three scans, two chirps a beam; where odometry has the corner.
 

@@ -536,6 +536,7 @@ def test_a_clock_that_is_set_is_followed_within_two_seconds(step_s: int) -> None
     assert {error for now_ns, error in errors_ns if not 3_000_000_000 <= now_ns < 5_000_000_000} == {0}
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(
     st.lists(
@@ -561,6 +562,7 @@ def test_no_frame_is_fatal_and_no_garbage_is_believed(frames: list[tuple[int, by
     assert decoder.counts.total() == len(frames)
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.sampled_from([16, 17]), st.binary(min_size=8, max_size=8)), max_size=20))
 def test_what_is_believed_is_in_range(frames: list[tuple[int, bytes]]) -> None:
@@ -591,6 +593,7 @@ def real_drive() -> tuple[CanDecoder, list[VehicleState], list]:
     return decoder, states, faults
 
 
+@pytest.mark.slow
 @needs_real_log
 def test_a_real_drive_is_read(real_drive) -> None:
     """90 s of one car: standstill to 36.0 m/s, 50 states a second, nothing older than a period."""
@@ -625,6 +628,7 @@ def test_left_is_positive_for_yaw_rate_and_steering(real_drive) -> None:
         assert np.corrcoef(yaw[part], (speed * steering)[part])[0, 1] > 0.9
 
 
+@pytest.mark.slow
 @needs_real_log
 def test_the_signs_are_those_of_the_road(real_drive) -> None:
     """In a left turn the right wheels go the longer way: (right - left) / track is the yaw rate, whatever gyros say."""

@@ -26,6 +26,7 @@ def test_the_injector_is_sharp() -> None:
     assert attacks_link.heard_by_v1(TRIES) == TRIES
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.geteuid() != 0, reason="needs root, to become another user")
 def test_another_user_is_kept_out_of_the_bus() -> None:
     rows = list(attacks_ipc.rows(TRIES))

@@ -80,23 +80,27 @@ def count_of(bus: ZmqBus, topic: str) -> TopicCount:
 
 
 def connect(sender: ZmqBus, receiver: ZmqBus, topic: str, make: Callable[[int], object]) -> int:
-    """Publish until a message arrives, then receive up to the last one; returns how many were sent."""
+    """Publish until the last that was sent has come, so that no message is on its way; returns how many were sent.
+
+    On a machine that leaves no time to the threads of libzmq some may be lost meanwhile.
+    """
     receiver.subscribe(topic)
-    sent, received = 0, list[Received]()
+    sent, last = 0, -1
     deadline = time.monotonic() + PATIENCE_S
-    while not received:
+    while sent == 0 or last < sent - 1:
         assert time.monotonic() < deadline, "never connected"
-        sender.publish(topic, make(sent))  # type: ignore[arg-type]
-        sent += 1
         received = receiver.receive(0.02)
-    while received[-1].envelope.sequence < sent - 1:
-        received = collect(receiver, 1)
+        last = max((message.envelope.sequence for message in received), default=last)
+        if not received:
+            sender.publish(topic, make(sent))  # type: ignore[arg-type]
+            sent += 1
     return sent
 
 
 def test_messages_arrive_in_order_and_whole(meeting: Path) -> None:
     with closing(ZmqBus("sender", meeting)) as sender, closing(ZmqBus("receiver", meeting)) as receiver:
         sent = connect(sender, receiver, "radar/beam", beam)
+        lost = count_of(receiver, "radar/beam").lost
         for index in range(sent, sent + 25):
             sender.publish("radar/beam", beam(index))
         received = collect(receiver, 25)
@@ -106,7 +110,7 @@ def test_messages_arrive_in_order_and_whole(meeting: Path) -> None:
             assert not samples.flags.writeable
             assert (samples == message.message.stamp_ns).all()  # type: ignore[attr-defined]
         count = count_of(receiver, "radar/beam")
-        assert (count.lost, count.rejected) == (0, 0)
+        assert (count.lost, count.rejected) == (lost, 0)
         assert sender.counts()[1][0].messages == sent + 25
 
 
@@ -175,18 +179,19 @@ def test_newest_only_topic_gives_the_newest(meeting: Path) -> None:
 
     with closing(ZmqBus("sender", meeting)) as sender, closing(ZmqBus("receiver", meeting)) as receiver:
         sent = connect(sender, receiver, "perception/peaks", peaks)
+        lost = count_of(receiver, "perception/peaks").lost
         for stamp_ns in range(sent, sent + 4):
             sender.publish("perception/peaks", peaks(stamp_ns))
         got: list[int] = []
         until(lambda: got.extend(stamps(receiver.receive(0.1))) or got[-1:] == [sent + 3])
         assert got == sorted(set(got))
-        assert count_of(receiver, "perception/peaks").lost == 0
+        assert count_of(receiver, "perception/peaks").lost == lost
 
 
 def test_slow_receiver_loses_counts_and_stays_bounded(meeting: Path) -> None:
     with closing(ZmqBus("sender", meeting)) as sender, closing(ZmqBus("receiver", meeting)) as receiver:
         sent = connect(sender, receiver, "radar/beam", beam)
-        one = beam(0)
+        lost, one = count_of(receiver, "radar/beam").lost, beam(0)
         for _ in range(150):
             sender.publish("radar/beam", one)
         sequences: list[int] = []
@@ -206,7 +211,7 @@ def test_slow_receiver_loses_counts_and_stays_bounded(meeting: Path) -> None:
         # twice the history at the sender, once at the receiver, some in the kernel and in hand
         assert 0 < waiting <= 4 * TOPICS["radar/beam"].history_messages
         assert sequences == sorted(set(sequences))
-        assert count_of(receiver, "radar/beam").lost == total - len(sequences) >= 150 - waiting
+        assert count_of(receiver, "radar/beam").lost - lost == total - len(sequences) >= 150 - waiting
 
 
 def test_one_call_is_bounded(meeting: Path) -> None:
@@ -258,8 +263,10 @@ def test_name_in_use_is_refused(meeting: Path) -> None:
 
 
 def test_garbage_from_a_rogue_publisher_is_counted_and_survived(
-    meeting: Path, caplog: pytest.LogCaptureFixture
+    meeting: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # however long it takes: one line an interval
+    monkeypatch.setattr("msgs.bus.sequencing._WARNING_INTERVAL_NS", 3600 * 10**9)
     random = np.random.default_rng(1)
     with closing(ZmqBus("sender", meeting)) as sender, closing(ZmqBus("receiver", meeting)) as receiver:
         sent = connect(sender, receiver, "vehicle/state", state)

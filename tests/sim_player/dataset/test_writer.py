@@ -228,6 +228,7 @@ def test_streets_keep_their_signal(streets: Path) -> None:
         assert shard["hidden_xy_m"][here].tobytes() == labels.hidden_xy_m.tobytes()
 
 
+@pytest.mark.slow
 def test_places_carry_their_plans(places: Path) -> None:
     shard = read_shard(places / "shard-00001.npz")
     for index in range(2):
@@ -251,11 +252,13 @@ def test_millimetre_waves_too(tmp_path: Path) -> None:
 # --- however they are made
 
 
+@pytest.mark.slow
 def test_workers_do_not_change_bytes(tmp_path: Path, places: Path) -> None:
     crowd = write_dataset(tmp_path, 4, 3, PLACES, workers=2).parent
     assert files(crowd) == files(places)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("threads", [1, 2])
 def test_threads_of_linear_algebra_do_not_change_bytes(tmp_path: Path, places: Path, threads: int) -> None:
     """However many threads the caller has; the one in which nothing is split is among them."""
@@ -285,6 +288,7 @@ write_dataset(Path(sys.argv[1]), 5, 2, Recipe(places="street_v1", scenes_per_sha
 """
 
 
+@pytest.mark.slow
 def test_killed_run_goes_on_to_the_same_bytes(tmp_path: Path, streets: Path) -> None:
     """SIGKILL after the first shard, and a half-written file in the way, as a kill in the middle of it leaves one."""
     with subprocess.Popen([sys.executable, "-c", _KILLED, tmp_path], cwd=ROOT, stdout=subprocess.PIPE) as run:
@@ -417,6 +421,7 @@ def test_full_disk_names_the_file_and_leaves_nothing(tmp_path: Path, monkeypatch
 # --- executors
 
 
+@pytest.mark.slow
 def test_submitit_gives_the_same_bytes(tmp_path: Path, streets: Path) -> None:
     """The way to Slurm without Slurm: a process that reads its job from a file."""
     pytest.importorskip("submitit")
@@ -432,6 +437,7 @@ def test_slurm_without_slurm_is_one_line(tmp_path: Path, monkeypatch: pytest.Mon
         list(map_jobs(math.sqrt, [4.0], "slurm", scratch=tmp_path))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("executor", "workers", "options"), [("local", 1, {}), ("local", 2, {}), ("slurm", 1, {"cluster": "local"})]
 )

@@ -41,6 +41,7 @@ def test_image_of_the_image() -> None:
     assert echo.order.tolist() == [2]
 
 
+@pytest.mark.slow
 def test_routes_are_those_of_a_plain_search() -> None:
     """40 scenes of 6 random walls and 30 points: the same routes and lengths as by images and line cuts."""
     rng = np.random.default_rng(11)

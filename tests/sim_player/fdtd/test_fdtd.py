@@ -194,6 +194,7 @@ def test_wide_strip_without_roughness_is_one_column() -> None:
     assert wide.reflected_power == pytest.approx(wide.specular_power, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_rough_metal_sends_back_all_it_gets() -> None:
     """Oblique and rough: every order counts, at its own angle. Layout: metal, 4 mm rms, 4 cm, 60 deg, 10 GHz, TE.
 
@@ -205,6 +206,7 @@ def test_rough_metal_sends_back_all_it_gets() -> None:
     assert rough.reflected_power == pytest.approx(1.0, abs=0.01)
 
 
+@pytest.mark.slow
 def test_rough_wall_keeps_the_rayleigh_share() -> None:
     """Layout: concrete, TE, 45 deg, rms 2 mm, correlation 4 cm, width 0.45 m, 8 cells. Analytic: exp(-g), -1.53 dB.
 
@@ -241,6 +243,7 @@ def test_surface_has_the_wanted_statistics() -> None:
     assert lag == pytest.approx(math.exp(-1.0), abs=0.1)
 
 
+@pytest.mark.slow
 def test_beam_sees_the_slab() -> None:
     """Layout: beam of 6 cm waist on 1 cm of eps 3 - 0.3j, 12 cells, CPML all round. Analytic: slab R and T.
 

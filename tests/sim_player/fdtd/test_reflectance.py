@@ -184,6 +184,7 @@ def test_opaque_walls_are_cut_and_nothing_changes() -> None:
     assert abs(whole - cut) < 1e-4
 
 
+@pytest.mark.slow
 def test_a_rough_cell_is_measured_against_the_smooth_wall() -> None:
     """Plasterboard at 77 GHz, 0.1 mm, normal incidence, two surfaces: Kirchhoff's -0.45 dB within 0.25 dB."""
     (cell,) = simulate(Entry("plasterboard", 77e9, "te", 1e-4, (0.0,), (0, 1))).cells

@@ -51,6 +51,7 @@ def seen(places: list[Place]) -> list[tuple[frozenset[int], frozenset[int]]]:
     return found
 
 
+@pytest.mark.slow
 def test_places_are_legal_and_survive_yaml(places: list[Place]) -> None:
     for index, place in enumerate(places):  # `prepare` checks them all again in `seen`
         assert msgspec.json.decode(msgspec.json.encode(place.scene), type=Scene) == place.scene
@@ -99,6 +100,7 @@ def test_walls_stand_in_their_bands(places: list[Place]) -> None:
     assert max(bent) > 0.005
 
 
+@pytest.mark.slow
 def test_what_is_placed_out_of_sight_is(places: list[Place], seen: list[tuple[frozenset[int], frozenset[int]]]) -> None:
     """Traced: no direct path to any of them, and a mirror shows nearly all.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 
 import numpy as np
+import pytest
 
 from sim_player.generate.streets import ROUGHNESS_MM, THICKNESS_MM, random_street
 from sim_player.scene.description import scene_from_yaml, scene_to_yaml
@@ -54,6 +55,7 @@ def test_streets_cover_materials_and_classes() -> None:
     assert roughness.max() <= ROUGHNESS_MM[1]
 
 
+@pytest.mark.slow
 def test_most_streets_hide_something_and_some_nothing() -> None:
     """15 % are drawn empty, about as many find no place to hide: 70 % hide something (60 scenes, 3 sigma = 18 %)."""
     share = np.mean([bool(hidden_objects(trace(prepare(scene)))) for scene in STREETS])

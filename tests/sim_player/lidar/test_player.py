@@ -39,6 +39,7 @@ def test_stamps_of_scans_and_azimuths() -> None:
     assert player.vehicle_state(5).stamp_ns == 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("speed_mps", [0.0, 5.0])
 def test_same_seed_same_bytes_in_any_order(speed_mps: float) -> None:
     one, other = (LidarPlayer(hidden_car(speed_mps), seed=3) for _ in range(2))

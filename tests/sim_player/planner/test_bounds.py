@@ -28,6 +28,7 @@ def place_paths(index: int) -> Paths:
     return trace(prepare(scene, index), 0.0, ALL_EFFECTS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [0, 1, 2])
 def test_no_signal_exceeds_its_bound(index: int) -> None:
     """Single paths and all of a place: squint on, then overlap, then the change that squint makes; no cell above 1."""

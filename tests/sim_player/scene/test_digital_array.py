@@ -108,6 +108,7 @@ def test_snr_is_that_of_the_radar_equation(monkeypatch: pytest.MonkeyPatch) -> N
     assert ra_map.faults == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("speed_mps", "ego_mps"), [(25.0, 0.0), (0.0, 20.0)])
 def test_motion_does_not_tear_the_beams_apart(
     monkeypatch: pytest.MonkeyPatch, speed_mps: float, ego_mps: float

@@ -57,6 +57,7 @@ def test_slanted_plate_follows_its_sinc(azimuth_deg: float, wavelength_m: float)
     assert abs(field - expected) < 5e-3 * peak
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [5.0, 7.3, 10.0])
 def test_sphere_matches_the_exact_physical_optics(radius: float) -> None:
     """Sphere of radius a: physical optics is pi a^2 |1 + (e^{-2jka} - 1) / 2jka|^2 (it keeps the shadow edge's step).
@@ -193,6 +194,7 @@ def test_patch_field_is_reciprocal_and_bistatic_mirror() -> None:
     assert patch_field(patches(box(1.0, 1.0, 1.0)), XBAND_M, X[None], -X[None])[0] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "mesh", [box(4.5, 1.8, 1.5), sphere(1.0), cylinder(1.0, 2.0, sides=96)], ids=["box", "ball", "can"]
 )

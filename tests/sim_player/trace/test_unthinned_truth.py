@@ -13,6 +13,7 @@ from sim_player.trace.truth import visible_paths
 from sim_player.trace.unthinned_truth import DrawnScene, labelled_paths, trace_again
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recipe", [Recipe(), Recipe(places="street_v1"), Recipe(effects=("los_objects",))])
 def test_labels_come_back_and_lie_among_all_echoes(recipe: Recipe, tmp_path: Path) -> None:
     """Planned, basic and chosen effects: thinned ranges are equal to the last bit, and each is one of all."""

@@ -43,6 +43,7 @@ def changed(made: Path, file: str, fields: dict[str, object]) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_annotation_returns_the_truth_it_was_made_from(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -78,6 +79,7 @@ def test_annotation_returns_the_truth_it_was_made_from(
     assert all((tmp_path / "again" / one).read_bytes() == (tmp_path / "truth" / one).read_bytes() for one in files)
 
 
+@pytest.mark.slow
 def test_a_cloud_that_cannot_be_registered_is_refused_or_left_out(
     made: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

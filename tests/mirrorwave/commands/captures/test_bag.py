@@ -75,6 +75,7 @@ def state(path: Path, losses: Losses) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_running_graph_is_recorded_in_parts_with_its_launch_file(
     meeting_place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -106,6 +107,7 @@ def test_a_running_graph_is_recorded_in_parts_with_its_launch_file(
     assert f"{parts[0].name}: exists already" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_snapshot_of_a_launched_recorder(
     meeting_place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -145,6 +147,7 @@ def test_a_snapshot_of_a_launched_recorder(
     assert "vehicle/state" in {topic.topic for topic in info(written[-2]).topics}
 
 
+@pytest.mark.slow
 def test_a_recording_without_room_ends_with_3(
     meeting_place: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -183,6 +186,7 @@ def test_info_tells_what_is_missing(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "holds no launch file" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_recover_has_the_exit_codes_of_mcap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """0 all, 3 some, 1 nothing; a file that is no recording is bad input, 2."""
     whole = state(tmp_path / "whole.mcap", Losses())

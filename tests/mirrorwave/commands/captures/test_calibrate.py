@@ -75,6 +75,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *argv: object) -> dict[str, obj
     return found
 
 
+@pytest.mark.slow
 def test_noise_goes_round(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Receiver -> capture -> figures -> scene -> capture: figures come back, floors agree within 0.15 dB (0.5 dB where
     1/f noise rises, bands of few bins)."""
@@ -104,6 +105,7 @@ def test_receiver_alone_is_a_radar_block(tmp_path: Path) -> None:
     assert msgspec.convert(block, SceneRadar).noise_figure_db == pytest.approx(11.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_background_goes_into_the_graph(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Leakage of -40 dBm lies in the first bins of every map; with the background it is 30 dB down or more."""
     field = capture(tmp_path / "field.mcap", receiver(walls=False), 6, 2)
@@ -181,6 +183,7 @@ def peaks(stamp_ns: int, scan_id: int, points_m: np.ndarray) -> Peaks:
     )
 
 
+@pytest.mark.slow
 def test_mounting_and_clock_of_a_recorded_drive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """0.2 m, 2 deg and 80 ms put in; tolerance as in tests/models/vehicle, and the files are what the graph takes."""
     recording = peaks_recording(tmp_path / "drive.mcap", drive(), 60)
@@ -216,6 +219,7 @@ def test_straight_drive_gives_yaw_and_no_clock(tmp_path: Path, capsys: pytest.Ca
     assert not (tmp_path / "clock.yaml").exists()
 
 
+@pytest.mark.slow
 def test_what_does_not_serve_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     still = raw_recording(tmp_path / "still.mcap", 11, steady(0.0))
     stateless = raw_recording(tmp_path / "stateless.mcap", 1, steady(0.0), said=False)
@@ -257,6 +261,7 @@ def test_scans_without_states_to_their_end_are_left_out(tmp_path: Path) -> None:
     assert {one.stamp_ns for one in found} == {10**10, 10**10 + 300_000_000}
 
 
+@pytest.mark.slow
 def test_a_cut_recording_is_read_and_said_to_be_cut(tmp_path: Path) -> None:
     field = capture(tmp_path / "field.mcap", receiver(walls=False), 6, 2)
     cut = tmp_path / "cut.mcap"

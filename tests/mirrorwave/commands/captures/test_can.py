@@ -81,6 +81,7 @@ def write_raw_drive(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_decode_says_the_bias_and_what_of_the_dbc_was_not_taken_as_it_stands(
     tmp_path: Path, capsys: pytest.CaptureFixture
 ) -> None:
@@ -121,6 +122,7 @@ def test_decode_prints_tables(tmp_path: Path, capsys: pytest.CaptureFixture) -> 
         assert part in text
 
 
+@pytest.mark.slow
 def test_exit_codes(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     path = write_drive(tmp_path / "drive.log")
     # a log that breaks off: done with loss
@@ -242,6 +244,7 @@ def test_monitor_of_a_silent_bus_fails(capsys: pytest.CaptureFixture) -> None:
     assert "0 of 0 frames are of this DBC" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @needs(REAL)
 def test_decode_a_real_drive(capsys: pytest.CaptureFixture) -> None:
     code, report = run_json(

@@ -33,6 +33,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_process_writes_objects_times_and_a_picture(capture: Path, tmp_path: Path) -> None:
     assert main(["process", str(capture), "--out", str(tmp_path), "--profile", "cfar"]) == 0
     lines = [json.loads(line) for line in (tmp_path / "objects.jsonl").read_text().splitlines()]
@@ -44,6 +45,7 @@ def test_process_writes_objects_times_and_a_picture(capture: Path, tmp_path: Pat
     assert (tmp_path / "bev.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_process_is_the_chain_cut_at_the_topics(capture: Path, tmp_path: Path) -> None:
     """Same bytes as `chain.py`, and the same bytes twice."""
     for name in ("once", "twice"):
@@ -57,6 +59,7 @@ def test_process_is_the_chain_cut_at_the_topics(capture: Path, tmp_path: Path) -
     assert once.decode() == "".join(json.dumps(bev_to_json(view.frame)) + "\n" for view in views)
 
 
+@pytest.mark.slow
 def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
     """A drive with vehicle states: a line a scan, by `process` and by `chain.py` the same."""
     drive, chirps = "launch/drives/side_street.yaml", 4
@@ -80,6 +83,7 @@ def test_tracks_are_those_of_the_chain(tmp_path: Path) -> None:
     assert [json.dumps(line["tracks"]) for line in lines] == expected
 
 
+@pytest.mark.slow
 def test_json_summary(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["process", str(capture), "--out", str(tmp_path), "--profile", "cfar", "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
@@ -87,6 +91,7 @@ def test_json_summary(capture: Path, tmp_path: Path, capsys: pytest.CaptureFixtu
     assert summary["scans_with_loss"] == 0
 
 
+@pytest.mark.slow
 def test_sigmf_gives_the_same_objects(capture: Path, tmp_path: Path) -> None:
     sigmf = tmp_path / "corner.sigmf-meta"
     command = ["sim", "run", SCENE, "--out", str(sigmf), "--scans", "2", "--chirps-per-beam", str(CHIRPS)]
@@ -97,6 +102,7 @@ def test_sigmf_gives_the_same_objects(capture: Path, tmp_path: Path) -> None:
     assert (tmp_path / "a" / "objects.jsonl").read_bytes() == (tmp_path / "b" / "objects.jsonl").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_cut_recording_is_processed_as_far_as_it_goes_and_said(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -147,6 +153,7 @@ def recording_of(path: Path, messages: list[tuple[str, Any]]) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
     capture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -183,6 +190,7 @@ def test_a_file_without_raw_data_is_told_what_it_holds_and_what_takes_it(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_beams_that_are_missing_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Exit code 3 has its reason; a scan of which one beam came is still looked at."""
     player = scene_player(Params(scene=SCENE, chirps_per_beam=CHIRPS))

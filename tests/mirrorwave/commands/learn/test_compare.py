@@ -43,6 +43,7 @@ def row_of(report: Report, sweep: str, value: float | str, sensor: str) -> Row:
     return next(row for row in report.rows if (row.sweep, row.value, row.sensor) == (sweep, value, sensor))
 
 
+@pytest.mark.slow
 def test_all_files_are_written_and_say_the_same(
     made: tuple[Path, list[SceneResult], Report], saved_figures: list[Figure]
 ) -> None:
@@ -57,6 +58,7 @@ def test_all_files_are_written_and_say_the_same(
     assert_readable_at_page_width(saved_figures[-1])
 
 
+@pytest.mark.slow
 def test_panels_of_one_question_share_their_scale(
     made: tuple[Path, list[SceneResult], Report], saved_figures: list[Figure], tmp_path: Path
 ) -> None:
@@ -231,6 +233,7 @@ def test_a_scene_with_a_lidar_is_seen_by_its_own() -> None:
         sensors_of(radars, ["scene"])
 
 
+@pytest.mark.slow
 def test_a_wall_across_a_gates_border_is_no_crowd() -> None:
     """The relay wall passes 10 m, a border of gates: four points were made up behind it where a bin crossed that."""
     spad = SENSORS["spad_long"].params("power")  # type: ignore[attr-defined]
@@ -293,6 +296,7 @@ def test_wrong_scenes_are_one_line(
     assert said.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_one_scene_through_two_radars(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The picture goes by the scene's name, as far as a file may."""
     scene = tmp_path / "file.yaml"

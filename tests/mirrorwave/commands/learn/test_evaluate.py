@@ -101,6 +101,7 @@ def test_sweep_meets_the_answer_at_the_operating_threshold(folder: Path) -> None
     assert recalls == sorted(recalls, reverse=True)
 
 
+@pytest.mark.slow
 def test_one_run_with_all_its_files(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Two methods over three frames, both truths; tables can be made again from the rows of the frames."""
     out = tmp_path / "out"

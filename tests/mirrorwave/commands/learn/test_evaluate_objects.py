@@ -42,6 +42,7 @@ def files(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+@pytest.mark.slow
 def test_report_counts_what_the_rows_hold(made: Path) -> None:
     report = json.loads((made / "results.json").read_text())
     one = report["sets"]["drawn"]
@@ -71,6 +72,7 @@ def test_page_and_terminal_say_the_same(made: Path, capsys: pytest.CaptureFixtur
     assert "- error: from the centre of the report to the nearest visible face" in page
 
 
+@pytest.mark.slow
 def test_two_workers_and_a_stopped_run_give_the_same_bytes(made: Path, tmp_path: Path) -> None:
     whole = files(made)
     (made / "drawn" / "places" / "place-00001.json").unlink()
@@ -81,6 +83,7 @@ def test_two_workers_and_a_stopped_run_give_the_same_bytes(made: Path, tmp_path:
     assert files(tmp_path) == whole
 
 
+@pytest.mark.slow
 def test_what_stops_a_run_leaves_the_places_that_were_done(tmp_path: Path) -> None:
     plan = ObjectPlan(set=ObjectSet(seed=SEED, places=2, effects="basic"), profiles=[profile_setting("cfar")])
 
@@ -100,12 +103,14 @@ def test_a_folder_of_another_run_is_refused(made: Path, capsys: pytest.CaptureFi
     assert "out must be a new folder or hold the same run" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_places_that_are_not_those_of_the_set_are_refused(tmp_path: Path) -> None:
     wrong = ObjectSet(seed=SEED, places=1, effects="basic", scenes_sha256="0" * 64)
     with pytest.raises(ValueError, match=r"scenes_sha256 of the places must be 0000.* as the set says, got"):
         run_objects(ObjectPlan(set=wrong, profiles=[profile_setting("cfar")]), tmp_path)
 
 
+@pytest.mark.slow
 def test_every_committed_set_still_draws_the_places_that_were_hashed() -> None:
     """All 620 scenes of the sets, drawn without simulating them."""
     for name, one in read_sets().sets.items():
@@ -121,6 +126,7 @@ def test_no_two_sets_share_a_seed() -> None:
     assert len(set(seeds)) == len(seeds)
 
 
+@pytest.mark.slow
 def test_motion_reaches_the_chain() -> None:
     """A place in motion: its scene moves, its rows are scored all the same."""
     plan = ObjectPlan(
@@ -174,6 +180,7 @@ def test_options_that_do_not_fit_are_refused_in_one_line(
     assert "\n" not in err
 
 
+@pytest.mark.slow
 def test_progress_is_counted_for_every_place(tmp_path: Path) -> None:
     plan = ObjectPlan(set=ObjectSet(seed=SEED, places=2, effects="basic"), profiles=[profile_setting("cfar")])
     ticks: list[None] = []

@@ -61,6 +61,7 @@ def test_every_committed_row_sets_what_its_nodes_know() -> None:
             convert_at(params, STAGE_PARAMS[stage], f"{row.name}: {stage}")
 
 
+@pytest.mark.slow
 def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Report]) -> None:
     """Fewer beams fold in less time; a network that is not there leaves a row without numbers."""
     out, report = made
@@ -85,6 +86,7 @@ def test_rows_keep_their_order_and_a_failed_one_its_reason(made: tuple[Path, Rep
         assert (out / name).stat().st_size > 5000
 
 
+@pytest.mark.slow
 def test_memory_of_a_row_is_its_own_and_not_that_of_who_asks() -> None:
     """256 MiB that the asking process comes to hold change nothing; more than an interpreter alone has, in MiB."""
     row = read_settings()[0]
@@ -97,6 +99,7 @@ def test_memory_of_a_row_is_its_own_and_not_that_of_who_asks() -> None:
     assert int(said) / 1024.0 < before_mib < psutil.virtual_memory().total / 2**20
 
 
+@pytest.mark.slow
 def test_a_stopped_run_goes_on_to_the_same_accuracy(made: tuple[Path, Report], tmp_path: Path) -> None:
     out, report = made
     (out / "frames" / "frame-00001.msgpack").unlink()
@@ -130,6 +133,7 @@ def test_wrong_rows_are_refused(tmp_path: Path) -> None:
             Plan(**{"rows": [], "frames": 1, "repeats": 1, name: 0})
 
 
+@pytest.mark.slow
 def test_a_row_that_fails_on_the_way_takes_none_with_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A detector that raises on its second map: its row is failed, with the reason, and the default is not."""
     seen = 0

@@ -28,6 +28,7 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_fitted_file_drops_places_of_a_method(data: Path, tmp_path: Path) -> None:
     """The verb writes the same bytes again; with it a method keeps a part of its places, in order."""
     out = tmp_path / "confidence.json"

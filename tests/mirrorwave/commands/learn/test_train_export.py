@@ -15,6 +15,7 @@ from models.training.train_dense import load_best
 from sim_player.dataset.writer import write_dataset
 
 
+@pytest.mark.slow
 def test_from_data_set_to_a_model_that_loads(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Six scenes and one epoch: the verbs fit together, and what they leave loads on the vehicle's side."""
     write_dataset(tmp_path / "data", count=6, seed=1)
@@ -43,6 +44,7 @@ def write_capture(folder: Path, seed: int) -> None:
         np.save(folder / POINTS_FOLDER / f"{name}.npy", at)
 
 
+@pytest.mark.slow
 def test_fine_tuning_on_real_captures_by_sequence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A simulated run, then the released fine-tuning from its weights on four drives of two captures: whole drives are
     held out, the backbone hardly moves (5e-6), the head ten times as fast, and the result exports on the real grid."""

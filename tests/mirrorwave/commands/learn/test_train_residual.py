@@ -29,6 +29,7 @@ def train(data: Path, out: Path, *options: str) -> Result:
     return CliRunner().invoke(app, ["--data", str(data), "--out", str(out), "--epochs", "1", *options])
 
 
+@pytest.mark.slow
 def test_a_run_ends_as_a_file_the_geometry_stage_loads(data: Path, tmp_path: Path) -> None:
     """One epoch on both sources; asked for again, the run that is done trains no more and exports the same bytes."""
     run = tmp_path / "run"

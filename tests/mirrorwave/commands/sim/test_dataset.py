@@ -92,6 +92,7 @@ def test_statistics_as_json_and_as_text(folder: Path, capsys: pytest.CaptureFixt
     assert "mirrors alone" in text
 
 
+@pytest.mark.slow
 def test_page_stands_alone_and_is_the_same_again(folder: Path, tmp_path: Path) -> None:
     """Nothing is loaded from anywhere; figures follow the page's colour; a second one has the same bytes."""
     page, again = tmp_path / "page.html", tmp_path / "again.html"

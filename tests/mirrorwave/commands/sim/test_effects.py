@@ -44,6 +44,7 @@ def test_effects_by_hand(capsys: pytest.CaptureFixture[str]) -> None:
     assert {row["name"] for row in rows if row["used"]} == {"specular_relay", "thermal_noise"}
 
 
+@pytest.mark.slow
 def test_paths_as_the_contract_says(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     """Lengths follow the points of the way where out and back are one way: twice the polyline, to 1e-9 m."""
     picture = tmp_path / "paths.png"
@@ -58,6 +59,7 @@ def test_paths_as_the_contract_says(capsys: pytest.CaptureFixture[str], tmp_path
         assert 2.0 * np.linalg.norm(row["virtual_m"]) == pytest.approx(row["length_m"], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_picture_of_paths_says_what_its_lines_mean(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], saved_figures: list[Figure]
 ) -> None:

@@ -41,6 +41,7 @@ def test_a_construction_has_its_own_layers(capsys: pytest.CaptureFixture[str]) -
     assert [float(level) for level in levels[0]] == pytest.approx([float(level) for level in levels[1]], abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", ["", "--angle-deg 20 --polarisation tm"])
 def test_a_beam_is_drawn(
     options: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -76,6 +77,7 @@ def test_bad_walls_are_one_line_and_code_2(line: str, text: str) -> None:
     assert text in error_line(caught.value)
 
 
+@pytest.mark.slow
 def test_the_shipped_table_is_compared_with_the_formula(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     run(reflectance, f"--plot {tmp_path / 'a.png'}")
     out = capsys.readouterr().out

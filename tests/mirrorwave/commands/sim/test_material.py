@@ -164,6 +164,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return calls
 
 
+@pytest.mark.slow
 def test_fdtd_is_asked_angle_by_angle(
     simulated: list[dict[str, Any]], capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
@@ -181,6 +182,7 @@ def test_fdtd_is_asked_angle_by_angle(
     assert (tmp_path / "a.png").stat().st_size > 10_000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "line", ["concrete --thickness-mm 400 --roughness-mm 0.5", "metal", "vacuum", "hedge --thickness-mm 900"]
 )

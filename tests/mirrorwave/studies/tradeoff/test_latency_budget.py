@@ -115,6 +115,7 @@ def test_a_profile_with_other_parameters_than_were_measured_is_no_candidate(comm
         timed_profiles()
 
 
+@pytest.mark.slow
 def test_a_profile_is_timed_on_real_beams(monkeypatch: pytest.MonkeyPatch) -> None:
     """One place, once: a latency comes out, and a profile that cannot run is left out."""
     monkeypatch.setattr(latency_budget, "PLACES", 1)

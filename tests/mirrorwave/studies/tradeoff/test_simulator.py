@@ -56,6 +56,7 @@ def rows_of(report: SimulatorReport, group: str) -> dict[str, SimulatorRow]:
     return {row.name: row for row in report.rows if row.group == group}
 
 
+@pytest.mark.slow
 def test_a_budget_is_kept_and_all_effects_are_all(made: tuple[Path, SimulatorReport]) -> None:
     rows = rows_of(made[1], "effect budget")
     assert list(rows) == ["basic", "-20 dB", "-50 dB", "0 dB", "all"]
@@ -101,6 +102,7 @@ def test_failed_rows_stay_in_their_place_with_the_reason(made: tuple[Path, Simul
     assert failed not in report.of("effect budget")
 
 
+@pytest.mark.slow
 def test_same_accuracy_twice(made: tuple[Path, SimulatorReport], tmp_path: Path) -> None:
     """Whatever else runs, and however often; another seed gives other places."""
     part = msgspec.structs.replace(PLAN, repeats=2, cases={"effect budget": 1, "all but": 1, "rays": 1, "fdtd": 1})
@@ -166,6 +168,7 @@ def small_place(seed: int, index: int) -> Scene:
     return scene_from_yaml(SMALL)
 
 
+@pytest.mark.slow
 def test_levels_agree_and_the_literal_one_runs_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tradeoff_simulator_cases, "random_place", small_place)
     plan = SimulatorPlan(seed=3, repeats=2, literal_beams=1, cases={"signal level": 1})
@@ -180,6 +183,7 @@ def test_levels_agree_and_the_literal_one_runs_once(tmp_path: Path, monkeypatch:
     assert samples == {"kernel float32": 2, "kernel float64": 2, "beat": 2, "literal": 1}
 
 
+@pytest.mark.slow
 def test_report_reads_back_and_draws_the_same_bytes(made: tuple[Path, SimulatorReport], tmp_path: Path) -> None:
     """A group that is not there, or of which nothing is sound, leaves its panel empty."""
     report = made[1]

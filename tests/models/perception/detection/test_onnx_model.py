@@ -252,6 +252,7 @@ def test_shipped_network_is_as_good_as_its_card_must_say(shipped: DensePredictor
     assert line.mirrored.precision >= 0.75
 
 
+@pytest.mark.slow
 def test_shipped_network_sees_nothing_in_noise() -> None:
     """Layout: receiver noise alone, as 15 co-array coefficients a row make it: 512 x 15 independent values a map. One
     in 100,000 may be called a return, 2.3 in 30 maps; none may become an object.

@@ -106,6 +106,7 @@ def test_no_peaks_is_a_valid_message_and_a_wrong_grid_is_refused():
         find_peaks(np.zeros((2, 512, 512), np.float32), flat_map(), PeakParams())
 
 
+@pytest.mark.slow
 def test_of_too_many_peaks_the_best_are_kept() -> None:
     """A heat map of noise, as of a network that has learnt nothing: two classes, each with thousands of maxima."""
     ra_map = flat_map()

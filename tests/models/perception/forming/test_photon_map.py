@@ -79,6 +79,7 @@ def test_a_bin_lies_where_its_light_comes_from() -> None:
     assert abs(projected @ lidar.grid.range_m - range_m) <= 0.5 * lidar.grid.range_bin_m
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("way", ["gated", "free", "gates", "gates, ticks of the run"])
 def test_ambient_light_alone_is_one_standard_deviation(way: str) -> None:
     """Table 2: 2 ambient photons a period, pile-up e^-2 at its end. Mean |value|^2 is 1 within four of its errors.

@@ -4,6 +4,7 @@ import subprocess
 import sys
 
 import numpy as np
+import pytest
 
 from models.perception.geometry.stage import GeometryParams, made_up_peaks, recover_bev
 from msgs.files.shipped import CHECKOUT
@@ -36,6 +37,7 @@ print(sorted(compiled() - before), len(before) > 0)
 """
 
 
+@pytest.mark.slow
 def test_after_warming_no_scan_compiles_anything() -> None:
     """Nor do arrays as messages bring them, read-only."""
     child = subprocess.run([sys.executable, "-c", CHILD], cwd=CHECKOUT, capture_output=True, text=True)

@@ -94,6 +94,7 @@ def test_arrival_does_not_decide() -> None:
         assert lines(shuffled(np.random.default_rng(seed))) == in_order
 
 
+@pytest.mark.slow
 def test_the_chain_says_the_same_as_the_node() -> None:
     player = scene_player(Params(scene="launch/drives/side_street.yaml", chirps_per_beam=4))
     detector = CfarDetector(player.setup)

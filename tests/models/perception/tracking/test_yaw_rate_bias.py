@@ -120,6 +120,7 @@ def test_a_standstill_has_priority_for_ten_minutes() -> None:
     assert bias.estimate(last_ns + 601_000_000_000).source is BiasSource.DRIVING
 
 
+@pytest.mark.slow
 def test_a_bias_that_drifts_after_a_rest_is_followed() -> None:
     """0.2 deg/s at rest, then 40 minutes in town at -0.41: ten minutes after the rest it is that of the drive."""
     rest = drive(5.0, lambda time_s: 0.0, bias_rps=math.radians(0.2))
@@ -163,6 +164,7 @@ def test_steering_that_counts_the_other_way_does_no_harm() -> None:
     assert alone.source is BiasSource.NONE or math.degrees(alone.rps) == pytest.approx(-0.41, abs=0.6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["town", "slow"])
 def test_heading_of_made_drives(kind: str) -> None:
     """58 s with -0.41 deg/s and no standstill, 23.8 deg before; noise, steps of 0.244 deg/s, camber, understeer.

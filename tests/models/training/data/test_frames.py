@@ -40,6 +40,7 @@ def write_maps(folder: Path, sequences: list[str], **changes: np.ndarray) -> Non
     (folder / "series.json").write_bytes(msgspec.json.encode({"format": "maps", "grid": grid}))
 
 
+@pytest.mark.slow
 def test_simulated_frames_are_formed_as_on_the_vehicle(simulated: Path) -> None:
     data = DataSet(simulated)
     assert len(data) == 10

@@ -150,6 +150,7 @@ def test_ranks_share_a_batch_without_overlap() -> None:
         np.testing.assert_array_equal(whole[1][1::2], odd[1])
 
 
+@pytest.mark.slow
 def test_validation_is_seen_as_it_is_and_the_same_scene_leaks_nowhere(tmp_path: Path) -> None:
     """Layout: a data set of 4 scenes; the same again as a further one, which holds scenes held out in the first."""
     write_dataset(tmp_path / "data", count=4, seed=1)

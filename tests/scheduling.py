@@ -1,0 +1,63 @@
+"""In which order a run of tests hands them to its workers.
+
+The first worker takes the tests that start processes and mostly wait for them, one file after the other; meanwhile the
+others compute, the longest first. So there is one graph at a time as long as there is anything else to do, and short
+tests fill up whatever time is left at the end.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+from xdist.scheduler import LoadFileScheduling
+from xdist.workermanage import WorkerController
+
+#: Files whose tests make nothing for each other: each may run in a worker of its own.
+SEPARATE = frozenset(
+    f"tests/{name}"
+    for name in (
+        "docs/test_pages.py",
+        "graph/test_supervisor.py",
+        "mirrorwave/test_exit_signals.py",
+        "mirrorwave/test_terminal.py",
+        "test_make_test.py",
+    )
+)
+
+
+def unit_of(nodeid: str) -> str:
+    """The tests that one worker runs in a row: those of a file, or a single one."""
+    file = nodeid.split("::", 1)[0]
+    return nodeid if file in SEPARATE else file
+
+
+def in_order(items: list[pytest.Item]) -> list[pytest.Item]:
+    """First what the first worker takes first, last what the others do; equal ones stay in their order."""
+    graphs, slow = (
+        Counter(unit_of(item.nodeid) for item in items if item.get_closest_marker(marker))
+        for marker in ("graph", "slow")
+    )
+
+    def place(item: pytest.Item) -> tuple[bool, int]:
+        unit = unit_of(item.nodeid)
+        return unit not in graphs, slow[unit] - graphs[unit]
+
+    return sorted(items, key=place)
+
+
+class FromBothEnds(LoadFileScheduling):
+    """The first worker takes units from the beginning of the collection, all others from its end."""
+
+    def __init__(self, config: pytest.Config, log: object) -> None:
+        super().__init__(config, log)
+        # else by their number of tests
+        config.option.loadscopereorder = False
+
+    def _split_scope(self, nodeid: str) -> str:
+        return unit_of(nodeid)
+
+    def _assign_work_unit(self, node: WorkerController) -> None:
+        if node is not self.nodes[0]:
+            self.workqueue.move_to_end(next(reversed(self.workqueue)), last=False)
+        super()._assign_work_unit(node)
