@@ -16,8 +16,8 @@ from numba.core.dispatcher import Dispatcher
 from benchmarks.perception.geometry_speed import place_peaks
 from models.perception.geometry.stage import GeometryParams, recover_bev, warm
 
-ROOMS = ("perception.lines", "perception.segments", "perception.arcs", "perception.clustering",
-         "perception.observability", "physics.mirror")
+ROOMS = ("perception.geometry.lines", "perception.geometry.wall_search", "perception.geometry.arcs",
+         "perception.geometry.clustering", "perception.geometry.observability", "physics.mirror")
 
 def compiled():
     rooms = [vars(importlib.import_module("models." + room)) for room in ROOMS]
