@@ -387,6 +387,3 @@ def _sharpened(wall: Wall, kept: _Kept, radar_from_odom: Pose2) -> Wall:
 
 def _union(one: tuple[float, float], other: tuple[float, float]) -> tuple[float, float]:
     return min(one[0], other[0]), max(one[1], other[1])
-
-
-__all__ = ["WallMap", "WallMapParams"]
