@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -19,12 +20,32 @@ from models.perception.geometry.observability import UNKNOWN_SENSITIVITY_DB, sen
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 
-#: Where a network's peaks lie: at the heatmap's own maxima; on the ridges of the map; on the ridges, then where the
-#: complex map makes point echoes likeliest; at the maxima, then there too; by pursuit, as many peaks as the heatmap's
-#: mass is worth.
-Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"]
-#: What `True` means: the best on the validation scenes (docs/learned-reconstruction.md).
-DEFAULT_REFINE: Refine = "pursuit"
+
+class Refine(StrEnum):
+    """Where a network's peaks lie; what profiles and committed cards use is `PURSUIT`, the published form `NONE`.
+
+    The other three are rows of the committed accuracy-versus-time table, each below `PURSUIT` in it.
+    """
+
+    #: At the heatmap's own maxima.
+    NONE = "none"
+    #: On the ridges of the map that the heatmap names.
+    RIDGE = "ridge"
+    #: On the ridges, then where the complex map makes point echoes likeliest.
+    LIKELIHOOD = "likelihood"
+    #: At the maxima, then there too.
+    MAXIMA_LIKELIHOOD = "maxima_likelihood"
+    #: As many peaks as the heatmap's mass is worth: the best on the validation scenes (docs/learned-reconstruction.md).
+    PURSUIT = "pursuit"
+
+    @classmethod
+    def of(cls, spelling: bool | str) -> Refine:
+        """Return what a switch or a word stands for: true is `PURSUIT`, false `NONE`; `ValueError` for another word."""
+        if isinstance(spelling, bool):
+            return cls.PURSUIT if spelling else cls.NONE
+        if spelling not in tuple(cls):
+            raise ValueError(f"refine must be a bool or one of {', '.join(cls)}, got {spelling!r}")
+        return cls(spelling)
 
 
 class Detector(Protocol):
@@ -52,21 +73,21 @@ class NetworkDetector:
         threads: int = 1,
         params: PeakParams | None = None,
         named: NamedParams | None = None,
-        refine: bool | Refine = True,
+        refine: bool | str = Refine.PURSUIT,
         refinement: RefinementParams | None = None,
         calibrate: bool = False,
         flip_test: bool = False,
     ) -> None:
-        way = refine_way(refine)
+        way = Refine.of(refine)
         self._predictor = DensePredictor(model, threads, flip_test)
         self._predictor.card.encoding.check_array(setup, self._predictor.card.grid)
         self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(way))
-        if way == "pursuit":
+        if way is Refine.PURSUIT:
             # the first map should not pay for compiling
             pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
         self._named, self._refine = named or NamedParams(), way
         self._name = detector_name(self._predictor.card.sha256, way, flip_test)
-        self._refiner = EchoRefiner(setup, refinement) if way.endswith("likelihood") else None
+        self._refiner = EchoRefiner(setup, refinement) if way in (Refine.LIKELIHOOD, Refine.MAXIMA_LIKELIHOOD) else None
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
 
@@ -80,9 +101,9 @@ class NetworkDetector:
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Peaks before any refinement on the complex map."""
-        if self._refine in ("ridge", "likelihood"):
+        if self._refine in (Refine.RIDGE, Refine.LIKELIHOOD):
             return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._named)
-        if self._refine == "pursuit":
+        if self._refine is Refine.PURSUIT:
             return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         if self._predictor.card.head == "heatmap":
             return find_peaks(self._predictor.predict(ra_map), ra_map, self._params)
@@ -91,18 +112,9 @@ class NetworkDetector:
         return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
 
 
-def detector_name(sha256: str, way: Refine, flip_test: bool) -> str:
+def detector_name(sha256: str, way: str, flip_test: bool) -> str:
     """What `Peaks.detector` says of a network's peaks: which file, placed how."""
     return f"{sha256}/{way}{'/flip_test' if flip_test else ''}"
-
-
-def refine_way(refine: bool | Refine) -> Refine:
-    """The way that a switch or a word stands for; raises ValueError for another word."""
-    if isinstance(refine, bool):
-        return DEFAULT_REFINE if refine else "none"
-    if refine not in get_args(Refine):
-        raise ValueError(f"refine must be a bool or one of {', '.join(get_args(Refine))}, got {refine!r}")
-    return refine
 
 
 class CfarDetector:
