@@ -161,7 +161,7 @@ def test_no_room_is_a_warehouse(folder: Path) -> None:
 
 
 #: What a verb needs no import of: it hands options to one call, which computes or draws, and prints the answer.
-COMPUTING = ("numpy", "scipy", "numba", "matplotlib", "onnxruntime", "torch", "mirrorwave.plots.style")
+COMPUTING = ("numpy", "scipy", "matplotlib", "onnxruntime", "torch", "mirrorwave.plots.style")
 #: Lines of a module of verbs, lines of a function's body, products and quotients in one.
 MAX_VERB_LINES, MAX_VERB_BODY, MAX_VERB_PRODUCTS = 280, 55, 4
 VERBS = [path for path in SOURCES if module_name(path).startswith("mirrorwave.commands.")]

@@ -17,10 +17,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from benchmarks.perception.geometry_switches import labelled_peaks, machine
+from models.perception.geometry.association import DirectReturns
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.objects import form_objects
 from models.perception.geometry.observability import observability
-from models.perception.geometry.recovery import DirectReturns, cartesian_covariance, recover
+from models.perception.geometry.recovery import cartesian_covariance, recover
 from models.perception.geometry.rejection import hidden_mask
 from models.perception.geometry.stage import GeometryParams, recover_bev, warm
 from models.perception.geometry.walls import find_walls

@@ -20,14 +20,14 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 import numpy as np
 import yaml
 
 from models.evaluation.metrics import Counts, chamfer, recovered_counts
-from models.perception.detection.detectors import DEFAULT_REFINE, NetworkDetector, Refine
+from models.perception.detection.detectors import NetworkDetector, Refine
 from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.detection.peaks import PeakParams, polar_covariance
 from models.perception.geometry.confidence import PlaceConfidence, load_confidence
@@ -221,7 +221,7 @@ def main() -> None:
     parser.add_argument("--split", default="test")
     parser.add_argument("--count", type=int, default=0, help="first so many scenes of the split; 0: all")
     parser.add_argument("--model", type=Path, default=DEFAULT_MODEL)
-    parser.add_argument("--refine", choices=get_args(Refine), default=DEFAULT_REFINE)
+    parser.add_argument("--refine", choices=tuple(Refine), default=Refine.PURSUIT)
     parser.add_argument("--confidence", type=Path)
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()

@@ -25,7 +25,7 @@ import platform
 import time
 from dataclasses import astuple
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -261,7 +261,7 @@ def measure_frames(directory: Path, seed: int) -> dict[str, Any]:
     data = DataSet(directory)
     frames = fixed_splits(directory).validation
     results, counts = {}, {}
-    for way in get_args(Refine):
+    for way in Refine:
         detector = NetworkDetector(SETUP, refine=way)
         rows = [
             frame_row(frame, detector.detect(frame.ra_map))

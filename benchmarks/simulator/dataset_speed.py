@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any
 
 from mirrorwave.commands.sim.dataset import parse_effects
-from sim_player.dataset.writer import Recipe, write_dataset
+from sim_player.dataset.shards import Recipe
+from sim_player.dataset.writer import write_dataset
 
 _KILLED = """
 import sys

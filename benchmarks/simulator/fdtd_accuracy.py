@@ -22,8 +22,8 @@ from rich.table import Table
 from benchmarks.perception.ra_forming import machine
 from models.physics.fresnel import slab_reflection, slab_transmission
 from models.physics.materials import permittivity
-from sim_player.fdtd import reflect
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS
+from sim_player.fdtd.scattering import reflect
 from sim_player.fdtd.smooth import SMOOTH_WALLS, SmoothWall
 
 ANGLES_DEG = np.arange(0.0, 81.0, 5.0)

@@ -21,7 +21,7 @@ from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import range_profile, window_noise_gain
 from msgs.values.radar import PRESETS, RadarSetup, amplitude_per_code
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.dataset.writer import WINDOW, profile_noise
+from sim_player.dataset.labelled_scan import WINDOW, profile_noise
 from sim_player.scene.meshes import cylinder, dihedral, plate, sphere, trihedral
 from sim_player.signal.fmcw import beam_codes, noise_bank
 from sim_player.trace.mesh_rcs import mesh_rcs_m2

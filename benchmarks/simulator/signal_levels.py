@@ -21,7 +21,7 @@ import msgspec
 import numpy as np
 
 from msgs.values.radar import RadarSetup
-from sim_player.dataset.writer import clean_profiles
+from sim_player.dataset.labelled_scan import clean_profiles
 from sim_player.generate.streets import random_street
 from sim_player.scene.front_end import FrontEnd
 from sim_player.signal.levels import beam_beats, hann_profiles, kernel_profiles

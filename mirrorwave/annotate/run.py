@@ -19,7 +19,8 @@ from models.annotation.registration import PlacedCloud, Registration, register
 from models.annotation.slice_labels import PointLabel, SliceLabels, label_slice
 from models.perception.forming.ra_forming import FormingParams, RaFormer
 from models.training.data.xradarnlos import Kind
-from models.training.files import file_sha256, json_lines, write_whole
+from models.training.files import file_sha256, json_lines
+from msgs.files.whole_files import write_whole
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 
 #: How far the ground in the merged cloud may lie from where `radar_height_m` says.

@@ -23,7 +23,8 @@ from models.sensors.dca1000 import (
     parse_cfg,
     parse_json,
 )
-from models.training.files import file_sha256, json_lines, whole, write_whole
+from models.training.files import file_sha256, json_lines
+from msgs.files.whole_files import whole, write_whole
 from msgs.values.units import db_from_ratio, ns_from_s, ratio_from_db
 
 #: Maps of 512 x 256 cells take 1.5 MiB a frame.

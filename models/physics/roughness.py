@@ -11,16 +11,6 @@ import numpy as np
 
 from models.physics.fresnel import coherent_power
 
-__all__ = [
-    "coherent_power",
-    "coherent_power_miller_brown",
-    "diffuse_share",
-    "fraunhofer_criterion_m",
-    "phase_deviation_rad",
-    "rayleigh_criterion_m",
-    "specular_gain",
-]
-
 
 def phase_deviation_rad(roughness_m: np.ndarray, cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
     """Return the rms phase g = 4 pi s cos / lambda (broadcast); pi/2 at the Rayleigh criterion.

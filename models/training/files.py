@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and their checksums."""
+"""Checksums of files, and JSON that people read."""
 
 from __future__ import annotations
 
@@ -6,9 +6,6 @@ import hashlib
 from pathlib import Path
 
 import msgspec
-
-from msgs.files.whole_files import whole as whole
-from msgs.files.whole_files import write_whole as write_whole
 
 
 def file_sha256(path: Path) -> str:

@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 import msgspec
 import torch
 
-from models.training.files import json_lines, whole, write_whole
+from models.training.files import json_lines
+from msgs.files.whole_files import whole, write_whole
 
 LAST, BEST, CONFIG, CURVES, SUMMARY = "last.pt", "best.pt", "config.json", "curves.json", "summary.json"
 

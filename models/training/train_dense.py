@@ -12,7 +12,7 @@ from torch import nn
 
 from models.training.data.samples import DataConfig, PointLabels, SampleFormer, TrainingData, shuffled_batches
 from models.training.families import FAMILIES, NetworkChoice
-from models.training.files import json_lines, write_whole
+from models.training.files import json_lines
 from models.training.objectives.objectives import ObjectiveConfig, objective_of
 from models.training.pretrained import load_initial
 from models.training.ranks import Ranks
@@ -29,6 +29,7 @@ from models.training.run_folder import (
 )
 from models.training.schedules import ScheduleConfig, optimiser_of
 from models.training.scoring import DEFAULT_THRESHOLD, DetectionTally
+from msgs.files.whole_files import write_whole
 from msgs.values.perception import PathClass
 
 #: Thresholds of the validation of every epoch; the first is the least confident peak considered.

@@ -15,9 +15,10 @@ from models.networks.residual_reflect_net import ResidualReflectNet
 from models.perception.geometry.recovery import ReflectionState
 from models.perception.geometry.residual_model import ResidualFrame, bounded, image_frames, in_frames
 from models.training.data.residual_samples import FoldedImages, SampleConfig, recovered_scores
-from models.training.files import json_lines, write_whole
+from models.training.files import json_lines
 from models.training.pretrained import load_initial
 from models.training.run_folder import BEST, CURVES, LAST, adopt_config, load_config, load_state, save_state
+from msgs.files.whole_files import write_whole
 
 
 class TrainResidualConfig(msgspec.Struct, frozen=True, kw_only=True):

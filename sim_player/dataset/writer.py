@@ -29,45 +29,14 @@ import msgspec
 
 from msgs.files.whole_files import require_room, write_whole
 from sim_player.dataset.executors import Executor, map_jobs
-from sim_player.dataset.labelled_scan import (
-    RANGE_BINS,
-    WINDOW,
-    Labels,
-    clean_profiles,
-    label_points,
-    noise_power_mw,
-    profile_noise,
-    scene_profiles,
-    simulate_profiles,
-)
 from sim_player.dataset.shards import (
-    SCENES_PER_SHARD,
     Recipe,
     ShardDone,
     ShardJob,
     make_shard,
-    read_shard,
     shard_done,
     shard_fault,
 )
-
-__all__ = [
-    "RANGE_BINS",
-    "SCENES_PER_SHARD",
-    "WINDOW",
-    "Labels",
-    "Recipe",
-    "ShardDone",
-    "clean_profiles",
-    "label_points",
-    "noise_power_mw",
-    "profile_noise",
-    "read_shard",
-    "scene_profiles",
-    "simulate_profiles",
-    "write_dataset",
-]
-
 
 DEFAULT = Recipe()
 

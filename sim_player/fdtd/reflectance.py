@@ -28,9 +28,9 @@ from models.physics.materials import extrapolation_note, wall_layers
 from msgs.files.array_files import load_arrays
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.dataset.executors import map_jobs
-from sim_player.fdtd import reflect_angles
 from sim_player.fdtd.media import Layers
 from sim_player.fdtd.rough import RoughParams, cell_size, is_conductor, quiet_width, rough_profile, scatter
+from sim_player.fdtd.scattering import reflect_angles
 
 #: The shipped table; its card lies beside it.
 SHIPPED = Path(__file__).parents[1] / "tables" / "reflectance.npz"

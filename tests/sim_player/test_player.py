@@ -11,7 +11,7 @@ from models.physics.mirror import blocked
 from msgs.files.shipped import CHECKOUT
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams, RadarSetup
-from sim_player.dataset.writer import clean_profiles
+from sim_player.dataset.labelled_scan import clean_profiles
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
 from sim_player.signal.fmcw import beam_weights, chirp_beats

@@ -11,7 +11,8 @@ import pytest
 
 from models.perception.geometry.association import DirectReturns, RecoveryParams
 from models.perception.geometry.confidence import CLIP, FEATURES, LARGEST, PlaceConfidence, place_features
-from models.perception.geometry.recovery import NO_WALL, Recovered
+from models.perception.geometry.mirrors import NO_WALL
+from models.perception.geometry.recovery import Recovered
 from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
 from models.training.fit_confidence import FitConfig, fit_weights
 from msgs.values.frames import polar_from_xy

@@ -11,10 +11,10 @@ import pytest
 
 from models.physics.fresnel import half_space_reflection, slab_reflection
 from sim_player.fdtd import grid as grid_module
-from sim_player.fdtd import reflect
 from sim_player.fdtd import strip as strip_module
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, VACUUM_PERMITTIVITY_F_PER_M, CpmlParams, recursion
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
+from sim_player.fdtd.scattering import reflect
 from sim_player.fdtd.strip import Strip, StripParams, build_strips, courant_limit_s, run_strip
 from tests.stability.catalogue import Errors
 

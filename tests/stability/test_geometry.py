@@ -10,10 +10,10 @@ import pytest
 from models.perception.geometry.arcs import ArcParams
 from models.perception.geometry.association import RecoveryParams, associate_crossing, facing_radar, nearest_in_angle
 from models.perception.geometry.clustering import dbscan
-from models.perception.geometry.mirrors import RADAR, hits, wall_arrays
+from models.perception.geometry.mirrors import NO_WALL, RADAR, hits, wall_arrays
 from models.perception.geometry.objects import ObjectParams, form_objects
 from models.perception.geometry.published import PublishedParams, recover_published
-from models.perception.geometry.recovery import NO_WALL, Recovered, cartesian_covariance, folded
+from models.perception.geometry.recovery import Recovered, cartesian_covariance, folded
 from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
 from models.perception.geometry.walls import WallParams, find_walls
 from models.physics.curved_mirror import arc_points, fermat_points

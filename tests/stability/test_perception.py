@@ -34,8 +34,9 @@ from models.perception.detection.onnx_model import DensePredictor, ModelCard
 from models.perception.detection.peaks import PeakParams, peaks_at
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.confidence import FEATURES, PlaceConfidence
+from models.perception.geometry.lines import fit_line
 from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.perception.geometry.walls import WallParams, find_walls, fit_line
+from models.perception.geometry.walls import WallParams, find_walls
 from models.physics.mirror import blocked, reflect, specular_points, wall_from_ends
 from models.training.export.onnx import Exported, export_onnx, write_card
 from models.training.export.quantize import quantize_int8

@@ -12,8 +12,8 @@ from models.perception.detection.score_calibration import check_table
 from models.training.calibration import fit_table
 from models.training.data.frames import DataSet, Splits, fixed_splits
 from models.training.export.onnx import require_onnx
-from models.training.files import whole
 from models.training.run_folder import BEST, CONFIG, load_config, load_state
+from msgs.files.whole_files import whole
 
 SHARD = {
     "values": np.ones((3, 512, 256), np.complex64),

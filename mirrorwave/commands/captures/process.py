@@ -1,4 +1,4 @@
-"""`mirrorwave process`: a capture through the whole graph, in this process, as fast as the machine allows."""
+"""`mirrorwave process`: a capture through the whole chain, in this process, as fast as the machine allows."""
 
 from __future__ import annotations
 

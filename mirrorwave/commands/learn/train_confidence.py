@@ -47,8 +47,8 @@ def confidence(
     from models.perception.geometry.stage import GeometryParams
     from models.training.data.frames import DataSet, fixed_splits
     from models.training.data.samples import imperfect
-    from models.training.files import write_whole
     from models.training.fit_confidence import FitConfig, collected, fit_confidence
+    from msgs.files.whole_files import write_whole
 
     path = model or DEFAULT_MODEL
     card = load_card(path)

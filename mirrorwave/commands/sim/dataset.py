@@ -78,7 +78,8 @@ def dataset(
     as_json: AsJson = False,
 ) -> None:
     """Labelled range profiles of random places; resumable, the same bytes for any executor and number of workers."""
-    from sim_player.dataset.writer import Recipe, write_dataset
+    from sim_player.dataset.shards import Recipe
+    from sim_player.dataset.writer import write_dataset
 
     recipe = Recipe(
         places=places.value,

@@ -15,10 +15,10 @@ from mirrorwave.studies.compare.sensors import GRID, Sight
 from models.evaluation.metrics import Counts, recovered_counts
 from models.perception.detection.peaks import echo_power, peaks_at
 from models.perception.detection.ridges import find_ridges
-from models.perception.geometry.association import DirectReturns
+from models.perception.geometry.association import DirectReturns, RecoveryParams
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.mirrors import behind_walls, wall_arrays
-from models.perception.geometry.recovery import RecoveryParams, recover
+from models.perception.geometry.recovery import recover
 from models.perception.geometry.rejection import hidden_mask
 from models.physics.materials import is_volume
 from models.physics.mirror import wall_from_ends

@@ -12,8 +12,8 @@ from mirrorwave.studies.compare.runner import SWEEPS, Plan, SceneResult, Seen, V
 from mirrorwave.studies.compare.sensors import FALSE_ALARM, RADARS, SENSORS, Equal, Sensor, SpadSensor
 from mirrorwave.studies.report import DRAWS, Interval, Provenance, machine, table, versions
 from models.evaluation.frame_scores import INTERVAL, bootstrap_weights
+from models.physics.fresnel import coherent_power
 from models.physics.link_budget import half_range, map_noise_gain, radar_threshold, spad_threshold, two_way_field
-from models.physics.roughness import coherent_power
 from msgs.values.units import db_from_ratio
 from msgs.values.wording import counted
 

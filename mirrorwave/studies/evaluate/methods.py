@@ -22,14 +22,14 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
 
 from models.perception.detection.cfar import CfarParams
 from models.perception.detection.cfar_nlos import CfarNlosParams, privileged_peaks
-from models.perception.detection.detectors import CfarDetector, NetworkDetector, Refine, refine_way
+from models.perception.detection.detectors import CfarDetector, NetworkDetector, Refine
 from models.perception.detection.onnx_model import load_card
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.refinement import RefinementParams
@@ -52,7 +52,7 @@ GEOMETRIES = ("ours", "published")
 GROUPS = {"cfar": ("cfar",), "cfar-nlos": ("cfar", "nlos"), "truth": (), ".onnx": ("peaks", "named", "refinement")}
 WORDS = (
     "refine",
-    "refine=" + "|".join(get_args(Refine)),
+    "refine=" + "|".join(Refine),
     "flip_test",
     "residual=FILE",
     "confidence=FILE",
@@ -73,7 +73,7 @@ class MethodSpec:
     name: str
     source: str
     text: str
-    refine: bool | Refine = False
+    refine: bool | str = False
     flip_test: bool = False
     residual: Path | None = None
     confidence: Path | None = None
@@ -135,7 +135,7 @@ def _take(found: dict[str, Any], text: str, word: str) -> None:
     group, dot, path = key.partition(".")
     if word in ("refine", "flip_test"):
         found[word] = True
-    elif key == "refine" and value in get_args(Refine):
+    elif key == "refine" and value in tuple(Refine):
         found["refine"] = value
     elif separator and dot and path and value:
         found["parameters"].setdefault(group, {})[path] = parse_yaml(value, f"--method {text!r}: {key}")
@@ -188,7 +188,7 @@ def _built(spec: MethodSpec, threshold: float | None, threads: int, setup: Radar
     if spec.kind == ".onnx":
         card = load_card(Path(spec.source))
         grid, weights = card.grid, weights + card.parameters
-        at = spec.threshold or threshold or card.threshold_for(refine_way(spec.refine))
+        at = spec.threshold or threshold or card.threshold_for(Refine.of(spec.refine))
         detect, detect_all = _network(spec, at, threads, setup)
     else:
         at = spec.threshold or 0.0
@@ -211,7 +211,7 @@ def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup
     peaks = overridden(PeakParams(), "peaks", spec.parameters)
     named = overridden(NamedParams(), "named", spec.parameters)
     refinement = overridden(RefinementParams(), "refinement", spec.parameters)
-    refined = refine_way(spec.refine) != "none"
+    refined = Refine.of(spec.refine) is not Refine.NONE
 
     def at(peak: float, name: float) -> Detect:
         detector = NetworkDetector(

@@ -15,8 +15,9 @@ from mirrorwave.studies.report import machine, versions
 from mirrorwave.studies.tradeoff.report import latency_ms, point_of, read_report
 from mirrorwave.studies.tradeoff.runner import PARTS, Plan, run_plan
 from mirrorwave.studies.tradeoff.settings import PROFILE, Setting, profiles
-from models.training.files import json_lines, write_whole
+from models.training.files import json_lines
 from msgs.files.shipped import RESULTS
+from msgs.files.whole_files import write_whole
 
 #: The committed full run: how accurate each profile is.
 COMMITTED = RESULTS / "tradeoff.json"

@@ -119,7 +119,7 @@ def _fdtd_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polari
 
     from models.physics.materials import wall_layers
     from msgs.values.units import SPEED_OF_LIGHT_MPS
-    from sim_player.fdtd import reflect
+    from sim_player.fdtd.scattering import reflect
 
     layers = wall_layers(wall.material, wall.thickness_m, frequency_hz, wall.extrapolate)
     options: dict[str, Any] = {"polarisation": polarisation, "roughness_m": wall.roughness_m}

@@ -12,7 +12,7 @@ import numpy as np
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from sim_player.fdtd import Experiment, Transmission
+    from sim_player.fdtd.experiment import Experiment, Transmission
     from sim_player.fdtd.reflectance import Comparison, ReflectanceTable
 
 
@@ -67,7 +67,8 @@ def answer(
     """Ask the formula, the column of cells and, for a picture, the beam; progress goes to stderr."""
     from models.physics.fresnel import stack_reflection, stack_transmission
     from msgs.values.units import SPEED_OF_LIGHT_MPS
-    from sim_player.fdtd import reflect, transmission_experiment
+    from sim_player.fdtd.experiment import transmission_experiment
+    from sim_player.fdtd.scattering import reflect
 
     setup = layout(layers, frequency_hz) if picture else None
     angle_rad = math.radians(angle_deg)
@@ -88,7 +89,7 @@ def answer(
 def layout(layers: Any, frequency_hz: float) -> Experiment:
     """The experiment's layout, as wide in wavelengths at every frequency; ValueError where it takes too many cells."""
     from msgs.values.units import SPEED_OF_LIGHT_MPS
-    from sim_player.fdtd import Experiment
+    from sim_player.fdtd.experiment import Experiment
     from sim_player.fdtd.rough import cell_size
 
     wavelength_m = SPEED_OF_LIGHT_MPS / frequency_hz

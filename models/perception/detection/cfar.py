@@ -12,7 +12,8 @@ import numpy as np
 from models.perception.detection.peaks import PeakParams, echo_power, peaks_at
 from models.perception.detection.ridges import MAX_CELLS, RidgeParams, find_ridges, ridge_cells
 from models.perception.geometry.clustering import dbscan
-from models.perception.geometry.recovery import WallArrays, behind_walls, cartesian_covariance, wall_arrays
+from models.perception.geometry.mirrors import WallArrays, behind_walls, wall_arrays
+from models.perception.geometry.recovery import cartesian_covariance
 from models.perception.geometry.walls import WallParams, find_walls
 from models.physics.link_budget import spad_threshold
 from msgs.values.arrays import require_within

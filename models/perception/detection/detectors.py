@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
-from typing import Literal, Protocol, get_args
+from typing import Protocol
 
 import msgspec
 import numpy as np
@@ -19,12 +20,32 @@ from models.perception.geometry.observability import UNKNOWN_SENSITIVITY_DB, sen
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 
-#: Placement of a network's peaks. "none": at the maxima of the heatmap. "ridge": on the ridges of the map.
-#: "likelihood": on the ridges, then moved to the likeliest positions of point echoes on the complex map.
-#: "maxima_likelihood": at the maxima, then moved likewise. "pursuit": as many peaks as the heatmap's mass is worth.
-Refine = Literal["none", "ridge", "likelihood", "maxima_likelihood", "pursuit"]
-#: Placement that `True` stands for: the best on the validation scenes (docs/results/learned.md).
-DEFAULT_REFINE: Refine = "pursuit"
+
+class Refine(StrEnum):
+    """Placement of a network's peaks; profiles and committed cards use `PURSUIT`, the published form is `NONE`.
+
+    The other three are rows of the committed accuracy-versus-time table, each below `PURSUIT` in it.
+    """
+
+    #: At the maxima of the heatmap.
+    NONE = "none"
+    #: On the ridges of the map.
+    RIDGE = "ridge"
+    #: On the ridges, then moved to the likeliest positions of point echoes on the complex map.
+    LIKELIHOOD = "likelihood"
+    #: At the maxima, then moved likewise.
+    MAXIMA_LIKELIHOOD = "maxima_likelihood"
+    #: As many peaks as the heatmap's mass is worth: the best on the validation scenes (docs/results/learned.md).
+    PURSUIT = "pursuit"
+
+    @classmethod
+    def of(cls, spelling: bool | str) -> Refine:
+        """Return the placement of a switch or a word (true: `PURSUIT`, false: `NONE`); `ValueError` for others."""
+        if isinstance(spelling, bool):
+            return cls.PURSUIT if spelling else cls.NONE
+        if spelling not in tuple(cls):
+            raise ValueError(f"refine must be a bool or one of {', '.join(cls)}, got {spelling!r}")
+        return cls(spelling)
 
 
 class Detector(Protocol):
@@ -52,21 +73,23 @@ class NetworkDetector:
         threads: int = 1,
         params: PeakParams | None = None,
         ridge_matching: NamedParams | None = None,
-        refine: bool | Refine = True,
+        refine: bool | str = Refine.PURSUIT,
         refinement: RefinementParams | None = None,
         calibrate: bool = False,
         flip_test: bool = False,
     ) -> None:
-        placement = refine_way(refine)
+        placement = Refine.of(refine)
         self._predictor = DensePredictor(model, threads, flip_test)
         self._predictor.card.encoding.check_array(setup, self._predictor.card.grid)
         self._params = params or PeakParams(threshold=self._predictor.card.threshold_for(placement))
-        if placement == "pursuit":
+        if placement is Refine.PURSUIT:
             # compile now: the first map must not wait for it
             pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
         self._ridge_matching, self._refine = ridge_matching or NamedParams(), placement
         self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
-        self._refiner = EchoRefiner(setup, refinement) if placement.endswith("likelihood") else None
+        self._refiner = (
+            EchoRefiner(setup, refinement) if placement in (Refine.LIKELIHOOD, Refine.MAXIMA_LIKELIHOOD) else None
+        )
         self._table = self._predictor.card.calibration if calibrate else ()
         self._sensitivity_db = sensitivity_db(setup)
 
@@ -80,9 +103,9 @@ class NetworkDetector:
 
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Return the peaks before any refinement on the complex map."""
-        if self._refine in ("ridge", "likelihood"):
+        if self._refine in (Refine.RIDGE, Refine.LIKELIHOOD):
             return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._ridge_matching)
-        if self._refine == "pursuit":
+        if self._refine is Refine.PURSUIT:
             return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         if self._predictor.card.head == "heatmap":
             return find_peaks(self._predictor.predict(ra_map), ra_map, self._params)
@@ -91,18 +114,9 @@ class NetworkDetector:
         return peaks_at(ra_map, cells, points.cells, points.score, points.path_class, self._params)
 
 
-def detector_name(sha256: str, placement: Refine, flip_test: bool) -> str:
+def detector_name(sha256: str, placement: str, flip_test: bool) -> str:
     """Return the value of `Peaks.detector` for a network: its file and the placement of its peaks."""
     return f"{sha256}/{placement}{'/flip_test' if flip_test else ''}"
-
-
-def refine_way(refine: bool | Refine) -> Refine:
-    """Return the placement that a switch or a word stands for; raises ValueError for another word."""
-    if isinstance(refine, bool):
-        return DEFAULT_REFINE if refine else "none"
-    if refine not in get_args(Refine):
-        raise ValueError(f"refine must be a bool or one of {', '.join(get_args(Refine))}, got {refine!r}")
-    return refine
 
 
 class CfarDetector:

@@ -8,18 +8,11 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
+from models.perception.geometry.association import DirectReturns, RecoveryParams
 from models.perception.geometry.clustering import NOISE, dbscan
-from models.perception.geometry.recovery import (
-    NO_WALL,
-    DirectReturns,
-    Recovered,
-    RecoveryParams,
-    Residual,
-    corrected,
-    recover,
-    reflection_state,
-)
-from models.perception.geometry.walls import fit_line
+from models.perception.geometry.lines import fit_line
+from models.perception.geometry.mirrors import NO_WALL
+from models.perception.geometry.recovery import Recovered, Residual, corrected, recover, reflection_state
 from msgs.values.arrays import require_positive
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall

@@ -22,7 +22,7 @@ from models.perception.geometry.association import (
     seen_through,
 )
 from models.perception.geometry.clustering import NOISE
-from models.perception.geometry.mirrors import NO_WALL, RADAR, WallArrays, behind_walls, hits, wall_arrays
+from models.perception.geometry.mirrors import NO_WALL, WallArrays, hits, wall_arrays
 from models.physics.mirror import reflect
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import HiddenPoint, PathClass, Peaks, Wall
@@ -232,24 +232,3 @@ def reflection_state(
 def corrected(recovered: Recovered, offsets_m: np.ndarray) -> Recovered:
     """Return the folded positions plus a learned residual, Eq. (18)."""
     return replace(recovered, points_m=recovered.points_m + offsets_m)
-
-
-__all__ = [
-    "NO_WALL",
-    "RADAR",
-    "DirectReturns",
-    "Folded",
-    "Recovered",
-    "RecoveryParams",
-    "ReflectionState",
-    "Residual",
-    "WallArrays",
-    "behind_walls",
-    "cartesian_covariance",
-    "corrected",
-    "folded",
-    "nearest_in_angle",
-    "recover",
-    "reflection_state",
-    "wall_arrays",
-]

@@ -8,14 +8,13 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
+from models.perception.geometry.association import DirectReturns, RecoveryParams
 from models.perception.geometry.clustering import dbscan
 from models.perception.geometry.confidence import Confidence
 from models.perception.geometry.objects import ObjectParams, form_objects
 from models.perception.geometry.observability import VisibilityParams, observability
 from models.perception.geometry.recovery import (
-    DirectReturns,
     Recovered,
-    RecoveryParams,
     Residual,
     cartesian_covariance,
     corrected,

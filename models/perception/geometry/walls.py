@@ -20,7 +20,7 @@ import numpy as np
 
 from models.perception.geometry.arcs import ArcParams, with_arcs
 from models.perception.geometry.clustering import NOISE
-from models.perception.geometry.lines import INLIER_SIGMAS, Line, LineFit, claimed, fit_line, line_gain
+from models.perception.geometry.lines import INLIER_SIGMAS, Line, LineFit, claimed
 from models.perception.geometry.wall_search import Limits, Segment, best_segment, left_over, next_on_line, supported
 from msgs.values.arrays import require_positive
 from msgs.values.perception import Wall
@@ -327,6 +327,3 @@ def _hides(wall: LineFit, points_m: np.ndarray) -> bool:
     low, high = np.sort(wall.ends_m @ tangent)
     reach = foot @ tangent
     return bool(((reach >= low) & (reach <= high)).all())
-
-
-__all__ = ["LineFit", "WallParams", "find_walls", "fit_line", "line_gain"]

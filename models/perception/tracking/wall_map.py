@@ -387,6 +387,3 @@ def _sharpened(wall: Wall, kept: _KeptLine, radar_from_odom: Pose2) -> Wall:
 
 def _union(first: tuple[float, float], second: tuple[float, float]) -> tuple[float, float]:
     return min(first[0], second[0]), max(first[1], second[1])
-
-
-__all__ = ["WallMap", "WallMapParams"]

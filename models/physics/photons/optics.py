@@ -31,9 +31,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from models.physics.fresnel import half_space_reflection
+from models.physics.fresnel import coherent_power, half_space_reflection
 from models.physics.materials import CONSTRUCTIONS, wall_name
-from models.physics.roughness import coherent_power, diffuse_share
+from models.physics.roughness import diffuse_share
 from msgs.values.lidar import SpadParams
 
 #: Combination of TE and TM powers: the mean of both, or Eq. (14) as printed, which is 0 at normal incidence.

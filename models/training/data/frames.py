@@ -18,8 +18,8 @@ import numpy as np
 
 from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, form_map
-from models.training.files import write_whole
 from msgs.files.array_files import array_names, load_arrays
+from msgs.files.whole_files import write_whole
 from msgs.values.perception import PathClass
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 

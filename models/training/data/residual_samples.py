@@ -21,8 +21,8 @@ from models.perception.geometry.published import PublishedParams, recover_publis
 from models.perception.geometry.recovery import Recovered, ReflectionState, reflection_state
 from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.training.data.frames import DataSet, Frame, FrameLabels
-from models.training.files import whole
 from msgs.files.array_files import load_arrays
+from msgs.files.whole_files import whole
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import PathClass, Peaks
 

@@ -27,8 +27,9 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from models.training.files import file_sha256, json_lines, whole, write_whole
+from models.training.files import file_sha256, json_lines
 from msgs.files.array_files import is_archive, load_array, load_arrays
+from msgs.files.whole_files import whole, write_whole
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid

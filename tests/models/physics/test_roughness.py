@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from models.physics.fresnel import coherent_power
 from models.physics.roughness import (
-    coherent_power,
     coherent_power_miller_brown,
     diffuse_share,
     fraunhofer_criterion_m,

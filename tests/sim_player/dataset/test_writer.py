@@ -24,20 +24,18 @@ from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.executors import Executor, map_jobs
-from sim_player.dataset.labelled_scan import labelled_scan
-from sim_player.dataset.statistics import dataset_statistics, histogram, read_records
-from sim_player.dataset.writer import (
-    Recipe,
-    ShardDone,
+from sim_player.dataset.labelled_scan import (
     clean_profiles,
     label_points,
+    labelled_scan,
     noise_power_mw,
     profile_noise,
-    read_shard,
     scene_profiles,
     simulate_profiles,
-    write_dataset,
 )
+from sim_player.dataset.shards import Recipe, ShardDone, read_shard
+from sim_player.dataset.statistics import dataset_statistics, histogram, read_records
+from sim_player.dataset.writer import write_dataset
 from sim_player.effects.names import bit
 from sim_player.generate.places import draw_place, random_place
 from sim_player.generate.streets import random_street

@@ -18,10 +18,11 @@ from models.physics.fresnel import (
     stack_transmission,
 )
 from models.physics.materials import permittivity
-from sim_player.fdtd import Experiment, reflect, reflect_angles, transmission_experiment
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
+from sim_player.fdtd.experiment import Experiment, transmission_experiment
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
 from sim_player.fdtd.rough import rough_profile
+from sim_player.fdtd.scattering import reflect, reflect_angles
 
 FREQUENCY_HZ = 10e9
 WAVELENGTH_M = SPEED_OF_LIGHT_MPS / FREQUENCY_HZ

@@ -12,8 +12,8 @@ import pytest
 from models.training.data.frames import DataSet
 from msgs.values.radar import RadarSetup
 from sim_player.dataset.labelled_scan import noise_power_mw, profile_noise
-from sim_player.dataset.shards import draw_scene
-from sim_player.dataset.writer import Recipe, read_shard, write_dataset
+from sim_player.dataset.shards import Recipe, draw_scene, read_shard
+from sim_player.dataset.writer import write_dataset
 from sim_player.generate.domain_shift import (
     HARD,
     RADAR_ROOM_M,

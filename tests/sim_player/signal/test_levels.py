@@ -12,7 +12,7 @@ from models.physics.antenna import element_field, one_way_pattern, setup_weights
 from models.physics.waveform import beat_samples
 from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
-from sim_player.dataset.writer import clean_profiles, profile_noise
+from sim_player.dataset.labelled_scan import clean_profiles, profile_noise
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import beam_codes, beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import (

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sim_player.dataset.writer import Recipe, read_shard, write_dataset
+from sim_player.dataset.shards import Recipe, read_shard
+from sim_player.dataset.writer import write_dataset
 from sim_player.trace.truth import visible_paths
 from sim_player.trace.unthinned_truth import DrawnScene, labelled_paths, trace_again
 

@@ -16,7 +16,8 @@ from models.perception.detection.cfar import CfarParams
 from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.geometry.stage import GeometryParams
 from models.training.data.frames import DataSet, fixed_splits
-from sim_player.dataset.writer import Recipe, write_dataset
+from sim_player.dataset.shards import Recipe
+from sim_player.dataset.writer import write_dataset
 
 
 @pytest.fixture(scope="module")

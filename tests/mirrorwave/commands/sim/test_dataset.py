@@ -19,7 +19,8 @@ from mirrorwave.commands.sim.dataset import (
     parse_slurm,
     statistics,
 )
-from sim_player.dataset.writer import Recipe, write_dataset
+from sim_player.dataset.shards import Recipe
+from sim_player.dataset.writer import write_dataset
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import typer
 from mirrorwave.commands.sim.fdtd import reflectance, wall
 from mirrorwave.console import error_line, exit_code_of
 from mirrorwave.studies.walls import transmission
-from sim_player.fdtd import Experiment
+from sim_player.fdtd.experiment import Experiment
 from sim_player.fdtd.reflectance import Entry
 
 

@@ -13,7 +13,8 @@ import pytest
 
 from models.perception.geometry.association import DirectReturns, RecoveryParams
 from models.perception.geometry.confidence import FEATURES, PlaceConfidence, load_confidence, place_features
-from models.perception.geometry.recovery import NO_WALL, Recovered
+from models.perception.geometry.mirrors import NO_WALL
+from models.perception.geometry.recovery import Recovered
 from models.perception.geometry.stage import GeometryParams, recover_bev
 from msgs.values.frames import polar_from_xy
 from msgs.values.perception import Peaks, Wall

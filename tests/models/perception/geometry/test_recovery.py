@@ -5,16 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.geometry.association import RecoveryParams, associate_crossing, seen_through
-from models.perception.geometry.recovery import (
-    NO_WALL,
-    DirectReturns,
-    cartesian_covariance,
-    folded,
-    recover,
-    reflection_state,
-    wall_arrays,
-)
+from models.perception.geometry.association import DirectReturns, RecoveryParams, associate_crossing, seen_through
+from models.perception.geometry.mirrors import NO_WALL, wall_arrays
+from models.perception.geometry.recovery import cartesian_covariance, folded, recover, reflection_state
 from models.perception.geometry.rejection import hidden_mask
 from models.perception.geometry.stage import GeometryParams, recover_bev
 from models.physics.mirror import reflect, wall_from_ends

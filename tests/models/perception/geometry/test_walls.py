@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from models.perception.geometry.clustering import dbscan
+from models.perception.geometry.lines import fit_line
 from models.perception.geometry.recovery import cartesian_covariance
-from models.perception.geometry.walls import WallParams, find_walls, fit_line
+from models.perception.geometry.walls import WallParams, find_walls
 from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import Wall
 
