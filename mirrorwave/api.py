@@ -18,7 +18,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mirrorwave.pipeline import Pipeline
+from mirrorwave.pipeline import Pipeline, played
 from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
 from models.perception.chain import ScanView
@@ -61,8 +61,7 @@ class Perception:
     def __init__(
         self, setup: RadarSetup | None = None, profile: str = "default", overrides: Sequence[str] = ()
     ) -> None:
-        launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
-        self._pipeline = Pipeline(with_overrides(launch, overrides))
+        self._pipeline = _pipeline(profile, overrides)
         self._scans = 0
         self.setup = setup or RadarSetup()
         self.feed(self.setup)
@@ -97,21 +96,20 @@ def views(capture: str | PathLike[str], profile: str = "default", overrides: Seq
 
     Raises `ValueError` naming the file where it is no capture, holds no set-up, no beam, or beams of one direction.
     """
-    perception = Perception(None, profile, overrides)
+    pipeline = _pipeline(profile, overrides)
     truth: dict[int, SceneTruth] = {}
-    waiting: list[View] = []
+    waiting: ScanView | None = None
     # truth stands behind the beams it belongs to: a view goes out when the next one comes
     require_raw(Path(capture))
-    for event in capture_events(Path(capture)):
-        message = event.outgoing.message
-        if isinstance(message, SceneTruth):
-            truth[message.scan_id] = message
+    for found in played(capture_events(Path(capture)), pipeline):
+        if isinstance(found, SceneTruth):
+            truth[found.scan_id] = found
             continue
-        found = perception.feed(message, event.offset_ns)
-        if found:
-            yield from _with_truth(waiting, truth)
-            waiting = found
-    yield from _with_truth([*waiting, *perception.finish()], truth)
+        if waiting is not None:
+            yield _as_view(waiting, truth)
+        waiting = found
+    if waiting is not None:
+        yield _as_view(waiting, truth)
 
 
 def scan_beams(
@@ -138,10 +136,14 @@ def scan_beams(
     ]
 
 
+def _pipeline(profile: str, overrides: Sequence[str]) -> Pipeline:
+    launch = with_profile(read_launch_file(LAUNCH / "process.yaml"), profile)
+    return Pipeline(with_overrides(launch, overrides))
+
+
+def _as_view(found: ScanView, truth: dict[int, SceneTruth]) -> View:
+    return View(frame=found.frame, ra_map=found.ra_map, peaks=found.peaks, truth=truth.pop(found.frame.scan_id, None))
+
+
 def _as_views(found: Iterable[ScanView]) -> list[View]:
-    return [View(frame=one.frame, ra_map=one.ra_map, peaks=one.peaks) for one in found]
-
-
-def _with_truth(found: list[View], truth: dict[int, SceneTruth]) -> Iterator[View]:
-    for view in found:
-        yield msgspec.structs.replace(view, truth=truth.pop(view.scan_id, None))
+    return [_as_view(one, {}) for one in found]

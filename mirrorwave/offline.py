@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Self
 
 from mirrorwave.convert.result_lines import bev_to_json, track_to_json
-from mirrorwave.pipeline import Pipeline
+from mirrorwave.pipeline import Pipeline, played
 from mirrorwave.plots.bird_eye_view import draw_bev
 from mirrorwave.plots.scoreboard import Scoreboard
 from mirrorwave.profiles import with_profile
@@ -58,10 +58,13 @@ class Results:
         #: What the capture itself lacks, None where it is whole.
         self.capture_loss: str | None = None
 
-    def add(self, view: ScanView) -> None:
-        """Write the lines of a scan."""
-        self.last = view
-        frame = view.frame
+    def add(self, found: ScanView | SceneTruth) -> None:
+        """Write the lines of a scan; note the truth."""
+        if isinstance(found, SceneTruth):
+            self.scoreboard.add_truth(found)
+            return
+        self.last = found
+        frame = found.frame
         self.scoreboard.add_frame(frame)
         self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
         scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": "radar"}
@@ -107,7 +110,9 @@ def run_capture(
         picture = stack.enter_context(whole(out / PICTURE, ".png"))
         files = [stack.enter_context(_LineFile(path, part)) for path, part in zip(paths, parts, strict=True)]
         results = Results(files, clock, on_scan)
-        _run(_timed(events, clock), pipeline, results)
+        for found in played(_timed(events, clock), pipeline):
+            results.add(found)
+        results.scans, results.scans_with_loss = pipeline.scans, pipeline.scans_with_loss
         results.capture_loss = _loss_of(capture)
         if results.last is None:
             raise ValueError(f"{capture}: holds no complete scan")
@@ -115,20 +120,6 @@ def run_capture(
         with named(out / PICTURE):
             draw_bev(frame, picture, truth=results.scoreboard.truth_of(frame.scan_id), ra_map=ra_map)
     return results
-
-
-def _run(events: Iterable[Event], pipeline: Pipeline, results: Results) -> None:
-    """Feed the pipeline with all that sensors said; truth goes to the results alone."""
-    for event in events:
-        message = event.outgoing.message
-        if isinstance(message, SceneTruth):
-            results.scoreboard.add_truth(message)
-            continue
-        for view in pipeline.feed(message, event.offset_ns):
-            results.add(view)
-    for view in pipeline.finish():
-        results.add(view)
-    results.scans, results.scans_with_loss = pipeline.scans, pipeline.scans_with_loss
 
 
 def _timed(events: Iterator[Event], clock: StageClock) -> Iterator[Event]:

@@ -6,7 +6,7 @@ What the graph does with messages that its nodes cannot take is done here too: t
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
 
 import msgspec
@@ -16,11 +16,13 @@ from models.perception.chain import ScanView
 from models.perception.forming.photon_map import PhotonFormer
 from models.perception.timing import Timed
 from msgs.values.lidar import LidarSetup, PhotonHistograms
+from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.geometry import BiasLog
 from nodes.inputs.refusals import Refusals
 from nodes.node import ShedTally
+from nodes.player import Event
 from nodes.process.launch_file import LaunchFile
 from nodes.ra_former import PATIENCE_NS
 
@@ -120,3 +122,14 @@ class Pipeline:
             return []
         self._refused_histograms.accept()
         return self.views([ra_map])
+
+
+def played(events: Iterable[Event], pipeline: Pipeline) -> Iterator[ScanView | SceneTruth]:
+    """Feed a pipeline with all that sensors said; yield views as they come, and the truth as it stands among them."""
+    for event in events:
+        message = event.outgoing.message
+        if isinstance(message, SceneTruth):
+            yield message
+        else:
+            yield from pipeline.feed(message, event.offset_ns)
+    yield from pipeline.finish()

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from mirrorwave.offline import launch_for
-from mirrorwave.pipeline import Pipeline
+from mirrorwave.pipeline import Pipeline, played
+from models.perception.chain import ScanView
 from msgs.bus.interface import Outgoing, Received
 from msgs.bus.local import LocalNetwork
 from msgs.recording.mcap import RecordingWriter
@@ -94,10 +95,7 @@ def recorded(
 def test_the_chain_gives_the_bytes_of_the_nodes(scene: str, change: dict[str, object], tmp_path: Path) -> None:
     capture = recorded(tmp_path / "capture.mcap", scene, 1 if scene == SPAD else 3, **change)  # type: ignore[arg-type]
     pipeline = Pipeline(launch_for(capture, "default", CFAR))
-    views = [
-        view for event in capture_events(capture) for view in pipeline.feed(event.outgoing.message, event.offset_ns)
-    ]
-    views += pipeline.finish()
+    views = [found for found in played(capture_events(capture), pipeline) if isinstance(found, ScanView)]
     frames = by_nodes(capture, CFAR)
     assert [plain(view.frame) for view in views] == [plain(frame) for frame in frames]
     assert len(frames) == (1 if scene == SPAD else 3)
