@@ -423,10 +423,10 @@ def _background(parts: Parts, box: Box) -> None:
 def _card(parts: Parts, box: Box) -> None:
     from models.perception.cards import read_card
     from models.perception.detection.onnx_model import ModelCard
-    from models.perception.geometry.confidence import PlaceConfidence
+    from models.perception.geometry.confidence import PositionConfidence
     from models.perception.geometry.residual_model import ResidualCard
 
-    kind: Any = (ModelCard, PlaceConfidence, ResidualCard)[number(parts, 0, 3)]
+    kind: Any = (ModelCard, PositionConfidence, ResidualCard)[number(parts, 0, 3)]
     card = read_card(box.put("a.json", part(parts, 1)), kind)
     if isinstance(card, ModelCard):
         assert len(card.answer_shape) == 4

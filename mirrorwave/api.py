@@ -101,13 +101,13 @@ def views(capture: str | PathLike[str], profile: str = "default", overrides: Seq
     waiting: ScanView | None = None
     # truth stands behind the beams it belongs to: a view goes out when the next one comes
     require_raw(Path(capture))
-    for found in played(capture_events(Path(capture)), pipeline):
-        if isinstance(found, SceneTruth):
-            truth[found.scan_id] = found
+    for completed in played(capture_events(Path(capture)), pipeline):
+        if isinstance(completed, SceneTruth):
+            truth[completed.scan_id] = completed
             continue
         if waiting is not None:
             yield _as_view(waiting, truth)
-        waiting = found
+        waiting = completed
     if waiting is not None:
         yield _as_view(waiting, truth)
 

@@ -16,7 +16,7 @@ from mirrorwave.profiles import with_profile
 from mirrorwave.raw_data import require_raw
 from models.perception.chain import ScanView
 from msgs.files.shipped import LAUNCH
-from msgs.files.whole_files import named, whole
+from msgs.files.whole_files import named_errors, whole
 from msgs.recording.mcap import RecordingReader
 from msgs.values.perception import SceneTruth
 from nodes.node import StageClock
@@ -117,7 +117,7 @@ def run_capture(
         if results.last is None:
             raise ValueError(f"{capture}: holds no complete scan")
         frame, ra_map, _ = results.last
-        with named(out / PICTURE):
+        with named_errors(out / PICTURE):
             draw_bev(frame, picture, truth=results.scoreboard.truth_of(frame.scan_id), ra_map=ra_map)
     return results
 
@@ -152,10 +152,10 @@ def _is_ours(path: Path, keys: set[str]) -> bool:
     with path.open("rb") as file:
         line = file.readline(_MAX_LINE_BYTES)
     try:
-        found = json.loads(line) if line else dict.fromkeys(keys)
+        first_row = json.loads(line) if line else dict.fromkeys(keys)
     except (ValueError, RecursionError):
         return False
-    return isinstance(found, dict) and keys <= found.keys()
+    return isinstance(first_row, dict) and keys <= first_row.keys()
 
 
 class _LineFile:
@@ -167,14 +167,14 @@ class _LineFile:
 
     def write(self, line: str) -> None:
         """Append a line."""
-        with named(self._path):
+        with named_errors(self._path):
             self._file.write(line)
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *error: object) -> None:
-        with named(self._path):
+        with named_errors(self._path):
             self._file.close()
 
 

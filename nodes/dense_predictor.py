@@ -16,7 +16,7 @@ from models.perception.detection.detectors import CfarDetector, Detector, Networ
 from models.perception.detection.onnx_model import DEFAULT_MODEL
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.refinement import RefinementParams
-from models.perception.detection.ridge_matching import NamedParams
+from models.perception.detection.ridge_matching import RidgeMatchingParams
 from models.perception.detection.stage import DetectionStage
 from models.perception.timing import Timed
 from msgs.bus.interface import Outgoing, Received
@@ -46,7 +46,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     flip_test: bool = False
     #: Scores become probabilities, by the table of the model's card.
     calibrate: bool = False
-    named: NamedParams = NamedParams()
+    named: RidgeMatchingParams = RidgeMatchingParams()
     #: None: the released settings with the threshold of the model's card.
     peaks: PeakParams | None = None
     cfar: CfarParams = CfarParams()

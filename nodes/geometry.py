@@ -33,9 +33,9 @@ class Params(GeometryParams, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     #: An exported residual network with its card beside it; `none`: the mirror law alone.
     residual: str = "none"
-    #: A fitted `PlaceConfidence`, heeded for peaks of the detector it was fitted on; `auto`: of the committed ones the
-    #: one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed network;
-    #: `none`: all places are kept, with the scores of their peaks.
+    #: A fitted `PositionConfidence`, heeded for peaks of the detector it was fitted on; `auto`: of the committed ones
+    #: the one that was fitted on the peaks' detector, none for peaks of another; `default`: that of the committed
+    #: network; `none`: all places are kept, with the scores of their peaks.
     confidence: str = "none"
     #: What is kept from scan to scan: odometry, tracks, walls.
     memory: MemoryParams = MemoryParams()

@@ -81,7 +81,7 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             plain.append(self.bind)
         return [address for address in plain if not is_loopback(address)]
 
-    def chosen_topics(self) -> tuple[str, ...]:
+    def selected_topics(self) -> tuple[str, ...]:
         """Return the topics of this graph that it reads."""
         return self.export
 
@@ -118,7 +118,7 @@ class Link(Node):
         except BaseException:
             self.close()
             raise
-        self.inputs, self.outputs = params.chosen_topics(), params.imported_topics()
+        self.inputs, self.outputs = params.selected_topics(), params.imported_topics()
         self._say(params, allowed.values())
 
     @property

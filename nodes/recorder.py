@@ -52,7 +52,7 @@ class Recorder(Node):
 
     def __init__(self, params: Params, *, ends_when_refused: bool = False) -> None:
         super().__init__()
-        self.inputs = params.chosen_topics()
+        self.inputs = params.selected_topics()
         self.paths: list[Path] = []
         #: Messages written, repeated ones included, and messages that came and could not be.
         self.messages = self.missed = 0

@@ -31,7 +31,7 @@ from models.perception.detection.encoding import encode_map
 from models.perception.detection.onnx_model import open_session
 from models.perception.forming.ra_forming import RaFormer
 from models.training.export.onnx import Exported, export_onnx
-from models.training.families import chosen_network
+from models.training.families import preset_network
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from nodes import dense_predictor
 from nodes.process.validation import convert_at
@@ -64,7 +64,7 @@ def published(
 ) -> tuple[int, Callable[[], Any]]:
     """Parameters of a network at its published size, and a call that asks it of an encoded map."""
     torch.manual_seed(0)
-    choice, encoding = chosen_network(family, size)
+    choice, encoding = preset_network(family, size)
     network = choice.build().eval()
     path = folder / f"{family}.onnx"
     session = open_session(path, export_onnx(Exported(network), path), threads)

@@ -250,9 +250,9 @@ def _driven(settings: Settings, index: int, street: SideStreet, player: DrivePla
         if direct_sight(paths):
             break
         shown = unthinned_paths(player.setup, paths)
-        if ((shown.kind == PathClass.MIRRORED) & (shown.thing == CROSSING)).any():
+        if ((shown.kind == PathClass.MIRRORED) & (shown.object_index == CROSSING)).any():
             images_s.append(time_s)
-        plain = paths.thing[labelled(paths) & (paths.kind == PathClass.LOS)]
+        plain = paths.object_index[labelled(paths) & (paths.kind == PathClass.LOS)]
         truth = hidden_truth(player.truth(number), frozenset(plain.tolist()))
         states = [state for state in waiting if state.stamp_ns <= player.stamp_ns(number)]
         waiting = waiting[len(states) :]

@@ -48,7 +48,7 @@ from models.evaluation.metrics import match_objects
 from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector, Detector, NetworkDetector
 from models.perception.detection.onnx_model import DEFAULT_MODEL
-from models.perception.tracking.odometry import Placed, ScanOdometry, standing
+from models.perception.tracking.odometry import OdometryPose, ScanOdometry, stationary_pose
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from models.perception.tracking.tracker import Tracker
 from msgs.values.frames import Pose2
@@ -87,7 +87,7 @@ class Scan(msgspec.Struct, kw_only=True):
     time_s: float
     frame: BevFrame
     truth: SceneTruth
-    place: Placed
+    place: OdometryPose
 
 
 class Row(msgspec.Struct, kw_only=True):
@@ -138,7 +138,7 @@ def sight_s(scans: Sequence[Scan]) -> float:
     return scans[-1].time_s
 
 
-def view(chain: Chain, player: ScenePlayer | DrivePlayer, number: int, place: Placed) -> BevFrame:
+def view(chain: Chain, player: ScenePlayer | DrivePlayer, number: int, place: OdometryPose) -> BevFrame:
     """One scan through the chain, its beams freed from the motion that odometry gives."""
     stamp_ns = player.stamp_ns(number)
     state = VehicleState(stamp_ns=stamp_ns, speed_mps=place.speed_mps, yaw_rate_rps=place.yaw_rate_rps)
@@ -191,7 +191,7 @@ def ways(scans: Sequence[Scan]) -> Told:
     for scan in scans[:-1]:
         views: dict[str, tuple[Sequence[HiddenObject], Sequence[Track]]] = {SCAN_BY_SCAN: (scan.frame.objects, ())}
         for way, tracker in trackers.items():
-            tracks = tracker.step(scan.frame, standing() if way == STANDING else scan.place)
+            tracks = tracker.step(scan.frame, stationary_pose() if way == STANDING else scan.place)
             views[way] = [as_object(one) for one in tracks], tracks
         for way, (objects, tracks) in views.items():
             for car in (CAR, PARKED):

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from models.annotation.registration import PlacedCloud, RegistrationParams, moved, pose_error, register, rounded_pose
+from models.annotation.registration import PosedCloud, RegistrationParams, moved, pose_error, register, rounded_pose
 from models.annotation.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
 from models.physics.mirror import blocked, reflect, wall_from_ends
 from models.physics.plane import segment_distance_m
@@ -33,10 +33,10 @@ PARAMS = RegistrationParams()
 ORIGIN = np.zeros(2)
 
 
-def placed_clouds(clouds: list[LidarCloud], seed: int, given: bool, row: dict[str, Any]) -> list[PlacedCloud]:
+def placed_clouds(clouds: list[LidarCloud], seed: int, given: bool, row: dict[str, Any]) -> list[PosedCloud]:
     """Clouds registered in the order they are ready, as the command does; errors of all go into the row."""
     rng = np.random.default_rng([seed, 1])
-    placed = [PlacedCloud(clouds[0].points_m, clouds[0].radar_from_lidar)]
+    placed = [PosedCloud(clouds[0].points_m, clouds[0].radar_from_lidar)]
     guesses = [
         one.radar_from_lidar
         @ rigid(tuple(rng.normal(0.0, 0.3, 3) * (1, 1, 0.3)), 0.0, 0.0, math.radians(rng.normal(0.0, 3.0)))
@@ -55,7 +55,7 @@ def placed_clouds(clouds: list[LidarCloud], seed: int, given: bool, row: dict[st
             break
         index, cloud, found = held
         del waiting[index]
-        placed.append(PlacedCloud(cloud.points_m, found.target_from_source))
+        placed.append(PosedCloud(cloud.points_m, found.target_from_source))
         away_m, turned_rad = pose_error(cloud.radar_from_lidar, rounded_pose(found.target_from_source))
         row.setdefault(f"{how}_m", []).append(away_m)
         row.setdefault(f"{how}_deg", []).append(math.degrees(turned_rad))

@@ -30,7 +30,7 @@ from models.evaluation.metrics import Counts, chamfer, recovered_counts
 from models.perception.detection.detectors import NetworkDetector, Refine
 from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.detection.peaks import PeakParams, polar_covariance
-from models.perception.geometry.confidence import PlaceConfidence, load_confidence
+from models.perception.geometry.confidence import PositionConfidence, load_confidence
 from models.perception.geometry.objects import form_objects
 from models.perception.geometry.observability import sensitivity_db
 from models.perception.geometry.published import PublishedParams, recover_published
@@ -132,7 +132,7 @@ def hidden_places(frame: Frame) -> list[np.ndarray]:
     ]
 
 
-def places(setting: str, peaks: Peaks, confidence: PlaceConfidence | None = None) -> tuple[np.ndarray, np.ndarray]:
+def places(setting: str, peaks: Peaks, confidence: PositionConfidence | None = None) -> tuple[np.ndarray, np.ndarray]:
     """All folded places and the centres of the hidden objects formed from them, [N, 2] each."""
     if setting == PUBLISHED:
         return recover_published(peaks, PublishedParams()).points_m, np.zeros((0, 2))
@@ -156,7 +156,7 @@ def object_counts(found: np.ndarray, hidden: list[np.ndarray], gate_m: float = 2
 
 
 def score(
-    setting: str, kind: str, frames: list[Frame], peaks: list[Peaks], confidence: PlaceConfidence | None = None
+    setting: str, kind: str, frames: list[Frame], peaks: list[Peaks], confidence: PositionConfidence | None = None
 ) -> Row:
     """One setting over all frames."""
     near, wide, objects = Counts(), Counts(), Counts()
@@ -190,7 +190,7 @@ def rows(
     frames: list[Frame],
     detector: NetworkDetector,
     noise_mw: list[float],
-    confidence: PlaceConfidence | None = None,
+    confidence: PositionConfidence | None = None,
 ) -> Iterator[Row]:
     """All settings on both kinds of peaks; a fitted model on detected ones, which it was fitted to."""
     kinds = {

@@ -15,7 +15,7 @@ import numpy as np
 from mirrorwave.annotate.clouds import read_cloud
 from mirrorwave.annotate.manifest import Cloud, Manifest, Pose
 from models.annotation.annotated_capture import frame_points, mean_map, write_frame
-from models.annotation.registration import PlacedCloud, Registration, register
+from models.annotation.registration import PosedCloud, Registration, register
 from models.annotation.slice_labels import PointLabel, SliceLabels, label_slice
 from models.perception.forming.ra_forming import FormingParams, RaFormer
 from models.training.data.xradarnlos import Kind
@@ -31,7 +31,7 @@ GROUND_TOLERANCE_M = 0.3
 class Clouds:
     """Clouds of a scene in the order of the manifest, placed or refused, with what is reported of each."""
 
-    placed: list[PlacedCloud] = field(default_factory=list)
+    placed: list[PosedCloud] = field(default_factory=list)
     reports: dict[str, dict[str, Any]] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
 
@@ -166,7 +166,7 @@ def _take(
     registration: Registration | None,
 ) -> None:  # fmt: skip
     """Add a cloud at its pose, with its report."""
-    clouds.placed.append(PlacedCloud(points_m, pose))
+    clouds.placed.append(PosedCloud(points_m, pose))
     report: dict[str, Any] = {"file": cloud.file, "points": len(points_m), "not_finite": dropped}
     report |= {"radar_from_lidar": msgspec.to_builtins(Pose.of(pose)), "start": "calibrated"}
     if registration is not None:

@@ -12,7 +12,7 @@ from msgs.files.whole_files import write_whole
 from msgs.values.wording import counted
 
 if TYPE_CHECKING:
-    from models.vehicle.mounting import Known, Mounting
+    from models.vehicle.mounting import CalibratedQuantity, Mounting
 
 
 def write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
@@ -36,7 +36,7 @@ def mounting_lines(one: Mounting) -> list[str]:
     ]
 
 
-def _line(name: str, known: Known, unit: str, factor: float) -> str:
+def _line(name: str, known: CalibratedQuantity, unit: str, factor: float) -> str:
     value, std = factor * known.value, factor * known.std
     if known.observed:
         return f"{name}: {value:.3f} {unit}, standard deviation {std:.3f}"

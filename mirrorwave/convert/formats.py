@@ -85,7 +85,7 @@ def convert(source: Path, out: Path, target: Format, bar: Bar) -> Conversion:
 
 def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> Conversion:
     from mirrorwave.convert.shapes import Account
-    from msgs.files.whole_files import named, require_room
+    from msgs.files.whole_files import named_errors, require_room
 
     summary = reader.info()
     held = {topic.topic: topic.messages for topic in summary.topics}
@@ -97,7 +97,7 @@ def _convert(reader: Any, out: Path, target: Format, module: Any, bar: Bar) -> C
     if target in (Format.SIGMF, Format.NUMPY):
         # written as they are, not compressed
         require_room(out, sum(topic.bytes for topic in summary.topics if topic.topic in topics))
-    with named(out), bar(reader.path.name, sum(held[topic] for topic in topics)) as advance:
+    with named_errors(out), bar(reader.path.name, sum(held[topic] for topic in topics)) as advance:
         module.write(reader, out, topics, account, advance)
     if not +account.written:
         raise ValueError(f"{reader.path}: holds no readable message for {target.value}")

@@ -54,13 +54,13 @@ class _Graph(NamedTuple):
         """All nodes, expected or heard."""
         return sorted({*self.owner.get("nodes", ()), *self.heard})
 
-    def rows(self, topic: str, way: str) -> dict[str, dict[str, Any]]:
+    def rows(self, topic: str, direction: str) -> dict[str, dict[str, Any]]:
         """What each node of this host says of a topic that it reads ("in") or publishes ("out")."""
         return {
             name: row
             for name, beats in self.heard.items()
             for row in topic_rows(beats)
-            if row["topic"] == topic and row["way"] == way and not is_of_peer(name)
+            if row["topic"] == topic and row["way"] == direction and not is_of_peer(name)
         }
 
 
@@ -231,15 +231,18 @@ def _check_rate(graph: _Graph, topic: str, nominal_hz: float, spare: Status) -> 
     return Finding(check, Status.OK, f"{hz:.3g} Hz from {senders}")
 
 
-def _why_no_message(graph: _Graph, topic: str, seen: tuple[str, ...]) -> str:
+def _why_no_message(graph: _Graph, topic: str, visited: tuple[str, ...]) -> str:
     """The first node upstream that does not do its part, and those that wait for it."""
     reasons = []
     for name in graph.publishers.get(topic, []):
         if name not in graph.heard:
             reasons.append(f"{name} {'has come to its end' if _has_ended(graph, name) else 'gives no heartbeat'}")
-        elif name not in seen:
-            waits = [one for one in _inputs_of(graph, name) if _is_silent(graph, one)]
-            reasons += [f"{name} waits for {one}: {_why_no_message(graph, one, (*seen, name))}" for one in waits[:1]]
+        elif name not in visited:
+            waits = [input_topic for input_topic in _inputs_of(graph, name) if _is_silent(graph, input_topic)]
+            reasons += [
+                f"{name} waits for {input_topic}: {_why_no_message(graph, input_topic, (*visited, name))}"
+                for input_topic in waits[:1]
+            ]
             if not waits:
                 state, reason = node_row(graph.heard[name])["state"], graph.heard[name][-1].reason
                 reasons.append(f"{name} is {state} and publishes none{': ' + reason if reason else ''}")

@@ -194,9 +194,9 @@ def _check_network(network: Path) -> Finding:
     if not card_path.is_file():
         return Finding(check, Status.FAILED, f"{card_path.name} is missing: weights without a card are not trusted")
     promised = json.loads(card_path.read_text(encoding="utf-8")).get("sha256")
-    found = hashlib.sha256(network.read_bytes()).hexdigest()
-    if promised != found:
-        return Finding(check, Status.FAILED, f"checksum {found[:12]} is not the card's {str(promised)[:12]}")
+    digest = hashlib.sha256(network.read_bytes()).hexdigest()
+    if promised != digest:
+        return Finding(check, Status.FAILED, f"checksum {digest[:12]} is not the card's {str(promised)[:12]}")
     return Finding(check, Status.OK, f"{network.stat().st_size / _MIB:.1f} MiB, checksum as on its card")
 
 

@@ -14,7 +14,7 @@ from sim_player.scene.description import Scene
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import prepare, trace
 from sim_player.trace.truth import best_power_mw
-from sim_player.trace.vertices import ways_out
+from sim_player.trace.vertices import outbound_vertices
 
 
 class EchoPaths(NamedTuple):
@@ -33,7 +33,7 @@ def echo_paths(scene: Scene, seed: int, choice: str, budget_db: float, strongest
     power_mw = best_power_mw(scene.setup, paths)
     order = np.argsort(-power_mw, kind="stable")
     kept = order if strongest is None else order[:strongest]
-    return EchoPaths(paths.take(kept), power_mw[kept], ways_out(world, paths.take(kept)))
+    return EchoPaths(paths.take(kept), power_mw[kept], outbound_vertices(world, paths.take(kept)))
 
 
 def path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
@@ -70,5 +70,5 @@ def _kind(found: Any, index: int) -> str:
     return "mnlos" if found.kind[index] == PathClass.MIRRORED else "los"
 
 
-def _needs(found: Any, index: int) -> list[str]:
-    return [name for name in PATH_EFFECTS if int(found.needs[index]) & bit(name)]
+def _needs(paths: Any, index: int) -> list[str]:
+    return [name for name in PATH_EFFECTS if int(paths.needs[index]) & bit(name)]

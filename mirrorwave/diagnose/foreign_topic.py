@@ -53,12 +53,12 @@ class _ArrayHead(msgspec.Struct):
 def foreign_publishers(run_dir: Path) -> dict[str, list[str]]:
     """Nodes by topic, of the socket files whose topic the table does not have; a topic is named as its file is."""
     ours = {topic.replace("/", ".") for topic in TOPICS}
-    found: dict[str, list[str]] = {}
+    publishers: dict[str, list[str]] = {}
     for path in sorted(run_dir.iterdir()) if run_dir.is_dir() else []:
         topic, at, node = path.name.partition("@")
         if topic and at and node and topic not in ours and path.is_socket():
-            found.setdefault(topic, []).append(node)
-    return found
+            publishers.setdefault(topic, []).append(node)
+    return publishers
 
 
 class ForeignBus:
@@ -98,7 +98,12 @@ class ForeignBus:
         """Messages that wait, at most 64 a topic; waits up to `timeout_s` for the first."""
         self._search()
         ready = dict(self._poller.poll(int(1e3 * min(timeout_s, _SEARCH_S))))
-        return [each for topic, one in self._sockets.items() if one in ready for each in self._drain(topic, one)]
+        return [
+            each
+            for topic, subscriber in self._sockets.items()
+            if subscriber in ready
+            for each in self._drain(topic, subscriber)
+        ]
 
     def now_ns(self) -> int:
         """The machine's monotonic clock."""
@@ -110,18 +115,18 @@ class ForeignBus:
 
     def close(self) -> None:
         """Close all sockets."""
-        for one in self._sockets.values():
-            one.close()
+        for subscriber in self._sockets.values():
+            subscriber.close()
         self._context.term()
 
     def _search(self) -> None:
         if time.monotonic() - self._searched_s < _SEARCH_S:
             return
         self._searched_s = time.monotonic()
-        found = foreign_publishers(self._dir)
+        publishers = foreign_publishers(self._dir)
         for topic, subscriber in self._sockets.items():
             stem = topic.replace("/", ".")
-            for path in (self._dir / f"{stem}@{node}" for node in found.get(stem, ())):
+            for path in (self._dir / f"{stem}@{node}" for node in publishers.get(stem, ())):
                 if path not in self._connected:
                     subscriber.connect(f"ipc://{path}")
                     self._connected.add(path)

@@ -18,7 +18,7 @@ _HEIGHT = 46
 _CHARACTER = 8.0
 _SWEEPS = 8
 #: A drawing is shown up to this many times its own size.
-_MOST_SCALE = 1.5
+_MAX_SCALE = 1.5
 #: What XML does not allow in any form: a node's reason may hold anything, and one such character spoils the drawing.
 _NO_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
@@ -84,19 +84,19 @@ def svg_text(picture: GraphPicture) -> str:
     """The drawing, complete with light and dark colours."""
     boxes = _boxes(picture)
     layout = _layout(picture, boxes)
-    places, width, height = _places(layout, boxes)
+    positions, width, height = _positions(layout, boxes)
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" '
         # as wide as where it stands, no wider than is easily read
-        f'width="100%" style="max-width: {_MOST_SCALE * width:.0f}px; height: auto" role="img">',
+        f'width="100%" style="max-width: {_MAX_SCALE * width:.0f}px; height: auto" role="img">',
         f"<title>{escape(picture.title)}</title><style>{_STYLE}</style>",
         '<defs><marker id="arrow" viewBox="0 0 10 10" refX="9" refY="5" markerUnits="userSpaceOnUse" '
         'markerWidth="10" markerHeight="10" orient="auto-start-reverse">'
         '<path class="head" d="M0 0 L10 5 L0 10 z"/></marker></defs>',
         f'<text x="{_MARGIN}" y="20" class="small" style="text-anchor: start">{escape(picture.title)}</text>',
     ]
-    parts += [_edge(edge, route, places, boxes) for edge, route in zip(layout.edges, layout.routes, strict=True)]
-    parts += [_box(box, places[key].x, places[key].y) for key, box in boxes.items()]
+    parts += [_edge(edge, route, positions, boxes) for edge, route in zip(layout.edges, layout.routes, strict=True)]
+    parts += [_box(box, positions[key].x, positions[key].y) for key, box in boxes.items()]
     return "\n".join([*parts, "</svg>", ""])
 
 
@@ -183,9 +183,9 @@ def _settle(columns: list[list[str]], routes: list[list[str]]) -> None:
     """Sort each column by the mean row of its neighbours in the column before, then behind, and again."""
     neighbours: dict[str, set[str]] = {}
     for route in routes:
-        for one, other in itertools.pairwise(route):
-            neighbours.setdefault(one, set()).add(other)
-            neighbours.setdefault(other, set()).add(one)
+        for hop, other in itertools.pairwise(route):
+            neighbours.setdefault(hop, set()).add(other)
+            neighbours.setdefault(other, set()).add(hop)
     for sweep in range(_SWEEPS):
         order = range(1, len(columns)) if sweep % 2 == 0 else range(len(columns) - 2, -1, -1)
         for at in order:
@@ -202,34 +202,34 @@ def _mean(values: list[float], otherwise: float) -> float:
     return sum(values) / len(values) if values else otherwise
 
 
-def _places(layout: _Layout, boxes: dict[str, _Box]) -> tuple[dict[str, _Place], float, float]:
+def _positions(layout: _Layout, boxes: dict[str, _Box]) -> tuple[dict[str, _Place], float, float]:
     """Where each box and each passage is, and the size of the drawing."""
     heights = [sum(_tall(key) for key in column) for column in layout.columns]
     height = max(heights, default=0.0) + 2 * _MARGIN + 10
-    places: dict[str, _Place] = {}
+    positions: dict[str, _Place] = {}
     left = float(_MARGIN)
     for column, own in zip(layout.columns, heights, strict=True):
         wide = max((boxes[key].wide for key in column if key in boxes), default=20.0)
         top = 0.5 * (height + 10 - own)
         for key in column:
-            places[key] = _Place(left + 0.5 * wide, top + 0.5 * _tall(key), wide)
+            positions[key] = _Place(left + 0.5 * wide, top + 0.5 * _tall(key), wide)
             top += _tall(key)
         left += wide + _COLUMN_GAP
-    return places, left - _COLUMN_GAP + _MARGIN, height
+    return positions, left - _COLUMN_GAP + _MARGIN, height
 
 
 def _tall(key: str) -> float:
     return 22.0 if key.startswith("pass ") else float(_HEIGHT + _ROW_GAP)
 
 
-def _edge(edge: _Edge, route: list[str], places: dict[str, _Place], boxes: dict[str, _Box]) -> str:
-    start, end = places[route[0]], places[route[-1]]
-    way = 1 if end.x > start.x else -1
-    points = [(start.x + way * 0.5 * boxes[edge.start].wide, start.y)]
-    for passed in (places[key] for key in route[1:-1]):
+def _edge(edge: _Edge, route: list[str], positions: dict[str, _Place], boxes: dict[str, _Box]) -> str:
+    start, end = positions[route[0]], positions[route[-1]]
+    direction = 1 if end.x > start.x else -1
+    points = [(start.x + direction * 0.5 * boxes[edge.start].wide, start.y)]
+    for passed in (positions[key] for key in route[1:-1]):
         # straight through the column: a bend there would touch the boxes above and below
-        points += [(passed.x + side * way * 0.5 * passed.column_wide, passed.y) for side in (-1, 1)]
-    points.append((end.x - way * 0.5 * boxes[edge.end].wide, end.y))
+        points += [(passed.x + side * direction * 0.5 * passed.column_wide, passed.y) for side in (-1, 1)]
+    points.append((end.x - direction * 0.5 * boxes[edge.end].wide, end.y))
     path = [f"M{points[0][0]:.1f} {points[0][1]:.1f}"]
     for (x0, y0), (x1, y1) in itertools.pairwise(points):
         middle = 0.5 * (x0 + x1)

@@ -137,20 +137,22 @@ def figures_text(link: Link) -> str:
     return f"  ({', '.join(parts)})" if parts else ""
 
 
-def _links(rows: list[dict[str, Any]], way: str) -> list[Link]:
+def _links(rows: list[dict[str, Any]], direction: str) -> list[Link]:
     return [
-        Link(topic=row["topic"], hz=row["hz"], lost=row["lost"] + row["rejected"]) for row in rows if row["way"] == way
+        Link(topic=row["topic"], hz=row["hz"], lost=row["lost"] + row["rejected"])
+        for row in rows
+        if row["way"] == direction
     ]
 
 
 def _node(
     name: str, state: str, reason: str, inputs: dict[str, Link], outputs: dict[str, Link], health: bool
 ) -> GraphNode:
-    chosen = [
+    topics = [
         tuple(links[topic] for topic in sorted(links) if health or topic not in HEALTH_TOPICS)
         for links in (inputs, outputs)
     ]
-    return GraphNode(node=name, state=state, reason=reason, inputs=chosen[0], outputs=chosen[1])
+    return GraphNode(node=name, state=state, reason=reason, inputs=topics[0], outputs=topics[1])
 
 
 def _has_work(node: GraphNode) -> bool:
@@ -173,9 +175,9 @@ def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, 
     kinds = [kind for _, kind in inspect.getmembers(module, inspect.isclass) if kind.__module__ == entry.module]
     nodes = [kind for kind in kinds if issubclass(kind, Node)]
     # what a recorder reads is in its parameters, and what a link carries
-    chosen = params.chosen_topics() if hasattr(params, "chosen_topics") else ()
+    topics = params.selected_topics() if hasattr(params, "selected_topics") else ()
     imported = params.imported_topics() if hasattr(params, "imported_topics") else ()
-    inputs = dict.fromkeys([*(topic for kind in nodes for topic in kind.inputs), *chosen])
+    inputs = dict.fromkeys([*(topic for kind in nodes for topic in kind.inputs), *topics])
     return tuple(inputs), tuple(dict.fromkeys([*(topic for kind in nodes for topic in kind.outputs), *imported]))
 
 
@@ -196,9 +198,9 @@ def layers(nodes: tuple[GraphNode, ...] | list[GraphNode]) -> dict[str, int]:
 
     def depth_of(name: str, path: tuple[str, ...]) -> int:
         if name not in depth:
-            others = [other for other in before[name] if other not in path]
-            found = max((depth_of(other, (*path, name)) + 1 for other in others), default=0)
-            if len(others) < len(before[name]):
+            sources = [other for other in before[name] if other not in path]
+            found = max((depth_of(other, (*path, name)) + 1 for other in sources), default=0)
+            if len(sources) < len(before[name]):
                 return found
             depth[name] = found
         return depth[name]

@@ -31,8 +31,8 @@ def require_graph(domain: str) -> None:
 
 def no_graph(domain: str) -> ConnectionError:
     """The error for a domain in which no graph runs: what starts one, and the domains in which one does."""
-    others = [name for name in _domains() if name != domain and is_running(name)]
-    elsewhere = f"; one runs in --domain {' and '.join(others)}" if others else ""
+    running = [name for name in _domains() if name != domain and is_running(name)]
+    elsewhere = f"; one runs in --domain {' and '.join(running)}" if running else ""
     return ConnectionError(
         f"no graph runs in domain {domain!r}: start one with `mirrorwave launch FILE` or `mirrorwave demo`{elsewhere}"
     )
@@ -73,10 +73,10 @@ def _domains() -> list[str]:
 
     parent = run_dir(DEFAULT_DOMAIN).parent
     try:
-        found = sorted(entry.name for entry in parent.iterdir() if entry.is_dir())
+        domains = sorted(entry.name for entry in parent.iterdir() if entry.is_dir())
     except OSError:
         return []
-    return [name for name in found if _is_name(name)]
+    return [name for name in domains if _is_name(name)]
 
 
 def _is_name(domain: str) -> bool:

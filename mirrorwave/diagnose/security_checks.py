@@ -88,22 +88,22 @@ def check_zeromq() -> Iterator[Risk]:
 def check_run_dir(folder: Path) -> Iterator[Risk]:
     """The meeting place belongs to us alone and nobody can put another in its place."""
     check = "run directory"
-    found = [risk for parent in _parents(folder) if (risk := _check_parent(parent, parent == folder.absolute().parent))]
+    risks = [risk for parent in _parents(folder) if (risk := _check_parent(parent, parent == folder.absolute().parent))]
     if not os.path.lexists(folder):
-        yield from found or [Risk(check, Grade.OK, f"{folder} is not there yet")]
+        yield from risks or [Risk(check, Grade.OK, f"{folder} is not there yet")]
         return
     facts = folder.lstat()
     if not stat.S_ISDIR(facts.st_mode):
-        found.append(Risk(check, Grade.PROBLEM, f"{folder} is no directory", f"rm {folder}"))
+        risks.append(Risk(check, Grade.PROBLEM, f"{folder} is no directory", f"rm {folder}"))
     elif facts.st_uid != os.geteuid():
         detail = f"{folder} belongs to user {facts.st_uid}: all messages go through their hands"
-        found.append(Risk(check, Grade.PROBLEM, detail, "export MIRRORWAVE_RUN_DIR=<a directory of your own>"))
+        risks.append(Risk(check, Grade.PROBLEM, detail, "export MIRRORWAVE_RUN_DIR=<a directory of your own>"))
     else:
         if facts.st_mode & 0o077:
             detail = f"{folder} is open to others, mode {stat.S_IMODE(facts.st_mode):04o}"
-            found.append(Risk(check, Grade.PROBLEM, detail, f"chmod 700 {folder}"))
-        found += _check_entries(folder)
-    yield from found or [Risk(check, Grade.OK, f"{folder} is ours alone")]
+            risks.append(Risk(check, Grade.PROBLEM, detail, f"chmod 700 {folder}"))
+        risks += _check_entries(folder)
+    yield from risks or [Risk(check, Grade.OK, f"{folder} is ours alone")]
 
 
 def check_keys(folder: Path) -> Iterator[Risk]:
@@ -150,7 +150,9 @@ def check_listeners(process: psutil.Process) -> Iterator[Risk]:
 
     try:
         words = process.cmdline()
-        opened = [one.laddr for one in process.net_connections("tcp") if one.status == psutil.CONN_LISTEN]
+        opened = [
+            connection.laddr for connection in process.net_connections("tcp") if connection.status == psutil.CONN_LISTEN
+        ]
     except psutil.NoSuchProcess:
         return
     except psutil.AccessDenied:
@@ -159,14 +161,14 @@ def check_listeners(process: psutil.Process) -> Iterator[Risk]:
         return
     who = _option(words, "--name") or f"process {process.pid}"
     for address in opened:
-        place = f"{who} listens on {address.ip} port {address.port}"
+        listener = f"{who} listens on {address.ip} port {address.port}"
         if ipaddress.ip_address(address.ip.partition("%")[0]).is_loopback:
-            yield Risk("listener", Grade.OK, f"{place}, this machine only")
+            yield Risk("listener", Grade.OK, f"{listener}, this machine only")
         elif _is_link_with_keys(words):
-            yield Risk("listener", Grade.OK, f"{place}, a link that asks for keys")
+            yield Risk("listener", Grade.OK, f"{listener}, a link that asks for keys")
         else:
             mend = "bind it to 127.0.0.1, or carry its topics over nodes.link with keys"
-            yield Risk("listener", Grade.PROBLEM, f"{place}, without keys", mend)
+            yield Risk("listener", Grade.PROBLEM, f"{listener}, without keys", mend)
 
 
 # run directory

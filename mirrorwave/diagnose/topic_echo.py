@@ -38,9 +38,9 @@ class Condition(NamedTuple):
 
     def holds(self, body: dict[str, Any]) -> bool:
         """Whether a message passes; one whose field is null, or of another kind than the value, does not."""
-        found = field_of(body, self.field)
+        value = field_of(body, self.field)
         try:
-            return found is not None and bool(_OPERATORS[self.operator](found, self.value))
+            return value is not None and bool(_OPERATORS[self.operator](value, self.value))
         except TypeError:
             return False
 

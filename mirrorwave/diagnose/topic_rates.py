@@ -123,13 +123,13 @@ def measure(topics: list[str], duration_s: float, domain: str) -> tuple[list[dic
     return rates, volumes
 
 
-def _rate_row(topic: str, publisher: str, seen: list[tuple[int, int]]) -> dict[str, Any]:
+def _rate_row(topic: str, publisher: str, arrivals: list[tuple[int, int]]) -> dict[str, Any]:
     # of this publisher: the bus counts what a topic lost, whoever sent it
-    lost = sum(max(after - before - 1, 0) for (before, _), (after, _) in itertools.pairwise(seen))
-    row: dict[str, Any] = {"topic": topic, "publisher": publisher, "messages": len(seen), "lost": lost}
-    intervals_ms = 1e-6 * np.diff([sent_ns for _, sent_ns in seen])
-    elapsed_s = 1e-9 * (seen[-1][1] - seen[0][1])
-    sent = seen[-1][0] - seen[0][0]
+    lost = sum(max(after - before - 1, 0) for (before, _), (after, _) in itertools.pairwise(arrivals))
+    row: dict[str, Any] = {"topic": topic, "publisher": publisher, "messages": len(arrivals), "lost": lost}
+    intervals_ms = 1e-6 * np.diff([sent_ns for _, sent_ns in arrivals])
+    elapsed_s = 1e-9 * (arrivals[-1][1] - arrivals[0][1])
+    sent = arrivals[-1][0] - arrivals[0][0]
     row["rate_hz"] = sent / elapsed_s if elapsed_s > 0.0 and sent > 0 else None
     row["mean_ms"] = float(intervals_ms.mean()) if len(intervals_ms) else None
     row["std_ms"] = float(intervals_ms.std()) if len(intervals_ms) else None

@@ -33,17 +33,19 @@ def _draw_panel(axes: Any, title: str, level_db: Any, wall: Wall, answers: list[
     """Lines of the exact curves over a fine grid: a colour a frequency, solid TE, dashed TM."""
     exact = dataclasses.replace(wall, method=Method.EXACT)
     lowest = -3.0
-    for colour, one in zip(
+    for colour, result in zip(
         ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#555555") * len(answers), answers, strict=False
     ):
-        angles_deg = np.linspace(one.angles_deg[0], one.angles_deg[-1], 361)
-        fine = answer(exact, one.frequency_hz, angles_deg)
+        angles_deg = np.linspace(result.angles_deg[0], result.angles_deg[-1], 361)
+        fine = answer(exact, result.frequency_hz, angles_deg)
         for name, style, mark in (("te", "-", "o"), ("tm", "--", "s")):
-            label = f"{one.frequency_hz / 1e9:g} GHz {name.upper()}{', extrapolated' if one.note else ''}"
+            label = f"{result.frequency_hz / 1e9:g} GHz {name.upper()}{', extrapolated' if result.note else ''}"
             level = level_db(getattr(fine, name))
             axes.plot(angles_deg, level, style, color=colour, label=label, linewidth=1.6)
             if wall.method is Method.FDTD:
-                axes.plot(one.angles_deg, level_db(getattr(one, name)), mark, color=colour, markersize=4, label="_")
+                axes.plot(
+                    result.angles_deg, level_db(getattr(result, name)), mark, color=colour, markersize=4, label="_"
+                )
             lowest = min(lowest, float(np.nanmin(level)) if np.isfinite(level).any() else 0.0)
     axes.set_title(title, fontsize=10)
     axes.set_xlabel("angle of incidence [deg]")

@@ -53,9 +53,9 @@ def draw_comparison(table: ReflectanceTable, path: Path) -> None:
     save(figure, path)
 
 
-def draw_wall(found: WallAnswer, path: Path) -> None:
+def draw_wall(result: WallAnswer, path: Path) -> None:
     """Write a picture: the field around the wall, and its level along the beam's axis with R and T beside it."""
-    beam = found.beam
+    beam = result.beam
     if beam is None:
         raise ValueError("a picture needs an answer with a beam")
     figure = new_figure(10.0, 6.2)
@@ -68,28 +68,28 @@ def draw_wall(found: WallAnswer, path: Path) -> None:
     extent = (1e2 * z_m[0], 1e2 * z_m[-1], 1e2 * beam.x_m[0], 1e2 * beam.x_m[-1])
     image = left.imshow(level_db, origin="lower", extent=extent, cmap="magma", vmin=-100.0, vmax=6.0, aspect="auto")
     figure.colorbar(image, ax=left, label="field per incident one [dB]")
-    name = "E" if found.polarisation == "te" else "H"
-    left.set_title(f"|{name}| of a beam on {found.title}, {found.frequency_hz / 1e9:g} GHz", fontsize=10)
+    name = "E" if result.polarisation == "te" else "H"
+    left.set_title(f"|{name}| of a beam on {result.title}, {result.frequency_hz / 1e9:g} GHz", fontsize=10)
     left.set_ylabel("along the wall [cm]")
     left.grid(visible=False)
-    axis_x_m = math.tan(math.radians(found.angle_deg)) * np.minimum(z_m, 0.0)
+    axis_x_m = math.tan(math.radians(result.angle_deg)) * np.minimum(z_m, 0.0)
     on_axis_db = level_db[np.abs(beam.x_m[:, None] - axis_x_m).argmin(axis=0), np.arange(len(z_m))]
     right.plot(1e2 * z_m, on_axis_db, "#0072B2", linewidth=1.2)
     right.axvspan(0.0, 1e2 * (back_m - front_m), color="#E4E4E4", zorder=0)
     right.set_title("level at the beam's axis [dB]", fontsize=10)
     right.set_ylim(-125.0, 8.0)
-    figure.supxlabel(_caption(found), family="monospace", fontsize=9, ha="center", linespacing=1.4)
+    figure.supxlabel(_caption(result), family="monospace", fontsize=9, ha="center", linespacing=1.4)
     for panel in (left, right):
         panel.set_xlabel("depth from the front face [cm]")
-        panel.set_xlim(-1e2 * found.before_m, 1e2 * (back_m - front_m + found.behind_m))
+        panel.set_xlim(-1e2 * result.before_m, 1e2 * (back_m - front_m + result.behind_m))
     for face_m in (0.0, back_m - front_m):
         left.axvline(1e2 * face_m, color="white", linewidth=1.0)
     save(figure, path)
 
 
-def _caption(found: WallAnswer) -> str:
+def _caption(result: WallAnswer) -> str:
     head = f"{'':<30}{'R dB':>8}{'T dB':>8}\n"
-    return head + "\n".join(f"{name:<30}{r_db:8.2f}{t_db:8.2f}" for name, r_db, t_db in levels_of(found))
+    return head + "\n".join(f"{name:<30}{r_db:8.2f}{t_db:8.2f}" for name, r_db, t_db in levels_of(result))
 
 
 def _draw_band(panel: Any, table: ReflectanceTable, band: float) -> None:
@@ -99,16 +99,18 @@ def _draw_band(panel: Any, table: ReflectanceTable, band: float) -> None:
     fine_deg = np.linspace(0.0, 85.0, 171)
     smooth = table.specular_gain("concrete", band, np.cos(np.radians(fine_deg)))
     rows = [
-        one for one in table.compare() if (one.wall, one.frequency_hz, one.polarisation) == ("concrete", band, "te")
+        comparison
+        for comparison in table.compare()
+        if (comparison.wall, comparison.frequency_hz, comparison.polarisation) == ("concrete", band, "te")
     ]
-    for colour, one in zip(COLOURS, rows, strict=False):
-        factor = coherent_power(np.asarray(one.roughness_m), np.cos(np.radians(fine_deg)), 299_792_458.0 / band)
+    for colour, comparison in zip(COLOURS, rows, strict=False):
+        factor = coherent_power(np.asarray(comparison.roughness_m), np.cos(np.radians(fine_deg)), 299_792_458.0 / band)
         formula_db = 10.0 * np.log10(np.maximum(smooth * factor, 1e-9))
-        panel.plot(fine_deg, formula_db, color=colour, linewidth=1.3, label=f"{1e3 * one.roughness_m:g} mm rms")
-        here = slice(None, None, 10) if one.roughness_m == 0.0 else slice(None)
-        at_deg = one.angles_deg[here]
-        marks_db = np.interp(at_deg, fine_deg, formula_db) + one.difference_db[here]
-        panel.errorbar(at_deg, marks_db, one.error_db[here], fmt="o", color=colour, markersize=4, label="_")
+        panel.plot(fine_deg, formula_db, color=colour, linewidth=1.3, label=f"{1e3 * comparison.roughness_m:g} mm rms")
+        here = slice(None, None, 10) if comparison.roughness_m == 0.0 else slice(None)
+        at_deg = comparison.angles_deg[here]
+        marks_db = np.interp(at_deg, fine_deg, formula_db) + comparison.difference_db[here]
+        panel.errorbar(at_deg, marks_db, comparison.error_db[here], fmt="o", color=colour, markersize=4, label="_")
     panel.set_title(f"concrete, {band / 1e9:g} GHz, TE: specular gain [dB]", fontsize=10)
     panel.set_xlabel("angle of incidence [deg]")
     panel.set_ylim(-40.0, 1.0)

@@ -47,8 +47,10 @@ class Keyboard:
     def __init__(self, descriptor: int | None = None) -> None:
         # a daemon may have no stdin at all
         has_terminal = descriptor is None and sys.stdin is not None and sys.stdin.isatty()
-        found = sys.stdin.fileno() if has_terminal else descriptor
-        self._descriptor = found if found is not None and os.isatty(found) and not _in_background(found) else None
+        terminal = sys.stdin.fileno() if has_terminal else descriptor
+        self._descriptor = (
+            terminal if terminal is not None and os.isatty(terminal) and not _in_background(terminal) else None
+        )
         self._before: list[Any] = []
         self._typed = b""
 

@@ -81,7 +81,7 @@ class ReplayedGraph:
         self._sent: Counter[str] = Counter()
         self._sent_ns = 0
         self._scan: int | None = None
-        self._on_their_way: list[int] = []
+        self._in_flight: list[int] = []
         #: The same, with those that are waited for no longer.
         self._open: set[int] = set()
         self._passed_over = 0
@@ -128,22 +128,22 @@ class ReplayedGraph:
         self._sent_ns = self._bus.now_ns()
         if recorded.topic == self.head and self.begins_scan(recorded):
             self._scan = _scan_id(recorded)
-            self._on_their_way.append(self._scan)
+            self._in_flight.append(self._scan)
             self._passed_over += self._scan in self._open
             self._open.add(self._scan)
             self.scans += 1
 
-    def await_room(self, at_most: int = SCANS_AT_ONCE - 1, patience_s: float = ANSWER_S) -> None:
+    def await_room(self, max_in_flight: int = SCANS_AT_ONCE - 1, patience_s: float = ANSWER_S) -> None:
         """Wait until at most so many scans are unanswered; no longer for a graph that fell silent."""
         if self.answer is None or self._silent:
             self.serve(0.0)
             return
         self._answered_s = time.monotonic()
-        while len(self._on_their_way) > at_most and not self._stopped():
+        while len(self._in_flight) > max_in_flight and not self._stopped():
             self.serve(_TURN_S)
             if time.monotonic() - self._answered_s > patience_s:
                 self._silent = True
-                self._on_their_way.clear()
+                self._in_flight.clear()
 
     def confirm(self, patience_s: float) -> None:
         """Wait until every node has told that it took all that was sent, or takes nothing more for `patience_s`."""
@@ -157,8 +157,8 @@ class ReplayedGraph:
 
     def losses(self) -> tuple[NodeLoss, ...]:
         """What the nodes missed or left out since `await_subscribers`, as they tell it."""
-        found = [loss for node in self._before for loss in self._losses_of(node)]
-        return tuple(loss for loss in found if loss.count > 0)
+        losses = [loss for node in self._before for loss in self._losses_of(node)]
+        return tuple(loss for loss in losses if loss.count > 0)
 
     def serve(self, timeout_s: float) -> None:
         """Take in what the graph says."""
@@ -176,8 +176,8 @@ class ReplayedGraph:
         self._silent = False
         self._answered_s = time.monotonic()
         self._open.discard(scan_id)
-        if scan_id in self._on_their_way:
-            del self._on_their_way[: self._on_their_way.index(scan_id) + 1]
+        if scan_id in self._in_flight:
+            del self._in_flight[: self._in_flight.index(scan_id) + 1]
 
     def _until(self, done: Callable[[], bool], timeout_s: float) -> None:
         end_s = time.monotonic() + timeout_s
@@ -200,10 +200,15 @@ class ReplayedGraph:
         before, now = self._before[node], self._now[node]
         if before.pid != now.pid:
             return [NodeLoss(node=node, what="node", reason="started anew", count=1)]
-        shed = {(one.what, one.reason): one.count for one in before.shed}
+        shed = {(count.what, count.reason): count.count for count in before.shed}
         left_out = [
-            NodeLoss(node=node, what=one.what, reason=one.reason, count=one.count - shed.get((one.what, one.reason), 0))
-            for one in now.shed
+            NodeLoss(
+                node=node,
+                what=count.what,
+                reason=count.reason,
+                count=count.count - shed.get((count.what, count.reason), 0),
+            )
+            for count in now.shed
         ]
         return self._untaken(node) + self._lost_between(node) + left_out
 
@@ -211,20 +216,27 @@ class ReplayedGraph:
         before = _by_topic(self._before[node])
         return [
             NodeLoss(
-                node=node, what=one.topic, reason="not received",
-                count=self._sent[one.topic] - (one.messages - before[one.topic].messages),
+                node=node, what=topic_count.topic, reason="not received",
+                count=self._sent[topic_count.topic] - (topic_count.messages - before[topic_count.topic].messages),
             )
-            for one in self._now[node].received
-            if one.topic in self._topics and one.topic in before
+            for topic_count in self._now[node].received
+            if topic_count.topic in self._topics and topic_count.topic in before
         ]  # fmt: skip
 
     def _lost_between(self, node: str) -> list[NodeLoss]:
         """Losses of what nodes make of the played topics, between them."""
         before = _by_topic(self._before[node])
         return [
-            NodeLoss(node=node, what=one.topic, reason="lost or outdated", count=_trouble(one) - _trouble(old))
-            for one in self._now[node].received
-            if one.topic in CHAIN and one.topic not in self._topics and (old := before.get(one.topic)) is not None
+            NodeLoss(
+                node=node,
+                what=topic_count.topic,
+                reason="lost or outdated",
+                count=_trouble(topic_count) - _trouble(old),
+            )
+            for topic_count in self._now[node].received
+            if topic_count.topic in CHAIN
+            and topic_count.topic not in self._topics
+            and (old := before.get(topic_count.topic)) is not None
         ]
 
 

@@ -121,7 +121,7 @@ class Playback:
         """Hold the messages of the shown scan and its run-up; those of the next scan are read on where it follows."""
         start_ns = max(self._scans[self._index].sent_ns - RUN_UP_NS, 0)
         follows = 0 <= before == self._index - 1
-        kept = [one for one in self._recent if one.log_time_ns >= start_ns] if follows else []
+        kept = [recorded for recorded in self._recent if recorded.log_time_ns >= start_ns] if follows else []
         read_ns = max(start_ns, self._end_ns(before)) if follows else start_ns
         self._recent = [*kept, *self._reader.messages(TOPICS_OF_A_SCAN, read_ns, self._end_ns(self._index))]
 

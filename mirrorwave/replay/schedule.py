@@ -394,4 +394,4 @@ def whole_scans(messages: Iterator[Recorded], is_cut: bool, end_ns: int | None) 
 def first_sensed_ns(reader: RecordingReader, topics: tuple[str, ...], renamed: Mapping[str, str]) -> int:
     """Log time of the first message that is not latched: what is said once may have been said long before."""
     timely = [topic for topic in topics if not TOPICS[renamed.get(topic, topic)].latched]
-    return next((one.log_time_ns for one in reader.messages(timely, renamed=renamed)), reader.span_ns[0])
+    return next((recorded.log_time_ns for recorded in reader.messages(timely, renamed=renamed)), reader.span_ns[0])

@@ -101,20 +101,20 @@ class _Marks:
 
     def add(self, warnings: Sequence[DriverWarning], now_ns: int) -> None:
         """Take in the warnings of a time."""
-        self._closed += [self._open.pop(key) for key in set(self._open) - {one.key for one in warnings}]
-        for one in warnings:
-            known = self._open.get(one.key)
-            if known is None:
-                known = Mark(one.key, one.since_ns, now_ns, one.level, one.title)
-            elif one.level != known.level:
-                self._closed.append(known)
-                known = Mark(one.key, now_ns, now_ns, one.level, one.title)
-            self._open[one.key] = known if one.ended else known._replace(end_ns=now_ns)
+        self._closed += [self._open.pop(key) for key in set(self._open) - {warning.key for warning in warnings}]
+        for warning in warnings:
+            open_mark = self._open.get(warning.key)
+            if open_mark is None:
+                open_mark = Mark(warning.key, warning.since_ns, now_ns, warning.level, warning.title)
+            elif warning.level != open_mark.level:
+                self._closed.append(open_mark)
+                open_mark = Mark(warning.key, now_ns, now_ns, warning.level, warning.title)
+            self._open[warning.key] = open_mark if warning.ended else open_mark._replace(end_ns=now_ns)
 
     def closed(self) -> list[Mark]:
         """All marks, in order of their start."""
-        worst = sorted([*self._closed, *self._open.values()], key=lambda one: -one.level)[:MAX_MARKS]
-        return sorted(worst, key=lambda one: (one.start_ns, one.key))
+        worst = sorted([*self._closed, *self._open.values()], key=lambda mark: -mark.level)[:MAX_MARKS]
+        return sorted(worst, key=lambda mark: (mark.start_ns, mark.key))
 
 
 def overview_json(log: ViewLog) -> dict[str, Any]:
@@ -122,18 +122,18 @@ def overview_json(log: ViewLog) -> dict[str, Any]:
     start_ns = log.moments[0].sent_ns
     return {
         "type": "overview",
-        "times_s": [round(s_from_ns(one.sent_ns - start_ns), 2) for one in log.moments],
-        "seen": [max(one.objects, one.tracks) for one in log.moments],
+        "times_s": [round(s_from_ns(moment.sent_ns - start_ns), 2) for moment in log.moments],
+        "seen": [max(moment.objects, moment.tracks) for moment in log.moments],
         "marks": [
             {
-                "key": one.key,
-                "from_s": round(s_from_ns(one.start_ns - start_ns), 2),
-                "to_s": round(s_from_ns(one.end_ns - start_ns), 2),
-                "level": one.level.name.lower(),
-                "title": one.title,
+                "key": moment.key,
+                "from_s": round(s_from_ns(moment.start_ns - start_ns), 2),
+                "to_s": round(s_from_ns(moment.end_ns - start_ns), 2),
+                "level": moment.level.name.lower(),
+                "title": moment.title,
             }
-            for one in log.marks
+            for moment in log.marks
             # what was over before the first scan is not seen at any
-            if one.end_ns >= start_ns
+            if moment.end_ns >= start_ns
         ],
     }

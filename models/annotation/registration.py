@@ -82,7 +82,7 @@ NOTHING_HELD = Hold(0.0, "finds no partners", np.zeros(3), ())
 
 
 @dataclass(frozen=True, eq=False)
-class PlacedCloud:
+class PosedCloud:
     """Points [N, 3] in the frame of the sensor that saw them from its origin, and the sensor's pose [4, 4]."""
 
     points_m: np.ndarray
@@ -148,7 +148,7 @@ def import_open3d() -> Any:
 
 def register(
     source_m: np.ndarray,
-    targets: list[PlacedCloud],
+    targets: list[PosedCloud],
     target_from_source: np.ndarray | None,
     params: RegistrationParams,
     seed: int = 0,
@@ -190,7 +190,7 @@ def _searched_along_slide(clouds: _Clouds, first: Registration, params: Registra
 class _Clouds:
     """A source and its targets, thinned once for each voxel."""
 
-    def __init__(self, source_m: np.ndarray, targets: list[PlacedCloud]) -> None:
+    def __init__(self, source_m: np.ndarray, targets: list[PosedCloud]) -> None:
         self.source_m, self.targets = source_m, targets
         self._target_m = np.concatenate([cloud.points_in_target_m() for cloud in targets])
         self._thinned: dict[float, tuple[Any, Any]] = {}
@@ -284,7 +284,7 @@ def _judged(clouds: _Clouds, pose: np.ndarray, voxel_m: float, start: str) -> Re
     )  # fmt: skip
 
 
-def _conflict(source_m: np.ndarray, pose: np.ndarray, other: PlacedCloud) -> float:
+def _conflict(source_m: np.ndarray, pose: np.ndarray, other: PosedCloud) -> float:
     """Return the share of points that lie where the other sensor looked through, the worse of both directions."""
     source_from_other = np.linalg.inv(pose) @ other.target_from_sensor
     source_conflict = looked_through(moved(np.linalg.inv(source_from_other), source_m), other.points_m)

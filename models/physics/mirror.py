@@ -118,12 +118,12 @@ def _all_cuts(origin: np.ndarray, targets: np.ndarray, a: np.ndarray, b: np.ndar
     out = np.empty((len(targets), len(a)), np.bool_)
     for n in range(len(targets)):
         for m in range(len(a)):
-            out[n, m] = cut(*_ray_and_wall(origin, targets, a, b, n, m), clearance_m)
+            out[n, m] = segments_cross(*_ray_and_wall(origin, targets, a, b, n, m), clearance_m)
     return out
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def cut(ox, oy, tx, ty, ax, ay, bx, by, clearance_m):  # type: ignore[no-untyped-def]
+def segments_cross(ox, oy, tx, ty, ax, ay, bx, by, clearance_m):  # type: ignore[no-untyped-def]
     """Return `crosses` of one ray o -> t and one wall a -> b, for callers that are compiled themselves."""
     rx, ry, wx, wy = tx - ox, ty - oy, bx - ax, by - ay
     turn = rx * wy - ry * wx

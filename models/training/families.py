@@ -94,7 +94,7 @@ def choice_of(family: str, config: Any) -> NetworkChoice:
     return NetworkChoice(family=family, config=msgspec.json.decode(msgspec.json.encode(config)))
 
 
-def chosen_network(family: str, size: str, inputs: str | None = None) -> tuple[NetworkChoice, Encoding]:
+def preset_network(family: str, size: str, inputs: str | None = None) -> tuple[NetworkChoice, Encoding]:
     """Return a network of one of a family's sizes and its encoding; raises `ValueError` listing the existing ones.
 
     `inputs` None: ours for `compact_unet`, that of the specification for all others.

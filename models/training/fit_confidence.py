@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from models.evaluation.metrics import Counts, recovered_counts
 from models.perception.detection.detectors import Detector
-from models.perception.geometry.confidence import FEATURES, PlaceConfidence, place_features, standardised
+from models.perception.geometry.confidence import FEATURES, PositionConfidence, position_features, standardised
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.training.calibration import calibration_error
@@ -65,7 +65,7 @@ def scene_positions(
     """Return the positions that the geometry stage derives from a detector's peaks in a frame."""
     peaks = detector.detect(frame.ra_map)
     scan = fold_scan(peaks, params, residual)
-    features = place_features(scan.recovered, scan.walls, scan.returns, params.recovery)
+    features = position_features(scan.recovered, scan.walls, scan.returns, params.recovery)
     return ScenePositions(scan.recovered.points_m, features, scan.recovered.score, _true_places(frame))
 
 
@@ -76,7 +76,9 @@ def _true_places(frame: Frame) -> np.ndarray:
     return places_m[np.isfinite(places_m).all(axis=1)]
 
 
-def fit_confidence(train: list[ScenePositions], validation: list[ScenePositions], config: FitConfig) -> PlaceConfidence:
+def fit_confidence(
+    train: list[ScenePositions], validation: list[ScenePositions], config: FitConfig
+) -> PositionConfidence:
     """Return a model with weights from training scenes, threshold and metrics from validation scenes.
 
     Raises `ValueError` if the training scenes hold no true position or no false one.
@@ -128,7 +130,7 @@ class _Loss:
         return float(loss), np.concatenate([*gradient, active.T @ error + penalty * weights, [error.sum()]])
 
 
-def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) -> PlaceConfidence:
+def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) -> PositionConfidence:
     """Return a model of features [N, F] and truth [N], threshold 0.5; features that are all equal are ignored."""
     if len(np.unique(is_true)) < 2:
         raise ValueError(f"places to fit must be true and false, got {len(is_true)} of one kind")
@@ -137,7 +139,7 @@ def fit_weights(features: np.ndarray, is_true: np.ndarray, config: FitConfig) ->
     loss = _Loss(standardised(features, means, scales), is_true.astype(np.float64), config)
     solution = minimize(loss, loss.start(), jac=True, method="L-BFGS-B", options={"maxiter": config.iterations})
     matrix, shift, weights, bias = loss.parts(solution.x)
-    return PlaceConfidence(
+    return PositionConfidence(
         features=FEATURES,
         means=tuple(means.tolist()),
         scales=tuple(scales.tolist()),

@@ -93,7 +93,7 @@ class Sighting(NamedTuple):
     covariance_m2: np.ndarray
 
 
-class Known(msgspec.Struct, frozen=True, kw_only=True):
+class CalibratedQuantity(msgspec.Struct, frozen=True, kw_only=True):
     """One quantity with its standard deviation; `observed` False: undetermined by the drive, the value is the prior."""
 
     value: float
@@ -122,10 +122,10 @@ class DriveSummary(msgspec.Struct, frozen=True, kw_only=True):
 class Mounting(msgspec.Struct, frozen=True, kw_only=True):
     """The result: stamps of the bus plus `clock_offset_s` are times of the radar."""
 
-    x_m: Known
-    y_m: Known
-    yaw_rad: Known
-    clock_offset_s: Known
+    x_m: CalibratedQuantity
+    y_m: CalibratedQuantity
+    yaw_rad: CalibratedQuantity
+    clock_offset_s: CalibratedQuantity
     yaw_rate_bias_rps: float
     speed_scale: float
     #: The solution itself, determined by the drive or not: the best fit of the walls.
@@ -520,7 +520,9 @@ def _report(
     off_m = problem.off_wall_m(unknowns)
     # the rest was free in the solution: a determined result does not depend on a prior that may be wrong
     quantities = [
-        Known(value=float(value if is_observed else prior), std=float(deviation), observed=bool(is_observed))
+        CalibratedQuantity(
+            value=float(value if is_observed else prior), std=float(deviation), observed=bool(is_observed)
+        )
         for value, prior, deviation, is_observed in zip(unknowns, problem.prior, std, observed, strict=False)
     ]
     x_m, y_m, yaw_rad, clock_offset_s = quantities

@@ -24,7 +24,7 @@ def whole(path: Path, suffix: str = ".part") -> Iterator[Path]:
     # an unpredictable name used by no other process: several may make the same file at once
     part = path.with_name(f".{path.name}.{secrets.token_hex(8)}{suffix}")
     try:
-        with named(path, part):
+        with named_errors(path, part):
             yield part
             os.replace(part, path)
     finally:
@@ -38,7 +38,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 @contextmanager
-def named(path: Path, part: Path | None = None) -> Iterator[None]:
+def named_errors(path: Path, part: Path | None = None) -> Iterator[None]:
     """Name the file that was to be written in an `OSError` of a full disk or about `part`."""
     try:
         yield

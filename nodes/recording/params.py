@@ -55,7 +55,7 @@ class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         """Whether the recording goes into several files."""
         return self.split_bytes is not None or self.split_s is not None
 
-    def chosen_topics(self) -> tuple[str, ...]:
+    def selected_topics(self) -> tuple[str, ...]:
         """Topics to record, in the order of the topic table."""
         wanted = set(TOPICS) - {RAW_TOPIC} if self.topics is None else set(self.topics)
         return tuple(topic for topic in TOPICS if topic in wanted or (self.raw and topic == RAW_TOPIC))

@@ -77,7 +77,7 @@ class SnapshotRecorder(Node):
     def __init__(self, params: RecordingParams) -> None:
         super().__init__()
         assert params.snapshot_s is not None
-        self.inputs = params.chosen_topics()
+        self.inputs = params.selected_topics()
         #: Snapshots written so far.
         self.paths: list[Path] = []
         #: Messages in them, and messages that never came.

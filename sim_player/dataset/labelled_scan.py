@@ -138,7 +138,7 @@ def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tu
     """Return the truth points of traced paths as training labels; `classes` are those of the objects, in order."""
     visible = paths.take(visible_paths(setup, paths))
     grid = RangeAzimuthGrid()
-    names = np.array([*(classes or ["object"] * (int(visible.thing.max(initial=-1)) + 1)), WALL])
+    names = np.array([*(classes or ["object"] * (int(visible.object_index.max(initial=-1)) + 1)), WALL])
     return Labels(
         range_m=(0.5 * visible.length_m).astype(np.float32),
         azimuth_rad=visible.azimuth_rad.astype(np.float32),
@@ -150,8 +150,8 @@ def label_points(setup: RadarSetup, paths: Paths, gain: float = 1.0, classes: tu
         azimuth_bin=np.rint(grid.azimuth_index(visible.azimuth_rad)).astype(np.int32),
         point_m=visible.point_m.astype(np.float32),
         image_m=visible.virtual_m.astype(np.float32),
-        object_index=visible.thing.astype(np.int32),
-        object_class=names[visible.thing],
+        object_index=visible.object_index.astype(np.int32),
+        object_class=names[visible.object_index],
     )
 
 

@@ -21,9 +21,9 @@ from sim_player.generate.domain_shift import (
     SHIFTS,
     BoardFaults,
     Shift,
+    domain_shifted_scene,
     draw_faults,
     faulty_profiles,
-    shifted_scene,
 )
 from sim_player.generate.layouts import PlaceKind
 from sim_player.generate.places import draw_place
@@ -253,7 +253,7 @@ def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, 
         place = draw_place(seed, index, recipe.preset, kind)
         scene, facts = place.scene, {"place": place.kind, "relays": place.relays}
     if recipe.shift == "hard":
-        scene = shifted_scene(scene, _shift_rng(seed, index, 0))
+        scene = domain_shifted_scene(scene, _shift_rng(seed, index, 0))
     return scene, facts
 
 

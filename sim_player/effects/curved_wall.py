@@ -15,8 +15,8 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, no_routes
-from sim_player.trace.segments import free_passage
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import free_segments
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -24,7 +24,7 @@ def absent(world: World) -> str | None:
     return None if world.is_curved.any() else "every wall is straight"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Centres and the radar itself in all arcs."""
     view = tracing.view
     routes = arc_routes(view, view.centre, tracing.owner)
@@ -32,7 +32,7 @@ def apply(tracing: Tracing) -> Echoes:
     return join_echoes([object_echoes(view, routes, cofocal(routes)), _flashes(view)])
 
 
-def as_chords(tracing: Tracing) -> Echoes:
+def as_chords(tracing: TraceContext) -> Echoes:
     """What is traced instead where the effect is skipped: every arc as the mirror its chord would be.
 
     Their legs are not stopped by the arc itself, which the chord is not on.
@@ -69,7 +69,7 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
     share = found.out_m / (found.out_m + found.on_m)
     height = view.antenna[2] + share * (end[:, 2] - view.antenna[2])
     point = np.column_stack([found.point_m, height])
-    legs = free_passage((view.antenna, point, end), view.blockers, owner[found.target])
+    legs = free_segments((view.antenna, point, end), view.blockers, owner[found.target])
     cosine = found.cos_incidence * (found.out_m + found.on_m) / found.length_m
     whole, front, rough = world.reflection(np.full(len(found), wall), np.abs(cosine))
     routes = make_routes(

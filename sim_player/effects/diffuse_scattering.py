@@ -13,7 +13,7 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, echo_amplitude, surface_echoes
 from sim_player.trace.routes import dot, straight_routes
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 #: Two-way elevation beamwidth of four rows: how much of a wall's height a patch stands for.
 LIT_ELEVATION_RAD = 0.3
@@ -25,7 +25,7 @@ def absent(world: World) -> str | None:
     return None if rough.any() else "no wall is rough"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Patches of all rough walls in direct sight."""
     view, world = tracing.view, tracing.view.world
     wall = world.speck_wall

@@ -17,8 +17,8 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import Routes, join_routes, make_routes, norm
-from sim_player.trace.segments import Passage, free_passage, passing_factor
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import Occlusion, free_segments, transmission_factor
+from sim_player.trace.snapshot import TraceContext
 
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
 LEAST_TURN_RAD = 0.05
@@ -58,7 +58,7 @@ def absent(world: World) -> str | None:
     return None if world.is_mirror.any() else "the scene holds no wall: there is no edge"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Echoes with one bend (out or back, the other way clear) and with two (out and back by the same edge)."""
     view = tracing.view
     bent = edge_routes(view, view.centre, tracing.owner)
@@ -85,7 +85,7 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
     keep = np.flatnonzero(open_side & (source_plan > NEAREST_EDGE_M) & (target_plan > NEAREST_EDGE_M))
     edge, target = edge[keep], target[keep]
     bend = np.column_stack([edges.point[edge], height[keep]])
-    legs = free_passage((view.antenna, bend, point_m[target]), view.blockers, owner[target])
+    legs = free_segments((view.antenna, bend, point_m[target]), view.blockers, owner[target])
     free = np.flatnonzero(legs.free)
     keep, edge, target = keep[free], edge[free], target[free]
     angles = to_source[keep], to_target[keep]
@@ -95,7 +95,7 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
 def _in_sight(view: Snapshot, edges: Edges, point_m: np.ndarray) -> Edges:
     """The edges that the antenna sees at the greatest height at which a ray to any point may meet them."""
     top = np.full(len(edges), max(view.antenna[2], point_m[:, 2].max(initial=0.0)))
-    return edges.take(free_passage((view.antenna, np.column_stack([edges.point, top])), view.blockers).free)
+    return edges.take(free_segments((view.antenna, np.column_stack([edges.point, top])), view.blockers).free)
 
 
 def _bent(
@@ -105,7 +105,7 @@ def _bent(
     target: np.ndarray,
     points: tuple[np.ndarray, np.ndarray],
     angles: tuple[np.ndarray, np.ndarray],
-    legs: Passage,
+    legs: Occlusion,
 ) -> Routes:
     """Routes by known points of edges (one a route) with their uniform field."""
     (bend, end), (to_source, to_target) = points, angles
@@ -117,7 +117,9 @@ def _bent(
     wide = edges.n * np.pi
     # the more grazing of both rays: the mirror's own angle at its border, no field along a face, alike both ways
     cosine = [np.minimum(*np.abs(np.sin([turn - to_source, turn - to_target]))) * skew for turn in (0.0, wide)]
-    passed = np.where(edges.first == edges.last, passing_factor(view.world.passing, edges.first, cosine[0]), 0.0)
+    passed = np.where(
+        edges.first == edges.last, transmission_factor(view.world.transmission, edges.first, cosine[0]), 0.0
+    )
     built, front = ((1.0 - passed) * incident for _ in range(2))
     for wall, angle, face in zip((edges.first, edges.last), cosine, faces, strict=True):
         of_wall, of_front, _ = view.world.reflection(wall, angle)

@@ -15,8 +15,8 @@ from sim_player.scene.description import Surface
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
 from sim_player.trace.routes import Routes, dot, join_routes, make_routes, norm, plane_bounces
-from sim_player.trace.segments import Passage, free_passage
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import Occlusion, free_segments
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -26,7 +26,7 @@ def absent(world: World) -> str | None:
     return None if len(world.centre_m) else "the scene holds no object"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Straight and once mirrored ways with the ground on one of the two legs, or on both."""
     view = tracing.view
     ground = join_routes([_straight(view, tracing.owner), _mirrored(view, tracing.owner)])
@@ -47,7 +47,7 @@ def _straight(view: Snapshot, owner: np.ndarray) -> Routes:
     share = view.antenna[2] / (view.antenna[2] + end[:, 2])
     plan = view.origin + share[:, None] * (end[:, :2] - view.origin)
     bounce = np.column_stack([plan, np.zeros(len(end))])
-    legs = free_passage((view.antenna, bounce, end), view.blockers, owner)
+    legs = free_segments((view.antenna, bounce, end), view.blockers, owner)
     ray = end * [1.0, 1.0, -1.0] - view.antenna
     return _finish(view, np.arange(len(end)), ray, ray, legs, 0).take(legs.free)
 
@@ -69,7 +69,7 @@ def _mirrored(view: Snapshot, owner: np.ndarray) -> Routes:
     ground_point = np.column_stack([real, np.zeros(len(real))])
     early = (at_ground < at_wall)[:, None]
     one, two = np.where(early, ground_point, wall_point), np.where(early, wall_point, ground_point)
-    legs = free_passage((view.antenna, one, two, end), view.blockers, owner[found.target])
+    legs = free_segments((view.antenna, one, two, end), view.blockers, owner[found.target])
     below_top = wall_point[:, 2] < world.wall_height_m[found.wall]
     ray = image - view.antenna
     arrive = ray.copy()
@@ -84,7 +84,7 @@ def _finish(
     target: np.ndarray,
     ray: np.ndarray,
     arrive: np.ndarray,
-    legs: Passage,
+    legs: Occlusion,
     needs: int,
     wall: np.ndarray | None = None,
     cosine: np.ndarray | None = None,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, object_echoes
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -13,7 +13,7 @@ def absent(world: World) -> str | None:
     return None if len(world.centre_m) else "the scene holds no object"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Scattering centres whose straight leg is free, out and back."""
     routes, legs = tracing.straight
     clear = routes.take(legs.free)

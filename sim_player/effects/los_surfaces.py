@@ -14,8 +14,8 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
 from sim_player.trace.routes import NEAREST_M, dot, make_routes, straight_routes
-from sim_player.trace.segments import passage
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import segment_occlusion
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -23,7 +23,7 @@ def absent(world: World) -> str | None:
     return None if len(world.wall_a) else "the scene holds no wall"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Flashes of straight walls, then structure."""
     return join_echoes([_flashes(tracing.view), structure(tracing.view)])
 
@@ -56,7 +56,7 @@ def _flashes(view: Snapshot) -> Echoes:
     met = (share >= 0.0) & (share <= 1.0) & (world.wall_height_m > view.antenna[2]) & (distance > NEAREST_M)
     wall = np.flatnonzero(met & world.is_flat)
     point = _level(view, foot[wall])
-    legs = passage(view.antenna, point, view.blockers)
+    legs = segment_occlusion(view.antenna, point, view.blockers)
     direction = np.column_stack([-view.normal[wall], np.zeros(len(wall))])
     whole, front, rough = world.reflection(wall, np.ones(len(wall)))
     # one bounce on a round trip: half of it each way

@@ -11,7 +11,7 @@ import numpy as np
 from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, object_echoes, same_target
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -23,7 +23,7 @@ def absent(world: World) -> str | None:
     return None if world.is_mirror.any() else "the scene holds no wall: there is one way only"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """All mixtures of two clear ways to the same centre."""
     routes = tracing.clear_routes("los_objects", "specular_relay", "curved_wall", "second_relay")
     out, back = same_target(routes.target, routes.target)

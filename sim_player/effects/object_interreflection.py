@@ -15,8 +15,8 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, centre_rcs_m2
 from sim_player.trace.routes import NEAREST_M, Routes, dot, norm
-from sim_player.trace.segments import passage
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import segment_occlusion
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -25,7 +25,7 @@ def absent(world: World) -> str | None:
     return None if count >= 2 else f"{count} object{'' if count == 1 else 's'}: none lights another"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Pairs of lobe-free centres of two objects that see each other and are reached by the same chain of walls."""
     view, world = tracing.view, tracing.view.world
     routes = tracing.clear_routes("los_objects", "specular_relay")
@@ -33,7 +33,7 @@ def apply(tracing: Tracing) -> Echoes:
     first, second = _pairs(routes, world)
     one, two = routes.take(first), routes.take(second)
     start, end = view.centre[one.target], view.centre[two.target]
-    legs = passage(start, end, view.blockers, world.centre_object[two.target])
+    legs = segment_occlusion(start, end, view.blockers, world.centre_object[two.target])
     between = np.maximum(norm(end - start), NEAREST_M)
     onward = (end - start) / between[:, None]
     rcs_one = _bistatic(view, one, onward)
@@ -58,7 +58,7 @@ def apply(tracing: Tracing) -> Echoes:
         order=mirrored.astype(np.uint8),
         needs=one.needs | two.needs | np.uint32(bit("object_interreflection")),
         surface=one.wall,
-        thing=world.centre_object[one.target].astype(np.int32),
+        object_index=world.centre_object[one.target].astype(np.int32),
         point=start,
     )
     return echoes.take(legs.free & (rcs_one > 0.0) & (rcs_two > 0.0))

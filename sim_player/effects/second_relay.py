@@ -19,8 +19,8 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
 from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, norm, unit
-from sim_player.trace.segments import free_passage
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import free_segments
+from sim_player.trace.snapshot import TraceContext
 
 #: Ends of walls nearer than this are one corner.
 SAME_END_M = 1e-6
@@ -34,7 +34,7 @@ def absent(world: World) -> str | None:
     return None if count >= 2 else f"{count} straight wall{'' if count == 1 else 's'}: none faces another"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Objects in two walls, the radar in corners, structure in another wall."""
     view = tracing.view
     routes = two_wall_routes(view, view.centre, tracing.owner)
@@ -65,7 +65,7 @@ def _routes(
 ) -> Routes:
     """Routes by points of two walls to their targets, as far as the walls are high enough and three legs are free."""
     (first, second), (at_first, at_second, end), height = walls, points, view.world.wall_height_m
-    legs = free_passage((view.antenna, *points), view.blockers, owner)
+    legs = free_segments((view.antenna, *points), view.blockers, owner)
     keep = legs.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second])
     first, second, at_first, at_second, end = (row[keep] for row in (first, second, at_first, at_second, end))
     depart, arrive = unit(at_first - view.antenna), unit(end - at_second)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, object_echoes
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -14,7 +14,7 @@ def absent(world: World) -> str | None:
     return None if world.is_mirror.any() else "the scene holds no wall"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Centres in every straight piece of wall, both legs free, out and back by the same point."""
     routes, legs = tracing.mirrored
     clear = routes.take(legs.free)

@@ -29,7 +29,7 @@ from sim_player.effects import (
 )
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 #: Cost of a path as a tone of a signal, on one core of the reference machine (docs/results/simulator.md).
 TONE_S = 6e-6
@@ -55,7 +55,7 @@ class Effect:
 class PathEffect(Effect):
     """An effect that makes echoes; the routes that it finds may serve the effects after it."""
 
-    apply: Callable[[Tracing], Echoes]
+    apply: Callable[[TraceContext], Echoes]
     cost_s: float = field(default=TONE_S, kw_only=True)
 
 

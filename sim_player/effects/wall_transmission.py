@@ -10,8 +10,8 @@ from sim_player.effects.names import bit
 from sim_player.scene.world import World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes
 from sim_player.trace.routes import Routes
-from sim_player.trace.segments import Passage
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import Occlusion
+from sim_player.trace.snapshot import TraceContext
 
 
 def absent(world: World) -> str | None:
@@ -20,11 +20,11 @@ def absent(world: World) -> str | None:
         return "the scene holds no object"
     if not world.is_mirror.any():
         return "the scene holds no wall"
-    clear = np.abs(world.passing[world.is_mirror]).max()
+    clear = np.abs(world.transmission[world.is_mirror]).max()
     return None if clear > 0.0 else "every wall is too thick to have a back"
 
 
-def apply(tracing: Tracing) -> Echoes:
+def apply(tracing: TraceContext) -> Echoes:
     """Ways to centres that cross walls and no body, out and back; the walls' factors squared."""
     view = tracing.view
     direct, mirrored = _behind(*tracing.straight), _behind(*tracing.mirrored)
@@ -36,7 +36,7 @@ def apply(tracing: Tracing) -> Echoes:
     )
 
 
-def _behind(routes: Routes, legs: Passage) -> Routes:
+def _behind(routes: Routes, legs: Occlusion) -> Routes:
     """The routes that walls stand in, weakened by them."""
     weakened = replace(routes, other=routes.other * legs.through)
     return weakened.take(~legs.free & (legs.through != 0.0))

@@ -214,7 +214,7 @@ def with_sensor(scene: Scene, preset: str, spad: SpadParams | None = None) -> Sc
 
 
 @dataclass(frozen=True)
-class MirrorWay:
+class MirrorPath:
     """Path to an object's centre by one wall: both segments, angle of incidence at the wall, azimuth at the sensor."""
 
     to_wall_m: float
@@ -228,7 +228,7 @@ class MirrorWay:
         return self.to_wall_m + self.beyond_m
 
 
-def mirror_way(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorWay:
+def mirror_path(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorPath:
     """Return the path from the sensor to an object by the line of a straight wall of two points."""
     a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
     normal, offset_m = wall_from_ends(a, b, np.zeros(2))
@@ -236,7 +236,7 @@ def mirror_way(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorW
     image = reflect(position, normal, offset_m)
     range_m = math.hypot(*image)
     share = offset_m / (offset_m + float(normal @ position + offset_m))
-    return MirrorWay(
+    return MirrorPath(
         to_wall_m=share * range_m,
         beyond_m=(1.0 - share) * range_m,
         cos_incidence=float(-normal @ image / range_m),
@@ -250,14 +250,14 @@ class ShownPoints:
     each.
     """
 
-    place_m: np.ndarray
+    position_m: np.ndarray
     image_m: np.ndarray
-    thing: np.ndarray
+    object_index: np.ndarray
     #: Objects seen in a mirror and not directly.
     hidden: frozenset[int]
 
     def __len__(self) -> int:
-        return len(self.place_m)
+        return len(self.position_m)
 
 
 def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = None) -> ShownPoints:
@@ -268,17 +268,17 @@ def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = No
     """
     grid = RangeAzimuthGrid() if grid is None else grid
     paths = trace(prepare(with_sensor(scene, "xband"), seed))
-    paths = paths.take(labelled(paths) & (paths.thing >= 0))
-    direct = frozenset(paths.thing[paths.kind == PathClass.LOS].tolist())
+    paths = paths.take(labelled(paths) & (paths.object_index >= 0))
+    direct = frozenset(paths.object_index[paths.kind == PathClass.LOS].tolist())
     range_m, azimuth_rad = polar_from_xy(paths.virtual_m[:, :2])
     inside = (range_m <= grid.range_m[-1]) & (np.abs(azimuth_rad) <= math.radians(grid.azimuth_limit_deg))
     mirrored = paths.take((paths.kind == PathClass.MIRRORED) & inside)
-    kept = _apart(mirrored.point_m[:, :2], mirrored.thing)
+    kept = _apart(mirrored.point_m[:, :2], mirrored.object_index)
     return ShownPoints(
-        place_m=mirrored.point_m[kept, :2],
+        position_m=mirrored.point_m[kept, :2],
         image_m=mirrored.virtual_m[kept, :2],
-        thing=mirrored.thing[kept],
-        hidden=frozenset(mirrored.thing.tolist()) - direct,
+        object_index=mirrored.object_index[kept],
+        hidden=frozenset(mirrored.object_index.tolist()) - direct,
     )
 
 

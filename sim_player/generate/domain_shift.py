@@ -83,7 +83,7 @@ class BoardFaults:
     dead: np.ndarray
 
 
-def shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = HARD) -> Scene:
+def domain_shifted_scene(scene: Scene, rng: np.random.Generator, params: ShiftParams = HARD) -> Scene:
     """Return the same place with rougher surfaces and clutter; passes `check_scene`."""
     factor = float(rng.uniform(*params.roughness_factor))
     surfaces = tuple(

@@ -86,7 +86,7 @@ class Boxes:
         offset = points[None, :, None] - self.corners[:, None]  # [N, P, 4, 2]
         return (edge[:, None, :, 0] * offset[..., 1] - edge[:, None, :, 1] * offset[..., 0] >= 0.0).all(axis=-1)
 
-    def cut(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    def crossed_by(self, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         """Return which boxes have segments a -> b [M, 2] through or in them; [N]."""
         if not len(a) or not len(self.corners):
             return np.zeros(len(self.corners), bool)

@@ -237,9 +237,9 @@ class _Crowd:
             return Boxes.at(spot, yaw_deg, size.length_m + 2.0 * by_m, size.width_m + 2.0 * by_m)
 
         own = grown(0.0)
-        good = ~grown(WALL_CLEARANCE_M).cut(*self.walls.footing)
-        good &= ~grown(CLEARANCE_M).cut(*boxes.faces) & ~boxes.contain(spot).any(axis=0)
-        good &= ~own.cut(self.segment_a, self.segment_b)
+        good = ~grown(WALL_CLEARANCE_M).crossed_by(*self.walls.footing)
+        good &= ~grown(CLEARANCE_M).crossed_by(*boxes.faces) & ~boxes.contain(spot).any(axis=0)
+        good &= ~own.crossed_by(self.segment_a, self.segment_b)
         if hide:
             outline = _outline(own)
             good[good] = hidden(outline[good].reshape(-1, 2), self.walls, boxes).reshape(-1, outline.shape[1]).all(1)

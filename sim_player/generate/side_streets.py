@@ -101,7 +101,7 @@ def random_side_street(seed: int, index: int = 0) -> SideStreet:
 
 def direct_sight(paths: Paths) -> bool:
     """Return whether the crossing object has a direct path, through no wall and round no edge."""
-    return bool((labelled(paths) & (paths.kind == PathClass.LOS) & (paths.thing == CROSSING)).any())
+    return bool((labelled(paths) & (paths.kind == PathClass.LOS) & (paths.object_index == CROSSING)).any())
 
 
 def _draw(rng: np.random.Generator, name: str) -> SideStreet:
@@ -298,11 +298,11 @@ def _boxes_at(users: tuple[SceneObject, ...], time_s: float) -> Boxes:
 
 def _collides(boxes: Boxes, walls: Walls) -> bool:
     """Return whether any road user stands in a wall or in another."""
-    if boxes.cut(*walls.footing).any():
+    if boxes.crossed_by(*walls.footing).any():
         return True
     corners = boxes.corners
     return any(
-        Boxes(corners[index : index + 1]).cut(*Boxes(np.delete(corners, index, axis=0)).faces).any()
+        Boxes(corners[index : index + 1]).crossed_by(*Boxes(np.delete(corners, index, axis=0)).faces).any()
         for index in range(len(corners))
         if len(corners) > 1
     )

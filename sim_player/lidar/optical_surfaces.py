@@ -38,7 +38,7 @@ class Surfaces:
     #: Level part of the unit normal: 1 where the piece stands upright.
     level: np.ndarray
     #: Object it belongs to, -1 for a wall.
-    thing: np.ndarray
+    object_index: np.ndarray
     #: Optics: n + jk, albedo of what enters, rms height; `matt`: an object or foliage, all of whose light is `albedo`.
     index: np.ndarray
     albedo: np.ndarray
@@ -58,7 +58,7 @@ class Surfaces:
             b=world.wall_b,
             curvature_per_m=world.wall_curvature_per_m,
             level=np.ones(len(built)),
-            thing=np.full(len(built), -1, np.int32),
+            object_index=np.full(len(built), -1, np.int32),
             index=np.array([material.index for material in optics], np.complex128),
             albedo=np.array([material.albedo for material in optics], np.float64),
             roughness_m=world.wall_roughness_m,
@@ -74,7 +74,7 @@ class Surfaces:
             b=b,
             curvature_per_m=zero,
             level=level,
-            thing=np.full(count, object_index, np.int32),
+            object_index=np.full(count, object_index, np.int32),
             index=np.ones(count, np.complex128),
             albedo=np.full(count, albedo),
             roughness_m=zero,
@@ -154,7 +154,7 @@ class Patches:
     normal: np.ndarray
     area_m2: np.ndarray
     albedo: np.ndarray
-    thing: np.ndarray
+    object_index: np.ndarray
     owner: np.ndarray
 
 
@@ -170,7 +170,7 @@ def patches_of(view: Snapshot) -> Patches:
         normal=np.concatenate([np.zeros((0, 3)), *(normal for _, normal, _ in made)]),
         area_m2=np.concatenate([np.zeros(0), *(area for *_, area in made)]),
         albedo=np.repeat([object_albedo(scene_object) for scene_object in objects], count),
-        thing=object_index,
+        object_index=object_index,
         owner=np.where(is_mesh[object_index], object_index, -1).astype(np.int32),
     )
 

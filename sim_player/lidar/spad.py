@@ -42,7 +42,7 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.lidar.optical_surfaces import PATCH_M, Patches, Surfaces, all_surfaces, object_albedo, patches_of
 from sim_player.scene.world import Snapshot, World, radar_pose, snapshot, wall_lines
 from sim_player.trace.paths import Paths
-from sim_player.trace.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_passage
+from sim_player.trace.segments import ARC_CLEARANCE_M, VOLUME, WALL, Blockers, free_segments
 from sim_player.trace.truth import visible_paths
 
 #: Largest number of mirrors on a ray.
@@ -114,7 +114,7 @@ class OpticalPaths:
     kind: np.ndarray
     route: np.ndarray
     #: Object it comes from, -1 for a wall; int32.
-    thing: np.ndarray
+    object_index: np.ndarray
 
     def __len__(self) -> int:
         return len(self.range_m)
@@ -176,7 +176,7 @@ def label_paths(
     objects are lit head-on. A label goes to the azimuth nearest to it.
     """
     visible = paths.take(visible_paths(world.setup, paths, lidar.grid))
-    of_wall, at_wall = visible.thing < 0, visible.surface >= 0
+    of_wall, at_wall = visible.object_index < 0, visible.surface >= 0
     albedo, factor, cosine = np.zeros(len(visible)), np.ones(len(visible)), np.ones(len(visible))
     walls = Surfaces.of_walls(world).take(visible.surface[at_wall])
     incidence = _label_cosines(world, visible.take(at_wall), time_s)
@@ -186,7 +186,7 @@ def label_paths(
     )
     cosine[at_wall & of_wall] = incidence[of_wall[at_wall]]
     albedo[~of_wall] = np.array([object_albedo(scene_object) for scene_object in world.scene.objects])[
-        visible.thing[~of_wall]
+        visible.object_index[~of_wall]
     ]
     range_m = 0.5 * visible.length_m
     made = OpticalPaths(
@@ -195,7 +195,7 @@ def label_paths(
         photons=factor * direct_photons(lidar.spad, range_m, albedo, cosine),
         kind=visible.kind,
         route=np.where(visible.kind == PathClass.LOS, LightRoute.DIRECT, LightRoute.MIRROR).astype(np.uint8),
-        thing=visible.thing,
+        object_index=visible.object_index,
     )
     return _within(made, lidar.spad, options)
 
@@ -407,7 +407,7 @@ class _Sight:
         spad = self.lidar.spad
         albedo = met.diffuse(hits.cosine, spad.wavelength_m, self.options.fresnel)
         photons = rays.share * direct_photons(spad, rays.range_m, albedo, hits.cosine, rays.spread_m)
-        return _optical_paths(rays.azimuth_index, rays.range_m, photons, route, met.thing)
+        return _optical_paths(rays.azimuth_index, rays.range_m, photons, route, met.object_index)
 
     def direct(self) -> OpticalPaths:
         """Return the first surface of every azimuth."""
@@ -427,7 +427,7 @@ class _Sight:
     @property
     def spots(self) -> _Hits:
         """Spots of the laser on walls."""
-        return self.first.take(self.surfaces.thing[self.first.piece] < 0)
+        return self.first.take(self.surfaces.object_index[self.first.piece] < 0)
 
     @cached_property
     def patches(self) -> Patches:
@@ -453,7 +453,7 @@ class _Sight:
         wall_cosine = np.einsum("nqi,ni->nq", to_patch[..., :2], spots.normal) / spot_range_m
         object_cosine = -np.einsum("nqi,qi->nq", to_patch, patches.normal) / spot_range_m
         n, q = np.nonzero((wall_cosine > 0.0) & (object_cosine > 0.0))
-        free = free_passage((spot[n], patches.position_m[q]), blockers, patches.owner[q]).free
+        free = free_segments((spot[n], patches.position_m[q]), blockers, patches.owner[q]).free
         n, q = n[free], q[free]
         wall_albedo = self.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, self.options.fresnel)
         photons = confocal_photons(
@@ -467,7 +467,7 @@ class _Sight:
             patches.albedo[q],
         )
         range_m = spots.rays.range_m[n] + spot_range_m[n, q]
-        return _condensed(spots.rays.azimuth_index[n], range_m, photons, patches.thing[q], spad)
+        return _condensed(spots.rays.azimuth_index[n], range_m, photons, patches.object_index[q], spad)
 
 
 def _optical_paths(
@@ -536,8 +536,8 @@ def _diffuse_bound(sight: _Sight) -> float:
     spots, patches, spad = sight.spots, sight.patches, sight.lidar.spad
     albedo = sight.surfaces.take(spots.piece).diffuse(spots.cosine, spad.wavelength_m, sight.options.fresnel)
     total = 0.0
-    for index in np.unique(patches.thing):
-        own = patches.thing == index
+    for index in np.unique(patches.object_index):
+        own = patches.object_index == index
         positions = patches.position_m[own, :2]
         middle = positions.mean(axis=0)
         reach_m = PATCH_M + np.hypot(*(positions - middle).T).max()

@@ -24,7 +24,7 @@ from sim_player.signal.receiver import (
     quantisation_power_mw,
     spur_profile,
 )
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 #: Noise draws reach this many rms once in 10^13 cells.
 FAR_SIGMAS = 5.5
@@ -48,7 +48,7 @@ def change_bound(ablation: EffectAblation, name: str) -> np.ndarray:
 
 def _curved_wall(ablation: EffectAblation) -> np.ndarray:
     """Bound its paths and those that chords put in their place."""
-    return ablation.path_change("curved_wall") + ablation.bound_of(as_chords(Tracing(ablation.view)))
+    return ablation.path_change("curved_wall") + ablation.bound_of(as_chords(TraceContext(ablation.view)))
 
 
 def _non_cofocal(ablation: EffectAblation) -> np.ndarray:

@@ -37,7 +37,7 @@ from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace_echoes
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 BUDGET_DB = -20.0
 #: Share of the budget that dropped paths may take, and each of the two dear effects of the sweep in part.
@@ -284,7 +284,7 @@ class _Planner:
             elif not self._decide(name, count, what):
                 self.ablation.keep(~mine)
                 if name == "curved_wall":
-                    self.ablation.add(as_chords(Tracing(self.ablation.view)))
+                    self.ablation.add(as_chords(TraceContext(self.ablation.view)))
 
     def _prune(self) -> None:
         """Drop the paths that are too weak to matter even together: effects used in part."""

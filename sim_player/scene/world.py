@@ -98,7 +98,7 @@ class World:
         return next((surface for surface in self.scene.surfaces if surface.role == "ground"), None)
 
     @cached_property
-    def passing(self) -> np.ndarray:
+    def transmission(self) -> np.ndarray:
         """Field factor of one crossing of each piece of wall over the cosine, complex128 [W, steps + 1]."""
         cosine = np.linspace(0.0, 1.0, TABLE_STEPS + 1)
         radar, table = self.radar, np.zeros((len(self.wall_a), TABLE_STEPS + 1), np.complex128)
@@ -227,7 +227,7 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
             owner=np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)]).astype(
                 np.int32
             ),
-            passing=np.concatenate([world.passing, np.zeros((faces, TABLE_STEPS + 1))]),
+            transmission=np.concatenate([world.transmission, np.zeros((faces, TABLE_STEPS + 1))]),
         ),
         normal=normal,
         offset=offset,

@@ -39,7 +39,7 @@ class Echoes:
     order: np.ndarray
     needs: np.ndarray
     surface: np.ndarray
-    thing: np.ndarray
+    object_index: np.ndarray
     point: np.ndarray
 
     def __len__(self) -> int:
@@ -88,7 +88,7 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
         order=np.maximum(_order(out), _order(back)),
         needs=out.needs | back.needs | np.uint32(needs),
         surface=np.where(out.wall >= 0, out.wall, back.wall),
-        thing=world.centre_object[centre].astype(np.int32),
+        object_index=world.centre_object[centre].astype(np.int32),
         point=view.centre[centre],
     )
     return echoes.take(rcs > 0.0)
@@ -130,7 +130,7 @@ def surface_echoes(
         order=_order(routes),
         needs=routes.needs | np.uint32(needs),
         surface=np.asarray(wall, np.int32),
-        thing=np.full(count, NONE, np.int32),
+        object_index=np.full(count, NONE, np.int32),
         point=point,
     )
 

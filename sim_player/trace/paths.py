@@ -31,7 +31,7 @@ class Paths:
     #: Piece of wall that returned or first mirrored it (index into `World.wall_a`), -1 for none; int32.
     surface: np.ndarray
     #: Object it comes from, -1 for none; int32.
-    thing: np.ndarray
+    object_index: np.ndarray
     #: True and apparent position of the scatterer: [P, 3].
     point_m: np.ndarray
     virtual_m: np.ndarray

@@ -8,7 +8,7 @@ from sim_player.scene.world import Snapshot, World, prepare, radar_pose, snapsho
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes
 from sim_player.trace.paths import Paths
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 
 __all__ = ["BASIC_EFFECTS", "Paths", "World", "echo_amplitude", "prepare", "radar_pose", "trace", "trace_echoes"]
 
@@ -39,7 +39,7 @@ def trace_echoes(view: Snapshot, effects: frozenset[str]) -> Echoes:
 
 def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
     """Return the echoes of every given path effect, by name."""
-    tracing, echoes = Tracing(view), dict[str, Echoes]()
+    tracing, echoes = TraceContext(view), dict[str, Echoes]()
     for name, effect in PATHS.items():
         if name in effects and effect.absent(view.world) is None:
             echoes[name] = effect.apply(tracing)

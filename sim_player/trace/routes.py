@@ -14,7 +14,7 @@ import numpy as np
 from models.physics.mirror import reflect
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot
-from sim_player.trace.segments import Passage, in_series, passage, without
+from sim_player.trace.segments import Occlusion, in_series, segment_occlusion, without
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
@@ -67,7 +67,7 @@ def make_routes(
     length_m: np.ndarray,
     depart: np.ndarray,
     arrive: np.ndarray,
-    occlusion: Passage,
+    occlusion: Occlusion,
     needs: int,
     *,
     wall: np.ndarray | int = NONE,
@@ -106,12 +106,12 @@ def make_routes(
 def no_routes() -> Routes:
     """Return no routes."""
     none, vectors = np.zeros(0), np.zeros((0, 3))
-    return make_routes(np.zeros(0, int), none, vectors, vectors, Passage(none > 0.0, none + 0j, none), 0)
+    return make_routes(np.zeros(0, int), none, vectors, vectors, Occlusion(none > 0.0, none + 0j, none), 0)
 
 
-def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Passage]:
+def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Occlusion]:
     """Return the straight routes from the antenna to points [N, 3], blocked ones too, and their occlusion."""
-    occlusion = passage(view.antenna, point_m, view.blockers, owner)
+    occlusion = segment_occlusion(view.antenna, point_m, view.blockers, owner)
     ray = point_m - view.antenna
     length = norm(ray)
     direction = ray / np.maximum(length, 1e-9)[:, None]
@@ -164,7 +164,7 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
 
 def mirror_routes(
     view: Snapshot, point_m: np.ndarray, mirrors: np.ndarray, owner: np.ndarray, ignore_wall: int | None = None
-) -> tuple[Routes, Passage]:
+) -> tuple[Routes, Occlusion]:
     """Return the routes by one straight mirror to points [N, 3], blocked ones too, and their occlusion.
 
     `ignore_wall` is a piece of wall that blocks no segment.
@@ -173,8 +173,8 @@ def mirror_routes(
     target_m = point_m[bounces.target]
     blockers = view.blockers if ignore_wall is None else without(view.blockers, ignore_wall)
     occlusion = in_series(
-        passage(view.antenna, bounces.specular, blockers),
-        passage(bounces.specular, target_m, blockers, owner[bounces.target]),
+        segment_occlusion(view.antenna, bounces.specular, blockers),
+        segment_occlusion(bounces.specular, target_m, blockers, owner[bounces.target]),
     )
     ray = bounces.image - view.antenna
     length = norm(ray)

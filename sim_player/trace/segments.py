@@ -37,11 +37,11 @@ class Blockers:
     #: Owner whose own segments it does not block, -1 for none; int32.
     owner: np.ndarray
     #: Field factor of one crossing over the cosine of incidence, complex128 [M, TABLE_STEPS + 1].
-    passing: np.ndarray
+    transmission: np.ndarray
 
 
 @dataclass(frozen=True)
-class Passage:
+class Occlusion:
     """Occlusion and transmission of N segments."""
 
     #: Whether no body and no wall blocks it.
@@ -51,12 +51,12 @@ class Passage:
     #: Field factor of all foliage crossed.
     foliage: np.ndarray
 
-    def take(self, selection: np.ndarray) -> Passage:
+    def take(self, selection: np.ndarray) -> Occlusion:
         """Return the segments of an index or mask."""
-        return Passage(self.free[selection], self.through[selection], self.foliage[selection])
+        return Occlusion(self.free[selection], self.through[selection], self.foliage[selection])
 
 
-def passing_factor(passing: np.ndarray, piece: np.ndarray, cosine: np.ndarray) -> np.ndarray:
+def transmission_factor(passing: np.ndarray, piece: np.ndarray, cosine: np.ndarray) -> np.ndarray:
     """Return the field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all
     pieces.
     """
@@ -66,7 +66,9 @@ def passing_factor(passing: np.ndarray, piece: np.ndarray, cosine: np.ndarray) -
     return np.asarray((1.0 - share) * passing[piece, step] + share * passing[piece, step + 1])
 
 
-def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
+def segment_occlusion(
+    start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.ndarray | int = -1
+) -> Occlusion:
     """Test segments from `start` to `end` ([N, 3], or one point for all, heights above ground) against the blockers.
 
     `owner` [N] is the object at a segment's end whose own body does not block it.
@@ -74,7 +76,7 @@ def passage(start: np.ndarray, end: np.ndarray, blockers: Blockers, owner: np.nd
     return _passage((start, end), blockers, owner, False)
 
 
-def free_passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int = -1) -> Passage:
+def free_segments(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int = -1) -> Occlusion:
     """Test segments in series from point to point, for callers that need free ones only: a blocked series ends early.
 
     `points` are [N, 3] or one point for all, the last one [N, 3]; `owner` [N] belongs to the last segment. Where a
@@ -83,7 +85,7 @@ def free_passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.n
     return _passage(points, blockers, owner, True)
 
 
-def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int, give_up: bool) -> Passage:
+def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarray | int, give_up: bool) -> Occlusion:
     count = len(points[-1])
     vertices_m = np.empty((len(points), count, 3))
     for index, point in enumerate(points):
@@ -97,10 +99,10 @@ def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarr
         blockers.curvature_per_m,
         blockers.kind,
         blockers.owner,
-        blockers.passing,
+        blockers.transmission,
         give_up,
     )
-    return Passage(free, through, foliage)
+    return Occlusion(free, through, foliage)
 
 
 def without(blockers: Blockers, index: int) -> Blockers:
@@ -110,12 +112,12 @@ def without(blockers: Blockers, index: int) -> Blockers:
     )
 
 
-def in_series(*segments: Passage) -> Passage:
+def in_series(*segments: Occlusion) -> Occlusion:
     """Combine segments travelled one after the other."""
     free, through, foliage = segments[0].free, segments[0].through, segments[0].foliage
     for segment in segments[1:]:
         free, through, foliage = free & segment.free, through * segment.through, foliage * segment.foliage
-    return Passage(free, through, foliage)
+    return Occlusion(free, through, foliage)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

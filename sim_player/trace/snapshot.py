@@ -9,11 +9,11 @@ import numpy as np
 
 from sim_player.scene.world import Snapshot
 from sim_player.trace.routes import Routes, join_routes, mirror_routes, no_routes, straight_routes
-from sim_player.trace.segments import Passage
+from sim_player.trace.segments import Occlusion
 
 
 @dataclass
-class Tracing:
+class TraceContext:
     """A snapshot, and the one-way routes to scattering centres that effects have found so far."""
 
     view: Snapshot
@@ -25,12 +25,12 @@ class Tracing:
         return join_routes(routes) if routes else no_routes()
 
     @cached_property
-    def straight(self) -> tuple[Routes, Passage]:
+    def straight(self) -> tuple[Routes, Occlusion]:
         """Straight routes to all centres, blocked ones too, and their occlusion."""
         return straight_routes(self.view, self.view.centre, self.owner)
 
     @cached_property
-    def mirrored(self) -> tuple[Routes, Passage]:
+    def mirrored(self) -> tuple[Routes, Occlusion]:
         """Routes to all centres by every straight piece of wall, blocked ones too, and their occlusion."""
         return mirror_routes(self.view, self.view.centre, self.view.world.is_flat, self.owner)
 

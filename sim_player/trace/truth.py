@@ -32,7 +32,7 @@ UNLABELLED = bits(
 def labelled(paths: Paths) -> np.ndarray:
     """Return which paths can have truth points: objects and walls in direct sight, objects by one or two mirrors."""
     plain = (paths.needs & np.uint32(UNLABELLED)) == 0
-    return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.thing >= 0)))
+    return np.asarray(plain & ((paths.kind == PathClass.LOS) | (paths.object_index >= 0)))
 
 
 def best_power_mw(setup: RadarSetup, paths: Paths) -> np.ndarray:
@@ -101,7 +101,7 @@ def scene_truth(
         los_points_m=visible.point_m[visible.kind == PathClass.LOS].astype(np.float32),
         mirrored_points_m=mirrored.virtual_m.astype(np.float32),
         hidden_points_m=mirrored.point_m.astype(np.float32),
-        hidden_object=mirrored.thing.astype(np.int32),
+        hidden_object=mirrored.object_index.astype(np.int32),
         objects=_objects(world, paths, time_s, radar_from_start),
         surfaces=_surfaces(world, radar_from_start),
     )
@@ -110,8 +110,8 @@ def scene_truth(
 def hidden_objects(paths: Paths) -> frozenset[int]:
     """Return the objects seen in a mirror and not directly."""
     paths = paths.take(labelled(paths))
-    mirrored = paths.thing[paths.kind == PathClass.MIRRORED]
-    direct = paths.thing[paths.kind == PathClass.LOS]
+    mirrored = paths.object_index[paths.kind == PathClass.MIRRORED]
+    direct = paths.object_index[paths.kind == PathClass.LOS]
     return frozenset(mirrored.tolist()) - frozenset(direct.tolist()) - {-1}
 
 
@@ -133,13 +133,18 @@ def object_images(setup: RadarSetup, paths: Paths, count: int) -> ObjectImages:
     paths = paths.take(labelled(paths))
     with np.errstate(divide="ignore"):
         snr_db = 10.0 * np.log10(best_power_mw(setup, paths) / _noise_mw(setup))
-    image = (paths.kind == PathClass.MIRRORED) & (paths.thing >= 0)
+    image = (paths.kind == PathClass.MIRRORED) & (paths.object_index >= 0)
     shown = image & _cells(paths, RangeAzimuthGrid())[2]
     return ObjectImages(
-        direct=np.bincount(paths.thing[(paths.kind == PathClass.LOS) & (paths.thing >= 0)], minlength=count) > 0,
-        mirrored=np.bincount(paths.thing[image], minlength=count) > 0,
-        snr_db=_strongest(paths.thing[shown], snr_db[shown], count),
-        single_snr_db=_strongest(paths.thing[shown & (paths.order == 1)], snr_db[shown & (paths.order == 1)], count),
+        direct=np.bincount(
+            paths.object_index[(paths.kind == PathClass.LOS) & (paths.object_index >= 0)], minlength=count
+        )
+        > 0,
+        mirrored=np.bincount(paths.object_index[image], minlength=count) > 0,
+        snr_db=_strongest(paths.object_index[shown], snr_db[shown], count),
+        single_snr_db=_strongest(
+            paths.object_index[shown & (paths.order == 1)], snr_db[shown & (paths.order == 1)], count
+        ),
     )
 
 

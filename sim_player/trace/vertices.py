@@ -14,7 +14,7 @@ ARC_STEPS = 256
 CLEARANCE_M = 1e-6
 
 
-def ways_out(world: World, paths: Paths, time_s: float = 0.0) -> list[np.ndarray]:
+def outbound_vertices(world: World, paths: Paths, time_s: float = 0.0) -> list[np.ndarray]:
     """Return the outbound vertices [N, 3] of every path in the radar's frame: antenna, bounces at walls, scatterer.
 
     The ray follows the direction of departure from the antenna, with as many mirrors as the path has bounces. Bends at

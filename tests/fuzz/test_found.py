@@ -12,7 +12,7 @@ from models.perception.detection.cfar import CfarParams
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.pursuit import PursuitParams
 from models.perception.detection.ridges import RidgeParams
-from models.perception.forming.coarray import _solve_each, require_bearable
+from models.perception.forming.coarray import _solve_each, require_tractable
 from models.perception.forming.photon_map import MAX_CELLS, MAX_TIMES
 from msgs.bus.codec import encode
 from msgs.bus.interface import Envelope, Received
@@ -82,8 +82,8 @@ def test_a_setup_that_would_stall_the_former_is_refused() -> None:
 
 @pytest.mark.parametrize("setup", PRESETS.values(), ids=PRESETS)
 def test_radars_that_exist_are_far_from_the_bound(setup: RadarSetup) -> None:
-    require_bearable(setup)
-    require_bearable(msgspec.structs.replace(setup, array=ArrayParams(columns=86), beams=orthogonal_beams(86)))
+    require_tractable(setup)
+    require_tractable(msgspec.structs.replace(setup, array=ArrayParams(columns=86), beams=orthogonal_beams(86)))
 
 
 def test_the_smaller_of_two_equal_systems_is_solved() -> None:

@@ -17,7 +17,7 @@ from mirrorwave import offline
 from mirrorwave.cli import main
 from msgs.bus.codec import encode_inline
 from msgs.files import whole_files
-from msgs.files.whole_files import named, whole, write_whole
+from msgs.files.whole_files import named_errors, whole, write_whole
 from msgs.recording import mcap_writer as mcap_file
 from msgs.recording.mcap import RecordingReader, RecordingWriter, copy_recording, info, whole_recording
 from msgs.values.vehicle import VehicleState
@@ -221,7 +221,7 @@ def test_only_what_is_of_the_file_is_named_after_it(error: OSError, name: str | 
     with pytest.raises(OSError, match=error.strerror) as raised, whole(path):
         raise error
     assert raised.value.filename == (str(path) if name == "a" else name)
-    with pytest.raises(ValueError, match="other"), named(path):
+    with pytest.raises(ValueError, match="other"), named_errors(path):
         raise ValueError("other")
 
 

@@ -18,7 +18,7 @@ from models.perception.detection.detectors import NetworkDetector, detector_name
 from models.perception.detection.onnx_model import DEFAULT_MODEL, load_card
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.refinement import RefinementParams
-from models.perception.detection.ridge_matching import NamedParams
+from models.perception.detection.ridge_matching import RidgeMatchingParams
 from models.perception.forming.ra_forming import RaFormer
 from msgs.bus.interface import Envelope, Received
 from msgs.values.diagnostics import NodeState
@@ -133,7 +133,7 @@ def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -
         refinement=RefinementParams(iterations=7),
         flip_test=True,
         calibrate=True,
-        named=NamedParams(threshold=0.3),
+        named=RidgeMatchingParams(threshold=0.3),
         peaks=PeakParams(threshold=0.35),
         cfar=CfarParams(quantile=0.4),
     )

@@ -56,9 +56,9 @@ def test_a_restarted_recorder_writes_beside_the_first(tmp_path: Path) -> None:
 
 
 def test_raw_beams_only_when_asked_for() -> None:
-    assert RAW_TOPIC not in Params(path="x").chosen_topics()
-    assert set(Params(path="x", raw=True).chosen_topics()) == set(TOPICS)
-    assert Params(path="x", topics=("log",)).chosen_topics() == ("log",)
+    assert RAW_TOPIC not in Params(path="x").selected_topics()
+    assert set(Params(path="x", raw=True).selected_topics()) == set(TOPICS)
+    assert Params(path="x", topics=("log",)).selected_topics() == ("log",)
     with pytest.raises(ValueError, match="unknown topic 'nope'"):
         Params(path="x", topics=("nope",))
 

@@ -60,7 +60,7 @@ def test_shipped_scenes_hide_what_they_say(name: str) -> None:
         share = np.linspace(0.0, 1.0, 21)[:, None, None]
         outline = (corners + share * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
         assert blocked(np.zeros(2), outline, a, b).all()
-        images = paths.take((paths.kind == PathClass.MIRRORED) & (paths.thing == index))
+        images = paths.take((paths.kind == PathClass.MIRRORED) & (paths.object_index == index))
         assert len(images) >= 10
         assert 0.5 * images.length_m.max() < 60.0
         assert np.degrees(np.abs(images.azimuth_rad)).max() < 50.0

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from models.perception.geometry.association import DirectReturns, RecoveryParams
-from models.perception.geometry.confidence import CLIP, FEATURES, LARGEST, PlaceConfidence, place_features
+from models.perception.geometry.confidence import CLIP, FEATURES, LARGEST, PositionConfidence, position_features
 from models.perception.geometry.mirrors import NO_WALL
 from models.perception.geometry.recovery import Recovered
 from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
@@ -21,12 +21,12 @@ from msgs.values.perception import Peaks, Wall
 FACADE = [[12.0, y] for y in np.linspace(-6.0, 6.0, 13)]
 
 
-def fitted(features: np.ndarray, is_true: np.ndarray) -> PlaceConfidence:
+def fitted(features: np.ndarray, is_true: np.ndarray) -> PositionConfidence:
     return fit_weights(features, is_true, FitConfig(hidden=4))
 
 
 @pytest.fixture(scope="module")
-def model() -> PlaceConfidence:
+def model() -> PositionConfidence:
     features = np.random.default_rng(0).standard_normal((200, len(FEATURES)))
     return fitted(features, features[:, 1] > 0.0)
 
@@ -58,7 +58,7 @@ def peaks_of(returns: list[list[float]], images: list[list[float]], std_rad: flo
     ids=["nothing", "no images", "no returns", "one place", "one return", "at the radar", "far off", "all on one spot"],
 )
 def test_scans_without_much_in_them_pass(
-    model: PlaceConfidence, association: str, returns: list[list[float]], images: list[list[float]]
+    model: PositionConfidence, association: str, returns: list[list[float]], images: list[list[float]]
 ) -> None:
     """Every place has a probability, whatever is missing around it."""
     peaks, plain = peaks_of(returns, images), GeometryParams()
@@ -86,25 +86,25 @@ def test_features_of_absurd_scans_stay_finite_and_bounded() -> None:
     )  # fmt: skip
     returns = DirectReturns(np.array(FACADE), np.full(13, 1e6), np.zeros(13, np.int64), np.zeros(13, np.int64))
     for places in (one, replace(one, image_covariance_m2=np.zeros((count, 2, 2)))):
-        features = place_features(places, [wall, bent], returns, RecoveryParams())
+        features = position_features(places, [wall, bent], returns, RecoveryParams())
         assert (np.abs(features) <= 70.0).all()
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e300, 2.0 * LARGEST])
-def test_numbers_beyond_reason_are_refused_not_answered(model: PlaceConfidence, value: float) -> None:
+def test_numbers_beyond_reason_are_refused_not_answered(model: PositionConfidence, value: float) -> None:
     features = np.zeros((3, len(FEATURES)))
     features[1, 2] = value
     with pytest.raises(ValueError, match=f"features must be within 1000, {FEATURES[2]} is"):
         model.probability(features)
 
 
-def test_features_of_another_shape_are_refused(model: PlaceConfidence) -> None:
+def test_features_of_another_shape_are_refused(model: PositionConfidence) -> None:
     with pytest.raises(ValueError, match=r"features must have shape \[N, 28\], got \(2, 3\)"):
         model.probability(np.zeros((2, 3)))
     assert model.probability(np.zeros((0, len(FEATURES)))).shape == (0,)
 
 
-def test_beyond_what_was_fitted_the_answer_stays_that_of_the_edge(model: PlaceConfidence) -> None:
+def test_beyond_what_was_fitted_the_answer_stays_that_of_the_edge(model: PositionConfidence) -> None:
     edge = np.array(model.means) + CLIP * np.array(model.scales)
     near, far = model.probability(np.stack([edge, edge + 100.0]))
     assert near == pytest.approx(far, rel=1e-9)

@@ -33,7 +33,7 @@ from models.perception.detection.encoding import Encoding, encode_columns
 from models.perception.detection.onnx_model import DensePredictor, ModelCard
 from models.perception.detection.peaks import PeakParams, peaks_at
 from models.perception.geometry.clustering import dbscan
-from models.perception.geometry.confidence import FEATURES, PlaceConfidence
+from models.perception.geometry.confidence import FEATURES, PositionConfidence
 from models.perception.geometry.lines import fit_line
 from models.perception.geometry.stage import GeometryParams, recover_bev
 from models.perception.geometry.walls import WallParams, find_walls
@@ -673,7 +673,7 @@ def test_interval_of_one_frame(errors: Errors) -> None:
 def test_probability_of_a_sure_place(errors: Errors) -> None:
     """A legal model whose weights of 1e3 say z = 16e3: both exponentials are infinite."""
     hidden, count = 16, len(FEATURES)
-    sure = PlaceConfidence(
+    sure = PositionConfidence(
         features=FEATURES, means=(0.0,) * count, scales=(1.0,) * count, hidden_weights=((1e3,) * count,) * hidden,
         hidden_biases=(0.0,) * hidden, weights=(1e3,) * hidden, bias=0.0, threshold=0.5,
     )  # fmt: skip

@@ -11,7 +11,7 @@ from models.perception.detection.cfar_nlos import CfarNlosParams, privileged_pea
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from sim_player.dataset.labelled_scan import profile_noise
-from sim_player.generate.domain_shift import ShiftParams, draw_faults, faulty_profiles, shifted_scene
+from sim_player.generate.domain_shift import ShiftParams, domain_shifted_scene, draw_faults, faulty_profiles
 from sim_player.scene.description import Scene, SceneObject
 
 SETUP = RadarSetup()
@@ -81,7 +81,7 @@ def test_a_scene_without_walls_takes_clutter() -> None:
     """A lone car: clutter is placed around it, not in it, and all in front of the radar."""
     scene = Scene(name="lone", objects=(SceneObject(class_="car", x_m=12.0, y_m=0.0),))
     for seed in range(10):
-        shifted = shifted_scene(scene, np.random.default_rng(seed))
+        shifted = domain_shifted_scene(scene, np.random.default_rng(seed))
         ends = np.array([surface.polyline_m for surface in shifted.surfaces])
         assert 4 <= len(ends) <= 11
         assert not scene.objects[0].contains(ends.reshape(-1, 2)).any()

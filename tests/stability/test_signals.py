@@ -517,7 +517,7 @@ def _echoes(length_m: np.ndarray, amplitude: float) -> Paths:
         order=index.astype(np.uint8),
         needs=index.astype(np.uint32),
         surface=index,
-        thing=index,
+        object_index=index,
         point_m=np.zeros((count, 3)),
         virtual_m=np.zeros((count, 3)),
     )

@@ -92,7 +92,7 @@ def test_every_case_can_be_planned_and_simulated(name: str) -> None:
 def test_a_wall_seen_twice_is_no_mirror_of_itself() -> None:
     """Two equal walls: each shows the car once; none shows it by way of the other, which lies in its own plane."""
     paths = all_paths(CASES["the same wall twice"])
-    assert not ((paths.order == 2) & (paths.thing >= 0)).any()
+    assert not ((paths.order == 2) & (paths.object_index >= 0)).any()
 
 
 def test_next_to_no_bend_is_no_bend() -> None:
@@ -106,6 +106,6 @@ def test_next_to_no_bend_is_no_bend() -> None:
 def test_a_mirror_too_rough_gives_nothing_rather_than_a_warning() -> None:
     """77 GHz, 50 mm: exponent of the Kirchhoff factor -2.6e4, which underflows to 0: mirrored echoes weigh nothing."""
     paths = all_paths(CASES["rough beyond any mirror"])
-    mirrored = (paths.order == 1) & (paths.thing >= 0)
+    mirrored = (paths.order == 1) & (paths.object_index >= 0)
     assert mirrored.any()
     assert (paths.amplitude[mirrored & (paths.departure_azimuth_rad == paths.azimuth_rad)] == 0.0).any()

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.tracking.odometry import Odometry, OdometryParams, standing
+from models.perception.tracking.odometry import Odometry, OdometryParams, stationary_pose
 from models.perception.tracking.tracker import MEASURED, Estimate, Tracker, motion_noise
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
@@ -129,7 +129,7 @@ def last_track(stamps_ns: list[int]) -> tuple[Track, ...]:
     """Tracks after scans at given stamps, an object at 4 m/s in each, by the number of the scan."""
     tracker, told = Tracker(), ()
     for scan, stamp_ns in enumerate(stamps_ns):
-        told = tracker.step(frame(stamp_ns, 8.0, 1.2 * scan), standing())
+        told = tracker.step(frame(stamp_ns, 8.0, 1.2 * scan), stationary_pose())
     return told
 
 
@@ -154,9 +154,9 @@ def test_a_scan_that_comes_twice_or_late_changes_nothing() -> None:
     in_order = [EPOCH_NS + scan * 300_000_000 for scan in range(9)]
     tracker, told = Tracker(), ()
     for scan, stamp_ns in enumerate(in_order):
-        told = tracker.step(frame(stamp_ns, 8.0, 1.2 * scan), standing())
-        assert tracker.step(frame(stamp_ns, 99.0, 0.0), standing()) == told
-        assert tracker.step(frame(stamp_ns - 300_000_000, 99.0, 0.0), standing()) == told
+        told = tracker.step(frame(stamp_ns, 8.0, 1.2 * scan), stationary_pose())
+        assert tracker.step(frame(stamp_ns, 99.0, 0.0), stationary_pose()) == told
+        assert tracker.step(frame(stamp_ns - 300_000_000, 99.0, 0.0), stationary_pose()) == told
     assert told == last_track(in_order)
 
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.tracking.odometry import Placed
+from models.perception.tracking.odometry import OdometryPose
 from models.perception.tracking.wall_map import WallMap
 from msgs.values.frames import Pose2
 from msgs.values.perception import Wall
@@ -34,7 +34,7 @@ def gathered(seen: list[Wall], poses: list[Pose2]) -> Wall:
     walls = WallMap()
     last: list[Wall] = []
     for scan, (one, pose) in enumerate(zip(seen, poses, strict=True)):
-        place = Placed(0, pose, 0.0, 0.0)
+        place = OdometryPose(0, pose, 0.0, 0.0)
         last, _ = walls.step(scan * 300_000_000, place, Pose2(), *NOTHING, [one], np.zeros(0, np.int64))
     return last[0]
 

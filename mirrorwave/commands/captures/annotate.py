@@ -69,7 +69,7 @@ def annotate(
         print_json({"folder": str(out / manifest.name), **done.report})
     else:
         columns = ("file", "points", "start", "fitness", "rmse_m", "hold", "conflict")
-        print_table(columns, [[one.get(name) for name in columns] for one in done.report["clouds"]])
+        print_table(columns, [[cloud.get(name) for name in columns] for cloud in done.report["clouds"]])
         counts = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in done.report["points"].items())
         print_line(f"{out / manifest.name / frame}: {counted(len(done.labels.walls_m), 'wall')}; points: {counts}")
     return ExitCode.DONE_WITH_LOSS if done.refused else ExitCode.DONE

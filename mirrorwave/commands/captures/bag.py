@@ -162,16 +162,16 @@ def info(
     """What a recording holds, its checksums verified; exit code 3 if something is missing or damaged."""
     from msgs.recording import mcap as recording
 
-    found = recording.info(file)
+    contents = recording.info(file)
     if config:
-        if "launch" not in found.metadata:
+        if "launch" not in contents.metadata:
             raise ValueError(f"{file}: holds no launch file: recorded without a graph of `mirrorwave launch`")
-        print_line(found.metadata["launch"].rstrip())
+        print_line(contents.metadata["launch"].rstrip())
     elif as_json:
-        print_json(found)
+        print_json(contents)
     else:
-        print_info(found)
-    if found.loss or (found.losses and (found.losses.total or found.losses.ended)):
+        print_info(contents)
+    if contents.loss or (contents.losses and (contents.losses.total or contents.losses.ended)):
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
 
@@ -221,22 +221,29 @@ def convert(
     damaged.
     """
     require_new_file(out)
-    found = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
+    conversion = bag_convert.convert(file, out, bag_convert.format_of(out, to), progress_bar)
     if as_json:
-        print_json(found)
+        print_json(conversion)
     else:
-        _print_conversion(found)
-    if found.loss:
+        _print_conversion(conversion)
+    if conversion.loss:
         raise typer.Exit(ExitCode.DONE_WITH_LOSS)
 
 
-def _print_conversion(found: Conversion) -> None:
-    print_line(f"{found.out}: {found.format.value}, {counted(sum(found.converted.values()), 'message')} converted")
-    parts = (("converted", found.converted), ("not converted", found.not_converted), ("left out", found.left_out))
-    rows = [(what, became, count) for became, counts in parts for what, count in counts.items()]
+def _print_conversion(conversion: Conversion) -> None:
+    print_line(
+        f"{conversion.out}: {conversion.format.value}, "
+        f"{counted(sum(conversion.converted.values()), 'message')} converted"
+    )
+    parts = (
+        ("converted", conversion.converted),
+        ("not converted", conversion.not_converted),
+        ("left out", conversion.left_out),
+    )
+    rows = [(item, became, count) for became, counts in parts for item, count in counts.items()]
     print_table(("TOPIC", "WHAT BECAME OF IT", "MESSAGES"), rows)
-    if found.loss:
-        print_line(f"loss: {found.loss}")
+    if conversion.loss:
+        print_line(f"loss: {conversion.loss}")
 
 
 def _report_copy(out: Path, count: int, loss: str | None) -> None:

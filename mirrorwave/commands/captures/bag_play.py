@@ -66,11 +66,11 @@ def play(
         bus = ZmqBus(_PLAYER, meeting, paced=not realtime, counted=True)
         closing.callback(bus.close)
         await_nodes(bus, meeting, lambda: stop.requested)
-        chosen = _playable(reader, renamed, split_topics(topics), list_publishers(meeting), domain, clock)
-        first_ns = first_sensed_ns(reader, chosen, renamed)
+        topics_to_play = _playable(reader, renamed, split_topics(topics), list_publishers(meeting), domain, clock)
+        first_ns = first_sensed_ns(reader, topics_to_play, renamed)
         start_ns, end_ns = span_ns(first_ns, start, end, duration)
         params = ReplayParams(
-            topics=chosen, renamed=renamed, rate=rate, keeps_time=realtime, loop=loop, first_ns=first_ns,
+            topics=topics_to_play, renamed=renamed, rate=rate, keeps_time=realtime, loop=loop, first_ns=first_ns,
             start_ns=start_ns, end_ns=end_ns, on_clock=clock, paused=start_paused,
         )  # fmt: skip
         summary = _played(reader, bus, params, keyboard, meeting, stop)
@@ -114,23 +114,25 @@ def _playable(
     """
     from nodes.player import SENSED_TOPICS
 
-    known = [topic for topic in reader.types if renamed.get(topic, topic) in TOPICS]
+    playable = [topic for topic in reader.types if renamed.get(topic, topic) in TOPICS]
     for topic in wanted or ():
-        if topic not in known:
-            raise ValueError(f"{reader.path}: holds no topic {topic!r} to play; it holds {', '.join(known) or 'none'}")
+        if topic not in playable:
+            raise ValueError(
+                f"{reader.path}: holds no topic {topic!r} to play; it holds {', '.join(playable) or 'none'}"
+            )
     living = {topic for topic, _ in publishers}
     made = living - set(SENSED_TOPICS)
-    names = {topic: renamed.get(topic, topic) for topic in known}
+    names = {topic: renamed.get(topic, topic) for topic in playable}
     if wanted:
-        names = {topic: names[topic] for topic in known if topic in wanted}
+        names = {topic: names[topic] for topic in playable if topic in wanted}
     else:
         names = {topic: name for topic, name in names.items() if name not in _SELF_TALK and name not in made}
         names = {topic: name for topic, name in names.items() if name in SENSED_TOPICS or not sensed_only}
     _require_free(names, publishers, domain)
     if not names:
         raise ValueError(f"{reader.path}: holds nothing to play")
-    if sensed_only and (others := [name for name in names.values() if name not in SENSED_TOPICS]):
-        raise ValueError(f"--clock moves the stamps of {', '.join(SENSED_TOPICS)} alone, got {', '.join(others)}")
+    if sensed_only and (derived := [name for name in names.values() if name not in SENSED_TOPICS]):
+        raise ValueError(f"--clock moves the stamps of {', '.join(SENSED_TOPICS)} alone, got {', '.join(derived)}")
     return tuple(names)
 
 
@@ -163,20 +165,21 @@ def _played(
         return Replay(reader, bus, graph, params, stop, keyboard, show).run()
 
 
-def _print_summary(found: Summary) -> None:
-    rate = "" if found.achieved_rate is None else f", rate {found.achieved_rate:.2f}"
+def _print_summary(summary: Summary) -> None:
+    rate = "" if summary.achieved_rate is None else f", rate {summary.achieved_rate:.2f}"
     print_line(
-        f"{found.path}: {counted(sum(found.messages.values()), 'message')} played in {found.elapsed_s:.2f} s{rate}"
+        f"{summary.path}: {counted(sum(summary.messages.values()), 'message')} played "
+        f"in {summary.elapsed_s:.2f} s{rate}"
     )
-    if found.answered_on and found.unanswered is not None:
-        answered = found.scans - found.unanswered
-        print_line(f"{answered} of {counted(found.scans, 'scan')} answered on {found.answered_on}")
-    elif not found.nodes:
+    if summary.answered_on and summary.unanswered is not None:
+        answered = summary.scans - summary.unanswered
+        print_line(f"{answered} of {counted(summary.scans, 'scan')} answered on {summary.answered_on}")
+    elif not summary.nodes:
         print_line("no node was there to take them")
-    for loss in found.lost:
+    for loss in summary.lost:
         print_line(f"lost: {loss.node}: {loss.count} x {loss.what} {loss.reason}")
-    if found.loss:
-        print_line(f"{found.path}: {found.loss}")
+    if summary.loss:
+        print_line(f"{summary.path}: {summary.loss}")
 
 
 @contextmanager

@@ -140,16 +140,16 @@ def extrinsic(
     _require_new(out, plot)
     params = DriveParams(prior=_pose(prior), clock_offset_s=clock_offset_s)
     solved = _solved(recording, params, plot, "Walls in the odometry frame")
-    one = solved.mounting
-    if not one.yaw_rad.observed:
+    mounting = solved.mounting
+    if not mounting.yaw_rad.observed:
         raise ValueError(
             f"{recording}: this drive does not tell the radar's yaw (standard deviation "
-            f"{math.degrees(one.yaw_rad.std):.2f} deg): see more walls for longer"
+            f"{math.degrees(mounting.yaw_rad.std):.2f} deg): see more walls for longer"
         )
-    pose = one.vehicle_from_radar
+    pose = mounting.vehicle_from_radar
     params_file = {"ra_former": {"vehicle_from_radar": {"x_m": pose.x_m, "y_m": pose.y_m, "yaw_rad": pose.yaw_rad}}}
-    write_params(out, params_file, one)
-    _say_mounting(one, out, solved.loss, as_json)
+    write_params(out, params_file, mounting)
+    _say_mounting(mounting, out, solved.loss, as_json)
 
 
 @app.command()
@@ -170,15 +170,15 @@ def clock(
     _require_new(out, plot)
     params = DriveParams(prior=_pose(pose), known_pose=pose is not None)
     solved = _solved(recording, params, plot, "Walls in the odometry frame")
-    one = solved.mounting
-    if not one.clock_offset_s.observed:
+    mounting = solved.mounting
+    if not mounting.clock_offset_s.observed:
         raise ValueError(
             f"{recording}: this drive does not tell the clock's offset (standard deviation "
-            f"{1e3 * one.clock_offset_s.std:.0f} ms): speed changed by {one.drive.speed_span_mps:.1f} m/s, yaw rate by "
-            f"{one.drive.yaw_rate_span_dps:.1f} deg/s; drive with changing speed and yaw rate"
+            f"{1e3 * mounting.clock_offset_s.std:.0f} ms): speed changed by {mounting.drive.speed_span_mps:.1f} m/s, "
+            f"yaw rate by {mounting.drive.yaw_rate_span_dps:.1f} deg/s; drive with changing speed and yaw rate"
         )
-    write_params(out, {"vehicle_can": {"clock_offset_s": one.clock_offset_s.value}}, one)
-    _say_mounting(one, out, solved.loss, as_json)
+    write_params(out, {"vehicle_can": {"clock_offset_s": mounting.clock_offset_s.value}}, mounting)
+    _say_mounting(mounting, out, solved.loss, as_json)
 
 
 def _solved(recording: Path, params: Any, plot: Path | None, title: str) -> Solved:
@@ -200,26 +200,27 @@ def _pose(values: tuple[float, float, float] | None) -> Any:
     return Pose2() if values is None else Pose2(values[0], values[1], math.radians(values[2]))
 
 
-def _say_mounting(one: Mounting, out: Path, loss: str | None, as_json: bool) -> None:
+def _say_mounting(mounting: Mounting, out: Path, loss: str | None, as_json: bool) -> None:
     from mirrorwave.calibrate.mounting_file import mounting_lines
 
     if as_json:
-        print_json({"out": str(out), "mounting": one, "loss": loss})
+        print_json({"out": str(out), "mounting": mounting, "loss": loss})
     else:
         print_table(
             ("wall", "sightings", "points", "rms_m"),
-            [(index, wall.sightings, wall.points, wall.rms_m) for index, wall in enumerate(one.walls)],
+            [(index, wall.sightings, wall.points, wall.rms_m) for index, wall in enumerate(mounting.walls)],
         )
         print_line(
-            f"drive: {one.drive.way_m:.1f} m, turned {one.drive.turned_deg:.0f} deg, "
-            f"speed over {one.drive.speed_span_mps:.1f} m/s, yaw rate over {one.drive.yaw_rate_span_dps:.1f} deg/s"
+            f"drive: {mounting.drive.way_m:.1f} m, turned {mounting.drive.turned_deg:.0f} deg, "
+            f"speed over {mounting.drive.speed_span_mps:.1f} m/s, "
+            f"yaw rate over {mounting.drive.yaw_rate_span_dps:.1f} deg/s"
         )
         print_line(
-            f"odometry: yaw rate bias {math.degrees(one.yaw_rate_bias_rps):.3f} deg/s, "
-            f"speed times {one.speed_scale:.4f}"
+            f"odometry: yaw rate bias {math.degrees(mounting.yaw_rate_bias_rps):.3f} deg/s, "
+            f"speed times {mounting.speed_scale:.4f}"
         )
-        print_line(f"rms off the walls: {one.rms_before_m:.3f} m as given, {one.rms_m:.3f} m as found")
-        for line in mounting_lines(one):
+        print_line(f"rms off the walls: {mounting.rms_before_m:.3f} m as given, {mounting.rms_m:.3f} m as found")
+        for line in mounting_lines(mounting):
             print_line(line)
         print_line(f"wrote {out}")
     _end(loss, as_json)

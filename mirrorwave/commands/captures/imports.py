@@ -54,8 +54,8 @@ def xradarnlos(
 
     from models.training.data.xradarnlos import SimKeys, import_folder
 
-    named = [name.strip() for name in keys.split(",")]
-    if len(named) != 3 or not all(named) or len(set(named)) != 3:
+    wanted_keys = [name.strip() for name in keys.split(",")]
+    if len(wanted_keys) != 3 or not all(wanted_keys) or len(set(wanted_keys)) != 3:
         raise ValueError(f"--keys must be three different names with commas between them, got {keys!r}")
     if not folder.is_dir():
         raise NotADirectoryError(20, "must be a folder", str(folder))
@@ -65,7 +65,7 @@ def xradarnlos(
             folder,
             out,
             kind.value,
-            SimKeys(direct=named[0], image=named[1], true_place=named[2]),
+            SimKeys(direct=wanted_keys[0], image=wanted_keys[1], true_place=wanted_keys[2]),
             skip_broken,
             lambda done, total: progress.update(task, completed=done, total=total),
         )
@@ -102,11 +102,11 @@ def dca1000(
 
     params = ImportParams(remove_static=remove_static, mirrored=mirrored, min_range_m=min_range_m, returns=returns)
     chirps = read_config(config, device.value if device else None)
-    found = frames_of(capture.stat().st_size, chirps, str(capture))
-    with progress_bar("frames", found.whole) as advance:
-        summary = import_capture(capture, config, chirps, out, params, found, advance)
-    if found.loss:
-        typer.echo(f"mirrorwave: {capture}: {found.loss}", err=True)
+    layout = frames_of(capture.stat().st_size, chirps, str(capture))
+    with progress_bar("frames", layout.whole) as advance:
+        summary = import_capture(capture, config, chirps, out, params, layout, advance)
+    if layout.loss:
+        typer.echo(f"mirrorwave: {capture}: {layout.loss}", err=True)
     if as_json:
         print_json({"folder": str(out), **summary})
     else:
@@ -114,13 +114,13 @@ def dca1000(
         print_table(
             ("frame", *names),
             [
-                [each["frame"], *(one[name] for name in names)]
+                [each["frame"], *(echo[name] for name in names)]
                 for each in summary["per_frame"]
-                for one in each["returns"]
+                for echo in each["returns"]
             ],
         )
-        print_line(f"{out}: {counted(found.whole, 'map')}, ra_map.png and summary.json")
-    return ExitCode.DONE_WITH_LOSS if found.loss else ExitCode.DONE
+        print_line(f"{out}: {counted(layout.whole, 'map')}, ra_map.png and summary.json")
+    return ExitCode.DONE_WITH_LOSS if layout.loss else ExitCode.DONE
 
 
 @app.command()
@@ -149,16 +149,16 @@ def can(
         channel=channel,
         start_ns=start_ns,
     )
-    found = import_can(source, out)
-    if found["loss"]:
-        typer.echo(f"mirrorwave: the log breaks off: {found['loss']}", err=True)
+    counts = import_can(source, out)
+    if counts["loss"]:
+        typer.echo(f"mirrorwave: the log breaks off: {counts['loss']}", err=True)
     if as_json:
-        print_json({"recording": str(out), **found})
+        print_json({"recording": str(out), **counts})
     else:
-        verdicts = ", ".join(f"{count} {verdict}" for verdict, count in found["frames_by_verdict"].items())
-        print_line(f"{out}: {counted(found['states'], 'state')}, {found['valid_states']} valid")
-        print_line(f"{counted(found['frames'], 'frame')}: {verdicts}")
-    return ExitCode.DONE_WITH_LOSS if found["loss"] else ExitCode.DONE
+        verdicts = ", ".join(f"{count} {verdict}" for verdict, count in counts["frames_by_verdict"].items())
+        print_line(f"{out}: {counted(counts['states'], 'state')}, {counts['valid_states']} valid")
+        print_line(f"{counted(counts['frames'], 'frame')}: {verdicts}")
+    return ExitCode.DONE_WITH_LOSS if counts["loss"] else ExitCode.DONE
 
 
 @app.command()
@@ -173,9 +173,9 @@ def sigmf(
 
     require_new_file(out)
     with progress_bar("beams", len(SigmfCapture.open(capture, verify=False))) as advance:
-        found = import_sigmf(capture, out, advance)
+        counts = import_sigmf(capture, out, advance)
     if as_json:
-        print_json({"recording": str(out), **found})
+        print_json({"recording": str(out), **counts})
     else:
-        print_line(f"{out}: {counted(found['beams'], 'beam')}, {counted(found['truth'], 'truth')}")
+        print_line(f"{out}: {counted(counts['beams'], 'beam')}, {counted(counts['truth'], 'truth')}")
     return ExitCode.DONE

@@ -91,9 +91,9 @@ def _profile_within(budget_ms: float, measure: bool) -> str:
 
     require_budget(budget_ms)
     timed = timed_profiles(measure)
-    chosen = pick(budget_ms, timed)
-    print_line(reason(budget_ms, chosen, timed))
-    return chosen.profile
+    picked = pick(budget_ms, timed)
+    print_line(reason(budget_ms, picked, timed))
+    return picked.profile
 
 
 def run_graph(
@@ -154,9 +154,9 @@ class LogPrinter:
     until all has been shown.
     """
 
-    def __init__(self, show: Callable[[dict[str, Any]], None], most: int = 1000) -> None:
+    def __init__(self, show: Callable[[dict[str, Any]], None], max_lines: int = 1000) -> None:
         self._show = show
-        self._entries: queue.Queue[dict[str, Any] | None] = queue.Queue(most)
+        self._entries: queue.Queue[dict[str, Any] | None] = queue.Queue(max_lines)
         self._left_out = 0
         self._thread = threading.Thread(target=self._run, name="log", daemon=True)
         self._thread.start()

@@ -73,12 +73,12 @@ def node_row(beats: list[NodeStatus]) -> dict[str, Any]:
 
 
 def topic_rows(beats: list[NodeStatus]) -> list[dict[str, Any]]:
-    """Each topic that a node receives (`way` in) or publishes (out): totals, and rates between its heartbeats."""
+    """Each topic that a node receives (`direction` in) or publishes (out): totals, and rates between its heartbeats."""
     last = beats[-1]
     first = next(status for status in beats if status.pid == last.pid)
     elapsed_s = last.uptime_s - first.uptime_s
     rows = []
-    for way, before, counts in (("in", first.received, last.received), ("out", first.published, last.published)):
+    for direction, before, counts in (("in", first.received, last.received), ("out", first.published, last.published)):
         earlier = {count.topic: count for count in before}
         for count in counts:
             start = earlier.get(count.topic, TopicCount(topic=count.topic, messages=0, bytes=0))
@@ -86,7 +86,7 @@ def topic_rows(beats: list[NodeStatus]) -> list[dict[str, Any]]:
                 (now - then) / elapsed_s if elapsed_s > 0.0 else None
                 for now, then in ((count.messages, start.messages), (count.bytes, start.bytes))
             )
-            rows.append({"way": way, **msgspec.to_builtins(count), "hz": hz, "bytes_per_s": bytes_per_s})
+            rows.append({"way": direction, **msgspec.to_builtins(count), "hz": hz, "bytes_per_s": bytes_per_s})
     return rows
 
 
@@ -140,15 +140,15 @@ def info(
     row = {**node_row(beats), **(_NO_PROCESS if is_of_peer(name) else node_process(beats[-1].pid))}
     topics = topic_rows(beats)
     if as_json:
-        ways = {key: [each for each in topics if each["way"] == way] for key, way in _WAYS.items()}
-        print_json({**row, **ways, "stages": list(status.stages)})
+        rows = {key: [each for each in topics if each["way"] == direction] for key, direction in _DIRECTIONS.items()}
+        print_json({**row, **rows, "stages": list(status.stages)})
         return
     for key, value in {**row, "shed": shed_text(row["shed"]), "params": json.dumps(row["params"])}.items():
         print_line(f"{key}: {value}")
     _print_details(topics, status)
 
 
-_WAYS = {"received": "in", "published": "out"}
+_DIRECTIONS = {"received": "in", "published": "out"}
 
 
 def _print_details(topics: list[dict[str, Any]], status: NodeStatus) -> None:

@@ -91,14 +91,16 @@ class GraphWatch:
 
 def _row(heard: list[_Heard], now_ns: int) -> dict[str, Any]:
     first, last = heard[0].status, heard[-1].status
-    row = node_row([one.status for one in heard])
+    row = node_row([heartbeat.status for heartbeat in heard])
     age_ns = now_ns - heard[-1].at_ns
     if age_ns > SILENT_NS and last.state is not NodeState.STOPPING:
         row |= {"state": "silent", "reason": f"no heartbeat for {1e-9 * age_ns:.0f} s"}
     before = {(count.what, count.reason): count.count for count in first.shed}
     for count in row["shed"]:
         count["window"] = count["count"] - before.get((count["what"], count["reason"]), 0)
-    row["stages"] = msgspec.to_builtins(stage_figures([stage for one in heard for stage in one.status.stages]))
+    row["stages"] = msgspec.to_builtins(
+        stage_figures([stage for heartbeat in heard for stage in heartbeat.status.stages])
+    )
     return row
 
 

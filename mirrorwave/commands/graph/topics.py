@@ -72,14 +72,14 @@ def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAI
     if as_json:
         print_json(found)
         return
-    ends = [(way, row) for way in ("publishers", "readers") for row in found.pop(way)]
+    ends = [(side, row) for side in ("publishers", "readers") for row in found.pop(side)]
     fields = found.pop("fields")
     for name, value in found.items():
         print_line(f"{name}: {value}")
     print_table(("FIELD", "TYPE"), fields.items())
     columns = ("node", "hz", "messages", "bytes", "lost", "rejected", "outdated")
     print_table(
-        ("", *(name.upper() for name in columns)), [(way, *(row[name] for name in columns)) for way, row in ends]
+        ("", *(name.upper() for name in columns)), [(side, *(row[name] for name in columns)) for side, row in ends]
     )
     _say_where_no_graph(domain)
 
@@ -118,20 +118,20 @@ def echo(
     wanted = 1 if once else count
     bus = listen(domain, [topic])
     deadline_s = None if timeout is None else time.monotonic() + timeout
-    seen = 0
+    shown = 0
     try:
         with ends_with_reader():
             for received in awaited(bus, domain, topic, deadline_s):
-                seen += show.message(received)
-                if seen == wanted:
+                shown += show.message(received)
+                if shown == wanted:
                     return
     finally:
         bus.close()
-    if timeout is not None and not (seen or show.refused):
+    if timeout is not None and not (shown or show.refused):
         raise silence(domain, [topic], timeout)
-    if timeout is not None and (seen == 0 or wanted is not None):
+    if timeout is not None and (shown == 0 or wanted is not None):
         refused = f", {show.refused} did not pass --where" if show.refused else ""
-        raise TimeoutError(f"{topic}: {counted(seen, 'message')} in {timeout:g} s{refused}")
+        raise TimeoutError(f"{topic}: {counted(shown, 'message')} in {timeout:g} s{refused}")
 
 
 class _Show:
@@ -147,8 +147,8 @@ class _Show:
         full: bool,
         npy: Path | None,
     ) -> None:
-        known = TOPICS.get(topic)
-        names = {each.name for each in msgspec.structs.fields(known.type)} if known else set()
+        topic_facts = TOPICS.get(topic)
+        names = {each.name for each in msgspec.structs.fields(topic_facts.type)} if topic_facts else set()
         for path in (*(each.field for each in conditions), *([] if field is None else [field])):
             # of a foreign type nothing is known before its first message
             if names and path.partition(".")[0] not in names:

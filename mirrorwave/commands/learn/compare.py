@@ -93,19 +93,19 @@ def _one_scene(scene: Path, sensors: list[str] | None, equal: str, seed: int, ou
     from mirrorwave.studies.compare.sensors import equal_of
     from sim_player.scene.description import load_scene
 
-    loaded, what = load_scene(scene), equal_of(equal)
-    chosen = sensors_of(loaded, sensors or ())
-    with progress_bar("sensors", len(chosen)) as tick:
-        views = scene_through(loaded, chosen, what, seed, tick)
+    loaded, equal_measure = load_scene(scene), equal_of(equal)
+    compared = sensors_of(loaded, sensors or ())
+    with progress_bar("sensors", len(compared)) as tick:
+        views = scene_through(loaded, compared, equal_measure, seed, tick)
     out.mkdir(parents=True, exist_ok=True)
     # a name may hold what a file's must not
     picture = out / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', loaded.name)}.png"
-    draw_scene_through(loaded, views, what, picture)
-    found = [view.summary() for view in views]
+    draw_scene_through(loaded, views, equal_measure, picture)
+    summaries = [view.summary() for view in views]
     if as_json:
-        print_json(found)
+        print_json(summaries)
         return
-    print_table(list(found[0]), [list(one.values()) for one in found])
+    print_table(list(summaries[0]), [list(summary.values()) for summary in summaries])
     print_line(str(picture))
 
 
@@ -127,6 +127,6 @@ def _show(report: Report, out: Path) -> None:
     from mirrorwave.studies.compare.report import COLUMNS, cells
 
     print_table(("sweep", "value", *COLUMNS), [[row.sweep, *cells(row)] for row in report.rows])
-    for one in report.findings:
-        print_line(one)
+    for finding in report.findings:
+        print_line(finding)
     print_line(f"{out}: compare.json, compare.md, compare.png")

@@ -143,11 +143,11 @@ def evaluate(
 
     dataset, splits = DataSet(data), fixed_splits(data)
     methods = _methods(method or _default_methods(), threshold, threads, dataset.setup)
-    named = _reference(reference, methods)
+    reference_method = _reference(reference, methods)
     run, sweeps = _run(dataset, splits, methods, split, truth, sweep if out is not None else 0, limit)
     context = Context(
         data=str(data), split=split.value, test_sha256=splits.test_sha256, seed=seed, draws=draws, threads=threads,
-        reference=named,
+        reference=reference_method,
     )  # fmt: skip
     report = make_report(run, sweeps, context)
     if out is not None:
@@ -157,9 +157,9 @@ def evaluate(
     _show(report, out, as_json)
 
 
-def _refuse(word: str, others: dict[str, object]) -> None:
+def _refuse(word: str, options: dict[str, object]) -> None:
     """Raise `ValueError` where options were given that say nothing beside `word`."""
-    given = [name for name, value in others.items() if value is not None]
+    given = [name for name, value in options.items() if value is not None]
     if given:
         raise ValueError(f"{given[0]} must not be given with {word}")
 
@@ -212,8 +212,8 @@ def _run(
     sweeps: dict[str, list[SweepPoint]] = {}
     if sweep_count:
         with progress_bar("curves", len(methods)) as tick:
-            for one in run.runs:
-                sweeps[one.method.name] = sweep(one, run.truth, sweep_count)
+            for method_run in run.runs:
+                sweeps[method_run.method.name] = sweep(method_run, run.truth, sweep_count)
                 tick()
     return run, sweeps
 

@@ -50,7 +50,7 @@ def tradeoff(
     from mirrorwave.studies.tradeoff.runner import Plan, peak_memory_mib, run_plan
     from mirrorwave.studies.tradeoff.settings import DEFAULT_SETTINGS, read_settings
 
-    rows = _chosen(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
+    rows = _selected_rows(read_settings(settings or DEFAULT_SETTINGS, networks), row or [])
     count, often = FULL if full else QUICK
     plan = Plan(rows=rows, frames=frames or count, repeats=repeats or often, seed=seed)
     with progress_bar("places", plan.frames) as tick:
@@ -89,14 +89,14 @@ def _simulator(out: Path, full: bool, seed: int, as_json: bool) -> None:
     print_line(f"{out}: tradeoff-simulator.json, .md, .png")
 
 
-def _chosen(rows: list[Setting], names: list[str]) -> list[Setting]:
+def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
     """The base and the rows asked for; all where none is."""
     from mirrorwave.studies.tradeoff.settings import BASE
 
-    known = {name for row in rows for name in (row.name, row.switch)}
+    row_names = {name for row in rows for name in (row.name, row.switch)}
     for name in names:
-        if name not in known:
-            raise ValueError(f"--row must be one of {', '.join(sorted(known))}, got {name!r}")
+        if name not in row_names:
+            raise ValueError(f"--row must be one of {', '.join(sorted(row_names))}, got {name!r}")
     return [row for row in rows if not names or row.name == BASE or {row.name, row.switch} & set(names)]
 
 

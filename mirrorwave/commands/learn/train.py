@@ -60,13 +60,13 @@ def dense(
     from mirrorwave.plots.training_curves import draw_curves
     from models.training.data.samples import DataConfig, load_training_data
     from models.training.data.selection import parse_selection
-    from models.training.families import FAMILIES, chosen_network
+    from models.training.families import FAMILIES, preset_network
     from models.training.ranks import joined_ranks
     from models.training.schedules import SCHEDULES
     from models.training.train_dense import DenseTraining, TrainDenseConfig
 
     family, _, size = network.partition(":")
-    choice, encoding = chosen_network(family, size or "compact", inputs)
+    choice, encoding = preset_network(family, size or "compact", inputs)
     if schedule not in SCHEDULES:
         raise ValueError(f"--schedule must be one of {', '.join(SCHEDULES)}, got {schedule!r}")
     given = {"epochs": epochs, "batch_size": batch_size, "learning_rate": learning_rate}

@@ -118,15 +118,15 @@ def statistics(
 
     if out is not None and out.suffix != ".html":
         raise ValueError(f"--out must be an .html file, got {out}")
-    found = dataset_statistics(folder)
+    counted_statistics = dataset_statistics(folder)
     if out is not None:
         from mirrorwave.plots.dataset_page import write_page
 
-        write_page(folder, found, out)
+        write_page(folder, counted_statistics, out)
     if as_json:
-        print_json(found)
+        print_json(counted_statistics)
         return
-    _print_statistics(found)
+    _print_statistics(counted_statistics)
     if out is not None:
         print_line(f"{out} and {out.with_suffix('.png').name}: page and contact sheet")
 
@@ -140,13 +140,13 @@ def parse_effects(text: str | None) -> str | tuple[str, ...] | None:
 
 def parse_slurm(texts: list[str]) -> dict[str, Any]:
     """KEY=VALUE texts; a value that is a whole number becomes one."""
-    found: dict[str, Any] = {}
+    parameters: dict[str, Any] = {}
     for text in texts:
         key, separator, value = text.partition("=")
         if not (key.isidentifier() and separator and value):
             raise ValueError(f"--slurm must be KEY=VALUE, got {text!r}")
-        found[key] = int(value) if value.lstrip("-").isdigit() else value
-    return found
+        parameters[key] = int(value) if value.lstrip("-").isdigit() else value
+    return parameters
 
 
 class _Report:
@@ -223,12 +223,18 @@ def _duration(seconds: float) -> str:
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
 
 
-def _print_statistics(found: Statistics) -> None:
+def _print_statistics(statistics: Statistics) -> None:
     """The numbers that fit a terminal."""
-    points = ", ".join(f"{number} {name}" for name, number in found.points.items())
-    print_line(f"{found.scenes} scenes, points: {points}; nothing hidden in {100 * found.nothing_hidden_share:.1f} %")
-    for title, counts in (("places", found.places), ("walls", found.relays), ("points by way", found.orders)):
+    points = ", ".join(f"{number} {name}" for name, number in statistics.points.items())
+    print_line(
+        f"{statistics.scenes} scenes, points: {points}; nothing hidden in {100 * statistics.nothing_hidden_share:.1f} %"
+    )
+    for title, counts in (
+        ("places", statistics.places),
+        ("walls", statistics.relays),
+        ("points by way", statistics.orders),
+    ):
         print_line(f"{title}: " + ", ".join(f"{name} {number}" for name, number in counts.items()))
-    rows = [(name, one.direct, one.hidden, one.unseen) for name, one in found.objects.items()]
+    rows = [(name, one.direct, one.hidden, one.unseen) for name, one in statistics.objects.items()]
     print_table(("object", "direct", "mirrors alone", "no points"), rows)
-    print_table(("effect", "share of scenes"), [(name, round(share, 3)) for name, share in found.effects.items()])
+    print_table(("effect", "share of scenes"), [(name, round(share, 3)) for name, share in statistics.effects.items()])

@@ -47,13 +47,13 @@ def effects(
     if loaded.radar.preset == "spad":
         if (budget_db, choice) != (-20.0, "auto"):
             raise ValueError(f"{scene}: --effects and --budget-db must stay at their defaults, radar.preset is 'spad'")
-        _tell_light(plan_optics(world, loaded.lidar), as_json)
+        _print_light_plan(plan_optics(world, loaded.lidar), as_json)
         return
     if choice == "auto":
         plan = plan_world(world, loaded.setup, budget_db, thorough=True)
     else:
-        found = choose(world, loaded.setup, choice, budget_db)
-        plan = found or chosen(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
+        resolved = choose(world, loaded.setup, choice, budget_db)
+        plan = resolved or chosen(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
     if as_json:
         rows = msgspec.to_builtins(plan.effects)
         print_json({"budget_db": plan.budget_db, "effects": rows, "paths": len(plan.echoes), "traced": plan.traced})
@@ -65,14 +65,14 @@ def effects(
 _PLAIN_SIGNAL = frozenset({"motion", "element_pattern", "quantised_phases", "thermal_noise", "adc"})
 
 
-def _tell_light(plans: Sequence[OpticPlan], as_json: bool) -> None:
+def _print_light_plan(plans: Sequence[OpticPlan], as_json: bool) -> None:
     """What light comes to a LiDAR, and how its photons are counted."""
     import msgspec
 
     if as_json:
         print_json({"contributions": msgspec.to_builtins(plans)})
         return
-    rows = [(one.name, "used" if one.used else "skipped", f"{one.bound:.3g}", one.reason) for one in plans]
+    rows = [(plan.name, "used" if plan.used else "skipped", f"{plan.bound:.3g}", plan.reason) for plan in plans]
     print_table(("contribution", "", "detections", "why"), rows)
 
 
@@ -114,15 +114,15 @@ def paths(
     loaded = load_scene(scene)
     if loaded.radar.preset == "spad":
         raise ValueError(f"{scene}: radar.preset: must be a radar, xband or 77ghz, got {loaded.radar.preset!r}")
-    found, power_mw, ways = echo_paths(loaded, seed, choice, budget_db, strongest)
+    traced, power_mw, polylines = echo_paths(loaded, seed, choice, budget_db, strongest)
     if plot is not None:
         from mirrorwave.plots.scene import draw_paths
 
-        draw_paths(plot, loaded, found, ways, power_mw)
+        draw_paths(plot, loaded, traced, polylines, power_mw)
     if as_json:
-        print_json([path_row(found, index, ways[index]) for index in range(len(found))])
+        print_json([path_row(traced, index, polylines[index]) for index in range(len(traced))])
         return
-    rows = [path_line(found, index, float(power_mw[index])) for index in range(min(len(found), 40))]
+    rows = [path_line(traced, index, float(power_mw[index])) for index in range(min(len(traced), 40))]
     print_table(("kind", "order", "length m", "azimuth deg", "dBm", "object", "wall", "by way of"), rows)
-    more = f", the strongest {len(rows)} shown" if len(found) > len(rows) else ""
-    print_line(f"{loaded.name}: {counted(len(found), 'path')}{more}{'' if plot is None else f'; picture: {plot}'}")
+    more = f", the strongest {len(rows)} shown" if len(traced) > len(rows) else ""
+    print_line(f"{loaded.name}: {counted(len(traced), 'path')}{more}{'' if plot is None else f'; picture: {plot}'}")

@@ -75,15 +75,15 @@ def wall(
     title, layers = wall_of(material, thickness_mm, frequency_ghz)
     if not 0.0 <= angle_deg <= 60.0:
         raise ValueError(f"--angle-deg must lie in 0..60, got {angle_deg!r}")
-    found = answer(title, layers, 1e9 * frequency_ghz, angle_deg, polarisation.value, picture=plot is not None)
+    result = answer(title, layers, 1e9 * frequency_ghz, angle_deg, polarisation.value, picture=plot is not None)
     if plot is not None:
         from mirrorwave.plots.wall_transmission import draw_wall
 
-        draw_wall(found, plot)
+        draw_wall(result, plot)
     if as_json:
-        print_json(wall_document(found))
+        print_json(wall_document(result))
         return
-    _print_wall(found)
+    _print_wall(result)
     if plot is not None:
         print_line(f"{plot}")
 
@@ -92,19 +92,19 @@ def _print_table(table: ReflectanceTable, path: Path) -> None:
     card = table.card
     print_line(f"{path.name}: {card['date']}, {card['version']}, {card['machine']}, SHA-256 {card['sha256'][:12]}")
     rows = []
-    for one in table.compare():
-        worst_db, error_db, angle_deg = (None if math.isnan(value) else value for value in one.worst)
+    for comparison in table.compare():
+        worst_db, error_db, angle_deg = (None if math.isnan(value) else value for value in comparison.worst)
         rows.append(
             [
-                one.wall,
-                f"{one.frequency_hz / 1e9:g}",
-                one.polarisation,
-                f"{1e3 * one.roughness_m:g}",
+                comparison.wall,
+                f"{comparison.frequency_hz / 1e9:g}",
+                comparison.polarisation,
+                f"{1e3 * comparison.roughness_m:g}",
                 "-" if worst_db is None else f"{worst_db:+.2f}",
-                "-" if error_db is None or one.roughness_m == 0.0 else f"{error_db:.2f}",
+                "-" if error_db is None or comparison.roughness_m == 0.0 else f"{error_db:.2f}",
                 "-" if angle_deg is None else f"{angle_deg:g}",
-                f"{one.agreeing} of {len(one.angles_deg)}",
-                f"{one.absent}",
+                f"{comparison.agreeing} of {len(comparison.angles_deg)}",
+                f"{comparison.absent}",
             ]
         )
     print_table(("wall", "GHz", "pol", "rough mm", "worst dB", "error dB", "at deg", "within 0.5 dB", "absent"), rows)
@@ -117,8 +117,8 @@ def _print_table(table: ReflectanceTable, path: Path) -> None:
         print_line(f"{count} rough cells {reason}")
 
 
-def _print_wall(found: WallAnswer) -> None:
+def _print_wall(result: WallAnswer) -> None:
     from mirrorwave.studies.walls.transmission import levels_of
 
-    print_line(f"{found.title} at {found.frequency_hz / 1e9:g} GHz, {found.angle_deg:g} deg, {found.polarisation}")
-    print_table(("", "R dB", "T dB"), [(name, f"{r_db:.2f}", f"{t_db:.2f}") for name, r_db, t_db in levels_of(found)])
+    print_line(f"{result.title} at {result.frequency_hz / 1e9:g} GHz, {result.angle_deg:g} deg, {result.polarisation}")
+    print_table(("", "R dB", "T dB"), [(name, f"{r_db:.2f}", f"{t_db:.2f}") for name, r_db, t_db in levels_of(result)])

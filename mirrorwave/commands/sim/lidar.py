@@ -43,12 +43,12 @@ def lidar(
     if out.exists() and any(out.iterdir()):
         raise FileExistsError(17, "must be empty or new", str(out))
     world = load_scene(scene)
-    places = tuple(_viewpoint(text) for text in viewpoint) if viewpoint else choose_viewpoints(world)
+    viewpoints = tuple(_viewpoint(text) for text in viewpoint) if viewpoint else choose_viewpoints(world)
     params = LidarParams(channels=channels, azimuths=azimuths, range_noise_m=range_noise_m)
     guess = None if no_guess else FirstGuess(position_m=guess_m, heading_deg=guess_deg)
-    with progress_bar("viewpoints", len(places)) as advance:
-        write_views(world, places, params, guess, seed, out, advance)
-    print_line(f"{out}: {counted(len(places), 'cloud')} of {world.name}, scene.yaml and truth.json, seed {seed}")
+    with progress_bar("viewpoints", len(viewpoints)) as advance:
+        write_views(world, viewpoints, params, guess, seed, out, advance)
+    print_line(f"{out}: {counted(len(viewpoints), 'cloud')} of {world.name}, scene.yaml and truth.json, seed {seed}")
 
 
 def _viewpoint(text: str) -> Viewpoint:

@@ -54,8 +54,8 @@ def material(
         if answers[0].note:
             typer.echo(f"mirrorwave: {wall.material} at {bands[0]:g} GHz: {answers[0].note}", err=True)
     else:
-        for one in answers:
-            _print_answer(wall, one)
+        for result in answers:
+            _print_answer(wall, result)
         for band in sorted(set(wanted) - set(bands)):
             print_line(f"{band:g} GHz: not known for {wall.material}; --extrapolate shows it all the same")
     if plot is not None:
@@ -66,7 +66,7 @@ def material(
             print_line(f"{plot}")
 
 
-def _print_answer(wall: Wall, found: Answer) -> None:
+def _print_answer(wall: Wall, result: Answer) -> None:
     from mirrorwave.studies.walls.curves import field_db
     from models.physics.materials import typical_roughness_mm
 
@@ -74,17 +74,20 @@ def _print_answer(wall: Wall, found: Answer) -> None:
     roughness = f"roughness {1e3 * wall.roughness_m:g} mm"
     if usual is not None:
         roughness += f" (usual {usual[0]:g}..{usual[1]:g})"
-    parts = [f"{title_of(wall)} at {found.frequency_hz / 1e9:g} GHz", roughness, str(wall.method), found.note]
+    parts = [f"{title_of(wall)} at {result.frequency_hz / 1e9:g} GHz", roughness, str(wall.method), result.note]
     print_line(", ".join(part for part in parts if part))
-    columns = ["angle_deg"] + [f"{p}_{what}_db" for p in ("te", "tm") for what in ("r", "t", "gain")]
+    columns = ["angle_deg"] + [f"{p}_{quantity}_db" for p in ("te", "tm") for quantity in ("r", "t", "gain")]
     levels = [
         level
-        for curves in (found.te, found.tm)
+        for curves in (result.te, result.tm)
         for level in (field_db(curves.r), field_db(curves.t), field_db(curves.specular_gain**0.5))
     ]
     print_table(
         columns,
-        [[float(angle), *(_rounded(level[index]) for level in levels)] for index, angle in enumerate(found.angles_deg)],
+        [
+            [float(angle), *(_rounded(level[index]) for level in levels)]
+            for index, angle in enumerate(result.angles_deg)
+        ],
     )
 
 

@@ -96,13 +96,16 @@ def recovered_places(peaks: Peaks, scene: Scene) -> np.ndarray:
 def score(sight: Sight, scene: Scene, truth: ShownPoints) -> Score:
     """All figures of one scan."""
     places_m = recovered_places(found_peaks(sight), scene)
-    one, two = (_triple(recovered_counts(places_m, truth.place_m, gate_m)) for gate_m in GATES_M)
-    near = {thing: _near_box(places_m, scene.objects[thing]) for thing in sorted(set(truth.thing.tolist()))}
+    within_1m, within_2m = (_triple(recovered_counts(places_m, truth.position_m, gate_m)) for gate_m in GATES_M)
+    near = {
+        object_index: _near_box(places_m, scene.objects[object_index])
+        for object_index in sorted(set(truth.object_index.tolist()))
+    }
     return Score(
-        within_1m=one,
-        within_2m=two,
+        within_1m=within_1m,
+        within_2m=within_2m,
         hidden=len(truth.hidden),
-        found=sum(bool(near[thing].any()) for thing in truth.hidden),
+        found=sum(bool(near[object_index].any()) for object_index in truth.hidden),
         false_objects=_false_groups(
             places_m, np.logical_or.reduce(list(near.values()) or [np.zeros(len(places_m), bool)])
         ),
@@ -114,11 +117,11 @@ def _triple(counts: Counts) -> tuple[int, int, int]:
     return counts.true_positives, counts.false_positives, counts.false_negatives
 
 
-def _near_box(places_m: np.ndarray, thing: SceneObject) -> np.ndarray:
+def _near_box(places_m: np.ndarray, box: SceneObject) -> np.ndarray:
     """Which places [N, 2] lie in an object's box or within `OBJECT_GATE_M` of it."""
-    corners = thing.corners_m()
+    corners = box.corners_m()
     away_m = segment_distance_m(places_m, corners, np.roll(corners, -1, axis=0)).min(axis=1)
-    return np.asarray(thing.contains(places_m) | (away_m <= OBJECT_GATE_M))
+    return np.asarray(box.contains(places_m) | (away_m <= OBJECT_GATE_M))
 
 
 def _false_groups(places_m: np.ndarray, near: np.ndarray) -> int:
@@ -129,7 +132,7 @@ def _false_groups(places_m: np.ndarray, near: np.ndarray) -> int:
 
 def strongest_db(sight: Sight, truth: ShownPoints) -> float | None:
     """Strongest cell near the images of hidden objects over the map's mean noise, dB; None without one."""
-    shown = truth.image_m[np.isin(truth.thing, list(truth.hidden))]
+    shown = truth.image_m[np.isin(truth.object_index, list(truth.hidden))]
     if not len(shown):
         return None
     range_m, azimuth_rad = polar_from_xy(shown)

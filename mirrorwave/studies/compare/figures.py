@@ -175,10 +175,10 @@ def _draw_loss(axes: Axes, report: Report, sweep: str) -> None:
         over = np.array([clear(report, row) for row in rows])
         axes.plot(at[over], loss_db[over], color=colour, marker=marker, ms=4, lw=0.0)
         axes.plot(at[~over], loss_db[~over], color=colour, marker=marker, ms=4, lw=0.0, fillstyle="none")
-        least, most = (np.array([getattr(row, name) for row in rows], np.float64) for name in BAND)
-        shown = least < LARGEST_LOSS_DB
-        axes.fill_between(at[shown], least[shown], most[shown], color=colour, alpha=0.13, lw=0.0)
-        axes.plot(at[shown], 0.5 * (least + most)[shown], color=colour, ls="--", lw=1.3)
+        lower, upper = (np.array([getattr(row, name) for row in rows], np.float64) for name in BAND)
+        shown = lower < LARGEST_LOSS_DB
+        axes.fill_between(at[shown], lower[shown], upper[shown], color=colour, alpha=0.13, lw=0.0)
+        axes.plot(at[shown], 0.5 * (lower + upper)[shown], color=colour, ls="--", lw=1.3)
     axes.set_ylabel("loss of level [dB]")
     axes.set_title("Loss by two rough bounces")
     _axis(axes, report, sweep, smooth=False)
@@ -190,17 +190,17 @@ def _draw_bars(axes: Axes, report: Report, sweep: str) -> None:
     values = list(dict.fromkeys(row.value for row in report.rows if row.sweep == sweep))
     width = 0.8 / len(report.sensors)
     for index, name in enumerate(report.sensors):
-        found = {row.value: row.f1_1m for row in report.of(sweep, name)}
-        for place, value in enumerate(values):
-            one, at = found.get(value), place + (index - 0.5 * (len(report.sensors) - 1)) * width
-            if one is None or one.value is None:
+        f1_by_value = {row.value: row.f1_1m for row in report.of(sweep, name)}
+        for position, value in enumerate(values):
+            f1, at = f1_by_value.get(value), position + (index - 0.5 * (len(report.sensors) - 1)) * width
+            if f1 is None or f1.value is None:
                 axes.text(
                     at, 0.01, "not known", rotation=90, ha="center", va="bottom", fontsize=8, color=LOOKS[name][0]
                 )
                 continue
-            axes.bar(at, one.value, width=0.92 * width, color=LOOKS[name][0])
-            if one.low is not None and one.high is not None:
-                axes.plot([at, at], [one.low, one.high], color="black", lw=0.9)
+            axes.bar(at, f1.value, width=0.92 * width, color=LOOKS[name][0])
+            if f1.low is not None and f1.high is not None:
+                axes.plot([at, at], [f1.low, f1.high], color="black", lw=0.9)
             # a bar of no height would look like one that is missing
             axes.plot(at, 0.0, marker=LOOKS[name][1], color=LOOKS[name][0], ms=4, clip_on=False)
     axes.set_xticks(range(len(values)), [str(value).replace("_", "\n") for value in values], fontsize=8)

@@ -129,33 +129,33 @@ def threshold_db(sensor: Sensor) -> float:
 def _row(plan: Plan, results: Sequence[SceneResult], sweep: str, index: int, sensor: str) -> Row:
     """All viewpoints of one value."""
     value = plan.values[sweep][index]
-    mine = [one for one in results if (one.sweep, one.index) == (sweep, index)]
-    seen = [one.seen[sensor] for one in mine]
-    reason = next((one.failed for one in seen if one.failed is not None), None)
-    scores = [one.score for one in seen if one.score is not None]
+    mine = [item for item in results if (item.sweep, item.index) == (sweep, index)]
+    looks = [item.seen[sensor] for item in mine]
+    reason = next((item.failed for item in looks if item.failed is not None), None)
+    scores = [item.score for item in looks if item.score is not None]
     row = Row(sweep=sweep, value=value, sensor=sensor, scans=len(scores), failed=reason)
     if not scores:
         return row
     loss = _loss(plan, results, mine, sensor) if sweep == ROUGHNESS else (None, None, None)
     return msgspec.structs.replace(
         row,
-        f1_1m=_f1([one.within_1m for one in scores]),
-        f1_2m=_f1([one.within_2m for one in scores]),
-        found=_share([one.found for one in scores], [one.hidden for one in scores]),
-        false_points=float(np.mean([one.within_2m[1] for one in scores])),
-        false_objects=float(np.mean([one.false_objects for one in scores])),
-        snr_db=_median([one.snr_db for one in scores]),
-        predicted_snr_db=_median([one.predicted_snr_db for one in seen]),
+        f1_1m=_f1([item.within_1m for item in scores]),
+        f1_2m=_f1([item.within_2m for item in scores]),
+        found=_share([item.found for item in scores], [item.hidden for item in scores]),
+        false_points=float(np.mean([item.within_2m[1] for item in scores])),
+        false_objects=float(np.mean([item.false_objects for item in scores])),
+        snr_db=_median([item.snr_db for item in scores]),
+        predicted_snr_db=_median([item.predicted_snr_db for item in looks]),
         loss_db=loss[0],
         least_loss_db=loss[1],
         most_loss_db=loss[2],
-        seconds=_median([one.seconds for one in seen]),
+        seconds=_median([item.seconds for item in looks]),
     )
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return float(np.median(known)) if known else None
+    present = [value for value in values if value is not None]
+    return float(np.median(present)) if present else None
 
 
 def _f1(counts: Sequence[tuple[int, int, int]]) -> Interval:
@@ -188,24 +188,24 @@ def _loss(
     """Medians over viewpoints of what roughness took [dB]: against the smooth wall; least and most by Eq. (15)."""
     values = plan.values[ROUGHNESS]
     smooth = {
-        one.viewpoint: _level(one.seen[sensor])
-        for one in results
-        if one.sweep == ROUGHNESS and values[one.index] == 0.0
+        result.viewpoint: _level(result.seen[sensor])
+        for result in results
+        if result.sweep == ROUGHNESS and values[result.index] == 0.0
     }
-    measured, least, most = [], [], []
-    for one in mine:
-        before_db, after_db = smooth.get(one.viewpoint), _level(one.seen[sensor])
+    measured, lower, upper = [], [], []
+    for result in mine:
+        before_db, after_db = smooth.get(result.viewpoint), _level(result.seen[sensor])
         if before_db is not None and after_db is not None:
             measured.append(before_db - after_db)
-        if one.cos_incidence is not None:
-            roughness_m = 1e-3 * float(values[one.index])
-            least.append(roughness_loss_db(SENSORS[sensor], roughness_m, one.cos_incidence[0]))
-            most.append(roughness_loss_db(SENSORS[sensor], roughness_m, one.cos_incidence[1]))
-    return _median(measured), _median(least), _median(most)
+        if result.cos_incidence is not None:
+            roughness_m = 1e-3 * float(values[result.index])
+            lower.append(roughness_loss_db(SENSORS[sensor], roughness_m, result.cos_incidence[0]))
+            upper.append(roughness_loss_db(SENSORS[sensor], roughness_m, result.cos_incidence[1]))
+    return _median(measured), _median(lower), _median(upper)
 
 
-def _level(seen: Seen) -> float | None:
-    return None if seen.score is None else seen.score.snr_db
+def _level(look: Seen) -> float | None:
+    return None if look.score is None else look.score.snr_db
 
 
 def roughness_loss_db(sensor: Sensor, roughness_m: float, cos_incidence: float) -> float:
@@ -217,26 +217,26 @@ def roughness_loss_db(sensor: Sensor, roughness_m: float, cos_incidence: float) 
 
 def _reaches(plan: Plan, rows: Sequence[Row]) -> list[Reach]:
     """Half ranges of all sensors over the sweeps of numbers that a sensor loses with, and ratios to the reference's."""
-    found = []
+    reaches = []
     for sweep in (*RANGE_SWEEPS, ROUGHNESS):
         for measure in MEASURES if sweep in plan.values else ():
             mine = [_reach(rows, sweep, sensor, measure) for sensor in plan.sensors]
-            known = {one.sensor: one for one in mine if one is not None}
-            reference = next((known[name] for name in REFERENCE if name in known), None)
-            found += [_against(one, reference) for one in known.values()]
-    return found
+            by_sensor = {reach.sensor: reach for reach in mine if reach is not None}
+            reference = next((by_sensor[name] for name in REFERENCE if name in by_sensor), None)
+            reaches += [_against(reach, reference) for reach in by_sensor.values()]
+    return reaches
 
 
 def _reach(rows: Sequence[Row], sweep: str, sensor: str, measure: str) -> Reach | None:
     points: list[tuple[float, Interval]] = []
     for row in rows:
-        one = getattr(row, measure) if (row.sweep, row.sensor) == (sweep, sensor) else None
-        if one is not None and one.value is not None:
-            points.append((float(row.value), one))
+        interval = getattr(row, measure) if (row.sweep, row.sensor) == (sweep, sensor) else None
+        if interval is not None and interval.value is not None:
+            points.append((float(row.value), interval))
     if len(points) < 2:
         return None
     points.sort(key=lambda point: point[0])
-    at, value = np.array([place for place, _ in points]), np.array([one.value for _, one in points])
+    at, value = np.array([position for position, _ in points]), np.array([interval.value for _, interval in points])
     best = int(value.argmax())
     half = half_range(at, value) if points[best][1].low != 0.0 else 0.0
     after = int(np.searchsorted(at, half)) if 0.0 < half < at[-1] else 0
@@ -251,11 +251,11 @@ def _reach(rows: Sequence[Row], sweep: str, sensor: str, measure: str) -> Reach 
     )
 
 
-def _against(one: Reach, reference: Reach | None) -> Reach:
-    if reference is None or reference is one or not reference.half or not one.half or one.at_least:
-        return one
-    ratio = reference.half / one.half
-    return msgspec.structs.replace(one, reference=reference.sensor, ratio=ratio, ratio_at_least=reference.at_least)
+def _against(reach: Reach, reference: Reach | None) -> Reach:
+    if reference is None or reference is reach or not reference.half or not reach.half or reach.at_least:
+        return reach
+    ratio = reference.half / reach.half
+    return msgspec.structs.replace(reach, reference=reference.sensor, ratio=ratio, ratio_at_least=reference.at_least)
 
 
 # --- what it says
@@ -268,40 +268,40 @@ def findings(report: Report) -> list[str]:
     said += [_walls_sentence(report, name) for name in ("xband", "77ghz")]
     said += [_best_sentence(report, sweep) for sweep in ("material", "incidence", "places")]
     said += [_failed_sentence(report, row) for row in report.rows if row.failed is not None]
-    return [one for one in said if one]
+    return [sentence for sentence in said if sentence]
 
 
 def _reach_sentence(report: Report, sweep: str) -> str:
     """How far each sensor reaches."""
-    mine = [one for one in report.reaches if (one.sweep, one.measure) == (sweep, "f1_1m")]
+    mine = [reach for reach in report.reaches if (reach.sweep, reach.measure) == (sweep, "f1_1m")]
     if not mine:
         return ""
     parts = []
-    for one in mine:
-        name = report.sensors[one.sensor]
-        if one.half == 0.0:
-            parts.append(f"{name} recovers nothing{' beyond chance' if one.best else ''}")
+    for reach in mine:
+        name = report.sensors[reach.sensor]
+        if reach.half == 0.0:
+            parts.append(f"{name} recovers nothing{' beyond chance' if reach.best else ''}")
             continue
         ratio = ""
-        if one.ratio is not None and one.reference is not None and not _open(one):
-            bound = "at least " if one.ratio_at_least else ""
-            ratio = f" ({report.sensors[one.reference]} {bound}{one.ratio:.1f} times as far)"
-        parts.append(f"{name} {_where(one, 'm')}{ratio}")
+        if reach.ratio is not None and reach.reference is not None and not _open(reach):
+            bound = "at least " if reach.ratio_at_least else ""
+            ratio = f" ({report.sensors[reach.reference]} {bound}{reach.ratio:.1f} times as far)"
+        parts.append(f"{name} {_where(reach, 'm')}{ratio}")
     title = SWEEPS[sweep].title.removesuffix(" [m]")
     return f"Reach over {title}, where F1 within 1 m falls below half of its best: {'; '.join(parts)}."
 
 
-def _where(one: Reach, unit: str) -> str:
+def _where(reach: Reach, unit: str) -> str:
     """A reach that is one; as a bracket where values lie too far apart to interpolate."""
-    if one.at_least:
-        return f"beyond {one.half:g} {unit}, where the sweep ends"
-    if one.between is not None and _open(one):
-        return f"between {one.between[0]:g} and {one.between[1]:g} {unit}"
-    return f"at {one.half:.3g} {unit}"
+    if reach.at_least:
+        return f"beyond {reach.half:g} {unit}, where the sweep ends"
+    if reach.between is not None and _open(reach):
+        return f"between {reach.between[0]:g} and {reach.between[1]:g} {unit}"
+    return f"at {reach.half:.3g} {unit}"
 
 
-def _open(one: Reach) -> bool:
-    return one.between is not None and one.between[1] > WIDE * one.between[0]
+def _open(reach: Reach) -> bool:
+    return reach.between is not None and reach.between[1] > WIDE * reach.between[0]
 
 
 def _radar_sentences(report: Report) -> list[str]:
@@ -309,10 +309,16 @@ def _radar_sentences(report: Report) -> list[str]:
     if not {"xband", "77ghz"} <= set(report.sensors):
         return []
     near, far = RADARS["xband"], RADARS["77ghz"]
-    one, two = near.setup(1.0, report.equal), far.setup(1.0, report.equal)
+    near_setup, far_setup = near.setup(1.0, report.equal), far.setup(1.0, report.equal)
     wavelength_db = 2.0 * db_from_ratio(near.wavelength_m / far.wavelength_m)
-    array_db = 2.0 * db_from_ratio(float(two_way_field(one, np.zeros(())) / two_way_field(two, np.zeros(()))))
-    chirps = one.radar.chirps_per_beam * map_noise_gain(two) / (two.radar.chirps_per_beam * map_noise_gain(one))
+    array_db = 2.0 * db_from_ratio(
+        float(two_way_field(near_setup, np.zeros(())) / two_way_field(far_setup, np.zeros(())))
+    )
+    chirps = (
+        near_setup.radar.chirps_per_beam
+        * map_noise_gain(far_setup)
+        / (far_setup.radar.chirps_per_beam * map_noise_gain(near_setup))
+    )
     time_db = db_from_ratio(chirps)
     said = [
         f"But for the wall the radar equation gives X-band {wavelength_db + array_db + time_db:+.1f} dB over 77 GHz: "
@@ -342,11 +348,11 @@ def clear(report: Report, row: Row) -> bool:
     return row.snr_db is not None and row.snr_db >= report.threshold_db[row.sensor] + CLEAR_DB
 
 
-def _times(longer: Reach, one: Reach) -> str:
+def _times(longer: Reach, shorter: Reach) -> str:
     """How many times as far one reach is as another, where both are known well enough."""
-    if one.at_least or _open(one) or _open(longer):
+    if shorter.at_least or _open(shorter) or _open(longer):
         return ""
-    return f": {'at least ' if longer.at_least else ''}{longer.half / one.half:.1f} times as far"
+    return f": {'at least ' if longer.at_least else ''}{longer.half / shorter.half:.1f} times as far"
 
 
 def _roughness_sentences(report: Report) -> list[str]:
@@ -358,7 +364,7 @@ def _roughness_sentences(report: Report) -> list[str]:
             for row in report.of(ROUGHNESS, sensor)
             if row.loss_db is not None and row.value and clear(report, row)
         }
-        reach = next((one for one in report.reaches if _is(one, ROUGHNESS, sensor, "f1_1m")), None)
+        reach = next((candidate for candidate in report.reaches if _is(candidate, ROUGHNESS, sensor, "f1_1m")), None)
         if reach is None or reach.half == 0.0:
             continue
         law = ""
@@ -378,8 +384,8 @@ def _outside(row: Row) -> float:
     return max((row.least_loss_db or 0.0) - (row.loss_db or 0.0), (row.loss_db or 0.0) - (row.most_loss_db or 0.0), 0.0)
 
 
-def _is(one: Reach, sweep: str, sensor: str, measure: str) -> bool:
-    return (one.sweep, one.sensor, one.measure) == (sweep, sensor, measure)
+def _is(reach: Reach, sweep: str, sensor: str, measure: str) -> bool:
+    return (reach.sweep, reach.sensor, reach.measure) == (sweep, sensor, measure)
 
 
 def _window_sentences(report: Report) -> list[str]:
@@ -449,7 +455,7 @@ def cells(row: Row) -> list[str]:
     return [
         f"{row.value:g}" if isinstance(row.value, float) else row.value,
         row.sensor if row.failed is None else f"{row.sensor} ({counted(row.scans, 'scan')})",
-        *(_with_interval(one) for one in (row.f1_1m, row.f1_2m, row.found)),
+        *(_with_interval(interval) for interval in (row.f1_1m, row.f1_2m, row.found)),
         *(_one_digit(value) for value in (row.false_points, row.false_objects, row.snr_db, row.predicted_snr_db)),
         _one_digit(row.loss_db),
         _span(row.least_loss_db, row.most_loss_db),
@@ -462,19 +468,19 @@ def _one_digit(value: float | None) -> str:
     return "-" if value is None else "below -100" if value < -100.0 else f"{value + 0.0:.1f}".replace("-0.0", "0.0")
 
 
-def _span(least_db: float | None, most_db: float | None) -> str:
+def _span(min_db: float | None, max_db: float | None) -> str:
     """A closed form's band; a loss that no sensor could measure is not spelled out."""
-    if least_db is None or most_db is None:
+    if min_db is None or max_db is None:
         return "-"
-    return "over 200" if least_db > 200.0 else f"{least_db:.1f} to {most_db:.1f}"
+    return "over 200" if min_db > 200.0 else f"{min_db:.1f} to {max_db:.1f}"
 
 
-def _with_interval(one: Interval | None) -> str:
-    if one is None or one.value is None:
+def _with_interval(interval: Interval | None) -> str:
+    if interval is None or interval.value is None:
         return "-"
-    if one.low is None or one.high is None:
-        return f"{one.value:.2f}"
-    return f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]"
+    if interval.low is None or interval.high is None:
+        return f"{interval.value:.2f}"
+    return f"{interval.value:.2f} [{interval.low:.2f}, {interval.high:.2f}]"
 
 
 ABOUT = (
@@ -506,7 +512,7 @@ def markdown(report: Report) -> str:
         "",
         f"{EQUAL_ABOUT[report.equal]}; energy of a scan: {energies}.",
         "",
-        *(f"- {one}" for one in report.findings),
+        *(f"- {finding}" for finding in report.findings),
     ]
     lines += _reach_table(report)
     for sweep in dict.fromkeys(row.sweep for row in report.rows):
@@ -520,13 +526,13 @@ def _reach_table(report: Report) -> list[str]:
     if not report.reaches:
         return []
     rows = []
-    for one in report.reaches:
-        half = f"> {one.half:g}" if one.at_least else f"{one.half:.3g}" if one.half else "none"
-        between = "-" if one.between is None else f"{one.between[0]:g} and {one.between[1]:g}"
+    for reach in report.reaches:
+        half = f"> {reach.half:g}" if reach.at_least else f"{reach.half:.3g}" if reach.half else "none"
+        between = "-" if reach.between is None else f"{reach.between[0]:g} and {reach.between[1]:g}"
         ratio = "-"
-        if one.ratio is not None and one.reference is not None:
-            ratio = f"{report.sensors[one.reference]} {'> ' if one.ratio_at_least else ''}{one.ratio:.3g} x"
-        words = (SWEEPS[one.sweep].title, report.sensors[one.sensor], MEASURES[one.measure])
-        rows.append((*words, f"{one.best:.2f}", half, between, ratio))
+        if reach.ratio is not None and reach.reference is not None:
+            ratio = f"{report.sensors[reach.reference]} {'> ' if reach.ratio_at_least else ''}{reach.ratio:.3g} x"
+        words = (SWEEPS[reach.sweep].title, report.sensors[reach.sensor], MEASURES[reach.measure])
+        rows.append((*words, f"{reach.best:.2f}", half, between, ratio))
     columns = ("sweep", "sensor", "measure", "best", "half at", "between", "against it")
     return ["", "## Where each falls below half of its best", "", *table(columns, rows)]

@@ -23,12 +23,12 @@ from sim_player.dataset.executors import map_jobs
 from sim_player.generate.comparison_scenes import (
     WALLS,
     Corner,
-    MirrorWay,
+    MirrorPath,
     ShownPoints,
     comparison_place,
     corner_scene,
     incidences,
-    mirror_way,
+    mirror_path,
     shown_points,
 )
 from sim_player.generate.places import PLACE_KINDS
@@ -120,12 +120,12 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             raise ValueError(f"seed must not be negative, got {self.seed}")
         if not 1 <= self.viewpoints <= MOST_VIEWPOINTS:
             raise ValueError(f"viewpoints must lie in 1..{MOST_VIEWPOINTS}, got {self.viewpoints}")
-        for word, names, known in (("sensor", self.sensors, SENSORS), ("sweep", self.values, SWEEPS)):
+        for word, names, allowed in (("sensor", self.sensors, SENSORS), ("sweep", self.values, SWEEPS)):
             if not names:
                 raise ValueError(f"{word}s must name at least one, got none")
             for name in names:
-                if name not in known:
-                    raise ValueError(f"{word} must be one of {', '.join(known)}, got {name!r}")
+                if name not in allowed:
+                    raise ValueError(f"{word} must be one of {', '.join(allowed)}, got {name!r}")
 
     @property
     def jobs(self) -> list[tuple[str, int, int]]:
@@ -178,9 +178,9 @@ def run_plan(plan: Plan, out: Path, jobs: int = 1, tick: Callable[[], None] = la
     """
     if jobs < 1:
         raise ValueError(f"jobs must be at least 1, got {jobs}")
-    files = {what: "scenes/{}-{:03d}-{:03d}.msgpack".format(*what) for what in plan.jobs}
+    files = {coordinates: "scenes/{}-{:03d}-{:03d}.msgpack".format(*coordinates) for coordinates in plan.jobs}
     run = ResumableRun(plan, out, SceneResult, files)
-    missing = [Job(plan, *what) for what in run.missing(tick)]
+    missing = [Job(plan, *coordinates) for coordinates in run.missing(tick)]
     for result in map_jobs(run_job, missing, workers=jobs):
         run.keep((result.sweep, result.index, result.viewpoint), result)
         tick()
@@ -197,21 +197,21 @@ def _looked(job: Job) -> SceneResult:
     plan = job.plan
     seen: dict[str, Seen] = {}
     failed: dict[str, str] = {}
-    truth, way = None, None
+    truth, mirror = None, None
     with charged(failed, *plan.sensors):
         sweep = SWEEPS[job.sweep]
         scene = sweep.scene(plan.values[job.sweep][job.index], plan.seed, job.viewpoint)
         seeds = _seeds(job)
-        truth, way = shown_points(scene, seeds[0]), mirror_way(scene) if sweep.is_corner else None
+        truth, mirror = shown_points(scene, seeds[0]), mirror_path(scene) if sweep.is_corner else None
         for name in plan.sensors:
             with charged(failed, name):
-                seen[name] = look(SENSORS[name], scene, seeds, truth, way, plan.equal)
+                seen[name] = look(SENSORS[name], scene, seeds, truth, mirror, plan.equal)
     return SceneResult(
         sweep=job.sweep,
         index=job.index,
         viewpoint=job.viewpoint,
         truth_points=0 if truth is None else len(truth),
-        cos_incidence=None if way is None or not truth else incidences(scene, truth),
+        cos_incidence=None if mirror is None or not truth else incidences(scene, truth),
         seen={name: seen.get(name) or Seen(failed=failed[name]) for name in plan.sensors},
     )
 
@@ -225,14 +225,14 @@ def _seeds(job: Job) -> tuple[int, int]:
 
 
 def look(
-    sensor: Sensor, scene: Scene, seeds: tuple[int, int], truth: ShownPoints, way: MirrorWay | None, equal: Equal
+    sensor: Sensor, scene: Scene, seeds: tuple[int, int], truth: ShownPoints, mirror: MirrorPath | None, equal: Equal
 ) -> Seen:
-    """One scan of one sensor, timed, and its score; `way` is None where no closed form holds."""
+    """One scan of one sensor, timed, and its score; `mirror` is None where no closed form holds."""
     _warm_up(sensor.name)
     start_s = time.perf_counter()
     sight = sensor.look(scene, *seeds, equal)
     seconds = time.perf_counter() - start_s
-    predicted = None if way is None else sensor.predicted_snr(scene, way, equal)
+    predicted = None if mirror is None else sensor.predicted_snr(scene, mirror, equal)
     return Seen(
         score=score(sight, scene, truth),
         predicted_snr_db=db_from_ratio(predicted) if predicted else None,

@@ -61,18 +61,18 @@ def sensors_of(scene: Scene, names: Sequence[str] = ()) -> list[Sensor]:
 
     ValueError for an unknown one.
     """
-    known, picture = dict(SENSORS), list(PICTURE)
+    by_name, picture = dict(SENSORS), list(PICTURE)
     if scene.radar.preset == "spad":
         spad = scene.radar.spad
         # "closed": as for Table 2's
         own = SpadSensor(
             OWN, f"SPAD of the scene, {1e3 * spad.average_power_w:g} mW", spad, SpadOptions(engine="closed")
         )
-        known[OWN], picture[-1] = own, OWN
+        by_name[OWN], picture[-1] = own, OWN
     for name in names:
-        if name not in known:
-            raise ValueError(f"--sensor must be one of {', '.join(known)}, got {name!r}")
-    return [known[name] for name in dict.fromkeys(names or picture)]
+        if name not in by_name:
+            raise ValueError(f"--sensor must be one of {', '.join(by_name)}, got {name!r}")
+    return [by_name[name] for name in dict.fromkeys(names or picture)]
 
 
 def scene_through(
@@ -100,14 +100,14 @@ def _view(scene: Scene, sensor: Sensor, equal: Equal, seed: int, truth: ShownPoi
         sight = sensor.look(scene, seed, seed, equal)
     except ValueError as error:
         return View(sensor, None, np.zeros((0, 2)), truth, {**none, "failed": error_line(error)})
-    found = score(sight, scene, truth)
+    scores = score(sight, scene, truth)
     figures = {
-        "F1 1 m": Counts(*found.within_1m).f1,
-        "F1 2 m": Counts(*found.within_2m).f1,
-        "found": found.found,
-        "hidden": found.hidden,
-        "false objects": found.false_objects,
-        "SNR [dB]": found.snr_db,
+        "F1 1 m": Counts(*scores.within_1m).f1,
+        "F1 2 m": Counts(*scores.within_2m).f1,
+        "found": scores.found,
+        "hidden": scores.hidden,
+        "false objects": scores.false_objects,
+        "SNR [dB]": scores.snr_db,
         "failed": None,
     }
     return View(sensor, sight, recovered_places(found_peaks(sight), scene), truth, figures)
@@ -135,7 +135,7 @@ def draw_scene_through(scene: Scene, views: Sequence[View], equal: Equal, path: 
 
 def _limits(scene: Scene, views: Sequence[View]) -> tuple[float, float, float, float]:
     """Right, left, back and front ends [m] of what is drawn: sensor, objects, and what mirrors show of them."""
-    points = [np.zeros((1, 2)), *(thing.corners_m() for thing in scene.objects)]
+    points = [np.zeros((1, 2)), *(item.corners_m() for item in scene.objects)]
     points += [view.truth.image_m for view in views]
     every = np.concatenate(points)
     low, high = every.min(axis=0) - MARGIN_M, every.max(axis=0) + MARGIN_M
@@ -149,15 +149,17 @@ def _draw_view(axes: Axes, scene: Scene, view: View) -> Any:
     """Map, walls, truth, recovered places of one sensor; the map's mesh, None without one."""
     axes.set_facecolor("#e8e8e8")
     mesh = None if view.sight is None else _draw_map(axes, view.sight)
-    for index, surface in enumerate(one for one in scene.surfaces if one.role != "ground"):
+    for index, surface in enumerate(candidate for candidate in scene.surfaces if candidate.role != "ground"):
         line = chords(surface)
         # a label with an underscore stays out of the legend
         label = "wall" if index == 0 else "_wall"
         axes.plot(line[:, 1], line[:, 0], color="white", lw=2.0, zorder=4, label=label, path_effects=OUTLINE)
-    for index, thing in enumerate(scene.objects):
-        corners = thing.corners_m()
+    for index, item in enumerate(scene.objects):
+        corners = item.corners_m()
         hidden = index in view.truth.hidden
-        first = index == next(one for one in range(len(scene.objects)) if (one in view.truth.hidden) == hidden)
+        first = index == next(
+            candidate for candidate in range(len(scene.objects)) if (candidate in view.truth.hidden) == hidden
+        )
         label = ("hidden object" if hidden else "other object") if first else "_object"
         colour = TRUTH if hidden else "#bbbbbb"
         axes.fill(corners[:, 1], corners[:, 0], fill=False, edgecolor=colour, lw=2.0, zorder=5, label=label)

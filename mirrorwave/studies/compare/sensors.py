@@ -35,7 +35,7 @@ from msgs.values.lidar import SpadParams
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.units import SPEED_OF_LIGHT_MPS, ratio_from_db
 from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, profile_noise
-from sim_player.generate.comparison_scenes import MirrorWay, with_sensor
+from sim_player.generate.comparison_scenes import MirrorPath, with_sensor
 from sim_player.lidar.player import LidarPlayer
 from sim_player.lidar.spad import SpadOptions
 from sim_player.scene.description import PRESETS, Scene
@@ -49,9 +49,9 @@ Equal = Literal["power", "energy"]
 
 def equal_of(word: str) -> Equal:
     """What is to be equal; ValueError for anything else."""
-    for known in get_args(Equal):
-        if word == known:
-            return cast(Equal, known)
+    for measure in get_args(Equal):
+        if word == measure:
+            return cast(Equal, measure)
     raise ValueError(f"--equal must be one of {', '.join(get_args(Equal))}, got {word!r}")
 
 
@@ -92,7 +92,7 @@ class Sensor(Protocol):
     def look(self, scene: Scene, seed: int, noise_seed: int, equal: Equal) -> Sight:
         """One scan of a scene at rest; `seed` draws the scene's scatterers, `noise_seed` the noise."""
 
-    def predicted_snr(self, scene: Scene, way: MirrorWay, equal: Equal) -> float:
+    def predicted_snr(self, scene: Scene, mirror: MirrorPath, equal: Equal) -> float:
         """Closed form of the strongest cell over the mean noise, of the first object behind the first surface."""
 
     def energy_j(self, equal: Equal) -> float:
@@ -130,15 +130,15 @@ class RadarSensor:
         threshold = float(radar_threshold(FALSE_ALARM)) * noise_mw * share
         return Sight(ra_map, threshold, *_radar_look(setup))
 
-    def predicted_snr(self, scene: Scene, way: MirrorWay, equal: Equal) -> float:
+    def predicted_snr(self, scene: Scene, mirror: MirrorPath, equal: Equal) -> float:
         """Radar equation for a point of the class's mean RCS behind a wall's coherent reflection."""
         scene = with_sensor(scene, self.name)
         setup = self.setup(scene.radar.height_m, equal)
         world = prepare(scene, 0, setup)
-        whole, _, rough = world.reflection(np.array([0]), np.array([way.cos_incidence]))
+        whole, _, rough = world.reflection(np.array([0]), np.array([mirror.cos_incidence]))
         rcs_m2 = ratio_from_db(scene.objects[0].kind.mean_rcs_dbsm)
         wall = float(np.abs(whole[0] * rough[0]) ** 2)
-        return float(radar_snr(setup, way.range_m, rcs_m2, min(wall, 1.0), way.azimuth_rad))
+        return float(radar_snr(setup, mirror.range_m, rcs_m2, min(wall, 1.0), mirror.azimuth_rad))
 
     def energy_j(self, equal: Equal) -> float:
         """Transmit power times the time of all beams."""
@@ -161,10 +161,10 @@ def _interpolator(preset: str) -> tuple[AzimuthInterpolator, np.ndarray]:
 
 def _radar_look(setup: RadarSetup) -> tuple[RidgeParams, PeakParams]:
     """Beam and side lobes of an untapered array: 0.886 lambda / D and -13.3 dB one way, squared both ways."""
-    ways, columns = setup.array.steered_ways, setup.array.columns
-    width_deg = math.degrees(0.886 * 2.0 / columns) / math.sqrt(ways)
+    steered_rad, columns = setup.array.steered_ways, setup.array.columns
+    width_deg = math.degrees(0.886 * 2.0 / columns) / math.sqrt(steered_rad)
     cells = round(width_deg / math.degrees(GRID.azimuth_step_rad))
-    ridges = RidgeParams(spacing=(2, 4), min_snr_db=0.0, azimuth_lobe_db=11.0 * ways, beam_cells=cells)
+    ridges = RidgeParams(spacing=(2, 4), min_snr_db=0.0, azimuth_lobe_db=11.0 * steered_rad, beam_cells=cells)
     return ridges, _peak_params(width_deg)
 
 
@@ -209,21 +209,21 @@ class SpadSensor:
         width_deg = math.degrees(self.spad.divergence_rad)
         return Sight(ra_map, threshold, ridges, _peak_params(width_deg))
 
-    def predicted_snr(self, scene: Scene, way: MirrorWay, equal: Equal) -> float:
+    def predicted_snr(self, scene: Scene, mirror: MirrorPath, equal: Equal) -> float:
         """Photons by the wall's mirror and by its matt face, behind the wall's own return where one gate holds both."""
-        spad, wall, thing = self.params(equal), scene.surfaces[0], scene.objects[0]
-        material, albedo = optical_material(wall.material), OBJECT_ALBEDO.get(thing.object_class, 0.4)
-        face = way.cos_incidence, 1e-3 * wall.roughness_mm, spad.wavelength_m
+        spad, wall, target = self.params(equal), scene.surfaces[0], scene.objects[0]
+        material, albedo = optical_material(wall.material), OBJECT_ALBEDO.get(target.object_class, 0.4)
+        face = mirror.cos_incidence, 1e-3 * wall.roughness_mm, spad.wavelength_m
         specular = float(optical_reflectance(material.index, *face))
         matt = float(diffuse_reflectance(material.index, material.albedo, *face))
         # an upright side as tall as the object, one cell deep at the wall's slant
-        area_m2 = thing.kind.height_m * GRID.range_bin_m / max(math.sqrt(1.0 - way.cos_incidence**2), 0.1)
-        photons = specular**2 * direct_photons(spad, way.range_m, albedo, way.cos_incidence)
+        area_m2 = target.kind.height_m * GRID.range_bin_m / max(math.sqrt(1.0 - mirror.cos_incidence**2), 0.1)
+        photons = specular**2 * direct_photons(spad, mirror.range_m, albedo, mirror.cos_incidence)
         photons += confocal_photons(
-            spad, way.to_wall_m, matt, way.beyond_m, way.cos_incidence, way.cos_incidence, area_m2, albedo
+            spad, mirror.to_wall_m, matt, mirror.beyond_m, mirror.cos_incidence, mirror.cos_incidence, area_m2, albedo
         )
-        earlier = direct_photons(spad, way.to_wall_m, matt, way.cos_incidence) if self.options.merge else 0.0
-        return float(photon_snr(spad, way.range_m, photons, earlier, way.to_wall_m))
+        earlier = direct_photons(spad, mirror.to_wall_m, matt, mirror.cos_incidence) if self.options.merge else 0.0
+        return float(photon_snr(spad, mirror.range_m, photons, earlier, mirror.to_wall_m))
 
     def energy_j(self, equal: Equal) -> float:
         """Mean power times the time of all azimuths."""

@@ -81,12 +81,12 @@ def draw_curves(report: dict[str, Any], out: Path) -> None:
 def draw_groups(report: dict[str, Any], out: Path) -> None:
     """Measures of each kind of scene with their intervals, a row a group."""
     groups = report["methods"][0]["groups"]
-    names = [f"{one['group']}: {one['value']} ({one['frames']})" for one in groups]
+    names = [f"{group['group']}: {group['value']} ({group['frames']})" for group in groups]
     height = 0.13 * len(groups) * (len(report["methods"]) + 1.5) + 1.5
     figure, panels = _figure((PAGE_FIGURE_INCH, min(max(height, 4.0), 60.0)), 1, len(GROUPED))
     for axes, measure in zip(panels[0], GROUPED, strict=True):
         for index, method in enumerate(report["methods"]):
-            value, low, high = np.array([one[measure] for one in method["groups"]], float).reshape(-1, 3).T
+            value, low, high = np.array([group[measure] for group in method["groups"]], float).reshape(-1, 3).T
             # a sum over few frames may lie outside its own percentile interval
             reach = np.nan_to_num(np.maximum(np.stack([value - low, high - value]), 0.0))
             colour, mark = _style(index)
@@ -126,9 +126,9 @@ def draw_scenes(run: Run, frames: Sequence[Frame], positions: Sequence[int], ref
     """Scenes as columns; rows: from above, the map, each method's peaks, the places the reference recovers."""
     columns = []
     for frame, position in zip(frames, positions, strict=True):
-        truth, answers = run.truth[position], [one.answers[position] for one in run.runs]
+        truth, answers = run.truth[position], [method_run.answers[position] for method_run in run.runs]
         columns.append(_Column(frame, truth, answers, _limits_m(truth)))
-    names = [one.method.name for one in run.runs]
+    names = [method_run.method.name for method_run in run.runs]
     labels = ["scene", "map", *names, f"{reference}: recovered"]
     figure, panels = _figure((3.1 * len(columns) + 0.6, 3.1 * len(labels)), len(labels), len(columns))
     for index, column in enumerate(columns):

@@ -33,8 +33,8 @@ from models.perception.detection.detectors import CfarDetector, NetworkDetector,
 from models.perception.detection.onnx_model import load_card
 from models.perception.detection.peaks import PeakParams
 from models.perception.detection.refinement import RefinementParams
-from models.perception.detection.ridge_matching import NamedParams
-from models.perception.geometry.confidence import PlaceConfidence, load_confidence
+from models.perception.detection.ridge_matching import RidgeMatchingParams
+from models.perception.geometry.confidence import PositionConfidence, load_confidence
 from models.perception.geometry.published import PublishedParams, recover_published
 from models.perception.geometry.recovery import Residual
 from models.perception.geometry.residual_model import LearnedResidual
@@ -121,30 +121,30 @@ def parse_method(text: str) -> MethodSpec:
         name, source = (Path(first).stem if first.endswith(".onnx") else first), first
     if not name or (source not in GROUPS and not source.endswith(".onnx")):
         raise ValueError(f"--method {text!r}: source must be cfar, cfar-nlos, truth or FILE.onnx, got {source!r}")
-    found: dict[str, Any] = {"parameters": {}}
+    parts: dict[str, Any] = {"parameters": {}}
     for word in rest:
-        _take(found, text, word)
-    spec = MethodSpec(name=name, source=source, text=text, **found)
+        _take(parts, text, word)
+    spec = MethodSpec(name=name, source=source, text=text, **parts)
     _check(spec)
     return spec
 
 
-def _take(found: dict[str, Any], text: str, word: str) -> None:
+def _take(parts: dict[str, Any], text: str, word: str) -> None:
     """Add one word of a method's text."""
     key, separator, value = word.partition("=")
     group, dot, path = key.partition(".")
     if word in ("refine", "flip_test"):
-        found[word] = True
+        parts[word] = True
     elif key == "refine" and value in tuple(Refine):
-        found["refine"] = value
+        parts["refine"] = value
     elif separator and dot and path and value:
-        found["parameters"].setdefault(group, {})[path] = parse_yaml(value, f"--method {text!r}: {key}")
+        parts["parameters"].setdefault(group, {})[path] = parse_yaml(value, f"--method {text!r}: {key}")
     elif key in ("residual", "confidence") and value:
-        found[key] = Path(value)
+        parts[key] = Path(value)
     elif key == "geometry" and value in GEOMETRIES:
-        found["geometry"] = value
+        parts["geometry"] = value
     elif key == "threshold" and _is_share(value):
-        found["threshold"] = float(value)
+        parts["threshold"] = float(value)
     else:
         raise ValueError(f"--method {text!r}: must be {', '.join(WORDS)} or GROUP.KEY=VALUE, got {word!r}")
 
@@ -209,7 +209,7 @@ def _built(spec: MethodSpec, threshold: float | None, threads: int, setup: Radar
 def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup) -> tuple[Detect, Detect | None]:
     """`detect` and `detect_all` of a method."""
     peaks = overridden(PeakParams(), "peaks", spec.parameters)
-    named = overridden(NamedParams(), "named", spec.parameters)
+    ridge_matching = overridden(RidgeMatchingParams(), "named", spec.parameters)
     refinement = overridden(RefinementParams(), "refinement", spec.parameters)
     refined = Refine.of(spec.refine) is not Refine.NONE
 
@@ -219,16 +219,16 @@ def _network(spec: MethodSpec, threshold: float, threads: int, setup: RadarSetup
             Path(spec.source),
             threads,
             msgspec.structs.replace(peaks, threshold=peak),
-            msgspec.structs.replace(named, threshold=name),
+            msgspec.structs.replace(ridge_matching, threshold=name),
             spec.refine,
             refinement,
             flip_test=spec.flip_test,
         )
         return lambda frame: detector.detect(frame.ra_map)
 
-    floor = at(min(FLOOR, threshold), min(FLOOR, named.threshold))
+    floor = at(min(FLOOR, threshold), min(FLOOR, ridge_matching.threshold))
     # local maxima over a threshold are those over a lower one whose score reaches it; ridges are not
-    return (at(threshold, named.threshold), floor) if refined else (floor, None)
+    return (at(threshold, ridge_matching.threshold), floor) if refined else (floor, None)
 
 
 def _cfar(spec: MethodSpec, setup: RadarSetup) -> Detect:
@@ -277,7 +277,7 @@ def _published_places(
 
 
 def _our_places(
-    peaks: Peaks, params: GeometryParams, residual: Residual | None, confidence: PlaceConfidence | None
+    peaks: Peaks, params: GeometryParams, residual: Residual | None, confidence: PositionConfidence | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """What `recover_bev` forms its points from, without the objects and the visibility mask."""
     scan = fold_scan(peaks, params, residual, confidence)
@@ -301,7 +301,7 @@ def overridden(defaults: _S, group: str, parameters: Mapping[str, Mapping[str, A
         for key in outer:
             at = at.get(key) if isinstance(at, dict) else None
         if not isinstance(at, dict) or last not in at:
-            known = ", ".join(at if isinstance(at, dict) else plain)
-            raise ValueError(f"{group}.{path} must be one of {known}")
+            allowed = ", ".join(at if isinstance(at, dict) else plain)
+            raise ValueError(f"{group}.{path} must be one of {allowed}")
         at[last] = value
     return msgspec.convert(plain, type(defaults))

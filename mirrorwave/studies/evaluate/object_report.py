@@ -79,7 +79,7 @@ def measured(request: ObjectRequest) -> dict[str, Any]:
         runs = {name: run_objects(plan, out / name, request.workers, tick) for name, plan in plans.items()}
     sets = {name: _set_report(plan, runs[name], request, false_cost) for name, plan in plans.items()}
     losses = {
-        profile: mean_loss({name: one["profiles"][profile] for name, one in sets.items()})
+        profile: mean_loss({name: set_report["profiles"][profile] for name, set_report in sets.items()})
         for profile in request.profiles
     }
     return {
@@ -109,7 +109,7 @@ def _plans(request: ObjectRequest) -> tuple[dict[str, ObjectPlan], float]:
         )
         sets = {DRAWN: drawn}
     settings = [profile_setting(name) for name in request.profiles]
-    plans = {name: ObjectPlan(set=one, profiles=settings) for name, one in sets.items()}
+    plans = {name: ObjectPlan(set=object_set, profiles=settings) for name, object_set in sets.items()}
     return plans, committed.false_cost if request.false_cost is None else request.false_cost
 
 
@@ -136,19 +136,22 @@ def _set_report(
         "effects": plan.set.effects,
         "scenes_sha256": scenes_sha256(results),
         "profiles": {
-            one.value: object_report(ObjectScores([result.rows[one.value] for result in results]), weights, false_cost)
-            for one in plan.profiles
+            profile.value: object_report(
+                ObjectScores([result.rows[profile.value] for result in results]), weights, false_cost
+            )
+            for profile in plan.profiles
         },
     }
 
 
 def tables(results: Mapping[str, Any]) -> Iterator[Table]:
     """All tables of a report, for a terminal or a page."""
-    for name, one in results["sets"].items():
-        motion = "in motion" if one["moving"] else "at rest"
-        reports: dict[str, ObjectReport] = one["profiles"]
-        title = f"{name}: {one['places']} places {motion}, seed {one['seed']}, effects {one['effects']}"
-        yield f"{title}; scenes {one['scenes_sha256'][:16]}...", HEADINGS, [
+    for name, set_report in results["sets"].items():
+        motion = "in motion" if set_report["moving"] else "at rest"
+        reports: dict[str, ObjectReport] = set_report["profiles"]
+        title = f"{name}: {set_report['places']} places {motion}, seed {set_report['seed']}"
+        title += f", effects {set_report['effects']}"
+        yield f"{title}; scenes {set_report['scenes_sha256'][:16]}...", HEADINGS, [
             _headline(profile, report) for profile, report in reports.items()
         ]  # fmt: skip
         yield _recalls(f"{name}: found by the SNR of the strongest image", BANDS, reports, "recall_by_band")
@@ -203,17 +206,21 @@ def _errors(name: str, reports: Mapping[str, ObjectReport]) -> Table:
         "without the gate, by centre": "centre_ungated_m",
     }
     rows = [
-        (profile, kind, *(f"{one.value:.2f} [{one.low:.2f}, {one.high:.2f}]" for one in found.values()))
+        (
+            profile,
+            kind,
+            *(f"{estimate.value:.2f} [{estimate.low:.2f}, {estimate.high:.2f}]" for estimate in estimates.values()),
+        )
         for profile, report in reports.items()
         for kind, field in kinds.items()
-        if (found := _estimates(report, field))
+        if (estimates := _estimates(report, field))
     ]
     return f"{name}: position error [m]", ("profile", "of", "p50", "p75", "p90", "p95"), rows
 
 
 def _estimates(report: ObjectReport, field: str) -> dict[str, Estimate]:
-    found: dict[str, Estimate] = getattr(report, field)
-    return found
+    estimates: dict[str, Estimate] = getattr(report, field)
+    return estimates
 
 
 def _scores(name: str, reports: Mapping[str, ObjectReport]) -> Table:
@@ -233,8 +240,8 @@ def _scores(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     return f"{name}: scores and the share that is true; calibration error {errors or '-'}", columns, rows
 
 
-def _share_cells(one: ScoreBin) -> tuple[str, str]:
-    return str(one.found), _short(one.near)
+def _share_cells(score_bin: ScoreBin) -> tuple[str, str]:
+    return str(score_bin.found), _short(score_bin.near)
 
 
 def page(results: Mapping[str, Any]) -> str:

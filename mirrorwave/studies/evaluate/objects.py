@@ -100,7 +100,7 @@ def run_objects(
 
 def scenes_sha256(results: Sequence[PlaceResult]) -> str:
     """Hash of all scenes, in order."""
-    return hashlib.sha256(b"".join(bytes.fromhex(one.scene_sha256) for one in results)).hexdigest()
+    return hashlib.sha256(b"".join(bytes.fromhex(result.scene_sha256) for result in results)).hexdigest()
 
 
 def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
@@ -121,7 +121,7 @@ def measure_place(job: tuple[ObjectPlan, int]) -> PlaceResult:
 
 def _reports(player: ScenePlayer, settings: Sequence[Setting]) -> dict[str, Sequence[HiddenObject]]:
     """Objects that each profile reports of the first scan; none where it gives no view."""
-    chains: dict[str, Chain] = {one.value: _parts(msgspec.json.encode(one)).chain() for one in settings}
+    chains: dict[str, Chain] = {setting.value: _parts(msgspec.json.encode(setting)).chain() for setting in settings}
     reports: dict[str, Sequence[HiddenObject]] = dict.fromkeys(chains, ())
     state = player.vehicle_state(player.stamp_ns(0))
     for beam in (player.beam(0, index) for index in range(len(player.setup.beams))):

@@ -83,7 +83,10 @@ class Context:
 def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context) -> dict[str, Any]:
     """All that was found, in plain values."""
     weights = bootstrap_weights(len(run.facts), context.draws, context.seed)
-    scores = {one.method.name: {truth: run.scores(one, truth) for truth in run.truths} for one in run.runs}
+    scores = {
+        method_run.method.name: {truth: run.scores(method_run, truth) for truth in run.truths}
+        for method_run in run.runs
+    }
     first = next(iter(run.truths))
     against = scores[context.reference][first]
     return {
@@ -92,7 +95,8 @@ def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context)
         "cpu_count": os.cpu_count(),
         "definitions": DEFINITIONS,
         "methods": [
-            _method(one, scores[one.method.name], sweeps.get(one.method.name, []), run, weights) for one in run.runs
+            _method(method_run, scores[method_run.method.name], sweeps.get(method_run.method.name, []), run, weights)
+            for method_run in run.runs
         ],
         "differences": {
             name: {key: _triple(value) for key, value in differences(own[first], against, weights).items()}
@@ -104,11 +108,11 @@ def make_report(run: Run, sweeps: dict[str, list[SweepPoint]], context: Context)
 
 
 def _method(
-    one: MethodRun, scores: dict[str, FrameScores], points: list[SweepPoint], run: Run, weights: np.ndarray
+    method_run: MethodRun, scores: dict[str, FrameScores], points: list[SweepPoint], run: Run, weights: np.ndarray
 ) -> dict[str, Any]:
     """One method's part of the report."""
-    method = one.method
-    times_ms = np.array(one.milliseconds)
+    method = method_run.method
+    times_ms = np.array(method_run.milliseconds)
     return {
         "name": method.name,
         "spec": method.text,
@@ -133,12 +137,14 @@ def _triple(value: Estimate) -> list[float]:
 
 
 def _sweep_point(point: SweepPoint) -> dict[str, Any]:
-    found = {name: float(values[0]) for name, values in measures(point.scores).items()}
+    values_by_name = {name: float(values[0]) for name, values in measures(point.scores).items()}
     curves = {
-        name: {rate: found[f"{'dense_' if name in ('los', 'mirrored') else ''}{name}_{rate}"] for rate in RATES}
+        name: {
+            rate: values_by_name[f"{'dense_' if name in ('los', 'mirrored') else ''}{name}_{rate}"] for rate in RATES
+        }
         for name in CURVES
     }
-    return {"threshold": point.threshold, "dense_macro_f1": found["dense_macro_f1"], **curves}
+    return {"threshold": point.threshold, "dense_macro_f1": values_by_name["dense_macro_f1"], **curves}
 
 
 def group_masks(facts: Sequence[FrameFacts]) -> Iterator[tuple[str, str, np.ndarray]]:
@@ -147,11 +153,11 @@ def group_masks(facts: Sequence[FrameFacts]) -> Iterator[tuple[str, str, np.ndar
     Unknown facts make no group, nor do sequences of one frame.
     """
     kinds: dict[str, list[tuple[str, ...]]] = {
-        "place": [(one.place,) for one in facts],
-        "relay": [one.relays for one in facts],
-        "hidden objects": [(_count(len(one.hidden)),) if one.place else () for one in facts],
-        "hidden class": [one.hidden for one in facts],
-        "sequence": [(one.sequence,) for one in facts],
+        "place": [(fact.place,) for fact in facts],
+        "relay": [fact.relays for fact in facts],
+        "hidden objects": [(_count(len(fact.hidden)),) if fact.place else () for fact in facts],
+        "hidden class": [fact.hidden for fact in facts],
+        "sequence": [(fact.sequence,) for fact in facts],
     }
     for kind, values in kinds.items():
         for value in sorted({value for row in values for value in row if value}):
@@ -165,12 +171,12 @@ def _count(number: int) -> str:
 
 
 def _groups(facts: Sequence[FrameFacts], scores: FrameScores, weights: np.ndarray) -> list[dict[str, Any]]:
-    found = []
+    groups = []
     for kind, value, mask in group_masks(facts):
         own = estimates(scores, weights, mask)
-        found.append({"group": kind, "value": value, "frames": int(mask.sum())})
-        found[-1] |= {name: _triple(own[name]) for name in GROUPED}
-    return found
+        groups.append({"group": kind, "value": value, "frames": int(mask.sum())})
+        groups[-1] |= {name: _triple(own[name]) for name in GROUPED}
+    return groups
 
 
 def _per_frame(run: Run, scores: dict[str, dict[str, FrameScores]]) -> dict[str, Any]:
@@ -178,8 +184,8 @@ def _per_frame(run: Run, scores: dict[str, dict[str, FrameScores]]) -> dict[str,
     return {
         "counted": COUNTED,
         "measured": MEASURED,
-        "facts": [vars(one) for one in run.facts],
-        "milliseconds": {one.method.name: one.milliseconds for one in run.runs},
+        "facts": [vars(item) for item in run.facts],
+        "milliseconds": {item.method.name: item.milliseconds for item in run.runs},
         "methods": {
             name: {
                 truth: {"counts": own.counts.tolist(), "distances": _spelled(own.distances)}
@@ -257,7 +263,8 @@ def _difference_lines(report: dict[str, Any]) -> list[str]:
     if not report["differences"]:
         return []
     rows = [
-        [name, *(interval_text(found[key]) for _, key in HEADLINES)] for name, found in report["differences"].items()
+        [name, *(interval_text(difference[key]) for _, key in HEADLINES)]
+        for name, difference in report["differences"].items()
     ]
     columns = ["method", *(heading for heading, _ in HEADLINES)]
     return ["", f"## Minus {report['reference']}, paired draws", "", *_table(columns, rows)]

@@ -131,11 +131,11 @@ def _step(run: MethodRun, frame: Frame, sweeping: bool) -> None:
     detected = method.detect(frame)
     peaks = method.answer(detected)
     detected_ns = time.perf_counter_ns()
-    placed = method.place(peaks)
-    placed_ns = time.perf_counter_ns()
-    run.answers.append(answer_of(peaks, *placed))
+    scene_view = method.place(peaks)
+    geometry_done_ns = time.perf_counter_ns()
+    run.answers.append(answer_of(peaks, *scene_view))
     run.milliseconds.append(
-        (MS_PER_S * s_from_ns(detected_ns - start_ns), MS_PER_S * s_from_ns(placed_ns - detected_ns))
+        (MS_PER_S * s_from_ns(detected_ns - start_ns), MS_PER_S * s_from_ns(geometry_done_ns - detected_ns))
     )
     if sweeping:
         run.peaks.append(detected if method.detect_all is None else method.detect_all(frame))
@@ -226,7 +226,7 @@ def retraced_truth(data: DataSet) -> Callable[[Frame], FrameTruth]:
             order=paths.order,
             hidden_xy_m=paths.point_m[:, :2],
             power_mw=np.full(len(paths), np.nan),
-            object_index=paths.thing,
+            object_index=paths.object_index,
             object_class=np.full(len(paths), ""),
         )
         return make_truth(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), frame)

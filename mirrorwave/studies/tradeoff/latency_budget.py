@@ -35,7 +35,7 @@ class Timed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     expected_ms: float
 
 
-class _Remembered(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class _CachedTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What was measured on a machine of this kind with these profiles and packages."""
 
     key: str
@@ -50,23 +50,23 @@ def require_budget(budget_ms: float) -> None:
 
 def pick(budget_ms: float, timed: list[Timed]) -> Timed:
     """The most accurate profile that fits, the faster of equals; `ValueError` naming the nearest where none does."""
-    fitting = [one for one in timed if one.expected_ms <= budget_ms]
+    fitting = [candidate for candidate in timed if candidate.expected_ms <= budget_ms]
     if not fitting:
-        nearest = min(timed, key=lambda one: one.expected_ms)
+        nearest = min(timed, key=lambda candidate: candidate.expected_ms)
         raise ValueError(
             f"--latency-budget-ms: no profile fits {budget_ms:g} ms on this machine; the nearest is "
             f"{nearest.profile}, which needs {nearest.expected_ms:.0f} ms"
         )
-    return max(fitting, key=lambda one: (one.recovered_f1_1m, -one.expected_ms))
+    return max(fitting, key=lambda candidate: (candidate.recovered_f1_1m, -candidate.expected_ms))
 
 
-def reason(budget_ms: float, chosen: Timed, timed: list[Timed]) -> str:
+def reason(budget_ms: float, picked: Timed, timed: list[Timed]) -> str:
     """Why this profile, in one line."""
-    better = [one for one in timed if one.recovered_f1_1m > chosen.recovered_f1_1m]
-    others = ", ".join(f"{one.profile} would need {one.expected_ms:.0f} ms" for one in better)
+    better = [candidate for candidate in timed if candidate.recovered_f1_1m > picked.recovered_f1_1m]
+    slower = ", ".join(f"{candidate.profile} would need {candidate.expected_ms:.0f} ms" for candidate in better)
     return (
-        f"profile {chosen.profile}: expected {chosen.expected_ms:.0f} of {budget_ms:g} ms from the last beam, "
-        f"recovered F1 {chosen.recovered_f1_1m:.3f}; " + (others or "none is more accurate")
+        f"profile {picked.profile}: expected {picked.expected_ms:.0f} of {budget_ms:g} ms from the last beam, "
+        f"recovered F1 {picked.recovered_f1_1m:.3f}; " + (slower or "none is more accurate")
     )
 
 
@@ -74,11 +74,11 @@ def timed_profiles(anew: bool = False, tick: Callable[[], None] = lambda: None) 
     """All profiles of known accuracy with their times here, from memory unless something changed or `anew`."""
     rows, path = _known(), cache_path()
     key = _key(rows)
-    if not anew and (found := _recall(path)) is not None and found.key == key:
-        return found.timed
+    if not anew and (cached := _recall(path)) is not None and cached.key == key:
+        return cached.timed
     timed = measure(rows, tick)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, json_lines(_Remembered(key=key, timed=timed)))
+    write_whole(path, json_lines(_CachedTimes(key=key, timed=timed)))
     return timed
 
 
@@ -103,14 +103,14 @@ def _known() -> dict[str, tuple[Setting, float]]:
     Raises `ValueError` where it knows none.
     """
     measured = {row.name: row for row in read_report(COMMITTED).rows if row.switch == PROFILE}
-    known = {}
+    committed = {}
     for row in profiles():
-        found = measured.get(row.name)
-        if found is not None and found.params == row.params and (point := point_of(found)) is not None:
-            known[row.name] = (row, point[1])
-    if not known:
+        report_row = measured.get(row.name)
+        if report_row is not None and report_row.params == row.params and (point := point_of(report_row)) is not None:
+            committed[row.name] = (row, point[1])
+    if not committed:
         raise ValueError(f"{COMMITTED}: must hold a profile with the parameters of launch/profiles, holds none")
-    return known
+    return committed
 
 
 def cache_path() -> Path:
@@ -121,13 +121,13 @@ def cache_path() -> Path:
 
 def _key(rows: dict[str, tuple[Setting, float]]) -> str:
     """Changes with the machine, the packages, the profiles and their accuracy."""
-    what = {"machine": machine(), "cores": sorted(os.sched_getaffinity(0)), "versions": versions(), "rows": rows}
-    return hashlib.sha256(msgspec.json.encode(what, order="deterministic")).hexdigest()
+    facts = {"machine": machine(), "cores": sorted(os.sched_getaffinity(0)), "versions": versions(), "rows": rows}
+    return hashlib.sha256(msgspec.json.encode(facts, order="deterministic")).hexdigest()
 
 
-def _recall(path: Path) -> _Remembered | None:
+def _recall(path: Path) -> _CachedTimes | None:
     """What is remembered; nothing where there is no such file or it says nothing that is understood."""
     try:
-        return msgspec.json.decode(path.read_bytes(), type=_Remembered)
+        return msgspec.json.decode(path.read_bytes(), type=_CachedTimes)
     except (OSError, msgspec.DecodeError, UnicodeError, RecursionError):
         return None

@@ -157,16 +157,16 @@ def _median(samples_ms: np.ndarray, weights: np.ndarray) -> Interval:
     return Interval(value=float(np.median(of_frame_ms)), low=float(low_ms), high=float(high_ms))
 
 
-def _intervals(found: dict[str, Estimate]) -> dict[str, Interval]:
-    return {name: Interval.of(found[key]) for name, key in ACCURACY.items()}
+def _intervals(estimates: dict[str, Estimate]) -> dict[str, Interval]:
+    return {name: Interval.of(estimates[key]) for name, key in ACCURACY.items()}
 
 
 def _size_bytes(row: Setting) -> int:
     """Files that a row's stages read."""
-    dense, placed = row.of("dense_predictor"), row.of("geometry")
+    dense, geometry = row.of("dense_predictor"), row.of("geometry")
     files = [None if dense.get("method") == "cfar" else model_path(dense.get("model"))]
-    files += confidence_paths(placed.get("confidence", "none"))
-    files += [None if (residual := placed.get("residual", "none")) == "none" else Path(residual)]
+    files += confidence_paths(geometry.get("confidence", "none"))
+    files += [None if (residual := geometry.get("residual", "none")) == "none" else Path(residual)]
     return sum(path.stat().st_size for path in files if path is not None)
 
 
@@ -226,14 +226,14 @@ def _number(value: float | None, digits: int) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _with_interval(one: Interval) -> str:
-    return f"{_number(one.value, 3)} [{_number(one.low, 3)}, {_number(one.high, 3)}]"
+def _with_interval(interval: Interval) -> str:
+    return f"{_number(interval.value, 3)} [{_number(interval.low, 3)}, {_number(interval.high, 3)}]"
 
 
-def _signed(one: Interval) -> str:
-    if one.value is None or one.low is None or one.high is None:
+def _signed(interval: Interval) -> str:
+    if interval.value is None or interval.low is None or interval.high is None:
         return "-"
-    return f"{one.value:+.3f} [{one.low:+.3f}, {one.high:+.3f}]"
+    return f"{interval.value:+.3f} [{interval.low:+.3f}, {interval.high:+.3f}]"
 
 
 def markdown(report: Report) -> str:

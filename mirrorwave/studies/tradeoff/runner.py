@@ -73,7 +73,7 @@ class FrameResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
 
 
 @dataclass(frozen=True)
-class Way:
+class Variant:
     """A row as keys of the stages it shares with others."""
 
     name: str
@@ -82,10 +82,10 @@ class Way:
     geometry: tuple[str, str, str]
 
     @classmethod
-    def of(cls, row: Setting) -> Way:
+    def of(cls, row: Setting) -> Variant:
         """The way of a row: equal parameters, equal keys."""
-        one, two, three = (json.dumps(row.of(stage), sort_keys=True) for stage in STAGES)
-        return cls(row.name, one, (one, two), (one, two, three))
+        former, detector, geometry = (json.dumps(row.of(stage), sort_keys=True) for stage in STAGES)
+        return cls(row.name, former, (former, detector), (former, detector, geometry))
 
 
 class Hop(Protocol):
@@ -130,15 +130,15 @@ class _Stages:
 
     def build(self, row: Setting) -> None:
         """Build what a row needs; raises whatever its parameters raise."""
-        way, setup = Way.of(row), RadarSetup()
-        if way.former not in self.former:
-            self.former[way.former] = RaFormer(setup, stage_params("ra_former", row.of("ra_former")))
-        if way.detector[1] not in self.detector:
-            self.detector[way.detector[1]] = dense_predictor.detector_for(
+        keys, setup = Variant.of(row), RadarSetup()
+        if keys.former not in self.former:
+            self.former[keys.former] = RaFormer(setup, stage_params("ra_former", row.of("ra_former")))
+        if keys.detector[1] not in self.detector:
+            self.detector[keys.detector[1]] = dense_predictor.detector_for(
                 stage_params("dense_predictor", row.of("dense_predictor")), setup
             )
-        if way.geometry[2] not in self.geometry:
-            self.geometry[way.geometry[2]] = geometry.parts_of(stage_params("geometry", row.of("geometry")))
+        if keys.geometry[2] not in self.geometry:
+            self.geometry[keys.geometry[2]] = geometry.parts_of(stage_params("geometry", row.of("geometry")))
 
 
 class Measuring:
@@ -151,7 +151,7 @@ class Measuring:
         for row in plan.rows:
             with charged(self.failed, row.name):
                 self._stages.build(row)
-        self._ways = [Way.of(row) for row in plan.rows]
+        self._variants = [Variant.of(row) for row in plan.rows]
 
     def frame(self, index: int) -> FrameResult:
         """Scores and times of all rows on one frame."""
@@ -164,34 +164,34 @@ class Measuring:
         rng = np.random.default_rng([self.plan.seed, index, 1])
         for _ in range(self.plan.repeats):
             self._repeat(pass_, beams, rng)
-        ways = [way for way in self._ways if way.name not in self.failed]
-        scores = {way.name: self._scores(pass_, way, truth) for way in ways}
+        variants = [variant for variant in self._variants if variant.name not in self.failed]
+        scores = {variant.name: self._scores(pass_, variant, truth) for variant in variants}
         return FrameResult(
             frame=index,
-            counts={name: one.counts[0].tolist() for name, one in scores.items()},
-            distances={name: one.distances[0].tolist() for name, one in scores.items()},
-            times_ms={way.name: pass_.times_of(way) for way in ways},
+            counts={name: frame_scores.counts[0].tolist() for name, frame_scores in scores.items()},
+            distances={name: frame_scores.distances[0].tolist() for name, frame_scores in scores.items()},
+            times_ms={variant.name: pass_.times_of(variant) for variant in variants},
             failed=dict(self.failed),
         )
 
     def _repeat(self, pass_: _Pass, beams: list[RadarBeam], rng: np.random.Generator) -> None:
         """Every stage of every row once, in a drawn order."""
         pass_.add("transport", "beam", self._hop("radar/beam", beams[-1]))
-        for former in self._drawn([way.former for way in self._live()], rng):
+        for former in self._drawn([variant.former for variant in self._live()], rng):
             with charged(self.failed, *self._rows("former", former)):
                 self._form(pass_, former, beams)
-        for detector in self._drawn([way.detector for way in self._live()], rng):
+        for detector in self._drawn([variant.detector for variant in self._live()], rng):
             with charged(self.failed, *self._rows("detector", detector)):
                 self._detect(pass_, detector)
-        for placed in self._drawn([way.geometry for way in self._live()], rng):
-            with charged(self.failed, *self._rows("geometry", placed)):
-                self._place(pass_, placed)
+        for geometry_key in self._drawn([variant.geometry for variant in self._live()], rng):
+            with charged(self.failed, *self._rows("geometry", geometry_key)):
+                self._place(pass_, geometry_key)
 
-    def _live(self) -> list[Way]:
-        return [way for way in self._ways if way.name not in self.failed]
+    def _live(self) -> list[Variant]:
+        return [variant for variant in self._variants if variant.name not in self.failed]
 
     def _rows(self, stage: str, key: Any) -> list[str]:
-        return [way.name for way in self._ways if getattr(way, stage) == key]
+        return [variant.name for variant in self._variants if getattr(variant, stage) == key]
 
     @staticmethod
     def _drawn(keys: list[Any], rng: np.random.Generator) -> list[Any]:
@@ -239,10 +239,10 @@ class Measuring:
         pass_.add("geometry", key, MS_PER_NS * (time.perf_counter_ns() - start_ns))
         pass_.add("transport", key, self._hop("perception/hidden_objects", view))
 
-    def _scores(self, pass_: _Pass, way: Way, truth: FrameTruth) -> FrameScores:
+    def _scores(self, pass_: _Pass, variant: Variant, truth: FrameTruth) -> FrameScores:
         """Counts of one row, from the geometry's places before objects are formed of them."""
-        peaks = pass_.peaks[way.detector]
-        scan = fold_scan(peaks, *self._stages.geometry[way.geometry[2]])
+        peaks = pass_.peaks[variant.detector]
+        scan = fold_scan(peaks, *self._stages.geometry[variant.geometry[2]])
         return score_frames([(answer_of(peaks, scan.recovered.points_m, scan.hidden), truth)])
 
 
@@ -258,15 +258,17 @@ class _Pass:
         """One sample."""
         self._times_ms.setdefault((part, key), []).append(milliseconds)
 
-    def times_of(self, way: Way) -> dict[str, list[float]]:
+    def times_of(self, variant: Variant) -> dict[str, list[float]]:
         """The samples of a row by part; transport is the sum of its four hops."""
-        hops = [self._times_ms["transport", key] for key in ("beam", way.former, way.detector, way.geometry)]
+        hops = [
+            self._times_ms["transport", key] for key in ("beam", variant.former, variant.detector, variant.geometry)
+        ]
         return {
             "transport": np.sum(hops, axis=0).tolist(),
-            "forming": self._times_ms["forming", way.former],
-            "detection": self._times_ms["detection", way.detector],
-            "geometry": self._times_ms["geometry", way.geometry],
-            BEFORE: self._times_ms[BEFORE, way.former],
+            "forming": self._times_ms["forming", variant.former],
+            "detection": self._times_ms["detection", variant.detector],
+            "geometry": self._times_ms["geometry", variant.geometry],
+            BEFORE: self._times_ms[BEFORE, variant.former],
         }
 
 
@@ -296,14 +298,14 @@ def run_plan(plan: Plan, out: Path, on_frame: Callable[[], None] = lambda: None)
 
 def peak_memory_mib(rows: Sequence[Setting], on_row: Callable[[], None] = lambda: None) -> dict[str, float]:
     """Largest resident memory [MiB] of a fresh process that holds a row's whole chain and takes in one scan."""
-    found = {}
+    peaks = {}
     for row in rows:
         with multiprocessing.get_context("spawn").Pool(1) as pool:
-            found[row.name] = float("nan")
+            peaks[row.name] = float("nan")
             with charged({}, row.name):  # the run has the reason already
-                found[row.name] = pool.apply(_row_memory_mib, (row,))
+                peaks[row.name] = pool.apply(_row_memory_mib, (row,))
         on_row()
-    return found
+    return peaks
 
 
 def _row_memory_mib(row: Setting) -> float:

@@ -68,16 +68,16 @@ def read_settings(path: Path = DEFAULT_SETTINGS, networks: Path | None = None) -
 
 def profiles() -> list[Setting]:
     """The named profiles, the default first, the others by name."""
-    found = ({"switch": PROFILE, "value": name, "params": read_profile(name)} for name in profile_names())
-    return [convert_at(one, Setting, f"profile {one['value']}") for one in found]
+    rows = ({"switch": PROFILE, "value": name, "params": read_profile(name)} for name in profile_names())
+    return [convert_at(row, Setting, f"profile {row['value']}") for row in rows]
 
 
 def profile_setting(name: str) -> Setting:
     """Return a named profile; `ValueError` names those there are."""
-    known = {one.value: one for one in profiles()}
-    if name not in known:
-        raise ValueError(f"--profile must be one of {', '.join(known)}, got {name!r}")
-    return known[name]
+    by_name = {setting.value: setting for setting in profiles()}
+    if name not in by_name:
+        raise ValueError(f"--profile must be one of {', '.join(by_name)}, got {name!r}")
+    return by_name[name]
 
 
 def _laid_over(base: Setting, row: Setting, networks: str) -> Setting:

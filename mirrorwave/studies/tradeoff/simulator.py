@@ -239,8 +239,10 @@ def _row(group: str, value: Value, results: Sequence[CaseResult]) -> SimulatorRo
         group=group,
         name=name,
         value=value,
-        errors={measure: _spread([one[measure] for one in errors]) for measure in errors[0]},
-        times_ms={part: quantiles_ms(np.array([ms for one in times_ms for ms in one[part]])) for part in times_ms[0]},
+        errors={measure: _spread([values[measure] for values in errors]) for measure in errors[0]},
+        times_ms={
+            part: quantiles_ms(np.array([ms for values in times_ms for ms in values[part]])) for part in times_ms[0]
+        },
     )
 
 
@@ -275,11 +277,11 @@ def _cells(row: SimulatorRow, errors: list[str], parts: list[str], count: int) -
     return [row.name, *(_error(name, row.errors[name]) for name in errors), *map(_milliseconds, times_ms)]
 
 
-def _error(name: str, one: Spread) -> str:
+def _error(name: str, spread: Spread) -> str:
     """Median and worst over the cases."""
     if not name.endswith("_db"):
-        return f"{one.median:.1e}, {one.worst:.1e}"
-    return ", ".join("same" if value <= SAME_DB else f"{value:.1f}" for value in (one.median, one.worst))
+        return f"{spread.median:.1e}, {spread.worst:.1e}"
+    return ", ".join("same" if value <= SAME_DB else f"{value:.1f}" for value in (spread.median, spread.worst))
 
 
 def _milliseconds(value: float | None) -> str:

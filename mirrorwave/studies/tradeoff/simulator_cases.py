@@ -123,8 +123,8 @@ class _Place:
 
 
 def _cell_errors(ratio: np.ndarray) -> dict[str, float]:
-    found = {"worst_cell_db": ratio.max(), "median_cell_db": np.median(ratio)}
-    return {name: float(20.0 * np.log10(max(value, 1e-15))) for name, value in found.items()}
+    errors = {"worst_cell_db": ratio.max(), "median_cell_db": np.median(ratio)}
+    return {name: float(20.0 * np.log10(max(value, 1e-15))) for name, value in errors.items()}
 
 
 class _Levels(_Place):
@@ -149,15 +149,15 @@ class _Levels(_Place):
                 return literal_profiles(*job, self._beams.tolist())
         with clock.part("signal"):
             if value == "beat":
-                found = hann_profiles(beam_beats(*job), self.setup.radar.samples_per_chirp)
+                profiles = hann_profiles(beam_beats(*job), self.setup.radar.samples_per_chirp)
             else:
-                found = kernel_profiles(*job, precision=str(value).removeprefix("kernel "))
-        return found[self._beams]
+                profiles = kernel_profiles(*job, precision=str(value).removeprefix("kernel "))
+        return profiles[self._beams]
 
     def truth(self, answers: dict[Value, Any]) -> np.ndarray:
         """The literal level."""
-        known = answers.get("literal")
-        return self.answer("literal", Clock()) if known is None else known
+        reference = answers.get("literal")
+        return self.answer("literal", Clock()) if reference is None else reference
 
     def errors(self, answer: np.ndarray, truth: np.ndarray) -> dict[str, float]:
         """The law's ratio in the cells of these beams."""
@@ -234,7 +234,10 @@ class _Body:
         """Fields, square root of RCS; complex128 [directions]."""
         with clock.part("rays"):
             spacing_m = WAVELENGTH_M / float(value)
-            fields = [mesh_field(self._mesh, one, WAVELENGTH_M, ray_spacing_m=spacing_m) for one in self._directions]
+            fields = [
+                mesh_field(self._mesh, direction, WAVELENGTH_M, ray_spacing_m=spacing_m)
+                for direction in self._directions
+            ]
         return np.array(fields)
 
     def truth(self, answers: dict[Value, Any]) -> np.ndarray:

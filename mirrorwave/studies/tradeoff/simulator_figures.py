@@ -30,10 +30,10 @@ def draw_simulator(report: SimulatorReport, path: Path) -> None:
         "rays": ("rays", _draw_rays),
         "fdtd": ("fdtd", _draw_cells),
     }
-    for name, (group, one) in draw.items():
+    for name, (group, draw_group) in draw.items():
         rows = [row for row in report.of(group) if row.times_ms["wall"].p50 is not None]
         if rows:
-            one(panels[name], rows)
+            draw_group(panels[name], rows)
         else:
             panels[name].set_axis_off()
     save(figure, path)
@@ -42,8 +42,8 @@ def draw_simulator(report: SimulatorReport, path: Path) -> None:
 def _draw_budget(axes: Axes, rows: list[SimulatorRow]) -> None:
     """Worst cell over the budget, with the law's line; time of planning, profiles and beats on the other axis."""
     budgets = [float(row.value) for row in rows if isinstance(row.value, float)]
-    least, most = min(budgets, default=0.0), max(budgets, default=0.0)
-    words = {"all": least - STEP_DB, "basic": least - 2.0 * STEP_DB}
+    lower, upper = min(budgets, default=0.0), max(budgets, default=0.0)
+    words = {"all": lower - STEP_DB, "basic": lower - 2.0 * STEP_DB}
     at = np.array([words[row.value] if isinstance(row.value, str) else row.value for row in rows])
     right = axes.twinx()
     _draw_times(right, at, rows)
@@ -52,12 +52,12 @@ def _draw_budget(axes: Axes, rows: list[SimulatorRow]) -> None:
     axes.patch.set_visible(False)
     median, worst = (np.array([getattr(row.errors["worst_cell_db"], name) for row in rows]) for name in ERRORS)
     differs = median > SAME_DB
-    for mine in (differs & (at >= least), differs & (at < least)):
+    for mine in (differs & (at >= lower), differs & (at < lower)):
         reach = np.stack([np.zeros(mine.sum()), (worst - median)[mine]])
         axes.errorbar(at[mine], median[mine], reach, color=BLUE, marker="o", lw=1.8, capsize=3, label=ERROR_LABEL)
     for where in at[~differs]:
         axes.annotate("no cell differs", (where, 0.03), xycoords=("data", "axes fraction"), rotation=90, ha="center")
-    axes.plot([least, most], [least, most], color=VERMILION, ls="--", lw=1.4, label="no cell may be over the budget")
+    axes.plot([lower, upper], [lower, upper], color=VERMILION, ls="--", lw=1.4, label="no cell may be over the budget")
     axes.set_xticks(at, [row.name for row in rows])
     axes.set_xlabel("effects of the simulation: basic, all, or planned under a budget")
     axes.set_ylabel("worst cell of a place against all effects [dB]\nmedian place, line to the worst", color=BLUE)
@@ -71,12 +71,12 @@ def _draw_times(axes: Axes, at: np.ndarray, rows: list[SimulatorRow]) -> None:
     """What a scan costs: finding the paths and asking for each effect, then its profiles, or its beats."""
     paths, signal, beats = (_medians(rows, part) for part in ("paths", "signal", "beats"))
     width = 0.2 * STEP_DB
-    for side, what, label, colour in (
+    for side, quantity, label, colour in (
         (-0.5, signal, "signal, kernel level", ORANGE),
         (0.5, beats, "signal, beat level", GREEN),
     ):
         axes.bar(at + side * width, paths, width=width, color=GREY, alpha=0.4, label="paths and planning")
-        axes.bar(at + side * width, what, width=width, bottom=paths, color=colour, alpha=0.5, label=label)
+        axes.bar(at + side * width, quantity, width=width, bottom=paths, color=colour, alpha=0.5, label=label)
     axes.set_ylabel("bars: median wall time of a scan [ms]")
     axes.set_ylim(0.0, 1.3 * max(float((paths + np.maximum(signal, beats)).max()), 1e-3))
 
@@ -87,8 +87,8 @@ def _medians(rows: list[SimulatorRow], part: str) -> np.ndarray:
 
 def _draw_levels(axes: Axes, rows: list[SimulatorRow]) -> None:
     """Error over time, a point a level."""
-    known = [row.errors["worst_cell_db"].worst for row in rows if row.errors["worst_cell_db"].worst > SAME_DB]
-    floor = min(known, default=-100.0) - 25.0
+    finite = [row.errors["worst_cell_db"].worst for row in rows if row.errors["worst_cell_db"].worst > SAME_DB]
+    floor = min(finite, default=-100.0) - 25.0
     for index, row in enumerate(rows):
         worst, wall_ms = row.errors["worst_cell_db"].worst, row.times_ms["wall"].p50 or 0.0
         reference, up = worst <= SAME_DB, 1 if index % 2 else -1
@@ -145,8 +145,8 @@ def _draw_resolution(axes: Axes, rows: list[SimulatorRow], measure: str, finer: 
     """Error and time over a resolution, all axes logarithmic."""
     at = [float(row.value) for row in rows]
     error = [row.errors[measure] for row in rows]
-    axes.plot(at, [one.median for one in error], color=BLUE, marker="o", label="median case")
-    axes.plot(at, [one.worst for one in error], color=BLUE, marker="^", ls=":", label="worst case")
+    axes.plot(at, [spread.median for spread in error], color=BLUE, marker="o", label="median case")
+    axes.plot(at, [spread.worst for spread in error], color=BLUE, marker="^", ls=":", label="worst case")
     right = axes.twinx()
     wall_ms = _medians(rows, "wall")
     right.plot(at, wall_ms, color=ORANGE, marker="s")

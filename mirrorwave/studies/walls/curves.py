@@ -13,7 +13,7 @@ from mirrorwave.studies.walls.wall import BANDS_GHZ, Method, Wall, total_thickne
 MAX_ANGLES = 10_000
 #: FDTD: the weakest transmitted field that a run resolves; of rough walls cells per wavelength, and correlation length
 #: in wavelengths.
-FDTD_LEAST_FIELD = 1e-6
+FDTD_MIN_FIELD = 1e-6
 FDTD_ROUGH_CELLS, FDTD_CORRELATION_WAVELENGTHS = 16.0, 4.0 / 3.0
 
 
@@ -66,17 +66,17 @@ def answer(wall: Wall, frequency_hz: float, angles_deg: np.ndarray) -> Answer:
     return Answer(frequency_hz, angles_deg, te, tm, note)
 
 
-def as_contract(wall: Wall, found: Answer) -> dict[str, Any]:
+def as_contract(wall: Wall, result: Answer) -> dict[str, Any]:
     """The JSON document of one answer."""
     return {
         "material": wall.material,
-        "frequency_hz": found.frequency_hz,
+        "frequency_hz": result.frequency_hz,
         "thickness_m": total_thickness_m(wall),
         "roughness_m": wall.roughness_m,
         "method": str(wall.method),
-        "angles_deg": found.angles_deg.tolist(),
-        "te": _plain_curves(found.te),
-        "tm": _plain_curves(found.tm),
+        "angles_deg": result.angles_deg.tolist(),
+        "te": _plain_curves(result.te),
+        "tm": _plain_curves(result.tm),
     }
 
 
@@ -90,7 +90,7 @@ def overview() -> list[dict[str, str]]:
         row = {"material": name}
         row |= {f"eps {band:g} GHz": _permittivity_text(name, 1e9 * band) for band in BANDS_GHZ}
         row |= {f"R {band:g} GHz": _reflection_text(name, 1e9 * band) for band in BANDS_GHZ}
-        row["valid GHz"] = ", ".join(f"{least:g}..{most:g}" for least, most in validity_ghz(name))
+        row["valid GHz"] = ", ".join(f"{lower:g}..{upper:g}" for lower, upper in validity_ghz(name))
         row["roughness mm"] = "-" if roughness is None else f"{roughness[0]:g}..{roughness[1]:g}"
         rows.append(row)
     return rows
@@ -129,12 +129,12 @@ def _fdtd_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polari
     console = Console(stderr=True)
     label = f"{wall.material} {frequency_hz / 1e9:g} GHz {polarisation}"
     angles = track(np.radians(angles_deg), label, console=console, transient=True, disable=not console.is_terminal)
-    found = [reflect(layers, float(angle), frequency_hz, **options) for angle in angles]
-    t = np.array([one.t for one in found], np.complex128)
+    results = [reflect(layers, float(angle), frequency_hz, **options) for angle in angles]
+    t = np.array([result.t for result in results], np.complex128)
     return Curves(
-        np.array([one.r for one in found], np.complex128),
-        np.where(np.abs(t) > FDTD_LEAST_FIELD, t, 0.0),
-        np.array([one.specular_power for one in found], np.float64),
+        np.array([result.r for result in results], np.complex128),
+        np.where(np.abs(t) > FDTD_MIN_FIELD, t, 0.0),
+        np.array([result.specular_power for result in results], np.float64),
     )
 
 

@@ -109,7 +109,7 @@ def as_document(table: ReflectanceTable) -> dict[str, Any]:
     keys = ("wall", "frequency_hz", "polarisation", "roughness_m", "angle_deg", "reason")
     return {
         "card": table.card,
-        "comparison": [_comparison_row(one) for one in table.compare()],
+        "comparison": [_comparison_row(comparison) for comparison in table.compare()],
         "absent": [dict(zip(keys, row, strict=True)) for row in table.absent()],
     }
 
@@ -194,19 +194,19 @@ def _progress() -> Progress:
     return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
-def _comparison_row(one: Comparison) -> dict[str, Any]:
-    worst_db, error_db, angle_deg = one.worst
+def _comparison_row(comparison: Comparison) -> dict[str, Any]:
+    worst_db, error_db, angle_deg = comparison.worst
     return {
-        "wall": one.wall,
-        "frequency_hz": one.frequency_hz,
-        "polarisation": one.polarisation,
-        "roughness_m": one.roughness_m,
+        "wall": comparison.wall,
+        "frequency_hz": comparison.frequency_hz,
+        "polarisation": comparison.polarisation,
+        "roughness_m": comparison.roughness_m,
         "worst_db": worst_db,
         "worst_error_db": error_db,
         "worst_angle_deg": angle_deg,
-        "angles": len(one.angles_deg),
-        "within_half_db": one.agreeing,
-        "absent": one.absent,
+        "angles": len(comparison.angles_deg),
+        "within_half_db": comparison.agreeing,
+        "absent": comparison.absent,
     }
 
 

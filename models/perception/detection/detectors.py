@@ -14,7 +14,7 @@ from models.perception.detection.onnx_model import DEFAULT_MODEL, DensePredictor
 from models.perception.detection.peaks import PeakParams, find_peaks, find_pursued_peaks, peaks_at
 from models.perception.detection.pursuit import pursued_peaks
 from models.perception.detection.refinement import EchoRefiner, RefinementParams, refined_peaks
-from models.perception.detection.ridge_matching import NamedParams, named_peaks
+from models.perception.detection.ridge_matching import RidgeMatchingParams, ridge_matched_peaks
 from models.perception.detection.score_calibration import calibrated_peaks
 from models.perception.geometry.observability import UNKNOWN_SENSITIVITY_DB, sensitivity_db
 from msgs.values.perception import Peaks
@@ -72,7 +72,7 @@ class NetworkDetector:
         model: Path = DEFAULT_MODEL,
         threads: int = 1,
         params: PeakParams | None = None,
-        ridge_matching: NamedParams | None = None,
+        ridge_matching: RidgeMatchingParams | None = None,
         refine: bool | str = Refine.PURSUIT,
         refinement: RefinementParams | None = None,
         calibrate: bool = False,
@@ -85,7 +85,7 @@ class NetworkDetector:
         if placement is Refine.PURSUIT:
             # compile now: the first map must not wait for it
             pursued_peaks(np.zeros((1, 1)), self._params.threshold, self._params.pursuit)
-        self._ridge_matching, self._refine = ridge_matching or NamedParams(), placement
+        self._ridge_matching, self._refine = ridge_matching or RidgeMatchingParams(), placement
         self._name = detector_name(self._predictor.card.sha256, placement, flip_test)
         self._refiner = (
             EchoRefiner(setup, refinement) if placement in (Refine.LIKELIHOOD, Refine.MAXIMA_LIKELIHOOD) else None
@@ -104,7 +104,7 @@ class NetworkDetector:
     def _own_peaks(self, ra_map: RangeAzimuthMap) -> Peaks:
         """Return the peaks before any refinement on the complex map."""
         if self._refine in (Refine.RIDGE, Refine.LIKELIHOOD):
-            return named_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._ridge_matching)
+            return ridge_matched_peaks(self._predictor.predict(ra_map), ra_map, self._params, self._ridge_matching)
         if self._refine is Refine.PURSUIT:
             return find_pursued_peaks(self._predictor.predict(ra_map), ra_map, self._params)
         if self._predictor.card.head == "heatmap":

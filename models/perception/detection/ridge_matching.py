@@ -13,7 +13,7 @@ from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import RangeAzimuthMap
 
 
-class NamedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class RidgeMatchingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Distance and height at which a heatmap's response matches a ridge."""
 
     ridges: RidgeParams = RidgeParams()
@@ -22,7 +22,9 @@ class NamedParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     threshold: float = 0.2
 
 
-def named_peaks(heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams, params: NamedParams) -> Peaks:
+def ridge_matched_peaks(
+    heatmap: np.ndarray, ra_map: RangeAzimuthMap, peaks: PeakParams, params: RidgeMatchingParams
+) -> Peaks:
     """Return the ridges that match the heatmap [2, range, azimuth], then its own maxima away from ridges of their
     class.
     """

@@ -92,7 +92,7 @@ class _Inverse:
     share: np.ndarray
 
 
-def require_bearable(setup: RadarSetup) -> None:
+def require_tractable(setup: RadarSetup) -> None:
     """Raise `ValueError` for a set-up whose maps would take too long to form."""
     beams, coefficients = len(setup.beams), 2 * setup.array.columns - 1
     if beams * coefficients > MAX_TERMS:

@@ -15,7 +15,7 @@ import numpy as np
 import scipy.fft
 from scipy.special import gammaincinv
 
-from models.perception.forming.coarray import AzimuthInterpolator, CoherenceTest, require_bearable
+from models.perception.forming.coarray import AzimuthInterpolator, CoherenceTest, require_tractable
 from models.perception.forming.map_quality import (
     ARRAY_LIMIT,
     array_deviation,
@@ -388,7 +388,7 @@ class RaFormer:
         self, setup: RadarSetup, params: FormingParams | None = None, grid: RangeAzimuthGrid | None = None
     ) -> None:
         params = params or FormingParams()
-        require_bearable(setup)
+        require_tractable(setup)
         self.interpolator = AzimuthInterpolator(setup, grid, params.coherence)
         self.folder = BeamFolder(setup, params, self.interpolator.grid)
         self.repeated_beams = 0

@@ -169,7 +169,7 @@ def _at(values: np.ndarray, wall: np.ndarray) -> np.ndarray:
     return np.nan_to_num(padded[wall] if values.ndim == 1 else padded[np.arange(len(wall)), wall])
 
 
-def place_features(
+def position_features(
     recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
 ) -> np.ndarray:
     """Return the features of each position, float64 [N, features], in the order of `FEATURES`."""
@@ -178,7 +178,7 @@ def place_features(
     return np.stack([columns[name].astype(np.float64) for name in FEATURES], axis=1)
 
 
-class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class PositionConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A fitted model: p = sigmoid(w . tanh(A z + a) + b) of standardised features z; and how it was made.
 
     Raises `ValueError` naming the field unless names, shapes and numbers belong together.
@@ -218,7 +218,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         """Return whether the model was fitted on peaks of this detector (`Peaks.detector`), or of any."""
         return self.detector in ("", detector)
 
-    def of(self, detector: str) -> PlaceConfidence | None:
+    def of(self, detector: str) -> PositionConfidence | None:
         """Return itself where it was fitted on peaks of this detector."""
         return self if self.fits(detector) else None
 
@@ -226,7 +226,7 @@ class PlaceConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         self, recovered: Recovered, walls: list[Wall], returns: DirectReturns, params: RecoveryParams
     ) -> Recovered:
         """Return the positions of a scan that reach the threshold, each with its probability as score."""
-        probability = self.probability(place_features(recovered, walls, returns, params))
+        probability = self.probability(position_features(recovered, walls, returns, params))
         return replace(recovered, score=probability).select(probability >= self.threshold)
 
     def probability(self, features: np.ndarray) -> np.ndarray:
@@ -265,17 +265,17 @@ def _check_numbers(name: str, values: object, shape: tuple[int, ...]) -> None:
 class FittedConfidences:
     """Models of several detectors; the peaks of each detector use its own model."""
 
-    models: tuple[PlaceConfidence, ...]
+    models: tuple[PositionConfidence, ...]
 
-    def of(self, detector: str) -> PlaceConfidence | None:
+    def of(self, detector: str) -> PositionConfidence | None:
         """Return the first model fitted on peaks of this detector."""
         return next((model for model in self.models if model.fits(detector)), None)
 
 
 #: Models that the geometry stage accepts.
-Confidence = PlaceConfidence | FittedConfidences
+Confidence = PositionConfidence | FittedConfidences
 
 
-def load_confidence(path: Path) -> PlaceConfidence:
+def load_confidence(path: Path) -> PositionConfidence:
     """Read a fitted model; raises `ValueError` naming the file and the field that is wrong."""
-    return read_card(Path(path), PlaceConfidence)
+    return read_card(Path(path), PositionConfidence)

@@ -16,7 +16,7 @@ from numba import njit
 
 from models.perception.geometry.mirrors import wall_arrays
 from models.physics.link_budget import beam_snr
-from models.physics.mirror import CLEARANCE_M, cut, mirrored
+from models.physics.mirror import CLEARANCE_M, mirrored, segments_cross
 from msgs.values.arrays import require_finite, require_positive
 from msgs.values.perception import BevGrid, Visibility, Wall
 from msgs.values.radar import RadarSetup
@@ -177,7 +177,10 @@ def _is_free(x, y, image, own, walls):  # type: ignore[no-untyped-def]
     at_x, at_y = share * image[0], share * image[1]
     for w in range(len(walls)):
         ends = _wall(walls, w)[:4]
-        if w != own and (cut(0.0, 0.0, at_x, at_y, *ends, CLEARANCE_M) or cut(at_x, at_y, x, y, *ends, CLEARANCE_M)):
+        if w != own and (
+            segments_cross(0.0, 0.0, at_x, at_y, *ends, CLEARANCE_M)
+            or segments_cross(at_x, at_y, x, y, *ends, CLEARANCE_M)
+        ):
             return False
     return True
 

@@ -29,7 +29,7 @@ from msgs.values.perception import MOST_PEAKS, BevFrame, BevGrid, PathClass, Pea
 
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by the walls of earlier scans.
-Remembered = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
+WallPrior = Callable[[np.ndarray, np.ndarray, list[Wall], np.ndarray], tuple[list[Wall], np.ndarray]]
 
 
 class GeometryParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -67,7 +67,7 @@ def fold_scan(
     params: GeometryParams,
     residual: Residual | None = None,
     confidence: Confidence | None = None,
-    remembered: Remembered | None = None,
+    wall_prior: WallPrior | None = None,
 ) -> FoldedScan:
     """Find walls in the peaks and fold the images back, Eqs. (18) and (19); drop the improbable ones.
 
@@ -75,7 +75,7 @@ def fold_scan(
     """
     if len(peaks) > MOST_PEAKS:
         raise ValueError(f"peaks must be at most {MOST_PEAKS} a scan, got {len(peaks)}")
-    returns, walls = direct_structure(peaks, params, remembered)
+    returns, walls = direct_structure(peaks, params, wall_prior)
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:
         recovered = corrected(recovered, residual(reflection_state(recovered, walls, returns)))
@@ -90,10 +90,10 @@ def recover_bev(
     params: GeometryParams,
     residual: Residual | None = None,
     confidence: Confidence | None = None,
-    remembered: Remembered | None = None,
+    wall_prior: WallPrior | None = None,
 ) -> BevFrame:
     """Form hidden points and objects from peaks by way of folded positions; tracks are added by `ScanMemory`."""
-    scan = fold_scan(peaks, params, residual, confidence, remembered)
+    scan = fold_scan(peaks, params, residual, confidence, wall_prior)
     hidden = scan.recovered.select(scan.hidden)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
@@ -110,7 +110,7 @@ def recover_bev(
 
 
 def direct_structure(
-    peaks: Peaks, params: GeometryParams, remembered: Remembered | None = None
+    peaks: Peaks, params: GeometryParams, wall_prior: WallPrior | None = None
 ) -> tuple[DirectReturns, list[Wall]]:
     """Return the direct returns in the plane with their clusters, and the walls among them and from earlier scans."""
     direct = peaks.path_class == PathClass.LOS
@@ -119,8 +119,8 @@ def direct_structure(
     covariance_m2 = cartesian_covariance(range_m, azimuth_rad, peaks.covariance[direct])
     labels = dbscan(points_m, params.cluster_eps_m, params.cluster_min_points)
     walls, wall_of_point = find_walls(points_m, covariance_m2, labels, params.walls)
-    if remembered is not None:
-        walls, wall_of_point = remembered(points_m, covariance_m2, walls, wall_of_point)
+    if wall_prior is not None:
+        walls, wall_of_point = wall_prior(points_m, covariance_m2, walls, wall_of_point)
     return DirectReturns(points_m, peaks.snr_db[direct], labels, wall_of_point), walls
 
 

@@ -27,7 +27,7 @@ class OdometryParams(BiasParams, frozen=True, kw_only=True, forbid_unknown_field
     history_s: float = 5.0
 
 
-class Placed(NamedTuple):
+class OdometryPose(NamedTuple):
     """The vehicle at a time: pose `odom_from_vehicle` in frame number `frame`, speed, yaw rate without bias."""
 
     frame: int
@@ -79,7 +79,7 @@ class Odometry:
         while self._poses[0].stamp_ns < state.stamp_ns - ns_from_s(self._params.history_s):
             self._poses.popleft()
 
-    def at(self, stamp_ns: int) -> Placed | None:
+    def at(self, stamp_ns: int) -> OdometryPose | None:
         """Return the vehicle's pose at a time, None where no state is near enough."""
         index = bisect_right(self._poses, stamp_ns, key=lambda pose: pose.stamp_ns) - 1
         if index < 0:
@@ -92,7 +92,7 @@ class Odometry:
         share = elapsed_s / max(s_from_ns(after.stamp_ns - start.stamp_ns), elapsed_s, 1e-9)
         speed_mps = start.speed_mps + share * (after.speed_mps - start.speed_mps)
         yaw_rate_rps = start.yaw_rate_rps + share * (after.yaw_rate_rps - start.yaw_rate_rps)
-        return Placed(self._frame, _moved(start, speed_mps, yaw_rate_rps, elapsed_s), speed_mps, yaw_rate_rps)
+        return OdometryPose(self._frame, _moved(start, speed_mps, yaw_rate_rps, elapsed_s), speed_mps, yaw_rate_rps)
 
     def _is_late(self, stamp_ns: int) -> bool:
         """Return whether a stamp lies behind the newest, but not so far that the clock must have been set back."""
@@ -136,16 +136,17 @@ class ScanOdometry:
         if len(self._waiting) > MAX_WAITING_STATES:
             self._take(1)
 
-    def at(self, stamp_ns: int) -> Placed | None:
-        """Return the vehicle's pose at a scan's stamp; `standing` while no state has arrived, None where none is near
-        enough.
+    def at(self, stamp_ns: int) -> OdometryPose | None:
+        """Return the vehicle's pose at a scan's stamp.
+
+        It is `stationary_pose` while no state has arrived, and None where no state is near enough.
         """
         last_query_ns, self._last_query_ns = self._last_query_ns, stamp_ns
         if last_query_ns is not None and last_query_ns - stamp_ns > ns_from_s(self._params.max_gap_s):
             # the clock was set back: waiting states from before would be used again later
             self._waiting = [state for state in self._waiting if state.stamp_ns <= last_query_ns]
         self._take(bisect_right(self._waiting, stamp_ns, key=lambda state: state.stamp_ns))
-        return self._odometry.at(stamp_ns) if self._has_state else standing()
+        return self._odometry.at(stamp_ns) if self._has_state else stationary_pose()
 
     @property
     def yaw_rate_bias(self) -> BiasEstimate:
@@ -164,9 +165,9 @@ def _order(state: VehicleState) -> tuple[int, float, float, bool]:
     return state.stamp_ns, state.speed_mps, state.yaw_rate_rps, state.valid
 
 
-def standing() -> Placed:
+def stationary_pose() -> OdometryPose:
     """Return the pose of a radar that never moves, in a frame of its own."""
-    return Placed(-1, Pose2(), 0.0, 0.0)
+    return OdometryPose(-1, Pose2(), 0.0, 0.0)
 
 
 def _moved(start: _StampedPose, speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:

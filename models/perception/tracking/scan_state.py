@@ -6,8 +6,8 @@ from functools import partial
 
 import msgspec
 
-from models.perception.geometry.stage import Remembered
-from models.perception.tracking.odometry import OdometryParams, ScanOdometry, standing
+from models.perception.geometry.stage import WallPrior
+from models.perception.tracking.odometry import OdometryParams, ScanOdometry, stationary_pose
 from models.perception.tracking.tracker import Tracker, TrackerParams
 from models.perception.tracking.wall_map import WallMap, WallMapParams
 from models.perception.tracking.yaw_rate_bias import BiasEstimate
@@ -44,11 +44,11 @@ class ScanMemory:
         """The bias that is subtracted from the yaw rate."""
         return self._odometry.yaw_rate_bias
 
-    def walls_at(self, peaks: Peaks) -> Remembered | None:
+    def walls_at(self, peaks: Peaks) -> WallPrior | None:
         """Return the wall prior for `recover_bev`; None where no walls are kept or no state has arrived."""
         pose = self._odometry.at(peaks.stamp_ns)
         # a radar that only seems to stand would find every wall at several positions
-        if self._walls is None or pose is None or pose == standing():
+        if self._walls is None or pose is None or pose == stationary_pose():
             return None
         return partial(self._walls.step, peaks.stamp_ns, pose, peaks.vehicle_from_radar)
 

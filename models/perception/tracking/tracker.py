@@ -19,7 +19,7 @@ import msgspec
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from models.perception.tracking.odometry import Placed
+from models.perception.tracking.odometry import OdometryPose
 from models.physics.mirror import blocked
 from msgs.values.arrays import require_positive
 from msgs.values.frames import Pose2
@@ -161,12 +161,12 @@ class Tracker:
     _frame: int | None = field(default=None, init=False)
     _messages: tuple[Track, ...] = field(default=(), init=False)
 
-    def step(self, frame: BevFrame, pose: Placed | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
+    def step(self, frame: BevFrame, pose: OdometryPose | None, vehicle_from_radar: Pose2 = FRONT) -> tuple[Track, ...]:
         """Return the confirmed tracks after a scan, in the radar's axes and at the time of that scan's stamp, by id.
 
         `pose`: the vehicle at the scan's stamp (`ScanOdometry.at`); without it no object can be tracked and all tracks
-        end, as they do when its frame changes. `standing` is the pose of a radar that never moves. A repeated or late
-        scan changes nothing and returns the tracks of the scan before it again.
+        end, as they do when its frame changes. `stationary_pose` is the pose of a radar that never moves. A repeated or
+        late scan changes nothing and returns the tracks of the scan before it again.
         """
         if pose is None:
             self._forget(None)
@@ -343,7 +343,7 @@ def _steps_s(params: TrackerParams) -> np.ndarray:
     return params.step_s * np.arange(round(params.horizon_s / params.step_s) + 1)
 
 
-def radar_ahead(pose: Placed, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
+def radar_ahead(pose: OdometryPose, vehicle_from_radar: Pose2, params: TrackerParams) -> np.ndarray:
     """Return the positions of the radar [steps, 2] in the odometry frame if the vehicle keeps its speed and yaw
     rate.
     """

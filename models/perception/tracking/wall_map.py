@@ -21,7 +21,7 @@ import numpy as np
 from models.perception.geometry.lines import gains
 from models.perception.geometry.mirrors import wall_arrays
 from models.perception.geometry.walls import WallParams, find_walls
-from models.perception.tracking.odometry import Placed
+from models.perception.tracking.odometry import OdometryPose
 from models.physics.mirror import crosses
 from msgs.values.arrays import require_positive
 from msgs.values.frames import Pose2, wrap_angle
@@ -171,12 +171,12 @@ class WallMap:
     def __init__(self, params: WallMapParams | None = None) -> None:
         self._params = params or WallMapParams()
         self._kept: list[_KeptLine] = []
-        self._last: tuple[int, Placed] | None = None
+        self._last: tuple[int, OdometryPose] | None = None
 
     def step(
         self,
         stamp_ns: int,
-        pose: Placed,
+        pose: OdometryPose,
         vehicle_from_radar: Pose2,
         points_m: np.ndarray,
         covariance_m2: np.ndarray,
@@ -216,7 +216,7 @@ class WallMap:
         self._kept = self._kept[: self._params.max_walls]
         return walls, wall_of_point
 
-    def _age(self, stamp_ns: int, pose: Placed) -> None:
+    def _age(self, stamp_ns: int, pose: OdometryPose) -> None:
         """Let evidence fade and uncertainty grow since the last scan; a new odometry frame clears the map."""
         last, self._last = self._last, (stamp_ns, pose)
         if last is None or last[1].frame != pose.frame:

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.accuracy import side_street
 from benchmarks.accuracy.side_street import SCAN_BY_SCAN, STANDING, TRACKED, Said, Scan, line, row, said
-from models.perception.tracking.odometry import standing
+from models.perception.tracking.odometry import stationary_pose
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, SceneTruth, TruthObject
 
 NONE = np.zeros((0, 3), np.float32)
@@ -34,7 +34,7 @@ def scan(time_s: float, hidden: bool = True) -> Scan:
         stamp_ns=0, scan_id=0, los_points_m=np.zeros((0, 2), np.float32), grid=BevGrid(rows=1, columns=1),
         visibility=np.zeros((1, 1), np.uint8),
     )  # fmt: skip
-    return Scan(time_s=time_s, frame=frame, truth=truth(hidden), place=standing())
+    return Scan(time_s=time_s, frame=frame, truth=truth(hidden), place=stationary_pose())
 
 
 def test_both_errors_are_said() -> None:

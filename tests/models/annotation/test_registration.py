@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from models.annotation.registration import (
-    PlacedCloud,
+    PosedCloud,
     RegistrationParams,
     import_open3d,
     looked_through,
@@ -42,11 +42,11 @@ surfaces:
 """
 
 
-def two_clouds(scene: Scene, other: Viewpoint) -> tuple[PlacedCloud, np.ndarray, np.ndarray]:
+def two_clouds(scene: Scene, other: Viewpoint) -> tuple[PosedCloud, np.ndarray, np.ndarray]:
     """The radar's own cloud in its place; another viewpoint's points and true pose."""
     first = lidar_cloud(scene, Viewpoint(x_m=0.0, y_m=0.0), LIDAR, 0)
     second = lidar_cloud(scene, other, LIDAR, 1)
-    return PlacedCloud(first.points_m, first.radar_from_lidar), second.points_m, second.radar_from_lidar
+    return PosedCloud(first.points_m, first.radar_from_lidar), second.points_m, second.radar_from_lidar
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_a_pose_error_is_the_turn_and_the_way() -> None:
 
 
 def test_too_few_points_are_refused() -> None:
-    placed = PlacedCloud(np.random.default_rng(0).normal(size=(30, 3)), np.eye(4))
+    placed = PosedCloud(np.random.default_rng(0).normal(size=(30, 3)), np.eye(4))
     with pytest.raises(ValueError, match="at least 50 points on planes, got 30"):
         register(placed.points_m * 10.0, [placed], np.eye(4), PARAMS)
 

@@ -13,9 +13,9 @@ from models.physics.mirror import (
     blocked,
     crosses,
     crossing_parameters,
-    cut,
     mirrored,
     reflect,
+    segments_cross,
     specular_points,
     wall_from_ends,
 )
@@ -165,7 +165,7 @@ def test_compiled_forms_are_the_same_law() -> None:
     for (x, y), (nx, ny), offset in zip(*rng.uniform(-9.0, 9.0, (2, 50, 2)), rng.uniform(0.0, 9.0, 50), strict=True):
         np.testing.assert_array_equal(mirrored(x, y, nx, ny, offset), reflect(np.array([x, y]), [nx, ny], offset))
     rays, walls = rng.uniform(-9.0, 9.0, (2, 50, 4))
-    together = [cut(*ray, *wall, 1e-6) for ray in rays for wall in walls]
+    together = [segments_cross(*ray, *wall, 1e-6) for ray in rays for wall in walls]
     for n, ray in enumerate(rays):
         alone = crosses(ray[:2], ray[None, 2:], walls[:, :2], walls[:, 2:])[0]
         np.testing.assert_array_equal(together[50 * n : 50 * n + 50], alone)

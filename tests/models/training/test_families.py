@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from models.training.families import FAMILIES, INPUTS, chosen_network
+from models.training.families import FAMILIES, INPUTS, preset_network
 
 SIZES = [(family, size) for family in FAMILIES for size in FAMILIES[family].sizes]
 
@@ -12,7 +12,7 @@ SIZES = [(family, size) for family in FAMILIES for size in FAMILIES[family].size
 @pytest.mark.parametrize(("family", "size"), SIZES)
 def test_the_encoding_fills_the_networks_input(family: str, size: str) -> None:
     """Columns of the map and padding to both sides are as many as the network takes, channels and ranges too."""
-    choice, encoding = chosen_network(family, size)
+    choice, encoding = preset_network(family, size)
     config = choice.resolved
     assert encoding.columns + 2 * encoding.pad_columns == config.columns
     assert encoding.range_bins == config.range_bins
@@ -22,12 +22,12 @@ def test_the_encoding_fills_the_networks_input(family: str, size: str) -> None:
 
 def test_a_padded_network_sees_the_map_in_its_middle() -> None:
     """Swin-UNet of Table 3 takes 512 columns and crops 128 to either side: 256 are the map's."""
-    _, encoding = chosen_network("swin_unet", "full")
+    _, encoding = preset_network("swin_unet", "full")
     assert (encoding.columns, encoding.pad_columns) == (256, 128)
 
 
 def test_the_input_asked_for_is_taken_and_others_are_refused() -> None:
-    choice, encoding = chosen_network("unet", "compact", "log")
+    choice, encoding = preset_network("unet", "compact", "log")
     assert encoding.channels == INPUTS["log"] != INPUTS["complex"]
     assert choice.resolved.in_channels == len(INPUTS["log"])
     for arguments, says in (
@@ -36,4 +36,4 @@ def test_the_input_asked_for_is_taken_and_others_are_refused() -> None:
         (("unet", "compact", "sound"), "input must be one of .*, got 'sound'"),
     ):
         with pytest.raises(ValueError, match=says):
-            chosen_network(*arguments)
+            preset_network(*arguments)

@@ -10,7 +10,7 @@ import pytest
 
 from benchmarks.accuracy.side_street import drift, drive, ways
 from benchmarks.accuracy.side_street_drives import BIAS_RPS, CAR, PERIOD_S, SCANS, logged, read_states
-from models.perception.tracking.odometry import Placed, ScanOdometry, standing
+from models.perception.tracking.odometry import OdometryPose, ScanOdometry, stationary_pose
 from models.perception.tracking.tracker import Tracker
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Track
@@ -38,7 +38,7 @@ def driven(states: list[VehicleState]) -> list[VehicleState]:
     return [state for state in states if state.stamp_ns >= end_ns]
 
 
-def placed(states: list[VehicleState]) -> list[tuple[int, Placed]]:
+def placed(states: list[VehicleState]) -> list[tuple[int, OdometryPose]]:
     """The vehicle at every scan of a radar on it, where it is known."""
     odometry, waiting, found = ScanOdometry(), list(states), []
     for stamp_ns in range(states[0].stamp_ns, states[-1].stamp_ns, PERIOD_NS):
@@ -120,7 +120,7 @@ def test_a_parked_car_stands_beside_the_drive(driven: list[VehicleState], places
         while waiting and waiting[0].stamp_ns <= stamp_ns:
             odometry.add(waiting.pop(0))
         view = _seen(stamp_ns, pose.inverse().apply(parked_m) + 0.3 * rng.standard_normal(2))
-        told = [trackers[0].step(view, odometry.at(stamp_ns)), trackers[1].step(view, standing())]
+        told = [trackers[0].step(view, odometry.at(stamp_ns)), trackers[1].step(view, stationary_pose())]
     ((moving,), standing_ego) = told
     assert np.hypot(moving.velocity_x_mps, moving.velocity_y_mps) < 1.0
     assert np.hypot(moving.x_m - 25.0, moving.y_m - 8.0) < 0.6

@@ -15,8 +15,8 @@ from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Su
 from sim_player.scene.world import Snapshot, World, prepare, snapshot
 from sim_player.trace.echoes import Echoes
 from sim_player.trace.routes import Routes
-from sim_player.trace.segments import Passage
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.segments import Occlusion
+from sim_player.trace.snapshot import TraceContext
 
 RADAR = RadarParams()
 WAVENUMBER = 2.0 * math.pi / RADAR.wavelength_m
@@ -72,13 +72,13 @@ def points_world(
 class Traced(NamedTuple):
     view: Snapshot
     routes: dict[str, Routes]
-    straight: tuple[Routes, Passage]
+    straight: tuple[Routes, Occlusion]
     echoes: dict[str, Echoes]
 
 
 def traced(world: World, *names: str, time_s: float = 0.0) -> Traced:
     """The effects asked for, in their order, with their routes and echoes."""
-    tracing, echoes = Tracing(snapshot(world, time_s)), {}
+    tracing, echoes = TraceContext(snapshot(world, time_s)), {}
     for name in PATH_EFFECTS:
         if name in names:
             assert PATHS[name].absent(world) is None

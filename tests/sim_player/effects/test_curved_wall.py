@@ -12,7 +12,7 @@ from models.physics.surface_integral import wall_field
 from sim_player.effects.curved_wall import as_chords
 from sim_player.scene.description import SceneRadar
 from sim_player.scene.world import snapshot
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 from tests.sim_player.effects.point_scenes import RADAR, one_way_field, points_world, traced, unit_weight, wall
 
 NAME = "curved_wall"
@@ -69,7 +69,7 @@ def test_field_takes_the_focusing(curvature_per_m: float) -> None:
     expected = focusing(np.array(out), np.array(on), np.array(cosine), np.array(curvature_per_m))
     assert abs(route.other[0]) == pytest.approx(abs(complex(expected)), rel=0.01)
     echoes = found.echoes[NAME]
-    mirrored = echoes.take(echoes.thing == 0)
+    mirrored = echoes.take(echoes.object_index == 0)
     assert unit_weight(mirrored)[0] == pytest.approx((route.whole * route.other / route.length_m)[0] ** 2, rel=1e-12)
 
 
@@ -106,7 +106,7 @@ def test_the_radars_own_image_in_an_arc() -> None:
     sagitta = radius - math.sqrt(radius**2 - 0.25 * chord**2)
     arc = wall((10.0 + sagitta, -6.0), (10.0 + sagitta, 6.0), curvature_per_m=-1.0 / radius)
     echoes = traced(points_world([(-5.0, -300.0, 1.0)], arc), NAME).echoes[NAME]
-    flash = echoes.take(echoes.thing < 0)
+    flash = echoes.take(echoes.object_index < 0)
     assert len(flash) == 1
     assert flash.out_m[0] == pytest.approx(10.0, rel=1e-9)
     flat = math.sqrt(1e3 * RADAR.transmit_power_w) * RADAR.wavelength_m / (4.0 * math.pi * 20.0)
@@ -116,7 +116,7 @@ def test_the_radars_own_image_in_an_arc() -> None:
 def test_skipped_arcs_mirror_like_their_chords() -> None:
     """`as_chords` gives the flat wall's echo in place of the arc's, not stopped by the arc itself."""
     world = points_world([POINT], wall(*ENDS, curvature_per_m=0.02))
-    tracing = Tracing(snapshot(world))
+    tracing = TraceContext(snapshot(world))
     echoes = as_chords(tracing)
     flat = traced(points_world([POINT], wall(*ENDS)), "specular_relay").echoes["specular_relay"]
     np.testing.assert_allclose(unit_weight(echoes), unit_weight(flat), rtol=1e-12)

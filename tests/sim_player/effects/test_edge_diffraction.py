@@ -11,7 +11,7 @@ from scipy.special import fresnel
 
 from sim_player.effects.edge_diffraction import edges_of
 from sim_player.scene.world import World, snapshot
-from sim_player.trace.snapshot import Tracing
+from sim_player.trace.snapshot import TraceContext
 from tests.sim_player.effects.point_scenes import (
     RADAR,
     WAVENUMBER,
@@ -188,7 +188,7 @@ def test_an_arcs_end_faces_along_its_tangent() -> None:
     """Bent wall, half turn 0.3 rad: its end's face leaves the chord by 0.3 rad, to the side of the bulge."""
     chord = 20.0
     arc = wall((10.0, 0.0), (10.0, -chord), curvature_per_m=2.0 * math.sin(0.3) / chord)
-    tracing = Tracing(snapshot(points_world([(20.0, 3.0, 1.0)], arc)))
+    tracing = TraceContext(snapshot(points_world([(20.0, 3.0, 1.0)], arc)))
     edges = edges_of(tracing.view)
     start = np.flatnonzero(edges.point[:, 1] == 0.0)[0]
     # centre to the left of the way down, at greater x: the wall bulges to smaller x, its start leans there

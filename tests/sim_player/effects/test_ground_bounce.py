@@ -27,7 +27,7 @@ def total(found, target: int | None = None) -> complex:  # type: ignore[no-untyp
     """Sum of all echoes with the phases of their lengths."""
     result = 0.0j
     for echoes in found.echoes.values():
-        one = echoes if target is None else echoes.take(echoes.thing == target)
+        one = echoes if target is None else echoes.take(echoes.object_index == target)
         result += (unit_weight(one) * np.exp(-1j * WAVENUMBER * (one.out_m + one.back_m))).sum()
     return result
 

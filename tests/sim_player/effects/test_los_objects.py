@@ -22,7 +22,7 @@ def test_radar_equation_and_direction() -> None:
     np.testing.assert_allclose(unit_weight(echo), [1.0 / distance**2], rtol=1e-12)
     np.testing.assert_allclose(echo.depart, [[9.0 / distance, 4.0 / distance, 1.5 / distance]], atol=1e-12)
     assert echo.out_m[0] == echo.back_m[0] == pytest.approx(distance, rel=1e-12)
-    assert (echo.kind[0], echo.order[0], echo.surface[0], echo.thing[0]) == (PathClass.LOS, 0, -1, 0)
+    assert (echo.kind[0], echo.order[0], echo.surface[0], echo.object_index[0]) == (PathClass.LOS, 0, -1, 0)
 
 
 def test_walls_hide_and_foliage_thins() -> None:

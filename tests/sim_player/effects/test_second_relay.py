@@ -35,7 +35,7 @@ def test_image_of_the_image() -> None:
     assert routes.length_m[0] == pytest.approx(length, rel=1e-12)
     np.testing.assert_allclose(routes.depart[0], [18.0 / length, 23.0 / length, 0.0], atol=1e-12)
     np.testing.assert_allclose(routes.arrive[0], [-18.0 / length, -23.0 / length, 0.0], atol=1e-12)
-    echo = found.echoes[NAME].take(found.echoes[NAME].thing == 0)
+    echo = found.echoes[NAME].take(found.echoes[NAME].object_index == 0)
     field = metal(23.0 / length) * metal(18.0 / length) / length
     np.testing.assert_allclose(unit_weight(echo), [field**2], rtol=1e-12)
     assert echo.order.tolist() == [2]
@@ -101,7 +101,9 @@ def loops(angle_rad: float, distance_m: float = 12.0, share: float = 0.4) -> Ech
     ends = [apex + 40.0 * np.array([-math.cos(turn), math.sin(turn)]) for turn in (face, face - angle_rad)]
     world = points_world([(-5.0, -300.0, 1.0)], *(wall((float(x), float(y)), (distance_m, 0.0)) for x, y in ends))
     echoes = traced(world, NAME).echoes[NAME]
-    return echoes.take((echoes.thing < 0) & (echoes.order == 2) & ((echoes.point == [0.0, 0.0, 1.0]).all(axis=1)))
+    return echoes.take(
+        (echoes.object_index < 0) & (echoes.order == 2) & ((echoes.point == [0.0, 0.0, 1.0]).all(axis=1))
+    )
 
 
 def level(echoes: Echoes, distance_m: float) -> float:

@@ -12,7 +12,7 @@ from sim_player.generate.comparison_scenes import (
     Corner,
     comparison_place,
     corner_scene,
-    mirror_way,
+    mirror_path,
     shown_points,
     with_sensor,
 )
@@ -33,7 +33,7 @@ def test_a_hidden_object_is_seen_in_the_mirror_alone(corner: Corner) -> None:
     for viewpoint in range(3):
         scene = corner_scene(corner, 3, viewpoint)
         check_scene(scene)
-        truth, way = shown_points(scene), mirror_way(scene)
+        truth, way = shown_points(scene), mirror_path(scene)
         assert truth.hidden == {0}
         assert len(truth) >= 2
         # shifted by 0.3 m in both directions of the wall at most
@@ -45,13 +45,13 @@ def test_a_hidden_object_is_seen_in_the_mirror_alone(corner: Corner) -> None:
 def test_truth_lies_on_the_object_and_its_image_behind_the_wall() -> None:
     """Image method: |image| is the length of the way by the wall, so R = r1 + r2 for the object's middle."""
     scene = corner_scene(Corner(range_m=12.0), 1)
-    truth, way = shown_points(scene), mirror_way(scene)
+    truth, way = shown_points(scene), mirror_path(scene)
     grown = msgspec.structs.replace(scene.objects[0])
     half = 0.5 * np.hypot(grown.kind.length_m, grown.kind.width_m)
     centre = np.array([grown.x_m, grown.y_m])
-    assert (np.linalg.norm(truth.place_m - centre, axis=1) <= half + 1e-9).all()
+    assert (np.linalg.norm(truth.position_m - centre, axis=1) <= half + 1e-9).all()
     assert np.abs(np.linalg.norm(truth.image_m, axis=1) - way.range_m).max() <= half
-    apart = np.linalg.norm(truth.place_m[:, None] - truth.place_m, axis=2) + 9.0 * np.eye(len(truth))
+    apart = np.linalg.norm(truth.position_m[:, None] - truth.position_m, axis=2) + 9.0 * np.eye(len(truth))
     assert apart.min() >= TRUTH_SPACING_M
 
 

@@ -19,9 +19,9 @@ from sim_player.generate.domain_shift import (
     RADAR_ROOM_M,
     BoardFaults,
     ShiftParams,
+    domain_shifted_scene,
     draw_faults,
     faulty_profiles,
-    shifted_scene,
 )
 from sim_player.generate.places import random_place
 from sim_player.generate.streets import random_street
@@ -44,7 +44,7 @@ def test_surfaces_are_rougher_and_clutter_is_added() -> None:
     added = []
     for index in range(20):
         scene = random_place(4, index)
-        shifted = shifted_scene(scene, np.random.default_rng(index))
+        shifted = domain_shifted_scene(scene, np.random.default_rng(index))
         assert shifted.objects == scene.objects
         old = np.array([surface.roughness_mm for surface in scene.surfaces])
         new = np.array([surface.roughness_mm for surface in shifted.surfaces])[: len(old)]
@@ -67,7 +67,7 @@ def test_a_full_place_takes_no_clutter_but_stays_a_scene() -> None:
         for x in np.arange(1.0, 45.0, 0.75).tolist()
     )
     full = msgspec.structs.replace(scene, surfaces=bars, objects=())
-    assert len(shifted_scene(full, np.random.default_rng(0)).surfaces) == len(bars)
+    assert len(domain_shifted_scene(full, np.random.default_rng(0)).surfaces) == len(bars)
 
 
 def test_no_shift_of_nothing() -> None:
@@ -78,7 +78,7 @@ def test_no_shift_of_nothing() -> None:
     )  # fmt: skip
     scene = random_place(4, 2)
     rng = np.random.default_rng(1)
-    assert shifted_scene(scene, rng, nothing) == scene
+    assert domain_shifted_scene(scene, rng, nothing) == scene
     profiles = profile_noise(SETUP, 3).astype(np.complex64)
     same = faulty_profiles(profiles, draw_faults(rng, BEAMS, nothing), SETUP, 3)
     assert same.tobytes() == profiles.tobytes()
@@ -154,7 +154,7 @@ def test_series_without_shift_are_as_they_were(tmp_path: Path, hard: Path) -> No
 
 def test_clutter_stands_at_millimetre_waves_too() -> None:
     assert known("vegetation", "77ghz")
-    shifted_scene(random_place(4, 3, "77ghz"), np.random.default_rng(2))
+    domain_shifted_scene(random_place(4, 3, "77ghz"), np.random.default_rng(2))
 
 
 @pytest.mark.parametrize(

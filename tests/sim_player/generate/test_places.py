@@ -46,7 +46,7 @@ def seen(places: list[Place]) -> list[tuple[frozenset[int], frozenset[int]]]:
     found = []
     for place in places:
         paths = trace(prepare(place.scene), 0.0, OBJECT_EFFECTS)
-        direct = paths.thing[paths.kind == PathClass.LOS]
+        direct = paths.object_index[paths.kind == PathClass.LOS]
         found.append((frozenset(direct.tolist()), hidden_objects(paths)))
     return found
 
@@ -150,7 +150,7 @@ def test_objects_stand_apart(places: list[Place]) -> None:
         for index in range(len(boxes.corners)):
             own = Boxes(boxes.corners[index : index + 1])
             others = Boxes(np.delete(boxes.corners, index, axis=0))
-            assert not own.cut(*others.faces).any()
+            assert not own.crossed_by(*others.faces).any()
             if index in place.hidden:
                 assert not indoors(own.corners.mean(axis=1), _rings(place.scene)).any()
 

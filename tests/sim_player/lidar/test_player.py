@@ -59,7 +59,7 @@ def test_what_moves_moves_within_a_scan() -> None:
 
     def car_at_51(ego_mps: float, scan: int) -> float:
         paths = LidarPlayer(hidden_car(ego_mps=ego_mps)).paths(scan)
-        car = (paths.thing == 0) & (paths.route == LightRoute.MIRROR) & (paths.azimuth_index == 51)
+        car = (paths.object_index == 0) & (paths.route == LightRoute.MIRROR) & (paths.azimuth_index == 51)
         return float(paths.range_m[car][0])
 
     cosine = np.cos(np.radians(36.0))
@@ -86,7 +86,7 @@ def test_the_hidden_car_stands_over_the_ambient_light() -> None:
     """
     player = LidarPlayer(hidden_car())
     paths = player.paths(0)
-    car = paths.take((paths.thing == 0) & (paths.kind == PathClass.MIRRORED))
+    car = paths.take((paths.object_index == 0) & (paths.kind == PathClass.MIRRORED))
     assert 30.7 < car.range_m.min() < car.range_m.max() < 33.6
     azimuths = np.unique(car.azimuth_index)
     assert len(azimuths) == 17
@@ -95,7 +95,7 @@ def test_the_hidden_car_stands_over_the_ambient_light() -> None:
         return counts[azimuths, :-1].astype(float) + counts[azimuths, 1:]
 
     every = pairs(expected_histograms(player.setup, paths))
-    dark = pairs(expected_histograms(player.setup, paths.take(paths.thing < 0)))
+    dark = pairs(expected_histograms(player.setup, paths.take(paths.object_index < 0)))
     rows, best = np.arange(17), (every - dark).argmax(axis=1)
     assert (every - dark)[rows, best].min() > 7.0
     assert dark[rows, best].max() < 2.2

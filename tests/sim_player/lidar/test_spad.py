@@ -70,7 +70,7 @@ def test_transient_of_one_facet_at_the_exact_bin(range_m: float) -> None:
     assert paths.azimuth_index.tolist() == [1]
     assert paths.range_m[0] == pytest.approx(range_m, abs=1e-9)
     assert paths.kind[0] == PathClass.LOS
-    assert paths.thing[0] == 0
+    assert paths.object_index[0] == 0
     mean = expected_histograms(setup, paths)
     assert np.unravel_index(mean.argmax(), mean.shape) == (1, int(2.0 * range_m / SPEED_OF_LIGHT_MPS / DARK.bin_s))
     assert mean[[0, 2]].sum() == 0.0
@@ -101,7 +101,7 @@ def test_mirror_path_ends_at_the_image() -> None:
     path = found(slanted(), lidar(), route=LightRoute.MIRROR)
     assert path.range_m[0] == pytest.approx(11.0, abs=1e-9)
     assert path.kind[0] == PathClass.MIRRORED
-    assert path.thing[0] == 0
+    assert path.object_index[0] == 0
     mirror = float(fresnel_power(1.51, math.sqrt(0.5)))
     white = matt_albedo(OPTICAL["plasterboard"])
     assert path.photons[0] == pytest.approx(photons_per_pulse(DARK) * mirror**2 * white * (5e-3 / 11.0) ** 2, rel=1e-6)
@@ -126,7 +126,7 @@ def test_what_stands_on_a_leg_takes_the_mirrored_light(blocker: SceneObject, mir
     scene = slanted()
     paths = found(msgspec.structs.replace(scene, objects=(*scene.objects, blocker)), lidar(), route=LightRoute.MIRROR)
     assert [(thing, pytest.approx(range_m)) for thing, range_m in mirrored] == list(
-        zip(paths.thing.tolist(), paths.range_m.tolist(), strict=True)
+        zip(paths.object_index.tolist(), paths.range_m.tolist(), strict=True)
     )
 
 
@@ -306,16 +306,16 @@ def test_labels_make_the_same_mirror_path() -> None:
     paths = label_paths(world, setup, trace(world))
     images = paths.take(paths.kind == PathClass.MIRRORED)
     assert len(images)
-    assert set(images.thing.tolist()) == {0}
+    assert set(images.object_index.tolist()) == {0}
     rays = optical_paths(world, setup)
-    rays = rays.take((rays.route == LightRoute.MIRROR) & (rays.thing == 0))
+    rays = rays.take((rays.route == LightRoute.MIRROR) & (rays.object_index == 0))
     assert rays.range_m.min() - 0.3 < images.range_m.min()
     assert images.range_m.max() < rays.range_m.max() + 5.0
     mirror = images.photons / (photons_per_pulse(DARK) * OBJECT_ALBEDO["car"] * (5e-3 / images.range_m) ** 2)
     least, most = (float(fresnel_power(1.51, math.cos(math.radians(angle)))) ** 2 for angle in (35.0, 55.0))
     assert np.all((mirror > least) & (mirror < most))
     direct = paths.take(paths.kind == PathClass.LOS)
-    assert -1 in direct.thing
+    assert -1 in direct.object_index
     assert np.all(direct.route == LightRoute.DIRECT)
 
 

@@ -47,7 +47,7 @@ def plate_scene(preset: str, range_m: float, azimuth_rad: float, walls: tuple[Su
 def plate_paths(scene: Scene, range_m: float) -> Paths:
     """The echo from a range; that of the wall itself and of other ways are left out."""
     paths = trace(prepare(scene, 0))
-    return paths.take((paths.thing == 0) & (np.abs(0.5 * paths.length_m - range_m) < 0.05))
+    return paths.take((paths.object_index == 0) & (np.abs(0.5 * paths.length_m - range_m) < 0.05))
 
 
 def simulated_snr(scene: Scene, range_m: float) -> tuple[float, tuple[int, ...]]:

@@ -59,7 +59,7 @@ def some_paths(count: int, longest_m: float, seed: int = 0, two_ways: bool = Fal
         order=nothing.astype(np.uint8),
         needs=nothing.astype(np.uint32),
         surface=nothing,
-        thing=nothing,
+        object_index=nothing,
         point_m=np.zeros((count, 3)),
         virtual_m=np.zeros((count, 3)),
     )

@@ -48,7 +48,7 @@ def mirrored(paths: Paths) -> Paths:
 
 
 def objects_seen(paths: Paths) -> set[int]:
-    return set(paths.thing[(paths.kind == PathClass.LOS) & (paths.thing >= 0)].tolist())
+    return set(paths.object_index[(paths.kind == PathClass.LOS) & (paths.object_index >= 0)].tolist())
 
 
 @pytest.mark.parametrize("range_m", [5.0, 10.0, 20.0, 50.0, 100.0])
@@ -297,7 +297,7 @@ def nearest(now: Echoes, then: Echoes) -> np.ndarray:
     """Which echo of another instant each echo is (-1: none): same thing and wall, nearly the same lengths and ways."""
 
     def place(echoes: Echoes) -> np.ndarray:
-        labels = [echoes.thing, echoes.surface, echoes.order]
+        labels = [echoes.object_index, echoes.surface, echoes.order]
         lengths = [echoes.out_m, echoes.back_m]
         return np.column_stack([100.0 * np.stack(labels, axis=1), *lengths, echoes.depart, echoes.arrive, echoes.point])
 

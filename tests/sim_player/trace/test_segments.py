@@ -16,10 +16,10 @@ from sim_player.trace.segments import (
     VOLUME,
     WALL,
     Blockers,
-    free_passage,
+    free_segments,
     in_series,
-    passage,
-    passing_factor,
+    segment_occlusion,
+    transmission_factor,
     without,
 )
 
@@ -51,7 +51,7 @@ def test_straight_pieces_are_those_of_the_mirror_law() -> None:
     end[:500] = a[3] + share[:, None] * (b[3] - a[3])
     end[500:600] = corners[rng.integers(16, size=100)]
     met = crosses(start, end, a, b)
-    legs = passage(level(start), level(end), blockers(a, b))
+    legs = segment_occlusion(level(start), level(end), blockers(a, b))
     np.testing.assert_array_equal(legs.free, ~met.any(axis=1))
     np.testing.assert_allclose(legs.through, 0.5 ** met.sum(axis=1), rtol=1e-12)
 
@@ -70,7 +70,7 @@ def test_arcs_are_fine_polylines(turn: float) -> None:
         cuts = [crosses(start, end, line[:-1] + shift, line[1:] + shift).sum(axis=1) for shift in (0.0, 2e-4, -2e-4)]
         nearly |= (cuts[0] != cuts[1]) | (cuts[0] != cuts[2])
         count += cuts[0]
-    legs = passage(level(start), level(end), blockers(a, b, curvature_per_m=curvature))
+    legs = segment_occlusion(level(start), level(end), blockers(a, b, curvature_per_m=curvature))
     assert nearly.mean() < 0.01
     np.testing.assert_allclose(legs.through[~nearly], 0.5 ** count[~nearly], rtol=1e-12)
     np.testing.assert_array_equal(legs.free[~nearly], count[~nearly] == 0)
@@ -82,8 +82,8 @@ def test_legs_that_start_on_an_arc_leave_it() -> None:
     a, b = np.array([[0.0, -5.0]]), np.array([[0.0, 5.0]])
     bowl = blockers(a, b, curvature_per_m=np.array([0.15]))
     on = level(arc_points(a[0], b[0], 0.15, np.linspace(0.05, 0.95, 50)))
-    inside = passage(on, level(np.tile([[-2.0, 0.3]], (50, 1))), bowl)
-    outside = passage(level(np.tile([[9.0, 0.3]], (50, 1))), level(np.tile([[-2.0, 0.3]], (50, 1))), bowl)
+    inside = segment_occlusion(on, level(np.tile([[-2.0, 0.3]], (50, 1))), bowl)
+    outside = segment_occlusion(level(np.tile([[9.0, 0.3]], (50, 1))), level(np.tile([[-2.0, 0.3]], (50, 1))), bowl)
     assert inside.free.all()
     assert not outside.free.any()
 
@@ -93,7 +93,7 @@ def test_heights_decide_at_the_crossing() -> None:
     fence = blockers(np.array([[5.0, -1.0]]), np.array([[5.0, 1.0]]), height_m=np.array([2.0]))
     height = np.array([0.0, 2.0, 2.99, 3.01, 9.0])
     end = np.column_stack([np.full(5, 10.0), np.zeros(5), height])
-    assert passage(np.array([0.0, 0.0, 1.0]), end, fence).free.tolist() == [False, False, False, True, True]
+    assert segment_occlusion(np.array([0.0, 0.0, 1.0]), end, fence).free.tolist() == [False, False, False, True, True]
 
 
 def test_foliage_multiplies_and_bodies_stop() -> None:
@@ -101,9 +101,9 @@ def test_foliage_multiplies_and_bodies_stop() -> None:
     x = np.array([1.0, 2.0, 3.0, 4.0])
     a, b = np.column_stack([x, np.full(4, -1.0)]), np.column_stack([x, np.full(4, 1.0)])
     passing = np.array([0.6, 0.7, 0.5, 0.0])[:, None] * np.ones(TABLE_STEPS + 1) + 0j
-    things = blockers(a, b, kind=np.array([VOLUME, VOLUME, WALL, BODY], np.int8), passing=passing)
+    things = blockers(a, b, kind=np.array([VOLUME, VOLUME, WALL, BODY], np.int8), transmission=passing)
     end = level(np.array([[0.5, 0.0], [1.5, 0.0], [2.5, 0.0], [3.5, 0.0], [4.5, 0.0]]))
-    legs = passage(np.array([0.0, 0.0, 1.0]), end, things)
+    legs = segment_occlusion(np.array([0.0, 0.0, 1.0]), end, things)
     assert legs.free.tolist() == [True, True, True, False, False]
     np.testing.assert_allclose(legs.foliage, [1.0, 0.6, 0.42, 0.42, 0.42], rtol=1e-12)
     np.testing.assert_allclose(legs.through, [1.0, 1.0, 1.0, 0.5, 0.0], rtol=1e-12)
@@ -115,8 +115,8 @@ def test_own_bodies_do_not_count() -> None:
     things = blockers(a, b, owner=np.array([0, 1], np.int32))
     end = level(np.array([[3.0, 0.0], [3.0, 0.0], [5.0, 0.0]]))
     owner = np.array([0, 1, 1], np.int32)
-    assert passage(np.array([0.0, 0.0, 1.0]), end, things, owner).free.tolist() == [True, False, False]
-    chain = free_passage((np.array([0.0, 0.0, 1.0]), level(np.tile([[3.0, 0.5]], (3, 1))), end), things, owner)
+    assert segment_occlusion(np.array([0.0, 0.0, 1.0]), end, things, owner).free.tolist() == [True, False, False]
+    chain = free_segments((np.array([0.0, 0.0, 1.0]), level(np.tile([[3.0, 0.5]], (3, 1))), end), things, owner)
     assert chain.free.tolist() == [False, False, False]
 
 
@@ -128,8 +128,8 @@ def test_chains_are_legs_in_series() -> None:
     things = blockers(a, b, kind=kind)
     points = rng.uniform(-9.0, 9.0, (3, 400, 2))
     one, two, three = (level(place) for place in points)
-    chain = free_passage((one, two, three), things)
-    whole = in_series(passage(one, two, things), passage(two, three, things))
+    chain = free_segments((one, two, three), things)
+    whole = in_series(segment_occlusion(one, two, things), segment_occlusion(two, three, things))
     np.testing.assert_array_equal(chain.free, whole.free)
     np.testing.assert_allclose(chain.foliage[chain.free], whole.foliage[chain.free], rtol=1e-12)
     assert 50 < chain.free.sum() < 350
@@ -139,7 +139,7 @@ def test_chains_are_legs_in_series() -> None:
 def test_left_out_pieces_do_not_block() -> None:
     a, b = np.array([[2.0, -1.0], [4.0, -1.0]]), np.array([[2.0, 1.0], [4.0, 1.0]])
     end = level(np.array([[3.0, 0.0], [5.0, 0.0]]))
-    assert passage(np.array([0.0, 0.0, 1.0]), end, without(blockers(a, b), 0)).free.tolist() == [True, False]
+    assert segment_occlusion(np.array([0.0, 0.0, 1.0]), end, without(blockers(a, b), 0)).free.tolist() == [True, False]
 
 
 @pytest.mark.parametrize("thickness_m", [6e-3, 0.3])
@@ -155,15 +155,15 @@ def test_the_table_of_what_passes(thickness_m: float) -> None:
 
     table = factor(np.linspace(0.0, 1.0, TABLE_STEPS + 1))[None]
     cosine = np.random.default_rng(5).uniform(0.5, 1.0, 2000)
-    read = passing_factor(table, np.zeros(2000, int), cosine)
+    read = transmission_factor(table, np.zeros(2000, int), cosine)
     error = np.abs(read - factor(cosine))
     fine = np.linspace(0.5, 1.0, 20001)
     bend = np.abs(np.diff(factor(fine), 2)).max() / (fine[1] - fine[0]) ** 2
     assert error.max() < 1.05 * bend / 8.0 / TABLE_STEPS**2
     assert error.max() < 1e-4
     # and the compiled legs read the same table
-    pane = blockers(np.array([[1.0, -99.0]]), np.array([[1.0, 99.0]]), passing=table)
+    pane = blockers(np.array([[1.0, -99.0]]), np.array([[1.0, 99.0]]), transmission=table)
     end = level(np.column_stack([2.0 * cosine, 2.0 * np.sqrt(1.0 - cosine**2)]))
     met = end[:, 0] > 1.0001
-    legs = passage(np.array([0.0, 0.0, 1.0]), end, pane)
+    legs = segment_occlusion(np.array([0.0, 0.0, 1.0]), end, pane)
     np.testing.assert_allclose(legs.through[met], read[met], rtol=1e-9)

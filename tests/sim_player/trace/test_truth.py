@@ -68,7 +68,7 @@ def test_hidden_means_mirrored_and_out_of_sight() -> None:
     paths = trace(prepare(SCENE))
     assert hidden_objects(paths) == {0}
     # an object in the open keeps its mirror images
-    assert ((paths.kind == PathClass.MIRRORED) & (paths.thing == 1)).any()
+    assert ((paths.kind == PathClass.MIRRORED) & (paths.object_index == 1)).any()
 
 
 def test_objects_carry_their_motion_into_the_radars_frame() -> None:
@@ -104,7 +104,7 @@ def test_object_images_are_those_of_geometry_and_power() -> None:
     assert images.mirrored[0]
     # a third object that nothing comes from
     assert (images.mirrored[2], images.snr_db[2]) == (False, -np.inf)
-    single = paths.take((paths.kind == PathClass.MIRRORED) & (paths.thing == 0) & (paths.order == 1))
+    single = paths.take((paths.kind == PathClass.MIRRORED) & (paths.object_index == 0) & (paths.order == 1))
     radar = player.setup.radar
     noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
     wanted_db = 10.0 * np.log10(best_power_mw(player.setup, single).max() / noise_mw)

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 import pytest
 
 from mirrorwave.cli import main
-from mirrorwave.diagnose.graph_drawing import _boxes, _layout, _places, dot_text, svg_text
+from mirrorwave.diagnose.graph_drawing import _boxes, _layout, _positions, dot_text, svg_text
 from mirrorwave.diagnose.graph_picture import GraphNode, GraphPicture, Link, launch_picture, layers, text_lines
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -141,7 +141,7 @@ def test_edges_pass_boxes_at_a_distance() -> None:
     """An edge over several columns has a place of its own in each, half a box away from its neighbours."""
     boxes = _boxes(CHAIN)
     layout = _layout(CHAIN, boxes)
-    places, _, _ = _places(layout, boxes)
+    places, _, _ = _positions(layout, boxes)
     passed = [key for route in layout.routes for key in route[1:-1]]
     assert passed
     for column in layout.columns:

@@ -23,7 +23,7 @@ def test_a_held_terminal_holds_nothing_up_and_says_what_it_missed() -> None:
         held.wait()
         shown.append(entry["text"])
 
-    with LogPrinter(show, most=2) as printer:
+    with LogPrinter(show, max_lines=2) as printer:
         printer(entry(0))
         under_way.wait()
         for number in range(1, 10):

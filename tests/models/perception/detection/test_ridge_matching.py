@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.perception.detection.peaks import PeakParams
-from models.perception.detection.ridge_matching import NamedParams, named_peaks
+from models.perception.detection.ridge_matching import RidgeMatchingParams, ridge_matched_peaks
 from models.perception.detection.ridges import RidgeParams, find_ridges
 from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
@@ -38,7 +38,9 @@ def heatmap_with(*rises: tuple[PathClass, int, int, float]) -> np.ndarray:
 def test_the_ridge_places_what_the_heatmap_names() -> None:
     """The heatmap is 6 columns (2.8 deg) off; the lobe's vertex is at column 120.4. Tolerance: a tenth of a column."""
     ra_map = map_with((100.0, 120.4, 40.0))
-    peaks = named_peaks(heatmap_with((PathClass.MIRRORED, 101, 126, 0.6)), ra_map, PeakParams(), NamedParams())
+    peaks = ridge_matched_peaks(
+        heatmap_with((PathClass.MIRRORED, 101, 126, 0.6)), ra_map, PeakParams(), RidgeMatchingParams()
+    )
     assert peaks.path_class.tolist() == [PathClass.MIRRORED]
     assert peaks.score.tolist() == pytest.approx([0.6])
     assert GRID.azimuth_index(peaks.azimuth_rad)[0] == pytest.approx(120.4, abs=0.1)
@@ -47,7 +49,9 @@ def test_the_ridge_places_what_the_heatmap_names() -> None:
 
 def test_a_ridge_that_nothing_names_is_no_peak() -> None:
     ra_map = map_with((100.0, 120.0, 40.0), (200.0, 60.0, 40.0))
-    peaks = named_peaks(heatmap_with((PathClass.LOS, 100, 120, 0.5)), ra_map, PeakParams(), NamedParams())
+    peaks = ridge_matched_peaks(
+        heatmap_with((PathClass.LOS, 100, 120, 0.5)), ra_map, PeakParams(), RidgeMatchingParams()
+    )
     assert len(peaks) == 1
 
 
@@ -55,14 +59,14 @@ def test_the_heatmaps_own_maximum_counts_where_the_map_has_no_ridge_of_its_class
     """An image beside a stronger direct return of the same lobe: no ridge of its own, named all the same."""
     ra_map = map_with((100.0, 120.0, 40.0))
     heatmap = heatmap_with((PathClass.LOS, 100, 120, 0.6), (PathClass.MIRRORED, 101, 132, 0.5))
-    peaks = named_peaks(heatmap, ra_map, PeakParams(), NamedParams())
+    peaks = ridge_matched_peaks(heatmap, ra_map, PeakParams(), RidgeMatchingParams())
     assert peaks.path_class.tolist() == [PathClass.LOS, PathClass.MIRRORED]
 
 
 def test_equal_bytes_on_equal_maps_and_none_on_an_empty_one() -> None:
     empty = map_with()
-    assert len(named_peaks(heatmap_with(), empty, PeakParams(), NamedParams())) == 0
-    one = named_peaks(heatmap_with((PathClass.LOS, 0, 0, 0.9)), empty, PeakParams(), NamedParams())
+    assert len(ridge_matched_peaks(heatmap_with(), empty, PeakParams(), RidgeMatchingParams())) == 0
+    one = ridge_matched_peaks(heatmap_with((PathClass.LOS, 0, 0, 0.9)), empty, PeakParams(), RidgeMatchingParams())
     assert np.isfinite(one.covariance).all()
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from models.perception.geometry.association import DirectReturns, RecoveryParams
-from models.perception.geometry.confidence import FEATURES, PlaceConfidence, load_confidence, place_features
+from models.perception.geometry.confidence import FEATURES, PositionConfidence, load_confidence, position_features
 from models.perception.geometry.mirrors import NO_WALL
 from models.perception.geometry.recovery import Recovered
 from models.perception.geometry.stage import GeometryParams, recover_bev
@@ -41,7 +41,7 @@ def returns_at(points: list[list[float]], wall: list[int], snr_db: float = 30.0)
     return DirectReturns(points_m, np.full(count, snr_db), np.zeros(count, np.int64), np.array(wall, np.int64))
 
 
-def model(threshold: float = 0.5, **changes: Any) -> PlaceConfidence:
+def model(threshold: float = 0.5, **changes: Any) -> PositionConfidence:
     """p = sigmoid(2 tanh((snr - 20 dB) / 10 dB) - 0.5) unless told otherwise."""
     own = [float(name == "snr_db") for name in FEATURES]
     fields: dict[str, Any] = {
@@ -50,7 +50,7 @@ def model(threshold: float = 0.5, **changes: Any) -> PlaceConfidence:
         "hidden_weights": (tuple(own),), "hidden_biases": (0.0,), "weights": (2.0,), "bias": -0.5,
         "threshold": threshold,
     }  # fmt: skip
-    return PlaceConfidence(**{**fields, **changes})
+    return PositionConfidence(**{**fields, **changes})
 
 
 def scan_of(snr_db: list[float]) -> Peaks:
@@ -70,7 +70,7 @@ def test_features_of_a_place_worked_out_by_hand() -> None:
     """Image (28, 8), facade x = 20, place (12, 8): the ray meets the facade at (20, 40/7), nearest return (20, 5),
     and a lone return at (12, 6) is 5 dB stronger; rounding of double precision."""
     returns = returns_at([[20.0, 5.0], [20.0, -5.0], [12.0, 6.7]], [0, 0, NO_WALL])
-    (row,) = place_features(places([[12.0, 8.0]], [[28.0, 8.0]], [0]), [FACADE], returns, RecoveryParams())
+    (row,) = position_features(places([[12.0, 8.0]], [[28.0, 8.0]], [0]), [FACADE], returns, RecoveryParams())
     found = dict(zip(FEATURES, row, strict=True))
     image_m = math.hypot(28.0, 8.0)
     expected = {
@@ -92,7 +92,7 @@ def test_places_of_other_walls_support_and_those_of_the_same_keep_company() -> N
     three = places(
         [[12.0, 8.0], [12.0, 6.5], [12.0, 8.0]], [[28.0, 8.0], [28.0, 6.5], [12.0, -32.0]], [0, 0, 1]
     )  # fmt: skip
-    rows = place_features(three, [FACADE, SIDE], returns_at([], []), RecoveryParams())
+    rows = position_features(three, [FACADE, SIDE], returns_at([], []), RecoveryParams())
     found = {name: rows[:, FEATURES.index(name)] for name in FEATURES}
     far = 0.8 * math.exp(-(1.5**2))
     np.testing.assert_allclose(found["support"], [0.8, far, 0.8], atol=1e-12)
@@ -104,7 +104,7 @@ def test_places_that_another_second_wall_folded_support_too() -> None:
     """All three by the facade first; the second and third by the side wall too, 1.5 m apart, the third on the first."""
     three = places([[12.0, 8.0], [12.0, 6.5], [12.0, 8.0]], [[28.0, 8.0], [28.0, 6.5], [28.0, 8.0]], [0, 0, 0])
     three = replace(three, second=np.array([NO_WALL, 1, 1]))
-    rows = place_features(three, [FACADE, SIDE], returns_at([], []), RecoveryParams())
+    rows = position_features(three, [FACADE, SIDE], returns_at([], []), RecoveryParams())
     found = {name: rows[:, FEATURES.index(name)] for name in FEATURES}
     far = 0.8 * math.exp(-(1.5**2))
     np.testing.assert_allclose(found["support"], [0.8, far, 0.8], atol=1e-12)

@@ -14,7 +14,7 @@ from models.perception.chain import Chain
 from models.perception.detection.detectors import CfarDetector
 from models.perception.forming.ra_forming import FormingParams, RaFormer
 from models.perception.geometry.stage import GeometryParams, recover_bev
-from models.perception.tracking.odometry import MAX_WAITING_STATES, Odometry, ScanOdometry, standing
+from models.perception.tracking.odometry import MAX_WAITING_STATES, Odometry, ScanOdometry, stationary_pose
 from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from msgs.bus.interface import Envelope, Received
 from msgs.values.frames import Pose2, polar_from_xy
@@ -125,14 +125,14 @@ def test_only_states_up_to_the_scan_count_and_motion_is_held() -> None:
 
 def test_without_any_state_the_radar_stands_and_with_a_silent_bus_nothing_is_followed() -> None:
     odometry = ScanOdometry()
-    assert odometry.at(START_NS) == standing()
+    assert odometry.at(START_NS) == stationary_pose()
     odometry.add(VehicleState(stamp_ns=START_NS + 1, valid=False))
-    assert odometry.at(START_NS) == standing()
+    assert odometry.at(START_NS) == stationary_pose()
     assert odometry.at(START_NS + PERIOD_NS) is None
     odometry.add(VehicleState(stamp_ns=START_NS + 2 * PERIOD_NS))
     place = odometry.at(START_NS + 2 * PERIOD_NS)
     assert place is not None
-    assert place.frame != standing().frame
+    assert place.frame != stationary_pose().frame
 
 
 def test_a_clock_that_was_set_back_begins_anew() -> None:
@@ -183,6 +183,6 @@ def test_the_side_street_can_be_launched() -> None:
 def test_tracking_can_be_left_out() -> None:
     memory = ScanMemory(MemoryParams(tracking=False))
     for number in range(SCANS):
-        view = recover_bev(scan(number), GeometryParams(), remembered=memory.walls_at(scan(number)))
+        view = recover_bev(scan(number), GeometryParams(), wall_prior=memory.walls_at(scan(number)))
         assert view.objects
         assert memory.tracked(view, Pose2()).tracks == ()

@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.perception.tracking.odometry import Odometry, OdometryParams, Placed, standing
+from models.perception.tracking.odometry import Odometry, OdometryParams, OdometryPose, stationary_pose
 from models.perception.tracking.tracker import Estimate, Tracker, TrackerParams, assign, motion_noise, sightings
 from msgs.values.frames import Pose2
 from msgs.values.perception import BevFrame, BevGrid, Covariance, HiddenObject, Track, Wall
@@ -36,7 +36,7 @@ def frame(scan: int, *objects: HiddenObject, walls: Sequence[Wall] = (HOUSE,)) -
 def drive(tracker: Tracker, places: Sequence[Sequence[tuple[float, float]]], start: int = 0) -> list[tuple[Track, ...]]:
     """A standing radar's scans with objects at the given places."""
     scans = enumerate(places, start)
-    return [tracker.step(frame(scan, *(seen(*place) for place in there)), standing()) for scan, there in scans]
+    return [tracker.step(frame(scan, *(seen(*place) for place in there)), stationary_pose()) for scan, there in scans]
 
 
 def state(time_s: float, speed_mps: float = 0.0, yaw_rate_rps: float = 0.0, valid: bool = True) -> VehicleState:
@@ -74,7 +74,7 @@ def test_an_object_is_where_it_was_when_its_beams_were_measured():
     tracker, told = Tracker(), ()
     for scan in range(30):
         stamp_ns = frame(scan).stamp_ns + 200_000_000
-        told = tracker.step(frame(scan, seen(1.5 * scan + 1.0, 9.0, stamp_ns)), standing())
+        told = tracker.step(frame(scan, seen(1.5 * scan + 1.0, 9.0, stamp_ns)), stationary_pose())
     assert told[0].x_m == pytest.approx(1.5 * 29, abs=0.05)
 
 
@@ -152,7 +152,7 @@ def test_covariances_of_a_track_are_in_the_axes_of_the_radar(yaw_rad: float):
     and accelerations are as uncertain in all directions. Tolerance: the digits given.
     """
     tracker = Tracker(TrackerParams(confirm_hits=2))
-    here = Placed(0, Pose2(3.0, -2.0, yaw_rad), 0.0, 0.0)
+    here = OdometryPose(0, Pose2(3.0, -2.0, yaw_rad), 0.0, 0.0)
     there = seen(8.0, 9.0, cov_m2=((1.0, 0.0), (0.0, 0.01)))
     told = [tracker.step(frame(scan, there), here) for scan in range(2)][-1]
     assert told[0].velocity_cov_m2ps2 is not None
@@ -189,7 +189,7 @@ def test_time_to_appear_counts_the_radars_own_way():
         x_m, y_m = ahead.inverse().apply(np.array([12.0, 8.0]))
         ends = ahead.inverse().apply(np.array(HOUSE.ends_m))
         wall = msgspec.structs.replace(HOUSE, ends_m=tuple(map(tuple, ends.tolist())))
-        told = tracker.step(frame(scan, seen(float(x_m), float(y_m)), walls=(wall,)), Placed(0, ahead, 4.0, 0.0))
+        told = tracker.step(frame(scan, seen(float(x_m), float(y_m)), walls=(wall,)), OdometryPose(0, ahead, 4.0, 0.0))
     assert told[0].time_to_appear_s == pytest.approx((8.0 - 3.6) / 4.0, abs=0.11)
 
 
@@ -198,14 +198,16 @@ def test_time_to_appear_is_none_where_it_does_not_or_nothing_hides_it():
     assert away[0].time_to_appear_s is None
     tracker, told = Tracker(), ()
     for scan in range(4):
-        told = tracker.step(frame(scan, seen(4.0, 8.0), walls=()), standing())
+        told = tracker.step(frame(scan, seen(4.0, 8.0), walls=()), stationary_pose())
     assert told[0].time_to_appear_s is None
 
 
 def test_a_wall_that_one_scan_missed_still_stands():
     tracker, told = Tracker(), ()
     for scan in range(6):
-        told = tracker.step(frame(scan, seen(8.0 + 0.9 * scan, 8.0), walls=() if scan == 5 else (HOUSE,)), standing())
+        told = tracker.step(
+            frame(scan, seen(8.0 + 0.9 * scan, 8.0), walls=() if scan == 5 else (HOUSE,)), stationary_pose()
+        )
     assert told[0].time_to_appear_s is not None
     assert told[0].time_to_appear_s > 0.5
 

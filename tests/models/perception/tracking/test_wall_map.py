@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from models.perception.geometry.walls import WallParams, find_walls
-from models.perception.tracking.odometry import Placed
+from models.perception.tracking.odometry import OdometryPose
 from models.perception.tracking.wall_map import WallMap, WallMapParams
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import Wall
@@ -17,7 +17,7 @@ from msgs.values.perception import Wall
 PERIOD_NS = 300_000_000
 #: Errors of a return: 0.06 m along its ray, 0.7 degrees across.
 RANGE_STD_M, AZIMUTH_STD_RAD = 0.06, math.radians(0.7)
-STANDING = Placed(-1, Pose2(), 0.0, 0.0)
+STANDING = OdometryPose(-1, Pose2(), 0.0, 0.0)
 
 
 def covariances(points_m: np.ndarray) -> np.ndarray:
@@ -50,7 +50,7 @@ class Street:
         )
         self.alone, of_point = find_walls(here_m, covariance_m2, np.zeros(len(here_m), np.int64), WallParams())
         self.scan += 1
-        place = Placed(frame, radar, 0.0, 0.0)
+        place = OdometryPose(frame, radar, 0.0, 0.0)
         walls, _ = self.map.step(self.scan * PERIOD_NS, place, Pose2(), here_m, covariance_m2, self.alone, of_point)
         return walls
 
