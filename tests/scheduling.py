@@ -15,14 +15,13 @@ from xdist.workermanage import WorkerController
 
 #: Files whose tests make nothing for each other: each may run in a worker of its own.
 SEPARATE = frozenset(
-    f"tests/{name}"
-    for name in (
-        "docs/test_pages.py",
-        "graph/test_supervisor.py",
-        "mirrorwave/test_exit_signals.py",
-        "mirrorwave/test_terminal.py",
-        "test_make_test.py",
-    )
+    {
+        "tests/docs/test_pages.py",
+        "tests/graph/test_supervisor.py",
+        "tests/mirrorwave/test_exit_signals.py",
+        "tests/mirrorwave/test_terminal.py",
+        "tests/test_make_test.py",
+    }
 )
 
 
