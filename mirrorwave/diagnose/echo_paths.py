@@ -47,7 +47,7 @@ def path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
         "length_m": float(found.length_m[index]),
         "amplitude": [weight.real, weight.imag],
         "surface": int(found.surface[index]),
-        "object": int(found.thing[index]),
+        "object": int(found.object_index[index]),
         "effects": _needs(found, index),
     }
 
@@ -60,7 +60,7 @@ def path_line(found: Any, index: int, power_mw: float) -> tuple[object, ...]:
         f"{found.length_m[index]:.2f}",
         f"{math.degrees(found.azimuth_rad[index]):.1f}",
         f"{10.0 * math.log10(max(power_mw, 1e-30)):.0f}",
-        int(found.thing[index]),
+        int(found.object_index[index]),
         int(found.surface[index]),
         ", ".join(_needs(found, index)),
     )

@@ -197,7 +197,7 @@ def paths_of(view: Snapshot, effects: frozenset[str] = ALL_EFFECTS) -> Paths:
 def assert_same_paths(found: Paths, wanted: Paths, sign: float = 1.0) -> None:
     """Same paths; azimuths and places times `sign` in y."""
     assert len(found) == len(wanted) > 0
-    for name in ("kind", "order", "needs", "surface", "thing"):
+    for name in ("kind", "order", "needs", "surface", "object_index"):
         np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
     np.testing.assert_allclose(found.length_m, wanted.length_m, rtol=0.0, atol=LENGTH_M)
     np.testing.assert_allclose(found.radial_speed_mps, wanted.radial_speed_mps, rtol=0.0, atol=TURN)
