@@ -12,6 +12,7 @@ import typer
 
 from mirrorwave.completion import complete_profiles
 from mirrorwave.console import ExitCode, print_line
+from msgs.files.shipped import LAUNCH
 
 if TYPE_CHECKING:
     from mirrorwave.plots.scoreboard import Scoreboard
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 #: Where nobody looks (headless, or no terminal) this says it all; who looks gets time to.
 UNWATCHED_S, WATCHED_S = 12.0, 120.0
-DEMO_LAUNCH = Path(__file__).resolve().parents[1] / "launch" / "demo.yaml"
+DEMO_LAUNCH = LAUNCH / "demo.yaml"
 
 
 def demo(
