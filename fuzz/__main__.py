@@ -26,7 +26,7 @@ CORPUS = Path(__file__).parent / "corpus"
 TIMEOUT_S, RSS_MB = 10, 2048
 SHARED_MEMORY = Path("/dev/shm")
 #: A target whose processes end so often before their time is left alone.
-MOST_ATTEMPTS = 20
+MAX_ATTEMPTS = 20
 _LAST = re.compile(r"#(?P<runs>\d+)\s+\w+\s+cov: (?P<edges>\d+) ft: (?P<features>\d+) corp: (?P<corpus>\d+)/")
 _NEW = re.compile(r"#(?P<runs>\d+)\s+NEW\s+cov: (?P<edges>\d+)")
 _RUNS = re.compile(r"#(?P<runs>\d+)\s")
@@ -76,7 +76,7 @@ def _fuzz(name: str, seconds: float, work: Path) -> dict[str, Any]:
     started_s, cpu_s = time.monotonic(), _children_cpu_s()
     row: dict[str, Any] = {"target": name} | dict.fromkeys(("runs", "edges", "features", "last_new_at", "corpus"), 0)
     attempts = 0
-    while (left_s := seconds - (time.monotonic() - started_s)) > 0.5 and (attempts := attempts + 1) <= MOST_ATTEMPTS:
+    while (left_s := seconds - (time.monotonic() - started_s)) > 0.5 and (attempts := attempts + 1) <= MAX_ATTEMPTS:
         log = work / "log.txt"
         with log.open("wb") as out:
             arguments = [

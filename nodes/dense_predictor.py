@@ -28,7 +28,7 @@ from nodes.node import Node
 _LOG = logging.getLogger(__name__)
 
 #: More would take the machine longer to start than any map to detect in.
-MOST_THREADS = 256
+MAX_THREADS = 256
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -54,8 +54,8 @@ class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     photons: CfarParams = PHOTON_CFAR
 
     def __post_init__(self) -> None:
-        if not 1 <= self.threads <= MOST_THREADS:
-            raise ValueError(f"threads must be 1..{MOST_THREADS}, got {self.threads!r}")
+        if not 1 <= self.threads <= MAX_THREADS:
+            raise ValueError(f"threads must be 1..{MAX_THREADS}, got {self.threads!r}")
 
 
 class DensePredictorNode(Node):

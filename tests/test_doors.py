@@ -19,7 +19,7 @@ import zstandard
 from mcap.records import Chunk
 from mcap.writer import CompressionType, Writer
 
-from mirrorwave.annotate.clouds import MOST_BYTES, MOST_POINTS, read_cloud
+from mirrorwave.annotate.clouds import MAX_CLOUD_BYTES, MAX_POINTS, read_cloud
 from mirrorwave.annotate.manifest import load_manifest
 from mirrorwave.console import error_line, print_line, print_table
 from mirrorwave.convert.dca1000 import read_config
@@ -52,7 +52,7 @@ def of_size(path: Path, size: int) -> Path:
         (load_manifest, MIB + 1),
         (lambda path: read_config(path, None), MIB + 1),
         (load_dbc, MAX_DBC_BYTES + 1),
-        (lambda path: read_cloud(path.rename(path.with_suffix(".ply"))), MOST_BYTES + 1),
+        (lambda path: read_cloud(path.rename(path.with_suffix(".ply"))), MAX_CLOUD_BYTES + 1),
     ],
     ids=["scene", "manifest", "dca1000", "dbc", "cloud"],
 )
@@ -111,13 +111,13 @@ def test_an_object_without_end_in_containers_of_a_blf(tmp_path: Path) -> None:
     ("suffix", "content"),
     [
         (".ply", b"ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n1\n"),
-        (".xyz", b"\n" * (MOST_POINTS + 1)),
+        (".xyz", b"\n" * (MAX_POINTS + 1)),
     ],
 )
 def test_a_cloud_may_not_have_any_number_of_points(tmp_path: Path, suffix: str, content: bytes) -> None:
     path = tmp_path / f"crowd{suffix}"
     path.write_bytes(content)
-    with pytest.raises(ValueError, match=rf"crowd.*points must be at most {MOST_POINTS}, got \d+"):
+    with pytest.raises(ValueError, match=rf"crowd.*points must be at most {MAX_POINTS}, got \d+"):
         read_cloud(path)
 
 
@@ -317,7 +317,7 @@ def test_the_limits_of_the_page_are_those_of_the_code() -> None:
         "line of a CAN log; object of a BLF, packed": (
             f"{_size(can_log_file.MAX_LINE)}; {_size(can_log_file.MAX_OBJECT_BYTES)}"
         ),
-        "point cloud": f"{_size(annotate_clouds.MOST_BYTES)}, {annotate_clouds.MOST_POINTS:,} points",
+        "point cloud": f"{_size(annotate_clouds.MAX_CLOUD_BYTES)}, {annotate_clouds.MAX_POINTS:,} points",
         "configuration of a DCA1000 capture": _size(import_dca1000._MAX_CONFIG_BYTES),
         "metadata of a SigMF capture": f"{_size(sigmf_capture._MAX_META_BYTES)}; its data exactly as large as they say",
         "record or unpacked chunk of a recording": _size(recording._MAX_RECORD_BYTES),

@@ -14,9 +14,9 @@ from models.annotation.registration import import_open3d
 from msgs.files.array_files import load_array
 
 SUFFIXES = (".ply", ".pcd", ".xyz", ".npy")
-MOST_POINTS = 20_000_000
+MAX_POINTS = 20_000_000
 #: A file of as many points, each with a hundred bytes of numbers or words.
-MOST_BYTES = 1 << 31
+MAX_CLOUD_BYTES = 1 << 31
 #: Longest side of a plausible cloud. The same numbers read in metres and in millimetres rarely both pass.
 EXTENT_M = (2.0, 1000.0)
 #: Bytes of a number in PLY, by both of its names.
@@ -31,22 +31,22 @@ LONGEST_LINE = 1000
 _WORD = re.compile(rb"[^ \t\r]+")
 _COLOUR = re.compile(r"\x1b\[[\d;]*m")
 #: Largest numbers of a PCD header, and how much LZF can pack at most.
-PCD_MAX = {"SIZE": 8, "COUNT": 1024, "WIDTH": MOST_POINTS, "HEIGHT": MOST_POINTS, "POINTS": MOST_POINTS}
+PCD_MAX = {"SIZE": 8, "COUNT": 1024, "WIDTH": MAX_POINTS, "HEIGHT": MAX_POINTS, "POINTS": MAX_POINTS}
 MAX_LZF_RATIO = 100
 
 
 def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, int]:
     """Points [N, 3] of a cloud in metres, and how many were left out because they are not finite.
 
-    Raises ValueError that names file, rule and value: another format, unreadable, empty, more than `MOST_POINTS`,
+    Raises ValueError that names file, rule and value: another format, unreadable, empty, more than `MAX_POINTS`,
     an extent that no street has (which is how millimetres read as metres show).
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"{path}: format must be one of {', '.join(SUFFIXES)}, got {path.suffix!r}")
     if not path.is_file():
         raise FileNotFoundError(2, "no such cloud", str(path))
-    if path.stat().st_size > MOST_BYTES:
-        raise ValueError(f"{path}: at most {MOST_BYTES} bytes are read, got {path.stat().st_size}")
+    if path.stat().st_size > MAX_CLOUD_BYTES:
+        raise ValueError(f"{path}: at most {MAX_CLOUD_BYTES} bytes are read, got {path.stat().st_size}")
     points = _npy_points(path) if path.suffix.lower() == ".npy" else _open3d_points(path)
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0 or points.dtype.kind not in "fiu":
         raise ValueError(
@@ -70,8 +70,8 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
 
 
 def _require_bearable(path: Path, count: int) -> None:
-    if count > MOST_POINTS:
-        raise ValueError(f"{path}: points must be at most {MOST_POINTS}, got {count}")
+    if count > MAX_POINTS:
+        raise ValueError(f"{path}: points must be at most {MAX_POINTS}, got {count}")
 
 
 def _npy_points(path: Path) -> np.ndarray:
@@ -153,7 +153,7 @@ def _refuse_large_pcd(path: Path, rows: list[list[str]], head: bytes, held: int)
     if fields.get("DATA", [""])[0] == "binary_compressed":
         packed, unpacked = (int.from_bytes(head[at : at + 4], "little") for at in (0, 4))
         needed = int(numbers["POINTS"][0]) * sum(_pcd_sizes(fields))
-        if packed > held - 8 or not needed <= unpacked <= min(MAX_LZF_RATIO * packed, MOST_BYTES):
+        if packed > held - 8 or not needed <= unpacked <= min(MAX_LZF_RATIO * packed, MAX_CLOUD_BYTES):
             raise ValueError(f"{path}: {packed} bytes that unpack to {unpacked} are promised, the file holds {held}")
 
 

@@ -35,7 +35,7 @@ SPAD_LIMITS: dict[str, tuple[float, float]] = {
 }
 SPAD_WORDS: dict[str, tuple[str, ...]] = {"tick_from": ("pulse", "run"), "arming": ("free", "gated")}
 #: Counts of one measurement are 32 bits wide.
-MOST_PULSES = (1 << 32) - 1
+MAX_PULSES = (1 << 32) - 1
 #: Shortest pulse and tick as shares of the period: times within a period are known to 2e-16 of it.
 SHORTEST_PULSE = 1e-12
 LONGEST_SCAN_S = 1e6
@@ -80,9 +80,9 @@ class SpadParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
         for name, words in SPAD_WORDS.items():
             if getattr(self, name) not in words:
                 raise ValueError(f"spad.{name} must be {' or '.join(map(repr, words))}, got {getattr(self, name)!r}")
-        if not 1 <= self.pulses <= MOST_PULSES:
+        if not 1 <= self.pulses <= MAX_PULSES:
             raise ValueError(
-                f"spad.measurement_time_s must last 1 to {MOST_PULSES} periods of {self.period_s:g} s, "
+                f"spad.measurement_time_s must last 1 to {MAX_PULSES} periods of {self.period_s:g} s, "
                 f"got {self.measurement_time_s!r}"
             )
         if self.timing_rms_s < SHORTEST_PULSE * self.period_s:

@@ -34,7 +34,7 @@ PEAK_LIMITS: dict[str, float] = {
 }
 
 #: Maximum number of peaks of a scan: no scene has more, and each is compared with each.
-MOST_PEAKS = 2048
+MAX_PEAKS = 2048
 
 
 class Peaks(msgspec.Struct, frozen=True, kw_only=True, eq=False):

@@ -10,7 +10,7 @@ from msgs.values.arrays import require_finite, require_stamps, require_within
 from msgs.values.frames import Pose2, wrap_angle
 
 #: In both directions; beyond any vehicle, and within it every pose has finite doubles.
-MOST_SPEED_MPS, MOST_YAW_RATE_RPS = 1e7, 1e4
+MAX_SPEED_MPS, MAX_YAW_RATE_RPS = 1e7, 1e4
 
 
 class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
@@ -32,11 +32,11 @@ class VehicleState(msgspec.Struct, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         require_stamps("vehicle.stamp_ns", self.stamp_ns)
         require_finite("vehicle", self.speed_mps, self.yaw_rate_rps, self.steering_rad, self.age_s)
-        require_within("vehicle.speed_mps", -MOST_SPEED_MPS, MOST_SPEED_MPS, self.speed_mps)
+        require_within("vehicle.speed_mps", -MAX_SPEED_MPS, MAX_SPEED_MPS, self.speed_mps)
         if self.wheel_speed_difference_mps is not None:
-            bound_mps = 2.0 * MOST_SPEED_MPS
+            bound_mps = 2.0 * MAX_SPEED_MPS
             require_within("vehicle.wheel_speed_difference_mps", -bound_mps, bound_mps, self.wheel_speed_difference_mps)
-        require_within("vehicle.yaw_rate_rps", -MOST_YAW_RATE_RPS, MOST_YAW_RATE_RPS, self.yaw_rate_rps)
+        require_within("vehicle.yaw_rate_rps", -MAX_YAW_RATE_RPS, MAX_YAW_RATE_RPS, self.yaw_rate_rps)
 
 
 def ego_motion(speed_mps: float, yaw_rate_rps: float, elapsed_s: float) -> Pose2:

@@ -13,7 +13,7 @@ T = TypeVar("T")
 
 LONGEST_REST_S = 3600.0
 #: Clocks that count from the start of their machine differ by less: 31 years.
-MOST_CLOCK_OFFSET_S = 1e9
+MAX_CLOCK_OFFSET_S = 1e9
 
 _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
@@ -48,5 +48,5 @@ def require_rest(name: str, value_s: float) -> None:
 
 def require_clock_offset(name: str, value_s: float) -> None:
     """Raise `ValueError` unless a clock's offset is one that stamps can take."""
-    if not abs(value_s) <= MOST_CLOCK_OFFSET_S:
-        raise ValueError(f"{name} must be finite, within {MOST_CLOCK_OFFSET_S:g} s of zero, got {value_s!r}")
+    if not abs(value_s) <= MAX_CLOCK_OFFSET_S:
+        raise ValueError(f"{name} must be finite, within {MAX_CLOCK_OFFSET_S:g} s of zero, got {value_s!r}")

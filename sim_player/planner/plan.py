@@ -47,7 +47,7 @@ ROUNDS = 7
 #: Fewer paths than this cost less as profiles, with everything on, than the question what they need.
 WORTH_ASKING = 3000
 #: Bounds in JSON end here.
-MOST_DB = 200.0
+MAX_DB = 200.0
 
 
 class EffectPlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -381,5 +381,5 @@ def _first(order: np.ndarray, count: int) -> np.ndarray:
 
 
 def _decibel(ratio: float) -> float | None:
-    """A field ratio in dB as JSON can say it: None for nothing, at most `MOST_DB`."""
-    return min(20.0 * math.log10(ratio), MOST_DB) if ratio > 0.0 else None
+    """A field ratio in dB as JSON can say it: None for nothing, at most `MAX_DB`."""
+    return min(20.0 * math.log10(ratio), MAX_DB) if ratio > 0.0 else None

@@ -22,7 +22,7 @@ from sim_player.scene.meshes import Mesh
 
 #: Default largest spacing of rays as a share of a wavelength.
 RAY_SPACING = 1.0 / 8.0
-MOST_RAYS = 16_000_000
+MAX_RAYS = 16_000_000
 #: Patches: their size, their largest number per mesh, and the share of the scattered energy that the centres keep.
 PATCH_M, MAX_PATCHES, KEPT_SHARE = 0.12, 400, 0.999
 #: Number of directions of the half space over a patch that are tested for visibility.
@@ -230,9 +230,9 @@ def _ray_grid(
     least, size = projected.min(axis=0), np.ptp(projected, axis=0)
     # even numbers: no ray hits the middle edge of a symmetric corner
     count = 2.0 * np.maximum(np.ceil(0.5 * size[:2] / spacing_m * (1.0 - 1e-9)), 1.0)
-    if count.prod() > MOST_RAYS:
+    if count.prod() > MAX_RAYS:
         raise ValueError(
-            f"ray_spacing_m: at most {MOST_RAYS} rays, got {count.prod():.3g} for {size[0]:.3g} x {size[1]:.3g} m "
+            f"ray_spacing_m: at most {MAX_RAYS} rays, got {count.prod():.3g} for {size[0]:.3g} x {size[1]:.3g} m "
             f"at {spacing_m:.3g} m"
         )
     cell = size[:2] / count

@@ -21,7 +21,7 @@ from msgs.link.peer_messages import PeerMessages
 from msgs.values.arrays import MAX_STAMP_NS
 from msgs.values.diagnostics import NodeState
 from msgs.values.lidar import SpadParams
-from msgs.values.perception import MOST_PEAKS, Peaks
+from msgs.values.perception import MAX_PEAKS, Peaks
 from msgs.values.radar import PRESETS, ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid, orthogonal_beams
 from msgs.values.vehicle import VehicleState
 from nodes import dense_predictor, geometry, lidar_former, player, ra_former
@@ -142,8 +142,8 @@ def crowd(count: int) -> Peaks:
 
 def test_a_scan_of_too_many_peaks_is_refused_and_the_next_one_seen() -> None:
     node = geometry.create(geometry.Params())
-    assert told(node, ("perception/peaks", crowd(MOST_PEAKS + 1))) == []
-    assert node.health() == (NodeState.DEGRADED, f"peaks must be at most {MOST_PEAKS} a scan, got {MOST_PEAKS + 1}")
+    assert told(node, ("perception/peaks", crowd(MAX_PEAKS + 1))) == []
+    assert node.health() == (NodeState.DEGRADED, f"peaks must be at most {MAX_PEAKS} a scan, got {MAX_PEAKS + 1}")
     assert shed(node) == {("scan", "refused"): 1}
     assert len(told(node, ("perception/peaks", peaks(1, 0)))) == 1
     assert node.health() == (NodeState.READY, "")

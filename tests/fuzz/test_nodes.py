@@ -48,11 +48,11 @@ FUZZ = settings(
     print_blob=True,
 )
 #: Steps that may follow one input before a node rests: more is a node that never does.
-MOST_STEPS = 200
+MAX_STEPS = 200
 #: The good answers of a fresh node are known for so many ways to make it.
 VARIANTS = 8
 #: Things that any node holds after any of these scripts, some hundred messages: arrays and strings count as one.
-MOST_HELD = 20_000
+MAX_HELD = 20_000
 
 
 def check(node: Node, out: Iterable[Outgoing], now_ns: int) -> list[Received]:
@@ -93,7 +93,7 @@ def run(node: Node, script: Sequence[Step], end: int | None = None) -> list[Rece
 def rest(node: Node, now_ns: int) -> list[Received]:
     """Due calls and pending work until the node waits."""
     answers: list[Received] = []
-    for _ in range(MOST_STEPS):
+    for _ in range(MAX_STEPS):
         due_ns = node.due_ns(now_ns)
         assert due_ns is None or isinstance(due_ns, int)
         if node.finished() or not (node.pending() or (due_ns is not None and due_ns <= now_ns)):
@@ -173,7 +173,7 @@ def test_no_message_and_no_time_breaks_a_node(name: str, record_property: Callab
             node = case.make(Path(folder), seed, script)
             try:
                 run(node, steps, end)
-                assert held(vars(node), set()) < MOST_HELD
+                assert held(vars(node), set()) < MAX_HELD
                 if case.talk and end is None and seed % 3 == 0:
                     assert_recovered(name, node, seed)
             finally:

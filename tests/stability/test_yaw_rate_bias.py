@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from models.perception.tracking.odometry import Odometry
 from models.perception.tracking.yaw_rate_bias import BiasSource, DrivingBias, YawRateBias
-from msgs.values.vehicle import MOST_SPEED_MPS, MOST_YAW_RATE_RPS, VehicleState
+from msgs.values.vehicle import MAX_SPEED_MPS, MAX_YAW_RATE_RPS, VehicleState
 from tests.models.perception.tracking.test_yaw_rate_bias import BIAS_RPS, drive, learnt, town, turns
 from tests.stability.catalogue import Errors
 
@@ -79,7 +79,7 @@ def test_the_covariance_stays_one_over_hours() -> None:
 
 
 def test_backwards_and_creeping_teach_nothing() -> None:
-    for speed_mps in (-5.0, -0.2, 0.2, 0.99, 60.1, MOST_SPEED_MPS):
+    for speed_mps in (-5.0, -0.2, 0.2, 0.99, 60.1, MAX_SPEED_MPS):
         bias = learnt(drive(20.0, lambda time_s, speed=speed_mps: speed))
         assert bias.driving.rps == 0.0
         assert bias.estimate(0).source is BiasSource.NONE
@@ -143,10 +143,10 @@ numbers = st.one_of(st.floats(-20.0, 20.0), st.sampled_from([0.0, -0.0, 5e-324, 
 @given(
     st.lists(
         st.tuples(
-            st.one_of(numbers, st.sampled_from([MOST_SPEED_MPS, -MOST_SPEED_MPS])),
-            st.one_of(numbers, st.sampled_from([MOST_YAW_RATE_RPS, -MOST_YAW_RATE_RPS])),
+            st.one_of(numbers, st.sampled_from([MAX_SPEED_MPS, -MAX_SPEED_MPS])),
+            st.one_of(numbers, st.sampled_from([MAX_YAW_RATE_RPS, -MAX_YAW_RATE_RPS])),
             st.one_of(numbers, st.sampled_from([1.7e308, -1.7e308])),
-            st.one_of(st.none(), numbers, st.just(2.0 * MOST_SPEED_MPS)),
+            st.one_of(st.none(), numbers, st.just(2.0 * MAX_SPEED_MPS)),
             st.sampled_from([*[STEP_NS] * 3, 240_000_000, 400_000_000, 2_000_000_000, -STEP_NS, 0, -(10**12)]),
             st.integers(1, 60),
         ),

@@ -103,7 +103,7 @@ SWEEPS: dict[str, Sweep] = {
 
 
 #: As files are numbered.
-MOST_VIEWPOINTS = 1000
+MAX_VIEWPOINTS = 1000
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -118,8 +118,8 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     def __post_init__(self) -> None:
         if self.seed < 0:
             raise ValueError(f"seed must not be negative, got {self.seed}")
-        if not 1 <= self.viewpoints <= MOST_VIEWPOINTS:
-            raise ValueError(f"viewpoints must lie in 1..{MOST_VIEWPOINTS}, got {self.viewpoints}")
+        if not 1 <= self.viewpoints <= MAX_VIEWPOINTS:
+            raise ValueError(f"viewpoints must lie in 1..{MAX_VIEWPOINTS}, got {self.viewpoints}")
         for word, names, allowed in (("sensor", self.sensors, SENSORS), ("sweep", self.values, SWEEPS)):
             if not names:
                 raise ValueError(f"{word}s must name at least one, got none")

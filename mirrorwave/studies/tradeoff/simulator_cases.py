@@ -41,7 +41,7 @@ BODIES: tuple[tuple[str, tuple[float, ...]], ...] = (
     ("box", (0.5, 0.4, 0.3)),
 )
 #: Directions to each body, and rays a wavelength of the reference.
-DIRECTIONS, MOST_RAYS = 4, 64.0
+DIRECTIONS, MAX_RAYS = 4, 64.0
 WAVELENGTH_M = RadarSetup().radar.wavelength_m
 #: Ratio of cells that agree to the last bit.
 SAME_DB = -300.0
@@ -242,7 +242,7 @@ class _Body:
 
     def truth(self, answers: dict[Value, Any]) -> np.ndarray:
         """The densest rays."""
-        return self.answer(MOST_RAYS, Clock())
+        return self.answer(MAX_RAYS, Clock())
 
     def errors(self, answer: np.ndarray, truth: np.ndarray) -> dict[str, float]:
         """Largest difference of the fields as a share of the strongest."""
@@ -321,7 +321,7 @@ GROUPS: dict[str, Group] = {
         (2.0, 4.0, 8.0, 16.0, 32.0),
         lambda seed, index, _: _Body(seed, index),
         "rays a wavelength",
-        f"Field of a metal body from {DIRECTIONS} directions at 10 GHz against {MOST_RAYS:g} rays a wavelength: "
+        f"Field of a metal body from {DIRECTIONS} directions at 10 GHz against {MAX_RAYS:g} rays a wavelength: "
         "largest difference as a share of the strongest.",
         len(BODIES),
     ),

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 #: A picture of more cells takes minutes and gigabytes.
-MOST_CELLS = 3_000_000
+MAX_CELLS = 3_000_000
 #: Cells per wavelength of the column that reads R and T.
 COLUMN_CELLS = 40.0
 #: Thickness [mm] of a wall of one material where none is given.
@@ -97,9 +97,9 @@ def layout(layers: Any, frequency_hz: float) -> Experiment:
     cell_m = cell_size(layers, wavelength_m, setup.cells_per_wavelength)
     depth_m = setup.before_m + setup.behind_m + sum(thickness_m for _, thickness_m in layers)
     cells = setup.width_m * depth_m / cell_m**2
-    if cells > MOST_CELLS:
+    if cells > MAX_CELLS:
         raise ValueError(
-            f"--plot takes at most {MOST_CELLS} cells, got {cells:.0f}; ask for a thinner wall or a lower frequency"
+            f"--plot takes at most {MAX_CELLS} cells, got {cells:.0f}; ask for a thinner wall or a lower frequency"
         )
     return setup
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from models.perception.detection.pursuit import PursuitParams, pursued_peaks
 from msgs.values.arrays import require_positive, require_within
-from msgs.values.perception import MOST_PEAKS, PathClass, Peaks
+from msgs.values.perception import MAX_PEAKS, PathClass, Peaks
 from msgs.values.radar import RangeAzimuthMap
 
 
@@ -114,10 +114,10 @@ def peaks_at(
     """Return the message of peaks at cells [N, 2] with fractional places [N, 2]; ranges refined on the map where it
     peaks.
 
-    At most `MOST_PEAKS`: an untrained network gives more, and the highest scores are kept.
+    At most `MAX_PEAKS`: an untrained network gives more, and the highest scores are kept.
     """
-    if len(cells) > MOST_PEAKS:
-        best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MOST_PEAKS])
+    if len(cells) > MAX_PEAKS:
+        best = np.sort(np.argsort(-np.asarray(score), kind="stable")[:MAX_PEAKS])
         cells, fractional, score, path_class = (values[best] for values in (cells, fractional, score, path_class))
     grid = ra_map.grid
     power = echo_power(ra_map)
@@ -176,12 +176,12 @@ def _plateau_middles(plateaus: np.ndarray, count: int) -> np.ndarray:
 def keep_apart(cells: np.ndarray, spacing: tuple[int, int]) -> np.ndarray:
     """Return the indices of cells [N, 2], best first, further than `spacing` in one axis at least from all kept before.
 
-    No more than `MOST_PEAKS`.
+    No more than `MAX_PEAKS`.
     """
     free = np.ones(len(cells), bool)
     kept: list[int] = []
     for index in range(len(cells)):
-        if len(kept) == MOST_PEAKS:
+        if len(kept) == MAX_PEAKS:
             break
         if free[index]:
             kept.append(index)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from msgs.values.arrays import require_within
-from msgs.values.perception import MOST_PEAKS
+from msgs.values.perception import MAX_PEAKS
 
 #: Widest blur and point in cells, and the narrowest point.
 WIDEST, NARROWEST = 100.0, 1e-3
@@ -32,7 +32,7 @@ class PursuitParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         for name, least in (("blur", 0.0), ("explained", NARROWEST)):
             for width in getattr(self, name):
                 require_within(f"pursuit.{name}", least, WIDEST, width)
-        require_within("pursuit.max_peaks", 1, MOST_PEAKS // 2, self.max_peaks)
+        require_within("pursuit.max_peaks", 1, MAX_PEAKS // 2, self.max_peaks)
 
 
 def pursued_peaks(confidence: np.ndarray, threshold: float, params: PursuitParams) -> tuple[np.ndarray, np.ndarray]:

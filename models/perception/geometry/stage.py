@@ -25,7 +25,7 @@ from models.perception.geometry.rejection import hidden_mask
 from models.perception.geometry.walls import WallParams, find_walls
 from msgs.values.arrays import require_positive
 from msgs.values.frames import polar_from_xy, xy_from_polar
-from msgs.values.perception import MOST_PEAKS, BevFrame, BevGrid, PathClass, Peaks, Wall
+from msgs.values.perception import MAX_PEAKS, BevFrame, BevGrid, PathClass, Peaks, Wall
 
 #: Returns [N, 2] with covariances [N, 2, 2], the walls among them and the wall of each return (-1: none), int64 [N]
 #: -> the last two, extended by the walls of earlier scans.
@@ -71,10 +71,10 @@ def fold_scan(
 ) -> FoldedScan:
     """Find walls in the peaks and fold the images back, Eqs. (18) and (19); drop the improbable ones.
 
-    Raises `ValueError` for more than `MOST_PEAKS`.
+    Raises `ValueError` for more than `MAX_PEAKS`.
     """
-    if len(peaks) > MOST_PEAKS:
-        raise ValueError(f"peaks must be at most {MOST_PEAKS} a scan, got {len(peaks)}")
+    if len(peaks) > MAX_PEAKS:
+        raise ValueError(f"peaks must be at most {MAX_PEAKS} a scan, got {len(peaks)}")
     returns, walls = direct_structure(peaks, params, wall_prior)
     recovered = recover(peaks, walls, returns, params.recovery)
     if residual is not None:

@@ -24,7 +24,7 @@ from msgs.values.diagnostics import LogRecord, NodeState, NodeStatus, StageTime,
 from msgs.values.lidar import LidarSetup, PhotonHistograms, SpadParams
 from msgs.values.perception import BevFrame, HiddenObject, HiddenPoint, Peaks, SceneTruth, Track, TruthObject, Wall
 from msgs.values.radar import RadarBeam, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
-from msgs.values.vehicle import MOST_SPEED_MPS, VehicleState
+from msgs.values.vehicle import MAX_SPEED_MPS, VehicleState
 
 RANDOM = np.random.default_rng(7)
 GRID = RangeAzimuthGrid(range_bins=6, azimuth_bins=4)
@@ -404,7 +404,7 @@ def refusal(read: Callable[[], object]) -> str:
     message=st.builds(
         VehicleState,
         stamp_ns=st.integers(-MAX_STAMP_NS, MAX_STAMP_NS),
-        speed_mps=st.floats(-MOST_SPEED_MPS, MOST_SPEED_MPS),
+        speed_mps=st.floats(-MAX_SPEED_MPS, MAX_SPEED_MPS),
         valid=st.booleans(),
         reason=st.text(max_size=30),
     )

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from msgs.values.lidar import MOST_PULSES, SPAD_LIMITS, LidarSetup, SpadParams
+from msgs.values.lidar import MAX_PULSES, SPAD_LIMITS, LidarSetup, SpadParams
 
 
 def test_every_number_has_limits_that_hold_table_2() -> None:
@@ -49,7 +49,7 @@ def test_parameters_that_do_not_go_together_are_refused(changes: dict, rule: str
 
 
 def test_counts_of_the_longest_measurement_fit_32_bits() -> None:
-    assert SpadParams(measurement_time_s=286.3).pulses <= MOST_PULSES == 2**32 - 1
+    assert SpadParams(measurement_time_s=286.3).pulses <= MAX_PULSES == 2**32 - 1
 
 
 @pytest.mark.parametrize("scan_period_s", [7.0, math.nan, math.inf, 1e300])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from models.perception.detection.peaks import PeakParams, find_peaks, local_maxima, polar_covariance
-from msgs.values.perception import MOST_PEAKS, PathClass
+from msgs.values.perception import MAX_PEAKS, PathClass
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
 GRID = RangeAzimuthGrid()
@@ -112,8 +112,8 @@ def test_of_too_many_peaks_the_best_are_kept() -> None:
     ra_map = flat_map()
     noise = np.random.default_rng(0).random((len(PathClass), *ra_map.grid.shape))
     every = [local_maxima(channel, 0.5, 1) for channel in noise]
-    assert sum(len(cells) for cells in every) > MOST_PEAKS
+    assert sum(len(cells) for cells in every) > MAX_PEAKS
     peaks = find_peaks(noise, ra_map, PeakParams(threshold=0.5, min_distance=1))
-    assert len(peaks) == MOST_PEAKS
-    best = np.sort(np.concatenate([noise[which][tuple(cells.T)] for which, cells in enumerate(every)]))[-MOST_PEAKS:]
+    assert len(peaks) == MAX_PEAKS
+    best = np.sort(np.concatenate([noise[which][tuple(cells.T)] for which, cells in enumerate(every)]))[-MAX_PEAKS:]
     np.testing.assert_array_equal(np.sort(peaks.score), best)
