@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -160,7 +159,7 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
             reflected_power=0.5,
         )
 
-    monkeypatch.setitem(sys.modules, "sim_player.fdtd", SimpleNamespace(reflect=reflect))
+    monkeypatch.setattr("sim_player.fdtd.scattering.reflect", reflect)
     return calls
 
 
