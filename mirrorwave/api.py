@@ -3,8 +3,8 @@
     from mirrorwave.api import views
 
     for view in views("corner.mcap"):
-        for thing in view.frame.objects:
-            print(f"scan {view.scan_id}: {thing.length_m:.1f} m long at {thing.x_m:.1f}, {thing.y_m:.1f} m")
+        for hidden in view.frame.objects:
+            print(f"scan {view.scan_id}: {hidden.length_m:.1f} m long at {hidden.x_m:.1f}, {hidden.y_m:.1f} m")
 
 `Perception` does the same for beams of your own. Parameters are those of the nodes (docs/reference/parameters.md).
 """
