@@ -141,9 +141,14 @@ def _pipeline(profile: str, overrides: Sequence[str]) -> Pipeline:
     return Pipeline(with_overrides(launch, overrides))
 
 
-def _as_view(found: ScanView, truth: dict[int, SceneTruth]) -> View:
-    return View(frame=found.frame, ra_map=found.ra_map, peaks=found.peaks, truth=truth.pop(found.frame.scan_id, None))
+def _as_view(scan_view: ScanView, truth: dict[int, SceneTruth]) -> View:
+    return View(
+        frame=scan_view.frame,
+        ra_map=scan_view.ra_map,
+        peaks=scan_view.peaks,
+        truth=truth.pop(scan_view.frame.scan_id, None),
+    )
 
 
-def _as_views(found: Iterable[ScanView]) -> list[View]:
-    return [_as_view(one, {}) for one in found]
+def _as_views(scan_view: Iterable[ScanView]) -> list[View]:
+    return [_as_view(item, {}) for item in scan_view]

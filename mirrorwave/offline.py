@@ -58,17 +58,17 @@ class Results:
         #: What the capture itself lacks, None where it is whole.
         self.capture_loss: str | None = None
 
-    def add(self, found: ScanView | SceneTruth) -> None:
+    def add(self, result: ScanView | SceneTruth) -> None:
         """Write the lines of a scan; note the truth."""
-        if isinstance(found, SceneTruth):
-            self.scoreboard.add_truth(found)
+        if isinstance(result, SceneTruth):
+            self.scoreboard.add_truth(result)
             return
-        self.last = found
-        frame = found.frame
+        self.last = result
+        frame = result.frame
         self.scoreboard.add_frame(frame)
         self._objects.write(json.dumps(bev_to_json(frame)) + "\n")
         scan = {"scan_id": frame.scan_id, "stamp_ns": frame.stamp_ns, "frame": "radar"}
-        self._tracks.write(json.dumps({**scan, "tracks": [track_to_json(one) for one in frame.tracks]}) + "\n")
+        self._tracks.write(json.dumps({**scan, "tracks": [track_to_json(track) for track in frame.tracks]}) + "\n")
         times = {stage.name: stage for stage in self._clock.drain()}
         stages = {
             f"{node}.{name}": {"count": times[name].count, "mean_ms": times[name].mean_ms, "max_ms": times[name].max_ms}
@@ -110,8 +110,8 @@ def run_capture(
         picture = stack.enter_context(whole(out / PICTURE, ".png"))
         files = [stack.enter_context(_LineFile(path, part)) for path, part in zip(paths, parts, strict=True)]
         results = Results(files, clock, on_scan)
-        for found in played(_timed(events, clock), pipeline):
-            results.add(found)
+        for result in played(_timed(events, clock), pipeline):
+            results.add(result)
         results.scans, results.scans_with_loss = pipeline.scans, pipeline.scans_with_loss
         results.capture_loss = _loss_of(capture)
         if results.last is None:

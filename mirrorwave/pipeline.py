@@ -80,18 +80,18 @@ class Pipeline:
 
     def views(self, maps: Iterable[RangeAzimuthMap]) -> list[ScanView]:
         """Return the views of maps but those of maps that a stage cannot take."""
-        found = []
+        views = []
         for ra_map in maps:
             self.scans += 1
             self.scans_with_loss += bool(ra_map.missing_beams)
             try:
-                found.append(self.chain.view(ra_map))
+                views.append(self.chain.view(ra_map))
             except ValueError as error:
                 self._refused_scans.refuse("scan", error, f"scan {ra_map.scan_id}")
                 continue
             self._refused_scans.accept()
             self._bias_log.note(self.chain.views.yaw_rate_bias)
-        return found
+        return views
 
     def _set_up(self, setup: RadarSetup) -> None:
         """Go on with another set-up; a stage that cannot use it keeps its own."""

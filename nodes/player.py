@@ -182,17 +182,17 @@ def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
     """Histograms go out when their last azimuth has been measured."""
     setup = player.setup
     azimuths = setup.grid.azimuth_bins
-    told_at = range(0, azimuths, max(1, round(_STATE_PERIOD_S / setup.spad.measurement_time_s)))
+    state_azimuths = range(0, azimuths, max(1, round(_STATE_PERIOD_S / setup.spad.measurement_time_s)))
     # compiles what scans need while the graph still waits
     player.scan(0)
     yield Event(0, Outgoing("lidar/setup", setup))
     for scan in itertools.count() if scans is None else range(scans):
         histograms = None
-        for azimuth in told_at:
+        for azimuth in state_azimuths:
             stamp_ns = player.stamp_ns(scan, azimuth)
             yield Event(stamp_ns, Outgoing("vehicle/state", player.vehicle_state(stamp_ns)))
             # made early, so that the scan's end finds it ready, and not while the scan before goes out
-            histograms = player.scan(scan) if azimuth == told_at[len(told_at) // 3] else histograms
+            histograms = player.scan(scan) if azimuth == state_azimuths[len(state_azimuths) // 3] else histograms
         end_ns = player.stamp_ns(scan, azimuths)
         yield Event(end_ns, Outgoing("lidar/histograms", histograms or player.scan(scan)))
         yield Event(end_ns, Outgoing("sim/truth", player.truth(scan)))
@@ -299,8 +299,10 @@ def scene_of(params: Params) -> Scene:
     in_checkout = CHECKOUT / path
     scene = load_scene(in_checkout if in_checkout.exists() and not path.exists() else path)
     if params.object_speed_mps is not None:
-        things = tuple(msgspec.structs.replace(thing, speed_mps=params.object_speed_mps) for thing in scene.objects)
-        scene = msgspec.structs.replace(scene, objects=things)
+        moving_objects = tuple(
+            msgspec.structs.replace(item, speed_mps=params.object_speed_mps) for item in scene.objects
+        )
+        scene = msgspec.structs.replace(scene, objects=moving_objects)
     if params.ego_speed_mps is not None:
         ego = msgspec.structs.replace(scene.ego, speed_mps=params.ego_speed_mps)
         scene = msgspec.structs.replace(scene, ego=ego)

@@ -227,11 +227,11 @@ class Recorder(Node):
 
 def _with_missed(losses: Losses, missed: Counter[str], ended: str) -> Losses:
     """`losses` and messages by topic that came after the recording had ended."""
-    known = {topic.topic: topic for topic in losses.topics}
+    by_topic = {topic.topic: topic for topic in losses.topics}
     topics = (
-        msgspec.structs.replace(found, missed=found.missed + missed[name])
-        for name in sorted({*known, *missed})
-        if (found := known.get(name, TopicLoss(topic=name)))
+        msgspec.structs.replace(topic_loss, missed=topic_loss.missed + missed[name])
+        for name in sorted({*by_topic, *missed})
+        if (topic_loss := by_topic.get(name, TopicLoss(topic=name)))
     )
     return Losses(topics=tuple(topics), ended=ended)
 

@@ -16,7 +16,7 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from sim_player.planner.plan import choose
+from sim_player.planner.plan import resolve_plan
 from sim_player.scene.description import Ego, Scene
 from sim_player.scene.world import snapshot, wall_lines
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
@@ -93,7 +93,7 @@ class DrivePlayer:
         self._world = prepare(scene, seed, setup)
         self._bank = noise_bank(setup.radar, seed)
         self._precision = precision
-        plan = choose(self._world, setup, effects)
+        plan = resolve_plan(self._world, setup, effects)
         self._used = BASIC_EFFECTS if plan is None else plan.used
         self._signal = PLAIN if plan is None else plan.signal
         self._is_basic = plan is None

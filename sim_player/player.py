@@ -11,7 +11,7 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from sim_player.planner.plan import BUDGET_DB, Plan, choose
+from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.scene.description import Scene
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
@@ -74,7 +74,7 @@ class ScenePlayer:
         if scan not in self._plans:
             time_s = self._elapsed_s(self.stamp_ns(scan))
             # only the last one is kept: scans come in order
-            self._plans = {scan: choose(self._world, self.setup, self._effects, self._budget_db, time_s)}
+            self._plans = {scan: resolve_plan(self._world, self.setup, self._effects, self._budget_db, time_s)}
         return self._plans[scan]
 
     def paths(self, time_s: float, scan: int = 0) -> Paths:

@@ -45,9 +45,9 @@ def run(launch: Path, duration_s: float, overrides: list[str], viewer: bool, opt
         graph = subprocess.Popen(command, cwd=ROOT, stdout=said)
         _watch(bus, graph, duration_s, latency_ms, status)
         said.seek(0)
-        chosen = [line.strip() for line in said if line.startswith("profile ")]
+        selected = [line.strip() for line in said if line.startswith("profile ")]
     bus.close()
-    return {"options": options, "chosen": chosen, **report(np.array(latency_ms), status, graph.returncode)}
+    return {"options": options, "chosen": selected, **report(np.array(latency_ms), status, graph.returncode)}
 
 
 def _watch(

@@ -95,9 +95,9 @@ def main() -> None:
     }
     known = {}
     for split in ("train", "validation", "test"):
-        chosen = splits.of(split)[: arguments.count or (324 if split == "train" else None)]
+        selected = splits.of(split)[: arguments.count or (324 if split == "train" else None)]
         frames = []
-        for frame in data.frames(chosen):
+        for frame in data.frames(selected):
             noise_mw = data.scan(frame.index).noise_power_mw
             frames.append(
                 (frame, true_peaks(frame, noise_mw) if arguments.peaks == "truth" else detector.detect(frame.ra_map))

@@ -226,15 +226,15 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
     data = DataSet(arguments.data)
-    chosen = np.arange(len(data)) if arguments.split == "all" else fixed_splits(arguments.data).of(arguments.split)
-    chosen = chosen[: arguments.count or None]
-    frames = list(data.frames(chosen))
+    selected = np.arange(len(data)) if arguments.split == "all" else fixed_splits(arguments.data).of(arguments.split)
+    selected = selected[: arguments.count or None]
+    frames = list(data.frames(selected))
     threshold = load_card(arguments.model).threshold_for(arguments.refine)
     detector = NetworkDetector(
         RadarSetup(), arguments.model, params=PeakParams(threshold=threshold), refine=arguments.refine
     )
     confidence = None if arguments.confidence is None else load_confidence(arguments.confidence)
-    noise_mw = [data.scan(int(index)).noise_power_mw for index in chosen]
+    noise_mw = [data.scan(int(index)).noise_power_mw for index in selected]
     table = []
     for row in rows(frames, detector, noise_mw, confidence):
         table.append(msgspec.to_builtins(row))

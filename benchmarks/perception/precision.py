@@ -80,10 +80,10 @@ def fresh_load_cost(path: Path) -> tuple[float, float]:
 
 
 def run(paths: list[Path], data: Path, split: str, scenes: int, rounds: int, seed: int) -> list[Row]:
-    chosen = np.random.default_rng(seed).permutation(fixed_splits(data).of(split))[:scenes]
+    selected = np.random.default_rng(seed).permutation(fixed_splits(data).of(split))[:scenes]
     dataset = DataSet(data)
-    tallies = score_files(paths, dataset.frames(np.sort(chosen)))
-    maps = encoded_maps(paths[0], list(dataset.frames(chosen[:16])))
+    tallies = score_files(paths, dataset.frames(np.sort(selected)))
+    maps = encoded_maps(paths[0], list(dataset.frames(selected[:16])))
     predictors = [DensePredictor(path) for path in paths]
     answers = [np.stack([predictor.infer(one) for one in maps]) for predictor in predictors]
     times_ms = {threads: map_times_ms(paths, threads, maps, rounds) for threads in THREADS}

@@ -27,7 +27,7 @@ from msgs.values.radar import RadarSetup
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
 from sim_player.planner.cells import cells_of
-from sim_player.planner.plan import Plan, chosen, clean_profiles, noisy_profiles, plan_world
+from sim_player.planner.plan import Plan, clean_profiles, manual_plan, noisy_profiles, plan_world
 from sim_player.scene.world import World, prepare
 from sim_player.signal.levels import beam_beats, noise_profiles, noise_rms
 
@@ -43,7 +43,7 @@ def scene_rows(seed: int, index: int, preset: str, alone: bool) -> dict[str, Any
     scene = random_place(seed, index, preset)
     setup, world = scene.setup, prepare(scene, index)
     start = time.process_time()
-    everything = chosen(world, setup)
+    everything = manual_plan(world, setup)
     clean = clean_profiles(everything, setup, index)
     all_s = time.process_time() - start
     reference = clean + noise_profiles(setup, index, everything.signal, scene.radar.front_end)
@@ -89,7 +89,7 @@ def _alone(
         # without noise rounding is not white, and the law has no floor
         if effect.bound_db is None or effect.bound_db >= 200.0 or effect.name == "thermal_noise":
             continue
-        without = chosen(world, setup, everything.used - {effect.name})
+        without = manual_plan(world, setup, everything.used - {effect.name})
         actual_db = off_db(reference, noisy_profiles(without, setup, index), rms, setup)
         found.append({"effect": effect.name, "bound_db": effect.bound_db, "actual_db": actual_db})
     return found
@@ -139,7 +139,7 @@ def beat_row(seed: int, index: int, preset: str) -> tuple[float, float]:
     scene = random_place(seed, index, preset)
     setup, world, front_end = scene.setup, prepare(scene, index), scene.radar.front_end
     times = []
-    for plan_of in (lambda: chosen(world, setup), lambda: plan_world(world, setup, -20.0)):
+    for plan_of in (lambda: manual_plan(world, setup), lambda: plan_world(world, setup, -20.0)):
         start = time.process_time()
         for paths, flags in plan_of().groups():
             beam_beats(setup, paths, flags, front_end)
@@ -159,7 +159,7 @@ def draw_worst(rows: list[dict[str, Any]], seed: int, preset: str, out: Path, co
         scene = random_place(seed, index, preset)
         setup, world = scene.setup, prepare(scene, index)
         plan = plan_world(world, setup, -20.0, thorough=True)
-        everything = chosen(world, setup)
+        everything = manual_plan(world, setup)
         reference, rms = (
             noisy_profiles(everything, setup, index),
             noise_rms(setup, everything.signal, scene.radar.front_end),

@@ -15,31 +15,31 @@ if TYPE_CHECKING:
     from models.vehicle.mounting import CalibratedQuantity, Mounting
 
 
-def write_params(out: Path, params: dict[str, Any], one: Mounting) -> None:
+def write_params(out: Path, params: dict[str, Any], mounting: Mounting) -> None:
     """A file for `launch --params-file`, with what its figures rest on as comments."""
-    seen = f"{counted(one.sightings, 'sighting')} of {counted(len(one.walls), 'wall')}"
+    evidence = f"{counted(mounting.sightings, 'sighting')} of {counted(len(mounting.walls), 'wall')}"
     notes = [
-        f"# {counted(one.scans, 'scan')}, {seen}, rms {one.rms_m:.3f} m",
-        *(f"# {line}" for line in mounting_lines(one)),
+        f"# {counted(mounting.scans, 'scan')}, {evidence}, rms {mounting.rms_m:.3f} m",
+        *(f"# {line}" for line in mounting_lines(mounting)),
     ]
     write_whole(out, ("\n".join(notes) + "\n" + yaml.safe_dump(params, sort_keys=False)).encode())
 
 
-def mounting_lines(one: Mounting) -> list[str]:
+def mounting_lines(mounting: Mounting) -> list[str]:
     """What is known and what is not, a line each."""
     degree = math.degrees(1.0)
     return [
-        _line("x", one.x_m, "m", 1.0),
-        _line("y", one.y_m, "m", 1.0),
-        _line("yaw", one.yaw_rad, "deg", degree),
-        _line("clock offset", one.clock_offset_s, "ms", 1e3),
+        _line("x", mounting.x_m, "m", 1.0),
+        _line("y", mounting.y_m, "m", 1.0),
+        _line("yaw", mounting.yaw_rad, "deg", degree),
+        _line("clock offset", mounting.clock_offset_s, "ms", 1e3),
     ]
 
 
-def _line(name: str, known: CalibratedQuantity, unit: str, factor: float) -> str:
-    value, std = factor * known.value, factor * known.std
-    if known.observed:
+def _line(name: str, quantity: CalibratedQuantity, unit: str, factor: float) -> str:
+    value, std = factor * quantity.value, factor * quantity.std
+    if quantity.observed:
         return f"{name}: {value:.3f} {unit}, standard deviation {std:.3f}"
-    if known.std == 0.0:
+    if quantity.std == 0.0:
         return f"{name}: {value:.3f} {unit}, as given"
     return f"{name}: {value:.3f} {unit}, as given: this drive does not tell (standard deviation {std:.3f})"

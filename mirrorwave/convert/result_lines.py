@@ -23,16 +23,16 @@ def bev_to_json(frame: BevFrame) -> dict[str, object]:
         "points": [{"x_m": point.x_m, "y_m": point.y_m, "score": point.score} for point in frame.points],
         "objects": [
             {
-                "id": one.id,
-                "x_m": one.x_m,
-                "y_m": one.y_m,
-                "length_m": one.length_m,
-                "width_m": one.width_m,
-                "yaw_rad": one.yaw_rad,
-                "score": one.score,
-                "cov_m2": [list(row) for row in one.cov_m2],
+                "id": hidden.id,
+                "x_m": hidden.x_m,
+                "y_m": hidden.y_m,
+                "length_m": hidden.length_m,
+                "width_m": hidden.width_m,
+                "yaw_rad": hidden.yaw_rad,
+                "score": hidden.score,
+                "cov_m2": [list(row) for row in hidden.cov_m2],
             }
-            for one in frame.objects
+            for hidden in frame.objects
         ],
     }
 

@@ -100,10 +100,10 @@ class _Watch:
             self._gaps_s.append(time_s - self._last_s)
             self._longest_gap_s = max(self._longest_gap_s, time_s - self._last_s)
         self._last_s = time_s
-        found, _, values = self._check.check(data)
+        check, _, values = self._check.check(data)
         if values is not None:
             self.values = values
-        verdict = "ok" if found in (Verdict.COUNTED, Verdict.FIRST) else str(found)
+        verdict = "ok" if check in (Verdict.COUNTED, Verdict.FIRST) else str(check)
         self._verdicts[verdict] += 1
         return verdict
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from msgs.values.perception import PathClass
 from sim_player.effects.names import PATH_EFFECTS, bit
-from sim_player.planner.plan import choose
+from sim_player.planner.plan import resolve_plan
 from sim_player.scene.description import Scene
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import prepare, trace
@@ -28,7 +28,7 @@ class EchoPaths(NamedTuple):
 def echo_paths(scene: Scene, seed: int, choice: str, budget_db: float, strongest: int | None) -> EchoPaths:
     """Trace a scene with some effects; of all paths only the `strongest` where that is given."""
     world = prepare(scene, seed)
-    plan = choose(world, scene.setup, choice, budget_db)
+    plan = resolve_plan(world, scene.setup, choice, budget_db)
     paths = trace(world) if plan is None else plan.paths
     power_mw = best_power_mw(scene.setup, paths)
     order = np.argsort(-power_mw, kind="stable")
@@ -36,38 +36,38 @@ def echo_paths(scene: Scene, seed: int, choice: str, budget_db: float, strongest
     return EchoPaths(paths.take(kept), power_mw[kept], outbound_vertices(world, paths.take(kept)))
 
 
-def path_row(found: Any, index: int, way: Any) -> dict[str, Any]:
+def path_row(paths: Any, index: int, vertices_m: Any) -> dict[str, Any]:
     """One path as the contract has it (DESIGN section 4), with the effects it needs."""
-    weight = complex(found.amplitude[index])
+    weight = complex(paths.amplitude[index])
     return {
-        "kind": _kind(found, index),
-        "order": int(found.order[index]),
-        "points_m": way.tolist(),
-        "virtual_m": found.virtual_m[index].tolist(),
-        "length_m": float(found.length_m[index]),
+        "kind": _kind(paths, index),
+        "order": int(paths.order[index]),
+        "points_m": vertices_m.tolist(),
+        "virtual_m": paths.virtual_m[index].tolist(),
+        "length_m": float(paths.length_m[index]),
         "amplitude": [weight.real, weight.imag],
-        "surface": int(found.surface[index]),
-        "object": int(found.object_index[index]),
-        "effects": _needs(found, index),
+        "surface": int(paths.surface[index]),
+        "object": int(paths.object_index[index]),
+        "effects": _needs(paths, index),
     }
 
 
-def path_line(found: Any, index: int, power_mw: float) -> tuple[object, ...]:
+def path_line(paths: Any, index: int, power_mw: float) -> tuple[object, ...]:
     """Return one path as a row of the table."""
     return (
-        _kind(found, index),
-        int(found.order[index]),
-        f"{found.length_m[index]:.2f}",
-        f"{math.degrees(found.azimuth_rad[index]):.1f}",
+        _kind(paths, index),
+        int(paths.order[index]),
+        f"{paths.length_m[index]:.2f}",
+        f"{math.degrees(paths.azimuth_rad[index]):.1f}",
         f"{10.0 * math.log10(max(power_mw, 1e-30)):.0f}",
-        int(found.object_index[index]),
-        int(found.surface[index]),
-        ", ".join(_needs(found, index)),
+        int(paths.object_index[index]),
+        int(paths.surface[index]),
+        ", ".join(_needs(paths, index)),
     )
 
 
-def _kind(found: Any, index: int) -> str:
-    return "mnlos" if found.kind[index] == PathClass.MIRRORED else "los"
+def _kind(paths: Any, index: int) -> str:
+    return "mnlos" if paths.kind[index] == PathClass.MIRRORED else "los"
 
 
 def _needs(paths: Any, index: int) -> list[str]:

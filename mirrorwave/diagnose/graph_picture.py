@@ -125,9 +125,9 @@ def text_lines(picture: GraphPicture) -> list[str]:
         lines += ["", f"{node.node}{state}"]
         arrows = [(link, "<-", picture.publishers(link.topic), "NO PUBLISHER") for link in node.inputs]
         arrows += [(link, "->", picture.readers(link.topic), "nobody reads it") for link in node.outputs]
-        for at, (link, arrow, others, nobody) in enumerate(arrows):
+        for at, (link, arrow, peers, nobody) in enumerate(arrows):
             branch = "`-" if at == len(arrows) - 1 else "|-"
-            lines.append(f"  {branch} {link.topic} {arrow} {', '.join(others) or nobody}{figures_text(link)}")
+            lines.append(f"  {branch} {link.topic} {arrow} {', '.join(peers) or nobody}{figures_text(link)}")
     return lines
 
 
@@ -199,10 +199,10 @@ def layers(nodes: tuple[GraphNode, ...] | list[GraphNode]) -> dict[str, int]:
     def depth_of(name: str, path: tuple[str, ...]) -> int:
         if name not in depth:
             sources = [other for other in before[name] if other not in path]
-            found = max((depth_of(other, (*path, name)) + 1 for other in sources), default=0)
+            deepest = max((depth_of(other, (*path, name)) + 1 for other in sources), default=0)
             if len(sources) < len(before[name]):
-                return found
-            depth[name] = found
+                return deepest
+            depth[name] = deepest
         return depth[name]
 
     return {name: depth_of(name, (name,)) for name in before}

@@ -44,8 +44,8 @@ def are_foreign(topics: list[str], domain: str) -> bool:
     from mirrorwave.diagnose.foreign_topic import foreign_publishers
     from msgs.bus.zmq import run_dir
 
-    found = foreign_publishers(run_dir(domain))
-    return bool(topics) and all(topic.replace("/", ".") in found for topic in topics)
+    publishers = foreign_publishers(run_dir(domain))
+    return bool(topics) and all(topic.replace("/", ".") in publishers for topic in topics)
 
 
 def messages(bus: Bus, deadline_s: float | None) -> Iterator[Received]:
@@ -108,7 +108,7 @@ def measure(topics: list[str], duration_s: float, domain: str) -> tuple[list[dic
         counts = {count.topic: count for count in bus.counts()[0]}
     finally:
         bus.close()
-    rates = [_rate_row(topic, node, seen) for (topic, node), seen in sorted(marks.items())]
+    rates = [_rate_row(topic, node, arrivals) for (topic, node), arrivals in sorted(marks.items())]
     volumes = [
         {
             "topic": name,

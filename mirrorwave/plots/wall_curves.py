@@ -19,7 +19,7 @@ def draw_wall_curves(wall: Wall, answers: list[Answer], path: Path) -> None:
     if wall.roughness_m > 0.0:
         title = f"specular gain [dB], roughness {1e3 * wall.roughness_m:g} mm"
         panels[title] = lambda curves: field_db(curves.specular_gain**0.5)
-    if any(abs(one.te.t).max() > 0.0 for one in answers):
+    if any(abs(answer.te.t).max() > 0.0 for answer in answers):
         panels["transmission |t|² [dB]"] = lambda curves: field_db(curves.t)
     figure = new_figure(0.6 + 3.2 * max(len(panels), 2), 4.6)
     for axes, (title, level_db) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels.items(), strict=True):

@@ -24,29 +24,29 @@ def draw_comparison(table: ReflectanceTable, path: Path) -> None:
     upper, lower = figure.subfigures(2, 1, squeeze=False).ravel()
     for panel, band in zip(upper.subplots(1, len(table.bands_hz)), table.bands_hz, strict=True):
         _draw_band(panel, table, band)
-    panel, seen = lower.subplots(), set[str]()
+    panel, labelled = lower.subplots(), set[str]()
     _plain(panel)
     panel.axhspan(-0.5, 0.5, color="#EEEEEE")
     walls = dict(zip(table.walls, COLOURS * 3, strict=False))
-    for one in table.compare():
-        if one.roughness_m == 0.0 or not len(one.angles_deg):
+    for comparison in table.compare():
+        if comparison.roughness_m == 0.0 or not len(comparison.angles_deg):
             continue
-        wavelength_m = 299_792_458.0 / one.frequency_hz
-        phase = 4.0 * np.pi * one.roughness_m * np.cos(np.radians(one.angles_deg)) / wavelength_m
-        mark = ("o" if one.polarisation == "te" else "s", walls[one.wall], one.frequency_hz < 50e9)
-        label = f"{one.wall} {one.frequency_hz / 1e9:g} GHz {one.polarisation.upper()}"
+        wavelength_m = 299_792_458.0 / comparison.frequency_hz
+        phase = 4.0 * np.pi * comparison.roughness_m * np.cos(np.radians(comparison.angles_deg)) / wavelength_m
+        mark = ("o" if comparison.polarisation == "te" else "s", walls[comparison.wall], comparison.frequency_hz < 50e9)
+        label = f"{comparison.wall} {comparison.frequency_hz / 1e9:g} GHz {comparison.polarisation.upper()}"
         panel.errorbar(
             phase,
-            one.difference_db,
-            one.error_db,
+            comparison.difference_db,
+            comparison.error_db,
             fmt=mark[0],
             color=mark[1],
             markersize=4.5,
             linewidth=0.8,
             markerfacecolor=mark[1] if mark[2] else "white",
-            label="_" if label in seen else label,
+            label="_" if label in labelled else label,
         )
-        seen.add(label)
+        labelled.add(label)
     panel.set_title("rough walls: FDTD minus formula [dB]", fontsize=10)
     panel.set_xlabel("rms phase g = 4π s cos θ / λ [rad]")
     legend_beside(panel)

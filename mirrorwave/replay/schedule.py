@@ -366,7 +366,11 @@ def latched_before(
     reader: RecordingReader, topics: Collection[str], renamed: Mapping[str, str], end_ns: int
 ) -> list[Recorded]:
     """Return the last message before `end_ns` of each latched topic among `topics`, as the recording names them."""
-    return list({one.topic: one for one in reader.messages(topics, 0, end_ns, renamed)}.values()) if topics else []
+    return (
+        list({recorded.topic: recorded for recorded in reader.messages(topics, 0, end_ns, renamed)}.values())
+        if topics
+        else []
+    )
 
 
 def whole_scans(messages: Iterator[Recorded], is_cut: bool, end_ns: int | None) -> Iterator[Recorded]:

@@ -97,9 +97,9 @@ class CanDecoder:
     def state(self, now_ns: int) -> VehicleState:
         """The vehicle at `now_ns`; not valid, with every reason, while any quantity is missing, old or out of range."""
         troubles = [text for text in (item.trouble(now_ns) for item in self._quantities.values()) if text]
-        others = self.counts[Verdict.UNKNOWN_ID]
-        if others >= _MANY_FRAMES and not any(watch.seen for watch in self._watches.values()):
-            troubles.append(f"{counted(others, 'frame')} of other ids came: wrong DBC?")
+        unknown_frames = self.counts[Verdict.UNKNOWN_ID]
+        if unknown_frames >= _MANY_FRAMES and not any(watch.seen for watch in self._watches.values()):
+            troubles.append(f"{counted(unknown_frames, 'frame')} of other ids came: wrong DBC?")
         stamps_ns = [item.stamp_ns for item in self._quantities.values() if item.stamp_ns is not None]
         steering = self._quantities.get("steering")
         return VehicleState(

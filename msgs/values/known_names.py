@@ -24,12 +24,12 @@ _PLACE = " - at `$"
 def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
     """msgspec's message for `wanted`; about an unknown field or choice, it lists those that stand in its place."""
     text = str(error)
-    found = _UNKNOWN.search(text)
-    known = _names_at(wanted, found["path"] or "", found["what"].startswith("Object")) if found else []
-    if not known:
+    match = _UNKNOWN.search(text)
+    valid = _names_at(wanted, match["path"] or "", match["what"].startswith("Object")) if match else []
+    if not valid:
         return text
     rule, place, path = text.partition(_PLACE)
-    return f"{rule}; known are {', '.join(known)}{place}{path}"
+    return f"{rule}; known are {', '.join(valid)}{place}{path}"
 
 
 def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
@@ -44,12 +44,12 @@ def refuse_unknown(value: Any, wanted: Any, where: str) -> None:
 def _refuse(value: Any, wanted: Any, where: str) -> None:
     for kind in _alternatives(wanted):
         if _is_struct(kind) and isinstance(value, Mapping):
-            known = _fields(kind)
+            valid = _fields(kind)
             for name, inner in value.items():
                 path = f"{where}.{name}" if where else str(name)
-                if name not in known:
-                    raise ValueError(f"{path}: unknown field; known are {', '.join(known)}")
-                _refuse(inner, known[name], path)
+                if name not in valid:
+                    raise ValueError(f"{path}: unknown field; known are {', '.join(valid)}")
+                _refuse(inner, valid[name], path)
         elif typing.get_origin(kind) is dict and isinstance(value, Mapping):
             for name, inner in value.items():
                 _refuse(inner, typing.get_args(kind)[1], f"{where}.{name}")

@@ -18,12 +18,12 @@ class Refusals:
         #: Why input was refused last; empty once input was accepted again.
         self.reason = ""
 
-    def refuse(self, what: str, error: ValueError, name: str | None = None) -> None:
-        """Count `what`, in the log called `name`, as refused for an error; log the error unless it is the last one."""
-        self._count += what == self._unit
-        self._shed.add(what, "refused")
+    def refuse(self, kind: str, error: ValueError, name: str | None = None) -> None:
+        """Count `kind`, in the log called `name`, as refused for an error; log the error unless it is the last one."""
+        self._count += kind == self._unit
+        self._shed.add(kind, "refused")
         if str(error) != self.reason:
-            self._log.warning("%s", self._line(name or what, error))
+            self._log.warning("%s", self._line(name or kind, error))
         self.reason = str(error)
 
     def accept(self) -> None:

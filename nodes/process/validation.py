@@ -31,8 +31,8 @@ def convert_at(value: Any, wanted: type[T], where: str) -> T:
 
 def explain(text: str, where: str) -> str:
     """msgspec's message with its `$.path` put behind `where`, the way a person would write the field."""
-    found = _PATH.search(text)
-    path = found["path"] if found else ""
+    match = _PATH.search(text)
+    path = match["path"] if match else ""
     rule = _PATH.sub("", text).replace("`", "")
     # a file's own fields stand behind its name as those of a node stand behind the node's
     place = f"{where}{path.lstrip('.')}".removesuffix(": ") if where.endswith(": ") else f"{where}{path}"

@@ -68,8 +68,8 @@ def numbered_files(path: Path) -> dict[int, Path]:
     """Files of a recording in several that exist, by their numbers, the lowest first."""
     pattern = re.compile(re.escape(path.stem) + r"-(\d{5,})" + re.escape(path.suffix))
     names = os.listdir(path.parent) if path.parent.is_dir() else []
-    found = {int(match[1]): path.with_name(name) for name in names if (match := pattern.fullmatch(name))}
-    return dict(sorted(found.items()))
+    files = {int(match[1]): path.with_name(name) for name in names if (match := pattern.fullmatch(name))}
+    return dict(sorted(files.items()))
 
 
 def recorded_files(path: Path) -> list[Path]:

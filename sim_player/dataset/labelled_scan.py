@@ -18,7 +18,7 @@ from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.planner.plan import Plan, chosen, plan_world
+from sim_player.planner.plan import Plan, manual_plan, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
 from sim_player.scene.description import Scene
 from sim_player.scene.world import World
@@ -200,7 +200,7 @@ def _plan(world: World, setup: RadarSetup, choice: EffectChoice, budget_db: floa
     """Return the plan of the effects of a scene."""
     if choice == "auto":
         return plan_world(world, setup, budget_db)
-    return chosen(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
+    return manual_plan(world, setup, ALL_EFFECTS if choice == "all" else frozenset(choice))
 
 
 def without_converter(plan: Plan, reason: str) -> Plan:

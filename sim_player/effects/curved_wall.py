@@ -41,8 +41,8 @@ def as_chords(tracing: TraceContext) -> Echoes:
     parts = []
     for wall in np.flatnonzero(view.world.is_curved):
         only = np.arange(len(view.world.wall_a)) == wall
-        routes, legs = mirror_routes(view, view.centre, only, tracing.owner, ignore_wall=int(wall))
-        parts.append(routes.take(legs.free))
+        routes, occlusion = mirror_routes(view, view.centre, only, tracing.owner, ignore_wall=int(wall))
+        parts.append(routes.take(occlusion.free))
     routes = join_routes(parts) if parts else no_routes()
     tracing.routes["specular_relay"] = join_routes([tracing.routes.get("specular_relay", no_routes()), routes])
     return object_echoes(view, routes, cofocal(routes))
@@ -57,7 +57,7 @@ def arc_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes
 def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by one arc."""
     world = view.world
-    found = bounces(
+    arc_bounces = bounces(
         view.antenna,
         point_m,
         world.wall_a[wall],
@@ -65,27 +65,27 @@ def _by_arc(view: Snapshot, wall: int, point_m: np.ndarray, owner: np.ndarray) -
         float(world.wall_curvature_per_m[wall]),
         world.radar.wavelength_m,
     )
-    end = point_m[found.target]
-    share = found.out_m / (found.out_m + found.on_m)
+    end = point_m[arc_bounces.target]
+    share = arc_bounces.out_m / (arc_bounces.out_m + arc_bounces.on_m)
     height = view.antenna[2] + share * (end[:, 2] - view.antenna[2])
-    point = np.column_stack([found.point_m, height])
-    legs = free_segments((view.antenna, point, end), view.blockers, owner[found.target])
-    cosine = found.cos_incidence * (found.out_m + found.on_m) / found.length_m
-    whole, front, rough = world.reflection(np.full(len(found), wall), np.abs(cosine))
+    point = np.column_stack([arc_bounces.point_m, height])
+    occlusion = free_segments((view.antenna, point, end), view.blockers, owner[arc_bounces.target])
+    cosine = arc_bounces.cos_incidence * (arc_bounces.out_m + arc_bounces.on_m) / arc_bounces.length_m
+    whole, front, rough = world.reflection(np.full(len(arc_bounces), wall), np.abs(cosine))
     routes = make_routes(
-        found.target,
-        found.length_m,
+        arc_bounces.target,
+        arc_bounces.length_m,
         _direction(point - view.antenna),
         _direction(end - point),
-        legs,
+        occlusion,
         bit("specular_relay") | bit("curved_wall"),
-        wall=np.full(len(found), wall),
-        other=found.gain,
+        wall=np.full(len(arc_bounces), wall),
+        other=arc_bounces.gain,
         whole=whole,
         front=front,
         rough=rough,
     )
-    return routes.take(legs.free & (height < world.wall_height_m[wall]))
+    return routes.take(occlusion.free & (height < world.wall_height_m[wall]))
 
 
 def _flashes(view: Snapshot) -> Echoes:

@@ -30,16 +30,16 @@ def apply(tracing: TraceContext) -> Echoes:
     view, world = tracing.view, tracing.view.world
     wall = world.speck_wall
     lit = (world.speck_length_m > 0.0) & (world.wall_roughness_m[wall] > 0.0)
-    which = np.flatnonzero(lit & (world.wall_height_m[wall] > view.antenna[2]) & world.is_mirror[wall])
-    point = np.column_stack([world.speck_m[which], np.full(len(which), view.antenna[2])])
-    routes, legs = straight_routes(view, point)
-    which, routes, point = which[legs.free], routes.take(legs.free), point[legs.free]
-    wall = wall[which]
-    cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[which])), 1.0)
+    patches = np.flatnonzero(lit & (world.wall_height_m[wall] > view.antenna[2]) & world.is_mirror[wall])
+    point = np.column_stack([world.speck_m[patches], np.full(len(patches), view.antenna[2])])
+    routes, occlusion = straight_routes(view, point)
+    patches, routes, point = patches[occlusion.free], routes.take(occlusion.free), point[occlusion.free]
+    wall = wall[patches]
+    cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
     whole, front, rough = world.reflection(wall, cosine)
     lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * routes.length_m)
-    rcs = 4.0 * (1.0 - rough**2) * cosine**2 * lit_height * world.speck_length_m[which]
-    weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[which]
+    rcs = 4.0 * (1.0 - rough**2) * cosine**2 * lit_height * world.speck_length_m[patches]
+    weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[patches]
     echoes = surface_echoes(view, routes, weight, point, wall, bit("diffuse_scattering"))
     return _with_reflection(echoes, np.abs(whole), np.abs(front))
 

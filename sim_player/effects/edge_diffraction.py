@@ -46,9 +46,9 @@ class Edges:
     def __len__(self) -> int:
         return len(self.n)
 
-    def take(self, which: np.ndarray) -> Edges:
+    def take(self, selection: np.ndarray) -> Edges:
         """The edges of an index or mask."""
-        return Edges(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
+        return Edges(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def absent(world: World) -> str | None:
@@ -85,11 +85,11 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
     keep = np.flatnonzero(open_side & (source_plan > NEAREST_EDGE_M) & (target_plan > NEAREST_EDGE_M))
     edge, target = edge[keep], target[keep]
     bend = np.column_stack([edges.point[edge], height[keep]])
-    legs = free_segments((view.antenna, bend, point_m[target]), view.blockers, owner[target])
-    free = np.flatnonzero(legs.free)
+    occlusion = free_segments((view.antenna, bend, point_m[target]), view.blockers, owner[target])
+    free = np.flatnonzero(occlusion.free)
     keep, edge, target = keep[free], edge[free], target[free]
     angles = to_source[keep], to_target[keep]
-    return _bent(view, edges.take(edge), edge, target, (bend[free], point_m[target]), angles, legs.take(free))
+    return _bent(view, edges.take(edge), edge, target, (bend[free], point_m[target]), angles, occlusion.take(free))
 
 
 def _in_sight(view: Snapshot, edges: Edges, point_m: np.ndarray) -> Edges:
@@ -105,7 +105,7 @@ def _bent(
     target: np.ndarray,
     points: tuple[np.ndarray, np.ndarray],
     angles: tuple[np.ndarray, np.ndarray],
-    legs: Occlusion,
+    occlusion: Occlusion,
 ) -> Routes:
     """Routes by known points of edges (one a route) with their uniform field."""
     (bend, end), (to_source, to_target) = points, angles
@@ -129,7 +129,7 @@ def _bent(
         source_m + target_m,
         out / source_m[:, None],
         on / target_m[:, None],
-        legs,
+        occlusion,
         bit("edge_diffraction"),
         edge=edge,
         whole=edge_field(built, source_m, target_m),

@@ -47,36 +47,38 @@ def _straight(view: Snapshot, owner: np.ndarray) -> Routes:
     share = view.antenna[2] / (view.antenna[2] + end[:, 2])
     plan = view.origin + share[:, None] * (end[:, :2] - view.origin)
     bounce = np.column_stack([plan, np.zeros(len(end))])
-    legs = free_segments((view.antenna, bounce, end), view.blockers, owner)
+    occlusion = free_segments((view.antenna, bounce, end), view.blockers, owner)
     ray = end * [1.0, 1.0, -1.0] - view.antenna
-    return _finish(view, np.arange(len(end)), ray, ray, legs, 0).take(legs.free)
+    return _finish(view, np.arange(len(end)), ray, ray, occlusion, 0).take(occlusion.free)
 
 
 def _mirrored(view: Snapshot, owner: np.ndarray) -> Routes:
     """Antenna -> wall and ground, in the order that heights decide -> centre."""
     world, centre = view.world, view.centre
     low = centre * [1.0, 1.0, -1.0]
-    found = plane_bounces(view, view.antenna, low, world.is_flat)
-    end, image = centre[found.target], found.image
-    reach = norm(found.specular[:, :2] - view.origin)
+    wall_bounces = plane_bounces(view, view.antenna, low, world.is_flat)
+    end, image = centre[wall_bounces.target], wall_bounces.image
+    reach = norm(wall_bounces.specular[:, :2] - view.origin)
     total = norm(image[:, :2] - view.origin)
     at_wall = reach / total
     at_ground = view.antenna[2] / (view.antenna[2] + end[:, 2])
-    wall_point = np.column_stack([found.specular[:, :2], np.abs(found.specular[:, 2])])
+    wall_point = np.column_stack([wall_bounces.specular[:, :2], np.abs(wall_bounces.specular[:, 2])])
     unfolded = view.antenna + at_ground[:, None] * (image - view.antenna)
     # beyond the wall the unfolded plan is folded back to the real one
-    real = np.where((at_ground < at_wall)[:, None], unfolded[:, :2], _fold(view, found.wall, unfolded[:, :2]))
+    real = np.where((at_ground < at_wall)[:, None], unfolded[:, :2], _fold(view, wall_bounces.wall, unfolded[:, :2]))
     ground_point = np.column_stack([real, np.zeros(len(real))])
     early = (at_ground < at_wall)[:, None]
     one, two = np.where(early, ground_point, wall_point), np.where(early, wall_point, ground_point)
-    legs = free_segments((view.antenna, one, two, end), view.blockers, owner[found.target])
-    below_top = wall_point[:, 2] < world.wall_height_m[found.wall]
+    occlusion = free_segments((view.antenna, one, two, end), view.blockers, owner[wall_bounces.target])
+    below_top = wall_point[:, 2] < world.wall_height_m[wall_bounces.wall]
     ray = image - view.antenna
     arrive = ray.copy()
-    arrive[:, :2] -= 2.0 * dot(ray[:, :2], found.normal)[:, None] * found.normal
-    cosine = np.abs(dot(ray[:, :2], found.normal)) / norm(ray)
-    routes = _finish(view, found.target, ray, arrive, legs, bit("specular_relay"), found.wall, cosine)
-    return routes.take(legs.free & below_top)
+    arrive[:, :2] -= 2.0 * dot(ray[:, :2], wall_bounces.normal)[:, None] * wall_bounces.normal
+    cosine = np.abs(dot(ray[:, :2], wall_bounces.normal)) / norm(ray)
+    routes = _finish(
+        view, wall_bounces.target, ray, arrive, occlusion, bit("specular_relay"), wall_bounces.wall, cosine
+    )
+    return routes.take(occlusion.free & below_top)
 
 
 def _finish(
@@ -84,7 +86,7 @@ def _finish(
     target: np.ndarray,
     ray: np.ndarray,
     arrive: np.ndarray,
-    legs: Occlusion,
+    occlusion: Occlusion,
     needs: int,
     wall: np.ndarray | None = None,
     cosine: np.ndarray | None = None,
@@ -99,7 +101,7 @@ def _finish(
         ray / length[:, None],
         # it rises to its target after the bounce
         arrive * [1.0, 1.0, -1.0] / length[:, None],
-        legs,
+        occlusion,
         needs | bit("ground_bounce"),
         wall=-1 if wall is None else wall,
         ground=True,

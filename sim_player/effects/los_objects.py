@@ -15,7 +15,7 @@ def absent(world: World) -> str | None:
 
 def apply(tracing: TraceContext) -> Echoes:
     """Scattering centres whose straight leg is free, out and back."""
-    routes, legs = tracing.straight
-    clear = routes.take(legs.free)
+    routes, occlusion = tracing.straight
+    clear = routes.take(occlusion.free)
     tracing.routes["los_objects"] = clear
     return object_echoes(tracing.view, clear, cofocal(clear), bit("los_objects"))

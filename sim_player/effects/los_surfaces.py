@@ -37,13 +37,18 @@ def flash_weight(view: Snapshot, length_m: np.ndarray) -> np.ndarray:
 def structure(view: Snapshot) -> Echoes:
     """Small scatterers of all walls in direct sight."""
     world = view.world
-    which = np.flatnonzero((world.speck_length_m == 0.0) & (world.wall_height_m[world.speck_wall] > view.antenna[2]))
-    point = _level(view, world.speck_m[which])
-    routes, legs = straight_routes(view, point)
-    seen = which[legs.free]
-    routes = routes.take(legs.free)
-    weight = echo_amplitude(world.radar, world.speck_rcs_m2[seen], routes.length_m) * world.speck_phasor[seen]
-    return surface_echoes(view, routes, weight, point[legs.free], world.speck_wall[seen], bit("los_surfaces"))
+    specks = np.flatnonzero((world.speck_length_m == 0.0) & (world.wall_height_m[world.speck_wall] > view.antenna[2]))
+    point = _level(view, world.speck_m[specks])
+    routes, occlusion = straight_routes(view, point)
+    visible_specks = specks[occlusion.free]
+    routes = routes.take(occlusion.free)
+    weight = (
+        echo_amplitude(world.radar, world.speck_rcs_m2[visible_specks], routes.length_m)
+        * world.speck_phasor[visible_specks]
+    )
+    return surface_echoes(
+        view, routes, weight, point[occlusion.free], world.speck_wall[visible_specks], bit("los_surfaces")
+    )
 
 
 def _flashes(view: Snapshot) -> Echoes:
@@ -56,7 +61,7 @@ def _flashes(view: Snapshot) -> Echoes:
     met = (share >= 0.0) & (share <= 1.0) & (world.wall_height_m > view.antenna[2]) & (distance > NEAREST_M)
     wall = np.flatnonzero(met & world.is_flat)
     point = _level(view, foot[wall])
-    legs = segment_occlusion(view.antenna, point, view.blockers)
+    occlusion = segment_occlusion(view.antenna, point, view.blockers)
     direction = np.column_stack([-view.normal[wall], np.zeros(len(wall))])
     whole, front, rough = world.reflection(wall, np.ones(len(wall)))
     # one bounce on a round trip: half of it each way
@@ -65,14 +70,14 @@ def _flashes(view: Snapshot) -> Echoes:
         distance[wall],
         direction,
         direction,
-        legs,
+        occlusion,
         0,
         whole=np.sqrt(whole + 0j),
         front=np.sqrt(front + 0j),
         rough=np.sqrt(rough),
     )
     weight = flash_weight(view, 2.0 * distance[wall])
-    return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces")).take(legs.free)
+    return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces")).take(occlusion.free)
 
 
 def _level(view: Snapshot, plan: np.ndarray) -> np.ndarray:

@@ -33,7 +33,7 @@ def apply(tracing: TraceContext) -> Echoes:
     first, second = _pairs(routes, world)
     one, two = routes.take(first), routes.take(second)
     start, end = view.centre[one.target], view.centre[two.target]
-    legs = segment_occlusion(start, end, view.blockers, world.centre_object[two.target])
+    occlusion = segment_occlusion(start, end, view.blockers, world.centre_object[two.target])
     between = np.maximum(norm(end - start), NEAREST_M)
     onward = (end - start) / between[:, None]
     rcs_one = _bistatic(view, one, onward)
@@ -48,7 +48,7 @@ def apply(tracing: TraceContext) -> Echoes:
         whole=one.whole * two.whole,
         front=one.front * two.front,
         rough=one.rough * two.rough,
-        foliage=one.foliage * two.foliage * legs.foliage,
+        foliage=one.foliage * two.foliage * occlusion.foliage,
         out_m=one.length_m + 0.5 * between,
         back_m=two.length_m + 0.5 * between,
         depart=one.depart,
@@ -61,21 +61,21 @@ def apply(tracing: TraceContext) -> Echoes:
         object_index=world.centre_object[one.target].astype(np.int32),
         point=start,
     )
-    return echoes.take(legs.free & (rcs_one > 0.0) & (rcs_two > 0.0))
+    return echoes.take(occlusion.free & (rcs_one > 0.0) & (rcs_two > 0.0))
 
 
 def _pairs(routes: Routes, world: World) -> tuple[np.ndarray, np.ndarray]:
     """Index pairs of routes by the same wall (or straight) to centres of different objects, each pair once."""
-    thing = world.centre_object[routes.target]
-    same = (routes.wall[:, None] == routes.wall[None]) & (thing[:, None] < thing[None])
+    object_of_route = world.centre_object[routes.target]
+    same = (routes.wall[:, None] == routes.wall[None]) & (object_of_route[:, None] < object_of_route[None])
     first, second = np.nonzero(same)
     return first, second
 
 
 def _bistatic(view: Snapshot, routes: Routes, onward: np.ndarray) -> np.ndarray:
     """RCS of centres between where their route comes from and a direction they send on to."""
-    seen = [centre_rcs_m2(view.world, routes.target, direction) for direction in (-routes.arrive, onward)]
-    return np.asarray(np.sqrt(seen[0] * seen[1]))
+    rcs_m2 = [centre_rcs_m2(view.world, routes.target, direction) for direction in (-routes.arrive, onward)]
+    return np.asarray(np.sqrt(rcs_m2[0] * rcs_m2[1]))
 
 
 def _rate(view: Snapshot, one: Routes, two: Routes, onward: np.ndarray) -> np.ndarray:

@@ -65,8 +65,8 @@ def _routes(
 ) -> Routes:
     """Routes by points of two walls to their targets, as far as the walls are high enough and three legs are free."""
     (first, second), (at_first, at_second, end), height = walls, points, view.world.wall_height_m
-    legs = free_segments((view.antenna, *points), view.blockers, owner)
-    keep = legs.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second])
+    occlusion = free_segments((view.antenna, *points), view.blockers, owner)
+    keep = occlusion.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second])
     first, second, at_first, at_second, end = (row[keep] for row in (first, second, at_first, at_second, end))
     depart, arrive = unit(at_first - view.antenna), unit(end - at_second)
     one = view.world.reflection(first, np.abs(dot(depart[:, :2], view.normal[first])))
@@ -76,7 +76,7 @@ def _routes(
         norm(at_first - view.antenna) + norm(at_second - at_first) + norm(end - at_second),
         depart,
         arrive,
-        legs.take(keep),
+        occlusion.take(keep),
         bit("specular_relay") | bit("second_relay"),
         wall=first,
         wall2=second,
@@ -122,8 +122,14 @@ def _corners(view: Snapshot) -> Routes:
     towards = unit(view.origin - apex)
     sine, cosine = _cross(face_1, face_2), dot(face_1, face_2)
     inside = (_cross(towards, face_2) * sine > 0.0) & (_cross(face_1, towards) * sine > 0.0)
-    which = np.flatnonzero(inside)
-    first, second, apex, cosine, sine = first[which], second[which], apex[which], cosine[which], np.abs(sine[which])
+    inside_walls = np.flatnonzero(inside)
+    first, second, apex, cosine, sine = (
+        first[inside_walls],
+        second[inside_walls],
+        apex[inside_walls],
+        cosine[inside_walls],
+        np.abs(sine[inside_walls]),
+    )
     distance = norm(apex - view.origin)
     wavelength_m = view.world.radar.wavelength_m
     share = _share(cosine * np.sqrt(8.0 * distance / (wavelength_m * (1.0 + sine))))
@@ -131,14 +137,17 @@ def _corners(view: Snapshot) -> Routes:
     detour_m = 2.0 * distance * cosine**2 / (1.0 + sine)
     share = share * np.exp(np.where(cosine < 0.0, 2j * np.pi / wavelength_m * detour_m, 0.0))
     points, on = [], np.abs(share) > DARKEST
-    for wall, face, other in ((first, face_1[which], face_2[which]), (second, face_2[which], face_1[which])):
-        along = distance * np.maximum(cosine, 0.0) / np.maximum(dot(towards[which], other), 1e-9)
+    for wall, face, other in (
+        (first, face_1[inside_walls], face_2[inside_walls]),
+        (second, face_2[inside_walls], face_1[inside_walls]),
+    ):
+        along = distance * np.maximum(cosine, 0.0) / np.maximum(dot(towards[inside_walls], other), 1e-9)
         on &= along <= norm(view.world.wall_b[wall] - view.world.wall_a[wall])
         points.append(np.column_stack([apex + along[:, None] * face, np.full(len(wall), view.antenna[2])]))
-    found = np.flatnonzero(on)
-    end = np.broadcast_to(view.antenna, (len(found), 3))
-    ways = (points[0][found], points[1][found], end)
-    return _routes(view, (first[found], second[found]), np.zeros(len(found), int), ways, -1, share[found])
+    on_both = np.flatnonzero(on)
+    end = np.broadcast_to(view.antenna, (len(on_both), 3))
+    vertices = (points[0][on_both], points[1][on_both], end)
+    return _routes(view, (first[on_both], second[on_both]), np.zeros(len(on_both), int), vertices, -1, share[on_both])
 
 
 def _neighbours(world: World) -> tuple[np.ndarray, np.ndarray]:
@@ -172,11 +181,11 @@ def _share(v: np.ndarray) -> np.ndarray:
 def _mirrored_structure(view: Snapshot) -> Echoes:
     """Small scatterers of one wall seen in another."""
     world = view.world
-    which = np.flatnonzero((world.speck_length_m == 0.0) & (world.wall_height_m[world.speck_wall] > view.antenna[2]))
-    point = np.column_stack([world.speck_m[which], np.full(len(which), view.antenna[2])])
-    routes, legs = mirror_routes(view, point, world.is_flat, np.full(len(which), -1, np.int32))
-    routes = routes.take(legs.free & (world.speck_wall[which[routes.target]] != routes.wall))
-    speck = which[routes.target]
+    specks = np.flatnonzero((world.speck_length_m == 0.0) & (world.wall_height_m[world.speck_wall] > view.antenna[2]))
+    point = np.column_stack([world.speck_m[specks], np.full(len(specks), view.antenna[2])])
+    routes, occlusion = mirror_routes(view, point, world.is_flat, np.full(len(specks), -1, np.int32))
+    routes = routes.take(occlusion.free & (world.speck_wall[specks[routes.target]] != routes.wall))
+    speck = specks[routes.target]
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
     needs = bit("second_relay") | bit("los_surfaces")
     return surface_echoes(view, routes, weight, point[routes.target], routes.wall, needs)
@@ -199,13 +208,13 @@ def _candidates(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.nda
     walls = np.flatnonzero(world.is_flat)
     a, b = world.wall_a[walls], world.wall_b[walls]
     plan = np.ascontiguousarray(point_m[:, :2])
-    found = _search(view.origin, plan, a, b, view.normal[walls], view.offset[walls])
-    return walls[found[:, 0]], walls[found[:, 1]], found[:, 2]
+    wall_pairs = _search(view.origin, plan, a, b, view.normal[walls], view.offset[walls])
+    return walls[wall_pairs[:, 0]], walls[wall_pairs[:, 1]], wall_pairs[:, 2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _search(origin, point, a, b, normal, offset):  # type: ignore[no-untyped-def]
-    found = np.empty((64, 3), np.int64)
+    pairs = np.empty((64, 3), np.int64)
     count = 0
     for first in range(len(a)):
         nx, ny, d = normal[first, 0], normal[first, 1], offset[first]
@@ -234,13 +243,13 @@ def _search(origin, point, a, b, normal, offset):  # type: ignore[no-untyped-def
                 x, y = a[second, 0] + share * wx, a[second, 1] + share * wy
                 if not _leaves(ix, iy, reach, x, y, a, b, nx, ny, d, first):
                     continue
-                if count == len(found):
+                if count == len(pairs):
                     grown = np.empty((2 * count, 3), np.int64)
-                    grown[:count] = found
-                    found = grown
-                found[count] = first, second, target
+                    grown[:count] = pairs
+                    pairs = grown
+                pairs[count] = first, second, target
                 count += 1
-    return found[:count]
+    return pairs[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

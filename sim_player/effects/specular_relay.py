@@ -16,7 +16,7 @@ def absent(world: World) -> str | None:
 
 def apply(tracing: TraceContext) -> Echoes:
     """Centres in every straight piece of wall, both legs free, out and back by the same point."""
-    routes, legs = tracing.mirrored
-    clear = routes.take(legs.free)
+    routes, occlusion = tracing.mirrored
+    clear = routes.take(occlusion.free)
     tracing.routes["specular_relay"] = clear
     return object_echoes(tracing.view, clear, cofocal(clear))

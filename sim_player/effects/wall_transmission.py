@@ -36,7 +36,7 @@ def apply(tracing: TraceContext) -> Echoes:
     )
 
 
-def _behind(routes: Routes, legs: Occlusion) -> Routes:
+def _behind(routes: Routes, occlusion: Occlusion) -> Routes:
     """The routes that walls stand in, weakened by them."""
-    weakened = replace(routes, other=routes.other * legs.through)
-    return weakened.take(~legs.free & (legs.through != 0.0))
+    weakened = replace(routes, other=routes.other * occlusion.through)
+    return weakened.take(~occlusion.free & (occlusion.through != 0.0))

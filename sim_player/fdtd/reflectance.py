@@ -381,9 +381,9 @@ def build_tables(
 def load_table(path: Path = SHIPPED) -> ReflectanceTable:
     """Read a table and its card; ValueError where the file is not the one the card describes, or either is none."""
     card, data = _load_card(path.with_suffix(".json")), path.read_bytes()
-    found = hashlib.sha256(data).hexdigest()
-    if found != card["sha256"]:
-        raise ValueError(f"{path}: SHA-256 must be that of its card, {card['sha256']}, got {found}")
+    digest = hashlib.sha256(data).hexdigest()
+    if digest != card["sha256"]:
+        raise ValueError(f"{path}: SHA-256 must be that of its card, {card['sha256']}, got {digest}")
     try:
         values = load_arrays(io.BytesIO(data), ReflectanceTable.ARRAYS)
     except ValueError as error:

@@ -87,9 +87,9 @@ class EffectAblation:
 
     def bound(self, amplitude: np.ndarray) -> np.ndarray:
         """Bound of echoes of given strengths [E]."""
-        which = np.flatnonzero(amplitude)
-        scale = (amplitude[which] / np.maximum(self.amplitude[which], 1e-300)).astype(np.float32)
-        return self.envelope.of_terms(self.magnitude[:, :, which] * scale, self.step[which])
+        changed = np.flatnonzero(amplitude)
+        scale = (amplitude[changed] / np.maximum(self.amplitude[changed], 1e-300)).astype(np.float32)
+        return self.envelope.of_terms(self.magnitude[:, :, changed] * scale, self.step[changed])
 
     def bound_of(self, echoes: Echoes) -> np.ndarray:
         """Bound of echoes that are not in the ablation."""
@@ -113,17 +113,19 @@ class EffectAblation:
         other = swept_pattern(self.setup, self.as_paths(), flags, self.front_end)
         return self.envelope.of_terms(self.pattern.change(other) * self.amplitude, self.step)
 
-    def squint_change(self, which: np.ndarray) -> np.ndarray:
+    def squint_change(self, selection: np.ndarray) -> np.ndarray:
         """Bound of what squint changes for some paths, bool [E]."""
         if "squint" not in self.used:
             return np.zeros(self.shape)
-        return self.envelope.of_terms(self.pattern.take(which).squint() * self.amplitude[which], self.step[which])
+        return self.envelope.of_terms(
+            self.pattern.take(selection).squint() * self.amplitude[selection], self.step[selection]
+        )
 
-    def overlap_change(self, which: np.ndarray) -> np.ndarray:
+    def overlap_change(self, selection: np.ndarray) -> np.ndarray:
         """Bound of what overlapping chirps change for some paths, bool [E]."""
         if "chirp_overlap" not in self.used:
             return np.zeros(self.shape)
-        return self.envelope.of_overlap(self.magnitude[:, :, which].sum(axis=0), self.step[which])
+        return self.envelope.of_overlap(self.magnitude[:, :, selection].sum(axis=0), self.step[selection])
 
     def strongest(self, name: str) -> float:
         """The largest ratio of one of an effect's paths in its own cell: no bound of the effect can be less."""
@@ -147,13 +149,17 @@ class EffectAblation:
         """Which echoes an effect makes, bool [E]."""
         return np.asarray((self.echoes.needs & np.uint32(bit(name))) != 0)
 
-    def keep(self, which: np.ndarray) -> None:
+    def keep(self, selection: np.ndarray) -> None:
         """Forget all other echoes."""
-        if which.all():
+        if selection.all():
             return
-        self.echoes, self.step, self.amplitude = self.echoes.take(which), self.step[which], self.amplitude[which]
-        self.pattern, self.magnitude = self.pattern.take(which), self.magnitude[:, :, which]
-        self.squints, self.overlaps = self.squints[which], self.overlaps[which]
+        self.echoes, self.step, self.amplitude = (
+            self.echoes.take(selection),
+            self.step[selection],
+            self.amplitude[selection],
+        )
+        self.pattern, self.magnitude = self.pattern.take(selection), self.magnitude[:, :, selection]
+        self.squints, self.overlaps = self.squints[selection], self.overlaps[selection]
 
     def add(self, echoes: Echoes) -> None:
         """Take in echoes that stand in for dropped ones."""

@@ -44,9 +44,9 @@ class SweptPattern:
     #: What the terms leave out at most, [P].
     remainder: np.ndarray
 
-    def take(self, which: np.ndarray) -> SweptPattern:
+    def take(self, selection: np.ndarray) -> SweptPattern:
         """The pattern of some of the paths."""
-        return SweptPattern(self.terms[:, :, which], self.middle[:, which], self.remainder[which])
+        return SweptPattern(self.terms[:, :, selection], self.middle[:, selection], self.remainder[selection])
 
     def magnitudes(self) -> np.ndarray:
         """Bounds of the terms [terms, B, P]."""
@@ -70,10 +70,12 @@ def swept_pattern(setup: RadarSetup, paths: Paths, effects: SignalEffects, front
     """Pattern at the Chebyshev points of the sweep and in its middle, under the antenna's effects."""
     array = setup if effects.element_pattern else isotropic(setup)
     columns = column_weights(setup, effects, front_end)
-    ways = departure(paths)
+    directions = departure(paths)
 
     def at(ratio: float | np.ndarray) -> np.ndarray:
-        pattern = two_way_pattern(array, columns, paths.azimuth_rad, paths.elevation_rad, *ways, frequency_ratio=ratio)
+        pattern = two_way_pattern(
+            array, columns, paths.azimuth_rad, paths.elevation_rad, *directions, frequency_ratio=ratio
+        )
         return pattern.astype(np.complex64)
 
     middle = at(1.0)
@@ -99,12 +101,15 @@ def _remainder(setup: RadarSetup, paths: Paths) -> np.ndarray:
     4 (J_5 + J_6 + ...) of the array's peak in that direction, J_5(x) + ... < x^5 / 3200 for x < 1.5. Plus rounding.
     """
     array, wavelength_m = setup.array, setup.radar.wavelength_m
-    ways = [(paths.azimuth_rad, paths.elevation_rad), (paths.departure_azimuth_rad, paths.departure_elevation_rad)]
+    directions = [
+        (paths.azimuth_rad, paths.elevation_rad),
+        (paths.departure_azimuth_rad, paths.departure_elevation_rad),
+    ]
     half = np.pi * setup.radar.bandwidth_hz / SPEED_OF_LIGHT_MPS
     across_m = 0.5 * (array.columns - 1) * array.column_spacing(wavelength_m)
     up_m = 0.5 * (array.rows - 1) * array.row_spacing(wavelength_m)
-    swing = sum(half * (across_m * np.abs(np.sin(a) * np.cos(e)) + up_m * np.abs(np.sin(e))) for a, e in ways)
-    peak = array.columns * array.rows * np.prod([element_field(setup.element, a, e) for a, e in ways], axis=0)
+    swing = sum(half * (across_m * np.abs(np.sin(a) * np.cos(e)) + up_m * np.abs(np.sin(e))) for a, e in directions)
+    peak = array.columns * array.rows * np.prod([element_field(setup.element, a, e) for a, e in directions], axis=0)
     return np.asarray(peak * (np.minimum(swing**5 / 800.0, 2.0) + ROUNDING))
 
 
@@ -166,10 +171,10 @@ def _kernels(radar: RadarParams, range_bins: int, tone_bins: int) -> np.ndarray:
     lag = np.arange(-STEPS * tone_bins, STEPS * range_bins + 1)
     start = LOOKS * (lag - 1)
     looks = [spectrum[:, (start + look) % (fine * count)] for look in range(LOOKS + 1)]
-    most = BETWEEN * np.maximum.reduce(looks)
+    upper = BETWEEN * np.maximum.reduce(looks)
     size = 2 * fft.next_fast_len(STEPS * (tone_bins + range_bins) // 2 + 1, real=True)
     laid = np.zeros((TERMS, size))
-    laid[:, lag % size] = most
+    laid[:, lag % size] = upper
     return np.asarray(fft.rfft(laid, axis=1))
 
 

@@ -45,7 +45,7 @@ DROPPED_SHARE, SWEPT_SHARE = 0.5, 0.2
 #: Rounds of the search for the strongest path that may be dropped.
 ROUNDS = 7
 #: Fewer paths than this cost less as profiles, with everything on, than the question what they need.
-WORTH_ASKING = 3000
+MIN_PATHS_TO_PLAN = 3000
 #: Bounds in JSON end here.
 MAX_DB = 200.0
 
@@ -95,14 +95,14 @@ class Plan:
 
     def groups(self) -> list[tuple[Paths, SignalEffects]]:
         """Paths that share the same effects of the sweep, at least one group."""
-        paths, found = self.paths, []
+        paths, groups = self.paths, []
         for squint in (True, False):
             for overlap in (True, False):
-                which = (self.squints == squint) & (self.overlaps == overlap)
+                in_group = (self.squints == squint) & (self.overlaps == overlap)
                 flags = msgspec.structs.replace(self.signal, squint=squint, chirp_overlap=overlap)
-                if which.any():
-                    found.append((paths.take(which), flags))
-        return found or [(paths, self.signal)]
+                if in_group.any():
+                    groups.append((paths.take(in_group), flags))
+        return groups or [(paths, self.signal)]
 
 
 def plan_effects(
@@ -139,7 +139,7 @@ def plan_world(
     return planner.plan(budget_db)
 
 
-def chosen(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFECTS, time_s: float = 0.0) -> Plan:
+def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFECTS, time_s: float = 0.0) -> Plan:
     """A plan of effects named by hand, all their paths and nothing bounded; ValueError for an unknown effect.
 
     Effects that the scene has nothing of stay unused, whatever is asked.
@@ -163,7 +163,7 @@ def chosen(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFECTS, 
     )
 
 
-def choose(
+def resolve_plan(
     world: World,
     setup: RadarSetup,
     effects: str,
@@ -179,11 +179,11 @@ def choose(
     if effects == "auto":
         return plan_world(world, setup, budget_db, time_s)
     if effects == "all":
-        return chosen(world, setup, ALL_EFFECTS, time_s)
+        return manual_plan(world, setup, ALL_EFFECTS, time_s)
     names = frozenset(name.strip() for name in effects.split(",")) - {""}
     if not names:
         raise ValueError("effects: want auto, all, basic or names with commas between them, got nothing")
-    return chosen(world, setup, names, time_s)
+    return manual_plan(world, setup, names, time_s)
 
 
 def planned_profiles(
@@ -233,7 +233,7 @@ class _Planner:
             reason = effect.absent(self.ablation.world)
             if reason is not None:
                 self._row(name, False, None, 0, reason)
-        if self.traced < WORTH_ASKING and not self.thorough:
+        if self.traced < MIN_PATHS_TO_PLAN and not self.thorough:
             self._take_all()
             return
         self._timed("floor", lambda: self.ablation.begin(exact=self.thorough))
@@ -278,10 +278,10 @@ class _Planner:
         for name in sorted(names, key=peak.__getitem__):
             mine = self.ablation.made_by(name)
             count = int(mine.sum())
-            what = f"{count} path{'' if count == 1 else 's'}: {PATHS[name].about}"
+            text = f"{count} path{'' if count == 1 else 's'}: {PATHS[name].about}"
             if not self.thorough and peak[name] > self.budget:
-                self._row(name, True, None, count, f"one path alone is over the budget; {what}")
-            elif not self._decide(name, count, what):
+                self._row(name, True, None, count, f"one path alone is over the budget; {text}")
+            elif not self._decide(name, count, text):
                 self.ablation.keep(~mine)
                 if name == "curved_wall":
                     self.ablation.add(as_chords(TraceContext(self.ablation.view)))
@@ -290,7 +290,9 @@ class _Planner:
         """Drop the paths that are too weak to matter even together: effects used in part."""
         ablation = self.ablation
         strength = ablation.magnitude.sum(axis=0).max(axis=0)
-        ablation.keep(~self._weakest(strength, lambda which: ablation.bound(ablation.amplitude * which), DROPPED_SHARE))
+        ablation.keep(
+            ~self._weakest(strength, lambda selection: ablation.bound(ablation.amplitude * selection), DROPPED_SHARE)
+        )
 
     def _sweep(self) -> None:
         """Squint and overlap for those paths alone that call for them."""
@@ -324,14 +326,14 @@ class _Planner:
             if not self._decide(name, 0, EFFECTS[name].about):
                 self.ablation.look()
 
-    def _decide(self, name: str, count: int, what: str) -> bool:
+    def _decide(self, name: str, count: int, text: str) -> bool:
         """Use an effect, or skip it and book its bound; whether it is used."""
         ablation = self.ablation
         bound = change_bound(ablation, name)
         fits = ablation.fits(bound, self.budget)
         if fits:
             ablation.spent = ablation.spent + bound
-        self._row(name, not fits, self._ratio_db(bound), count, what)
+        self._row(name, not fits, self._ratio_db(bound), count, text)
         return not fits
 
     def _weakest(self, strength: np.ndarray, bound_of: Callable[[np.ndarray], np.ndarray], share: float) -> np.ndarray:
@@ -353,16 +355,16 @@ class _Planner:
     def _ratio_db(self, bound: np.ndarray) -> float | None:
         return _decibel(self.ablation.ratio(bound)) if bound.any() else None
 
-    def _row(self, name: str, used: bool, bound_db: float | None, count: int, what: str) -> None:
+    def _row(self, name: str, used: bool, bound_db: float | None, count: int, text: str) -> None:
         """Write down one decision."""
         if not used:
             self.ablation.used.discard(name)
         if bound_db is not None:
             budget_db = 20.0 * math.log10(self.budget)
             side = "over" if bound_db > budget_db else "under" if not used else "within, but not beside others in,"
-            what = f"bound {bound_db:.0f} dB {side} budget {budget_db:g} dB: {what}"
+            text = f"bound {bound_db:.0f} dB {side} budget {budget_db:g} dB: {text}"
         cost_s = count * EFFECTS[name].cost_s
-        self.found[name] = EffectPlan(name=name, used=used, bound_db=bound_db, cost_s=cost_s, reason=what)
+        self.found[name] = EffectPlan(name=name, used=used, bound_db=bound_db, cost_s=cost_s, reason=text)
 
 
 def _by_hand(name: str, wanted: frozenset[str], world: World) -> EffectPlan:

@@ -306,7 +306,9 @@ def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np
         "centre_phase_rad": joined([drawn.phase_rad for drawn in centres]),
         "centre_exponent": joined([drawn.lobe_exponent for drawn in centres]),
         "centre_floor": joined([np.full(len(drawn.phase_rad), drawn.lobe_floor) for drawn in centres]),
-        "centre_object": np.repeat(np.arange(len(objects)), np.array([len(one.phase_rad) for one in centres], int)),
+        "centre_object": np.repeat(
+            np.arange(len(objects)), np.array([len(centre.phase_rad) for centre in centres], int)
+        ),
         "face_a": joined(corners, 2),
         "face_b": joined([np.roll(box, -1, axis=0) for box in corners], 2),
         "face_height_m": np.repeat(np.array([scene_object.kind.height_m for scene_object in objects], float), 4),

@@ -13,7 +13,7 @@ from msgs.values.units import ratio_from_db
 from sim_player.dataset.labelled_scan import label_points
 from sim_player.dataset.shards import scene_seed
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.planner.plan import chosen, plan_world
+from sim_player.planner.plan import manual_plan, plan_world
 from sim_player.scene.description import Scene, scene_from_yaml
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import prepare, trace
@@ -57,7 +57,7 @@ def trace_again(drawn: DrawnScene) -> Paths:
         return plan_world(world, setup, drawn.series["budget_db"]).paths
     if effects == "basic":
         return trace(world)
-    return chosen(world, setup, ALL_EFFECTS if effects == "all" else frozenset(effects)).paths
+    return manual_plan(world, setup, ALL_EFFECTS if effects == "all" else frozenset(effects)).paths
 
 
 def labelled_paths(drawn: DrawnScene) -> tuple[Paths, np.ndarray]:

@@ -257,8 +257,8 @@ def wrong_params(good: Mapping[str, Any], params_type: type[msgspec.Struct]) -> 
     )
     if not fields:
         return st.dictionaries(TEXTS, junk, max_size=2)
-    chosen = st.lists(st.sampled_from(fields), max_size=3, unique_by=lambda field: field.name)
-    return chosen.flatmap(lambda some: _with_fields(good, some, junk))
+    selected = st.lists(st.sampled_from(fields), max_size=3, unique_by=lambda field: field.name)
+    return selected.flatmap(lambda some: _with_fields(good, some, junk))
 
 
 def _with_fields(

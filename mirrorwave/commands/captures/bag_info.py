@@ -9,22 +9,22 @@ from mirrorwave.console import print_line, print_table
 from msgs.values.wording import counted
 
 
-def print_info(found: Any) -> None:
+def print_info(contents: Any) -> None:
     """Print the summary of a recording."""
-    print_line(f"{found.path}: {found.size_bytes / (1 << 20):.1f} MiB, {found.duration_s:.2f} s")
-    complete, checksums = "yes" if found.complete else "no", "good" if found.checksums_agree else "bad"
+    print_line(f"{contents.path}: {contents.size_bytes / (1 << 20):.1f} MiB, {contents.duration_s:.2f} s")
+    complete, checksums = "yes" if contents.complete else "no", "good" if contents.checksums_agree else "bad"
     print_line(f"complete: {complete}, checksums: {checksums}")
-    for line in origin_lines(found.metadata):
+    for line in origin_lines(contents.metadata):
         print_line(line)
-    if found.loss:
-        print_line(f"loss: {found.loss}")
+    if contents.loss:
+        print_line(f"loss: {contents.loss}")
     columns = ("TOPIC", "TYPE", "MESSAGES", "BYTES", "HZ", "PUBLISHERS")
     rows = [
         (topic.topic, topic.type or None, topic.messages, topic.bytes, topic.rate_hz, ", ".join(topic.publishers))
-        for topic in found.topics
+        for topic in contents.topics
     ]
     print_table(columns, rows)
-    _print_losses(found.losses)
+    _print_losses(contents.losses)
 
 
 #: Where a recording comes from: of a graph, or of a simulated scene.

@@ -63,18 +63,18 @@ def list_topics(domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> Non
 def info(topic: TopicName, window: WindowS = 2.0, domain: Domain = DEFAULT_DOMAIN, as_json: AsJson = False) -> None:
     """One topic: type and fields, limits, who publishes and who reads it now, with rates and losses."""
     facts = topic_facts(topic)
-    found = {
+    about = {
         **{name: value for name, value in msgspec.structs.asdict(facts).items() if name != "type"},
         "type": facts.type.__name__,
         "fields": {field.name: _type_name(field.type) for field in msgspec.structs.fields(facts.type)},
         **ends_of(topic, window, domain),
     }
     if as_json:
-        print_json(found)
+        print_json(about)
         return
-    ends = [(side, row) for side in ("publishers", "readers") for row in found.pop(side)]
-    fields = found.pop("fields")
-    for name, value in found.items():
+    ends = [(side, row) for side in ("publishers", "readers") for row in about.pop(side)]
+    fields = about.pop("fields")
+    for name, value in about.items():
         print_line(f"{name}: {value}")
     print_table(("FIELD", "TYPE"), fields.items())
     columns = ("node", "hz", "messages", "bytes", "lost", "rejected", "outdated")

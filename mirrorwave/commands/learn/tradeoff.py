@@ -56,7 +56,7 @@ def tradeoff(
     with progress_bar("places", plan.frames) as tick:
         results = run_plan(plan, out, tick)
     failed = {name for result in results for name in result.failed}
-    running = [one for one in plan.rows if one.name not in failed] if memory else []
+    running = [setting for setting in plan.rows if setting.name not in failed] if memory else []
     with progress_bar("memory", len(running)) as tick:
         memory_mib = peak_memory_mib(running, tick)
     report = make_report(plan, results, memory_mib, _command(plan, networks, settings, row or []))

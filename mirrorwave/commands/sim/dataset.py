@@ -235,6 +235,6 @@ def _print_statistics(statistics: Statistics) -> None:
         ("points by way", statistics.orders),
     ):
         print_line(f"{title}: " + ", ".join(f"{name} {number}" for name, number in counts.items()))
-    rows = [(name, one.direct, one.hidden, one.unseen) for name, one in statistics.objects.items()]
+    rows = [(name, by_class.direct, by_class.hidden, by_class.unseen) for name, by_class in statistics.objects.items()]
     print_table(("object", "direct", "mirrors alone", "no points"), rows)
     print_table(("effect", "share of scenes"), [(name, round(share, 3)) for name, share in statistics.effects.items()])

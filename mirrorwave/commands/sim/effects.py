@@ -38,7 +38,7 @@ def effects(
 
     from sim_player.effects.table import ALL_EFFECTS
     from sim_player.lidar.spad import plan_optics
-    from sim_player.planner.plan import choose, chosen, plan_world
+    from sim_player.planner.plan import manual_plan, plan_world, resolve_plan
     from sim_player.scene.description import load_scene
     from sim_player.trace.ray_tracing import BASIC_EFFECTS, prepare
 
@@ -52,8 +52,8 @@ def effects(
     if choice == "auto":
         plan = plan_world(world, loaded.setup, budget_db, thorough=True)
     else:
-        resolved = choose(world, loaded.setup, choice, budget_db)
-        plan = resolved or chosen(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
+        resolved = resolve_plan(world, loaded.setup, choice, budget_db)
+        plan = resolved or manual_plan(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
     if as_json:
         rows = msgspec.to_builtins(plan.effects)
         print_json({"budget_db": plan.budget_db, "effects": rows, "paths": len(plan.echoes), "traced": plan.traced})

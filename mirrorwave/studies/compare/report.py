@@ -399,14 +399,18 @@ def _window_sentences(report: Report) -> list[str]:
             f"Table 2's, always armed, {f1[1]:.2f}: matt light of the wall takes the first photon."
         )
     for sweep in RANGE_SWEEPS:
-        reach = {one.sensor: one for one in report.reaches if (one.sweep, one.measure) == (sweep, "f1_1m")}
-        one, longer = reach.get("spad_gated"), reach.get("spad_long")
-        if one is None or longer is None or not one.half or not longer.half:
+        reach = {
+            short_gate.sensor: short_gate
+            for short_gate in report.reaches
+            if (short_gate.sweep, short_gate.measure) == (sweep, "f1_1m")
+        }
+        short_gate, longer = reach.get("spad_gated"), reach.get("spad_long")
+        if short_gate is None or longer is None or not short_gate.half or not longer.half:
             continue
         said.append(
             f"Window: over {SWEEPS[sweep].title.removesuffix(' [m]')} the LiDAR gated within Table 2's period of 10 m "
-            f"ends {_where(one, 'm')}; with the period lengthened at equal average power {_where(longer, 'm')}"
-            f"{_times(longer, one)}."
+            f"ends {_where(short_gate, 'm')}; with the period lengthened at equal average power {_where(longer, 'm')}"
+            f"{_times(longer, short_gate)}."
         )
     return said
 

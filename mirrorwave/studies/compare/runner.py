@@ -195,7 +195,7 @@ def run_job(job: Job) -> SceneResult:
 
 def _looked(job: Job) -> SceneResult:
     plan = job.plan
-    seen: dict[str, Seen] = {}
+    looks: dict[str, Seen] = {}
     failed: dict[str, str] = {}
     truth, mirror = None, None
     with charged(failed, *plan.sensors):
@@ -205,14 +205,14 @@ def _looked(job: Job) -> SceneResult:
         truth, mirror = shown_points(scene, seeds[0]), mirror_path(scene) if sweep.is_corner else None
         for name in plan.sensors:
             with charged(failed, name):
-                seen[name] = look(SENSORS[name], scene, seeds, truth, mirror, plan.equal)
+                looks[name] = look(SENSORS[name], scene, seeds, truth, mirror, plan.equal)
     return SceneResult(
         sweep=job.sweep,
         index=job.index,
         viewpoint=job.viewpoint,
         truth_points=0 if truth is None else len(truth),
         cos_incidence=None if mirror is None or not truth else incidences(scene, truth),
-        seen={name: seen.get(name) or Seen(failed=failed[name]) for name in plan.sensors},
+        seen={name: looks.get(name) or Seen(failed=failed[name]) for name in plan.sensors},
     )
 
 

@@ -226,10 +226,10 @@ def _estimates(report: ObjectReport, field: str) -> dict[str, Estimate]:
 def _scores(name: str, reports: Mapping[str, ObjectReport]) -> Table:
     """What scores are worth."""
     rows = [
-        (profile, f"{one.low:g}..{one.high:g}", one.mean_score, *_share_cells(one))
+        (profile, f"{score_bin.low:g}..{score_bin.high:g}", score_bin.mean_score, *_share_cells(score_bin))
         for profile, report in reports.items()
-        for one in report.scores
-        if one.found.whole
+        for score_bin in report.scores
+        if score_bin.found.whole
     ]
     errors = ", ".join(
         f"{profile} {report.calibration_error:.2f}"

@@ -313,8 +313,8 @@ def _row_memory_mib(row: Setting) -> float:
     setup = RadarSetup()
     chain = SharedParts.of(row.params, setup).chain()
     beam = np.zeros((setup.radar.chirps_per_beam, setup.radar.samples_per_chirp, 2), np.int16)
-    for one in scan_beams(np.broadcast_to(beam, (len(setup.beams), *beam.shape)), setup):
-        chain.add(one)
+    for scan_beam in scan_beams(np.broadcast_to(beam, (len(setup.beams), *beam.shape)), setup):
+        chain.add(scan_beam)
     return _peak_resident_mib()
 
 

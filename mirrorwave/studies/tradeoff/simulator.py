@@ -215,7 +215,7 @@ def make_simulator_report(plan: SimulatorPlan, results: Sequence[CaseResult], co
     groups, rows = [], []
     for group in plan.cases:
         mine = [result for result in results if result.group == group]
-        groups.append(SimulatorGroup(name=group, about=GROUPS[group].about, cases=[one.case for one in mine]))
+        groups.append(SimulatorGroup(name=group, about=GROUPS[group].about, cases=[answered.case for answered in mine]))
         rows += [_row(group, value, mine) for value in plan.settings_of(group)]
     return SimulatorReport(
         command=command,

@@ -17,7 +17,7 @@ from sim_player.effects.table import ALL_EFFECTS, PATHS, WEIGHTS, check_effects
 from sim_player.fdtd.smooth import SMOOTH_WALLS
 from sim_player.generate.places import random_place
 from sim_player.planner.cells import Cells, cells_of
-from sim_player.planner.plan import chosen, clean_profiles, noisy_profiles, plan_world
+from sim_player.planner.plan import clean_profiles, manual_plan, noisy_profiles, plan_world
 from sim_player.scene.meshes import primitive_mesh
 from sim_player.scene.world import prepare
 from sim_player.signal.levels import beam_beats, hann_profiles, kernel_profiles, noise_profiles, noise_rms
@@ -106,12 +106,12 @@ class _Place:
     @cached_property
     def rms(self) -> np.ndarray:
         """Noise rms with all effects, [bins]."""
-        return noise_rms(self.setup, chosen(self.world, self.setup).signal, self.front_end)
+        return noise_rms(self.setup, manual_plan(self.world, self.setup).signal, self.front_end)
 
     @cached_property
     def everything(self) -> np.ndarray:
         """Profiles with all effects and noise, as data sets hold them: kernel level, float32."""
-        return noisy_profiles(chosen(self.world, self.setup), self.setup, self.index)
+        return noisy_profiles(manual_plan(self.world, self.setup), self.setup, self.index)
 
     def truth(self, answers: dict[Value, Any]) -> np.ndarray:
         """All effects."""
@@ -134,7 +134,7 @@ class _Levels(_Place):
 
     def __init__(self, seed: int, index: int, literal_beams: int) -> None:
         super().__init__(seed, index, literal_beams)
-        plan = chosen(self.world, self.setup)
+        plan = manual_plan(self.world, self.setup)
         off = dict.fromkeys(("motion", "leakage", "spurs", "iq_imbalance"), False)
         self._signal = plan.paths, msgspec.structs.replace(plan.signal, **off)
         # evenly over the scan
@@ -175,7 +175,7 @@ class _Planned(_Place):
             return self._basic(clock)
         with clock.part("paths"):
             if isinstance(value, str):
-                plan = chosen(self.world, self.setup, ALL_EFFECTS if value == "all" else value.split(","))
+                plan = manual_plan(self.world, self.setup, ALL_EFFECTS if value == "all" else value.split(","))
             else:
                 plan = plan_world(self.world, self.setup, value, thorough=self.thorough)
         with clock.part("signal"):
@@ -210,7 +210,7 @@ class _Without(_Place):
         """Profiles with noise."""
         dropped = frozenset() if value == "all" else check_effects(frozenset(str(value).split("+")))
         with clock.part("paths"):
-            plan = chosen(self.world, self.setup, ALL_EFFECTS - dropped)
+            plan = manual_plan(self.world, self.setup, ALL_EFFECTS - dropped)
         with clock.part("signal"):
             clean = clean_profiles(plan, self.setup, self.index)
         return clean + noise_profiles(self.setup, self.index, plan.signal, self.front_end)

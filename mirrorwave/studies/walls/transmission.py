@@ -210,17 +210,17 @@ def _comparison_row(comparison: Comparison) -> dict[str, Any]:
     }
 
 
-def wall_document(found: WallAnswer) -> dict[str, Any]:
+def wall_document(answer: WallAnswer) -> dict[str, Any]:
     """Return an answer as JSON has it."""
     document = {
-        "wall": found.title,
-        "frequency_hz": found.frequency_hz,
-        "angle_deg": found.angle_deg,
-        "polarisation": found.polarisation,
-        "exact": dict(zip(("r_db", "t_db"), found.exact_db, strict=True)),
-        "fdtd": dict(zip(("r_db", "t_db"), found.column_db, strict=True)) | {"cells_per_wavelength": COLUMN_CELLS},
+        "wall": answer.title,
+        "frequency_hz": answer.frequency_hz,
+        "angle_deg": answer.angle_deg,
+        "polarisation": answer.polarisation,
+        "exact": dict(zip(("r_db", "t_db"), answer.exact_db, strict=True)),
+        "fdtd": dict(zip(("r_db", "t_db"), answer.column_db, strict=True)) | {"cells_per_wavelength": COLUMN_CELLS},
     }
-    beam = found.beam
+    beam = answer.beam
     if beam is not None:
         document["beam"] = {
             "r_db": beam.reflection_db,
@@ -232,11 +232,11 @@ def wall_document(found: WallAnswer) -> dict[str, Any]:
     return document
 
 
-def levels_of(found: WallAnswer) -> list[tuple[str, float, float]]:
+def levels_of(answer: WallAnswer) -> list[tuple[str, float, float]]:
     """Return what told R and T [dB] of a wall, and both."""
-    rows = [("exact", *found.exact_db), (f"fdtd, {COLUMN_CELLS:g} cells a wavelength", *found.column_db)]
-    if found.beam is not None:
-        rows.append(("beam of the picture, 10 cells", found.beam.reflection_db, found.beam.transmission_db))
+    rows = [("exact", *answer.exact_db), (f"fdtd, {COLUMN_CELLS:g} cells a wavelength", *answer.column_db)]
+    if answer.beam is not None:
+        rows.append(("beam of the picture, 10 cells", answer.beam.reflection_db, answer.beam.transmission_db))
     return rows
 
 

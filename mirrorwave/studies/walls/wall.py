@@ -50,8 +50,8 @@ def known_bands(wall: Wall, bands_ghz: tuple[float, ...]) -> tuple[float, ...]:
     """The bands a wall's materials are known in; all of them where extrapolation is allowed or none is known."""
     from models.physics.materials import extrapolation_note
 
-    known = tuple(band for band in bands_ghz if not extrapolation_note(wall.material, 1e9 * band))
-    return bands_ghz if wall.extrapolate else known or bands_ghz
+    bands = tuple(band for band in bands_ghz if not extrapolation_note(wall.material, 1e9 * band))
+    return bands_ghz if wall.extrapolate else bands or bands_ghz
 
 
 def check_fdtd(wall: Wall, most_deg: float) -> None:

@@ -40,15 +40,15 @@ def write_shards(directory: Path, seed: int, scenes: int = 12) -> Path:
     echo = range_profile(setup.radar, 2.0 * range_m, GRID.range_bins)
     profiles = 1e-5 * (pattern.T[:, :, None] * echo[:, None]).astype(np.complex64)
     directory.mkdir()
-    for shard, chosen in enumerate(np.split(np.arange(scenes), 2)):
+    for shard, selected in enumerate(np.split(np.arange(scenes), 2)):
         np.savez(
             directory / f"shard-{shard:05d}.npz",
-            profiles=profiles[chosen],
-            noise_power_mw=np.full(len(chosen), 1e-13),
-            offset=np.arange(len(chosen) + 1),
-            range_m=range_m[chosen].astype(np.float32),
-            azimuth_rad=azimuth_rad[chosen].astype(np.float32),
-            path_class=np.zeros(len(chosen), np.uint8),
+            profiles=profiles[selected],
+            noise_power_mw=np.full(len(selected), 1e-13),
+            offset=np.arange(len(selected) + 1),
+            range_m=range_m[selected].astype(np.float32),
+            azimuth_rad=azimuth_rad[selected].astype(np.float32),
+            path_class=np.zeros(len(selected), np.uint8),
         )
     (directory / "series.json").write_bytes(msgspec.json.encode({"seed": seed, "grid": msgspec.to_builtins(GRID)}))
     (directory / "manifest.jsonl").write_bytes(b'{"scenes": %d}\n' % scenes)

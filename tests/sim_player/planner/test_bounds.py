@@ -34,8 +34,8 @@ def test_no_signal_exceeds_its_bound(index: int) -> None:
     """Single paths and all of a place: squint on, then overlap, then the change that squint makes; no cell above 1."""
     paths = place_paths(index)
     envelope = Envelope(SETUP, 512, float(paths.length_m.max()))
-    chosen = np.random.default_rng(index).integers(0, len(paths), 8)
-    for which in [*chosen[:, None], np.arange(len(paths))]:
+    manual_plan = np.random.default_rng(index).integers(0, len(paths), 8)
+    for which in [*manual_plan[:, None], np.arange(len(paths))]:
         some = paths.take(which)
         pattern, step = swept_pattern(SETUP, some, STATIC, NO_FAULTS), envelope.step(some)
         strength = np.abs(some.amplitude)

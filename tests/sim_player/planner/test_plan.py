@@ -12,7 +12,15 @@ from sim_player.effects.table import ALL_EFFECTS, SIGNAL, WEIGHTS
 from sim_player.generate.places import random_place
 from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
-from sim_player.planner.plan import Plan, choose, chosen, clean_profiles, plan_effects, plan_world, planned_profiles
+from sim_player.planner.plan import (
+    Plan,
+    clean_profiles,
+    manual_plan,
+    plan_effects,
+    plan_world,
+    planned_profiles,
+    resolve_plan,
+)
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
@@ -44,7 +52,7 @@ def reason(plan: Plan, name: str) -> str:
 def off(asked: Scene, plan: Plan, seed: int) -> float:
     """The law's ratio, worst cell of beams and map, same noise."""
     setup, front_end = asked.setup, asked.radar.front_end
-    everything = chosen(prepare(asked, seed), setup)
+    everything = manual_plan(prepare(asked, seed), setup)
     maps = [
         clean_profiles(one, setup, seed) + noise_profiles(setup, seed, one.signal, front_end)
         for one in (everything, plan)
@@ -63,7 +71,7 @@ def test_the_law_on_random_places(index: int, budget_db: float, monkeypatch: pyt
     """
     asked = random_place(21, index)
     world = prepare(asked, index)
-    monkeypatch.setattr(planner, "WORTH_ASKING", 0)
+    monkeypatch.setattr(planner, "MIN_PATHS_TO_PLAN", 0)
     for thorough in (False, True):
         plan = plan_world(world, asked.setup, budget_db, thorough=thorough)
         ratio = off(asked, plan, index)
@@ -169,11 +177,11 @@ def test_plans_are_reproducible() -> None:
 def test_choices_by_word() -> None:
     asked = scene(WALL, CAR)
     world = prepare(asked)
-    assert choose(world, asked.setup, "basic") is None
-    everything = choose(world, asked.setup, "all")
+    assert resolve_plan(world, asked.setup, "basic") is None
+    everything = resolve_plan(world, asked.setup, "all")
     assert everything is not None
     assert {effect.name for effect in everything.effects} == set(ALL_EFFECTS)
-    some = choose(world, asked.setup, "los_objects, thermal_noise")
+    some = resolve_plan(world, asked.setup, "los_objects, thermal_noise")
     assert some is not None
     assert some.used == {"los_objects", "thermal_noise"}
     assert {*PATH_EFFECTS, *WEIGHTS, *SIGNAL} == ALL_EFFECTS
@@ -183,7 +191,7 @@ def test_choices_by_word() -> None:
 def test_unknown_effects_are_refused(bad: str) -> None:
     asked = scene(CAR)
     with pytest.raises(ValueError, match="effects: "):
-        choose(prepare(asked), asked.setup, bad)
+        resolve_plan(prepare(asked), asked.setup, bad)
 
 
 @pytest.mark.parametrize("bad", [0.0, 3.0, float("nan"), float("-inf")])

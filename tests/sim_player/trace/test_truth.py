@@ -38,11 +38,11 @@ def test_thinning_keeps_the_first_and_parts_the_rest() -> None:
 def test_truth_points_are_apart_on_the_grid_and_strongest_first() -> None:
     player = ScenePlayer(SCENE, chirps_per_beam=1)
     paths = player.paths(0.0)
-    chosen = paths.take(visible_paths(player.setup, paths))
-    power = best_power_mw(player.setup, chosen)
+    manual_plan = paths.take(visible_paths(player.setup, paths))
+    power = best_power_mw(player.setup, manual_plan)
     assert (np.diff(power) <= 0.0).all()
     grid = RangeAzimuthGrid()
-    row, column = grid.range_index(0.5 * chosen.length_m), grid.azimuth_index(chosen.azimuth_rad)
+    row, column = grid.range_index(0.5 * manual_plan.length_m), grid.azimuth_index(manual_plan.azimuth_rad)
     apart = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column)) + 100.0 * np.eye(len(row))
     assert apart.min() >= SEPARATION_CELLS
     assert column.min() >= 0.0

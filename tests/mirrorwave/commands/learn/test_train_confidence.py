@@ -45,12 +45,12 @@ def test_a_fitted_file_drops_places_of_a_method(data: Path, tmp_path: Path) -> N
     assert out.read_bytes() == before
     CliRunner().invoke(app, [*options, "--clean"])
     assert load_confidence(out).weights != fitted.weights, "an imperfect radar must show other places"
-    plain, chosen = (
+    plain, manual_plan = (
         build_method(parse_method(f"net={DEFAULT_MODEL},refine=pursuit{word}")) for word in ("", f",confidence={out}")
     )
     for frame in DataSet(data).frames(range(8)):
         peaks = plain.detect(frame)
-        everything, kept = plain.place(peaks)[0], chosen.place(peaks)[0]
+        everything, kept = plain.place(peaks)[0], manual_plan.place(peaks)[0]
         assert np.isin(kept, everything).all()
         assert len(kept) <= len(everything)
 

@@ -56,9 +56,9 @@ def score_of(points: np.ndarray, covariance: np.ndarray) -> float:
 def test_search_finds_the_best_segment_of_its_finalists(seed: int) -> None:
     points, covariance = scene(seed)
     first, second = np.triu_indices(len(points), k=1)
-    chosen = np.sort(np.random.default_rng(seed).choice(len(first), 120, replace=False))
-    segment, run = best_segment(points, covariance, chosen, LIMITS)
-    scores = by_arrays(points, covariance, first[chosen], second[chosen])
+    selected = np.sort(np.random.default_rng(seed).choice(len(first), 120, replace=False))
+    segment, run = best_segment(points, covariance, selected, LIMITS)
+    scores = by_arrays(points, covariance, first[selected], second[selected])
     assert segment.is_mirror == bool(scores)
     assert segment.score == pytest.approx(max(scores), rel=1e-9)
     assert segment == supported(points[run], covariance[run], LIMITS)
