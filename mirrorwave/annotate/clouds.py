@@ -52,7 +52,7 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
         raise ValueError(
             f"{path}: points must be numbers of shape (N, 3) with N > 0, got {points.dtype} {points.shape}"
         )
-    _require_bearable(path, len(points))
+    _require_tractable(path, len(points))
     points_m = points[:, :3].astype(np.float64) * (1e-3 if unit == "mm" else 1.0)
     finite = np.isfinite(points_m).all(axis=1)
     if not finite.any():
@@ -69,7 +69,7 @@ def read_cloud(path: Path, unit: Literal["m", "mm"] = "m") -> tuple[np.ndarray, 
     return points_m, int(np.count_nonzero(~finite))
 
 
-def _require_bearable(path: Path, count: int) -> None:
+def _require_tractable(path: Path, count: int) -> None:
     if count > MAX_POINTS:
         raise ValueError(f"{path}: points must be at most {MAX_POINTS}, got {count}")
 
@@ -107,7 +107,7 @@ def _refuse_promises(path: Path) -> None:
     """ValueError for too many points, and for a PLY or PCD that holds fewer bytes or lines than its header promises."""
     kind, content = path.suffix.lower(), path.read_bytes()
     if kind == ".xyz":
-        _require_bearable(path, content.count(b"\n"))
+        _require_tractable(path, content.count(b"\n"))
         return
     end = b"\nend_header" if kind == ".ply" else b"\nDATA"
     start = content.find(b"\n", content.find(end) + 1) + 1
@@ -117,7 +117,7 @@ def _refuse_promises(path: Path) -> None:
     if kind == ".ply":
         _refuse_odd_ply(path, rows)
     count, row_bytes, words = _ply_promise(rows) if kind == ".ply" else _pcd_promise(rows)
-    _require_bearable(path, count)
+    _require_tractable(path, count)
     if kind == ".pcd":
         _refuse_large_pcd(path, rows, content[start : start + 8], len(content) - start)
     held = len(content) - start if row_bytes else _lines_of(words, content[start:])

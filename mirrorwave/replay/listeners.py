@@ -118,7 +118,7 @@ class ReplayedGraph:
         """Whether a message is the first of a scan; every message is where no scans are played."""
         return self.head is None or (recorded.topic == self.head and _scan_id(recorded) != self._scan)
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """What comes now is no part of the scan before."""
         self._scan = None
 

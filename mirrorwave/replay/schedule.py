@@ -209,7 +209,7 @@ class Replay:
     def _open(self, start_ns: int) -> None:
         """Whoever begins in the middle still needs what was said before."""
         self._schedule.restart()
-        self._graph.begin_anew()
+        self._graph.restart()
         self._jump_ns = self._at_ns = None
         self._unconfirmed = True
         for recorded in self._latched_before(start_ns):

@@ -102,4 +102,4 @@ def _inside(kind: Any, field: str | None) -> list[Any]:
     arguments = [inner for inner in typing.get_args(kind) if inner is not Ellipsis]
     # of a mapping the values: its keys are no step
     inside = arguments[1:] if typing.get_origin(kind) in (dict, Mapping) else arguments
-    return [one for inner in inside for one in _alternatives(inner)]
+    return [alternative for inner in inside for alternative in _alternatives(inner)]

@@ -144,15 +144,15 @@ def edges_of(view: Snapshot) -> Edges:
     point, face = _ends(world)
     same = norm(point[:, None] - point[None]) < SAME_END_M
     alone = np.flatnonzero(same.sum(axis=1) == 1)
-    one, two = np.nonzero(np.triu(same, 1) & (same.sum(axis=1) == 2)[:, None])
-    towards = np.arctan2(*(view.origin - point[one]).T[::-1])
-    left = (face[two] - face[one]) % (2.0 * np.pi)
+    end_1, end_2 = np.nonzero(np.triu(same, 1) & (same.sum(axis=1) == 2)[:, None])
+    towards = np.arctan2(*(view.origin - point[end_1]).T[::-1])
+    left = (face[end_2] - face[end_1]) % (2.0 * np.pi)
     # the radar stands on one side of the corner: the air is the turn that holds it
-    is_left = (towards - face[one]) % (2.0 * np.pi) < left
+    is_left = (towards - face[end_1]) % (2.0 * np.pi) < left
     turn = np.where(is_left, left, 2.0 * np.pi - left)
     corner = turn > np.pi + LEAST_TURN_RAD
-    one, two, turn, is_left = one[corner], two[corner], turn[corner], is_left[corner]
-    first, last = np.concatenate([alone, one]), np.concatenate([alone, two])
+    end_1, end_2, turn, is_left = end_1[corner], end_2[corner], turn[corner], is_left[corner]
+    first, last = np.concatenate([alone, end_1]), np.concatenate([alone, end_2])
     return Edges(
         point=point[first],
         first=wall[first],

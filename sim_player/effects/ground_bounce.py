@@ -68,8 +68,8 @@ def _mirrored(view: Snapshot, owner: np.ndarray) -> Routes:
     real = np.where((at_ground < at_wall)[:, None], unfolded[:, :2], _fold(view, wall_bounces.wall, unfolded[:, :2]))
     ground_point = np.column_stack([real, np.zeros(len(real))])
     early = (at_ground < at_wall)[:, None]
-    one, two = np.where(early, ground_point, wall_point), np.where(early, wall_point, ground_point)
-    occlusion = free_segments((view.antenna, one, two, end), view.blockers, owner[wall_bounces.target])
+    bounce_1, bounce_2 = np.where(early, ground_point, wall_point), np.where(early, wall_point, ground_point)
+    occlusion = free_segments((view.antenna, bounce_1, bounce_2, end), view.blockers, owner[wall_bounces.target])
     below_top = wall_point[:, 2] < world.wall_height_m[wall_bounces.wall]
     ray = image - view.antenna
     arrive = ray.copy()

@@ -31,34 +31,35 @@ def apply(tracing: TraceContext) -> Echoes:
     routes = tracing.clear_routes("los_objects", "specular_relay")
     routes = routes.take(world.centre_exponent[routes.target] == 0)
     first, second = _pairs(routes, world)
-    one, two = routes.take(first), routes.take(second)
-    start, end = view.centre[one.target], view.centre[two.target]
-    occlusion = segment_occlusion(start, end, view.blockers, world.centre_object[two.target])
+    route_1, route_2 = routes.take(first), routes.take(second)
+    start, end = view.centre[route_1.target], view.centre[route_2.target]
+    occlusion = segment_occlusion(start, end, view.blockers, world.centre_object[route_2.target])
     between = np.maximum(norm(end - start), NEAREST_M)
     onward = (end - start) / between[:, None]
-    rcs_one = _bistatic(view, one, onward)
-    rcs_two = _bistatic(view, two, -onward)
+    rcs_one = _bistatic(view, route_1, onward)
+    rcs_two = _bistatic(view, route_2, -onward)
     # power P lambda^2 s1 s2 / ((4 pi)^4 R1^2 d^2 R2^2)
     power_mw = 1e3 * world.radar.transmit_power_w * world.radar.wavelength_m**2 / (4.0 * math.pi) ** 4
-    phase = world.centre_phase_rad[one.target] + world.centre_phase_rad[two.target]
-    weight = 2.0 * np.sqrt(power_mw * rcs_one * rcs_two) / (one.length_m * between * two.length_m) * np.exp(1j * phase)
-    mirrored = one.wall >= 0
+    phase = world.centre_phase_rad[route_1.target] + world.centre_phase_rad[route_2.target]
+    spread_m3 = route_1.length_m * between * route_2.length_m
+    weight = 2.0 * np.sqrt(power_mw * rcs_one * rcs_two) / spread_m3 * np.exp(1j * phase)
+    mirrored = route_1.wall >= 0
     echoes = Echoes(
-        weight=weight * one.other * two.other,
-        whole=one.whole * two.whole,
-        front=one.front * two.front,
-        rough=one.rough * two.rough,
-        foliage=one.foliage * two.foliage * occlusion.foliage,
-        out_m=one.length_m + 0.5 * between,
-        back_m=two.length_m + 0.5 * between,
-        depart=one.depart,
-        arrive=two.depart,
-        rate_mps=_rate(view, one, two, onward),
+        weight=weight * route_1.other * route_2.other,
+        whole=route_1.whole * route_2.whole,
+        front=route_1.front * route_2.front,
+        rough=route_1.rough * route_2.rough,
+        foliage=route_1.foliage * route_2.foliage * occlusion.foliage,
+        out_m=route_1.length_m + 0.5 * between,
+        back_m=route_2.length_m + 0.5 * between,
+        depart=route_1.depart,
+        arrive=route_2.depart,
+        rate_mps=_rate(view, route_1, route_2, onward),
         kind=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
         order=mirrored.astype(np.uint8),
-        needs=one.needs | two.needs | np.uint32(bit("object_interreflection")),
-        surface=one.wall,
-        object_index=world.centre_object[one.target].astype(np.int32),
+        needs=route_1.needs | route_2.needs | np.uint32(bit("object_interreflection")),
+        surface=route_1.wall,
+        object_index=world.centre_object[route_1.target].astype(np.int32),
         point=start,
     )
     return echoes.take(occlusion.free & (rcs_one > 0.0) & (rcs_two > 0.0))
@@ -78,11 +79,11 @@ def _bistatic(view: Snapshot, routes: Routes, onward: np.ndarray) -> np.ndarray:
     return np.asarray(np.sqrt(rcs_m2[0] * rcs_m2[1]))
 
 
-def _rate(view: Snapshot, one: Routes, two: Routes, onward: np.ndarray) -> np.ndarray:
+def _rate(view: Snapshot, route_1: Routes, route_2: Routes, onward: np.ndarray) -> np.ndarray:
     """Half the rate of change of the whole length."""
     towards = [
         dot(route.arrive[:, :2], view.velocity[route.target]) - dot(route.depart[:, :2], view.radar_velocity)
-        for route in (one, two)
+        for route in (route_1, route_2)
     ]
-    apart = dot(onward[:, :2], view.velocity[two.target] - view.velocity[one.target])
+    apart = dot(onward[:, :2], view.velocity[route_2.target] - view.velocity[route_1.target])
     return np.asarray(0.5 * (towards[0] + towards[1] + apart))

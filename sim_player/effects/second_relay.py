@@ -69,8 +69,8 @@ def _routes(
     keep = occlusion.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second])
     first, second, at_first, at_second, end = (row[keep] for row in (first, second, at_first, at_second, end))
     depart, arrive = unit(at_first - view.antenna), unit(end - at_second)
-    one = view.world.reflection(first, np.abs(dot(depart[:, :2], view.normal[first])))
-    two = view.world.reflection(second, np.abs(dot(arrive[:, :2], view.normal[second])))
+    coefficients_1 = view.world.reflection(first, np.abs(dot(depart[:, :2], view.normal[first])))
+    coefficients_2 = view.world.reflection(second, np.abs(dot(arrive[:, :2], view.normal[second])))
     return make_routes(
         target[keep],
         norm(at_first - view.antenna) + norm(at_second - at_first) + norm(end - at_second),
@@ -80,9 +80,9 @@ def _routes(
         bit("specular_relay") | bit("second_relay"),
         wall=first,
         wall2=second,
-        whole=one[0] * two[0],
-        front=one[1] * two[1],
-        rough=one[2] * two[2],
+        whole=coefficients_1[0] * coefficients_2[0],
+        front=coefficients_1[1] * coefficients_2[1],
+        rough=coefficients_1[2] * coefficients_2[2],
         other=np.broadcast_to(other, len(keep))[keep],
     )
 
@@ -154,8 +154,8 @@ def _neighbours(world: World) -> tuple[np.ndarray, np.ndarray]:
     """All ordered pairs of straight walls that share an end."""
     walls = np.flatnonzero(world.is_flat)
     ends = np.concatenate([world.wall_a[walls], world.wall_b[walls]])
-    one, two = np.nonzero(norm(ends[:, None] - ends[None]) <= SAME_END_M)
-    first, second = np.tile(walls, 2)[one], np.tile(walls, 2)[two]
+    end_1, end_2 = np.nonzero(norm(ends[:, None] - ends[None]) <= SAME_END_M)
+    first, second = np.tile(walls, 2)[end_1], np.tile(walls, 2)[end_2]
     return first[first != second], second[first != second]
 
 
@@ -278,7 +278,7 @@ def _seen(ix, iy, reach, a, b, nx, ny, d, first, second):  # type: ignore[no-unt
     if low <= 1e-9 or high <= 1e-9:
         # an end behind the first wall has no place on it: only if both are is the answer known
         return low > 1e-9 or high > 1e-9
-    one = _place(ix, iy, reach, a[second, 0], a[second, 1], a, b, nx, ny, d, first)
-    two = _place(ix, iy, reach, b[second, 0], b[second, 1], a, b, nx, ny, d, first)
+    along_1 = _place(ix, iy, reach, a[second, 0], a[second, 1], a, b, nx, ny, d, first)
+    along_2 = _place(ix, iy, reach, b[second, 0], b[second, 1], a, b, nx, ny, d, first)
     margin = 1e-9
-    return max(one, two) >= -margin and min(one, two) <= 1.0 + margin
+    return max(along_1, along_2) >= -margin and min(along_1, along_2) <= 1.0 + margin

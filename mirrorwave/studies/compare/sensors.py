@@ -255,10 +255,12 @@ def long_period(spad: SpadParams) -> SpadParams:
 
 TABLE_2 = SpadParams()
 # "closed": means are exact whatever the arming, counts are drawn period by period; event by event would take minutes
-RADARS = {one.name: one for one in (RadarSensor("xband", "X-band radar"), RadarSensor("77ghz", "77 GHz radar"))}
+RADARS = {
+    sensor.name: sensor for sensor in (RadarSensor("xband", "X-band radar"), RadarSensor("77ghz", "77 GHz radar"))
+}
 LIDARS = {
-    one.name: one
-    for one in (
+    sensor.name: sensor
+    for sensor in (
         SpadSensor("spad", "SPAD, Table 2", TABLE_2, SpadOptions(engine="closed")),
         SpadSensor(
             "spad_gated",

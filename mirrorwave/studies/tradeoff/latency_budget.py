@@ -70,11 +70,11 @@ def reason(budget_ms: float, picked: Timed, timed: list[Timed]) -> str:
     )
 
 
-def timed_profiles(anew: bool = False, tick: Callable[[], None] = lambda: None) -> list[Timed]:
-    """All profiles of known accuracy with their times here, from memory unless something changed or `anew`."""
+def timed_profiles(remeasure: bool = False, tick: Callable[[], None] = lambda: None) -> list[Timed]:
+    """All profiles of known accuracy with their times here, from memory unless something changed or `remeasure`."""
     rows, path = _known(), cache_path()
     key = _key(rows)
-    if not anew and (cached := _recall(path)) is not None and cached.key == key:
+    if not remeasure and (cached := _recall(path)) is not None and cached.key == key:
         return cached.timed
     timed = measure(rows, tick)
     path.parent.mkdir(parents=True, exist_ok=True)

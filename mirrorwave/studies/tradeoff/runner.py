@@ -204,7 +204,7 @@ class Measuring:
         # every visit is a new scan, or the former would call its beams repeated
         self._scan_id += 1
         period_ns = ns_from_s(former.folder.setup.radar.scan_period_s)
-        anew = [
+        scan_copies = [
             msgspec.structs.replace(
                 beam, scan_id=self._scan_id, stamp_ns=self._scan_id * period_ns + beam.stamp_ns - beams[0].stamp_ns
             )
@@ -212,10 +212,10 @@ class Measuring:
         ]
         last = max(beam.beam_index for beam in beams if beam.beam_index % former.folder.params.beam_step == 0)
         start_ns = time.perf_counter_ns()
-        for beam in anew[:last]:
+        for beam in scan_copies[:last]:
             maps += former.add(beam)
         last_ns = time.perf_counter_ns()
-        for beam in anew[last:]:
+        for beam in scan_copies[last:]:
             maps += former.add(beam)
         end_ns = time.perf_counter_ns()
         # what is not looked at after the last beam that is, is measured all the same

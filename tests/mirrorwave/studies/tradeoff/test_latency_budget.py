@@ -51,7 +51,7 @@ def test_where_none_fits_the_nearest_is_named() -> None:
 def test_budgets_that_are_none_are_refused_before_anything_is_measured(
     budget: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(latency_budget, "timed_profiles", lambda anew: pytest.fail("measured"))
+    monkeypatch.setattr(latency_budget, "timed_profiles", lambda remeasure: pytest.fail("measured"))
     with pytest.raises(ValueError, match="--latency-budget-ms must be positive and finite"):
         CliRunner().invoke(
             app, ["launch/corner.yaml", "--latency-budget-ms", budget], catch_exceptions=False, standalone_mode=False
@@ -98,7 +98,7 @@ def test_times_are_remembered_until_something_changes(committed: Path, monkeypat
     assert timed_profiles() == TIMED
     assert timed_profiles() == TIMED
     assert calls == [["default", "cfar"]]
-    timed_profiles(anew=True)
+    timed_profiles(remeasure=True)
     latency_budget.cache_path().write_text("{broken")
     timed_profiles()
     monkeypatch.setattr(latency_budget, "machine", lambda: "another one")

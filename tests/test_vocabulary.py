@@ -1,0 +1,74 @@
+"""Words of `docs/glossary.md` that are retired name nothing new in the five floors."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from msgs.files.shipped import CHECKOUT
+
+FLOORS = ("msgs", "models", "sim_player", "nodes", "mirrorwave")
+#: Words that stand in no name, alone or beside others.
+RETIRED_WORDS = {
+    *("leg", "legs", "thing", "things", "drowned", "told", "bearable", "remembered", "anew", "welcome"),
+}
+#: Words that name nothing alone: the noun that they stand for does.
+RETIRED_NAMES = RETIRED_WORDS | {"one", "ones", "found", "seen", "way", "ways", "chosen", "others", "named", "placed"}
+#: Limits are `MAX_`.
+RETIRED_PREFIX = re.compile(r"_?MOST_")
+SOURCES = sorted(path for floor in FLOORS for path in (CHECKOUT / floor).rglob("*.py"))
+
+
+def retired(name: str) -> bool:
+    """Whether a name holds a word that it must not."""
+    words = {word.lower() for word in re.split(r"_+|(?<=[a-z0-9])(?=[A-Z])", name)}
+    return name in RETIRED_NAMES or bool(words & RETIRED_WORDS) or RETIRED_PREFIX.match(name) is not None
+
+
+def defined_names(source: str) -> Iterator[tuple[int, str]]:
+    """Line and name of all that a source defines; fields of classes apart, which files and messages hold by name."""
+    tree = ast.parse(source)
+    fields = {
+        statement.target
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        for statement in node.body
+        if isinstance(statement, ast.AnnAssign)
+    }
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            yield node.lineno, node.name
+        elif isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store) and node not in fields:
+            yield node.lineno, node.id
+
+
+def retired_names(source: str) -> list[str]:
+    return [f"{line}: {name}" for line, name in defined_names(source) if retired(name)]
+
+
+def test_no_retired_word_names_anything() -> None:
+    found = {str(path.relative_to(CHECKOUT)): retired_names(path.read_text()) for path in SOURCES}
+    assert {path: names for path, names in found.items() if names} == {}
+
+
+@pytest.mark.parametrize(
+    "source",
+    ["for one in rows: pass", "def _told(): ...", "def f(leg_m): ...", "class SameThing: ...", "MOST_ROWS = 1"],
+)
+def test_the_law_catches_a_breach(source: str) -> None:
+    assert retired_names(source)
+
+
+@pytest.mark.parametrize("source", ["one_way_m = 1.0", "class Row:\n    found: int = 0", "MAX_ROWS = 1"])
+def test_terms_of_the_field_and_fields_of_files_stay(source: str) -> None:
+    assert retired_names(source) == []
+
+
+def test_no_module_is_named_by_a_retired_word() -> None:
+    assert [str(path) for path in SOURCES if retired(Path(path).stem)] == []
