@@ -306,7 +306,7 @@ def _about_track(track: Track, crossing: Crossing | None, late_s: float, params:
     """Return the findings on one track; if one is not firm, also its replacement."""
     where, moves = place_words(track.x_m, track.y_m), is_moving(track, params)
     side, is_current = side_of_track(track, params), track.misses <= params.max_misses
-    who = f"{'Hidden road user' if moves else 'Slow or stationary_pose hidden object'} {side_words(side)}"
+    who = f"{'Hidden road user' if moves else 'Slow or standing hidden object'} {side_words(side)}"
     detail = f"{where}, {speed_words(track)}" if moves else where
     about = Finding(
         f"hidden/{side}", Level.NOTICE, who, detail, is_current, after_s=params.settle_s, tracks=(track.id,)

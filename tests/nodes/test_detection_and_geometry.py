@@ -140,8 +140,9 @@ def test_every_parameter_reaches_the_detector(monkeypatch: pytest.MonkeyPatch) -
     assert dense_predictor.detector_for(params, setup) == "network"  # type: ignore[comparison-overlap]
     path = handed.pop("model")
     assert path.name == "compact_unet.int8.onnx"
-    names = ("threads", "refine", "refinement", "flip_test", "calibrate", "named")
-    assert handed == {name: getattr(params, name) for name in names} | {"setup": setup, "params": params.peaks}
+    names = ("threads", "refine", "refinement", "flip_test", "calibrate")
+    renamed = {"setup": setup, "params": params.peaks, "ridge_matching": params.named}
+    assert handed == {name: getattr(params, name) for name in names} | renamed
     by_cfar = msgspec.structs.replace(params, method="cfar")
     assert dense_predictor.detector_for(by_cfar, setup) == (setup, params.cfar)  # type: ignore[comparison-overlap]
 

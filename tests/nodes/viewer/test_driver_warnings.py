@@ -394,7 +394,7 @@ def test_a_clock_that_goes_back_begins_anew() -> None:
 
 def test_no_more_than_can_be_read() -> None:
     many = [NodeFact(f"n{index:02d}", "silent", "gone", 0) for index in range(64)]
-    assert len(at_last(steady(frame(), 1, nodes=many))) == PARAMS.most
+    assert len(at_last(steady(frame(), 1, nodes=many))) == PARAMS.max_warnings
 
 
 def test_a_page_gets_how_long_it_lasts() -> None:

@@ -145,7 +145,7 @@ def test_a_file_gives_the_same_model_again(tmp_path: Path) -> None:
     path.write_bytes(msgspec.json.encode(model()))
     assert load_confidence(path) == model()
     node = geometry.create(geometry.Params(confidence=str(path)))
-    assert node._parts[2] == model()
+    assert node._stage._confidence == model()
 
 
 @pytest.mark.parametrize(
