@@ -1,7 +1,7 @@
 """One object lit by another: antenna -> first -> second -> antenna, straight or both in the same wall.
 
 Between the centres without a lobe (corners and wheels, all of bicycles and pedestrians) of different objects: flat
-sides send such light elsewhere. Either may come first, so the field counts twice.
+sides send such light elsewhere. Either may come first.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from msgs.values.perception import PathClass
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import Echoes, centre_rcs_m2
+from sim_player.trace.echoes import Echoes, both_orders, centre_rcs_m2
 from sim_player.trace.routes import NEAREST_M, Routes, dot, norm
 from sim_player.trace.segments import segment_occlusion
 from sim_player.trace.snapshot import TraceContext
@@ -30,7 +30,7 @@ def apply(tracing: TraceContext) -> Echoes:
     view, world = tracing.view, tracing.view.world
     routes = tracing.clear_routes("los_objects", "specular_relay")
     routes = routes.take(world.centre_exponent[routes.target] == 0)
-    first, second = _pairs(routes, world)
+    (first, second), times = both_orders(world, _pairs(routes, world))
     route_1, route_2 = routes.take(first), routes.take(second)
     start, end = view.centre[route_1.target], view.centre[route_2.target]
     occlusion = segment_occlusion(start, end, view.blockers, world.centre_object[route_2.target])
@@ -42,7 +42,7 @@ def apply(tracing: TraceContext) -> Echoes:
     power_mw = 1e3 * world.radar.transmit_power_w * world.radar.wavelength_m**2 / (4.0 * math.pi) ** 4
     phase = world.centre_phase_rad[route_1.target] + world.centre_phase_rad[route_2.target]
     spread_m3 = route_1.length_m * between * route_2.length_m
-    weight = 2.0 * np.sqrt(power_mw * rcs_one * rcs_two) / spread_m3 * np.exp(1j * phase)
+    weight = times * np.sqrt(power_mw * rcs_one * rcs_two) / spread_m3 * np.exp(1j * phase)
     mirrored = route_1.wall >= 0
     echoes = Echoes(
         weight=weight * route_1.other * route_2.other,

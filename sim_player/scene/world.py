@@ -93,6 +93,14 @@ class World:
         return self.is_mirror & ~self.is_curved
 
     @property
+    def orders_alike(self) -> bool:
+        """Whether an echo that goes out by one route and back by another is the same in the other order.
+
+        So it is where transmitter and receiver stand in one place and steer alike.
+        """
+        return self.scene.radar.separation_m == 0.0 and self.setup.array.steered_ways == 2
+
+    @property
     def ground(self) -> Surface | None:
         """The scene's ground, if it names one."""
         return next((surface for surface in self.scene.surfaces if surface.role == "ground"), None)

@@ -66,15 +66,15 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
-    """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; two different routes count twice."""
+    """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; different routes in both orders."""
+    pairs, times = both_orders(view.world, pairs)
     out, back = routes.take(pairs[0]), routes.take(pairs[1])
     world, centre = view.world, out.target
     rcs = np.sqrt(centre_rcs_m2(world, centre, -out.arrive) * centre_rcs_m2(world, centre, -back.arrive))
-    twice = np.where(pairs[0] == pairs[1], 1.0, 2.0)
     constant = echo_amplitude(world.radar, rcs, np.ones(len(centre))) * np.exp(1j * world.centre_phase_rad[centre])
     mirrored = (out.wall >= 0) | (back.wall >= 0)
     echoes = Echoes(
-        weight=twice * constant * out.other * back.other / (out.length_m * back.length_m),
+        weight=times * constant * out.other * back.other / (out.length_m * back.length_m),
         whole=out.whole * back.whole,
         front=out.front * back.front,
         rough=out.rough * back.rough,
@@ -92,6 +92,19 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
         point=view.centre[centre],
     )
     return echoes.take(rcs > 0.0)
+
+
+def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Return pairs of routes (out, back) in each order, and how often each pair counts, [E].
+
+    Either route of a mixed pair may come first. Where the arrays cannot tell, one pair counts twice in field.
+    """
+    out, back = pairs
+    mixed = out != back
+    if world.orders_alike:
+        return pairs, np.where(mixed, 2.0, 1.0)
+    swapped = np.append(out, back[mixed]), np.append(back, out[mixed])
+    return swapped, np.ones(len(swapped[0]))
 
 
 def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
