@@ -9,6 +9,7 @@ at 30 m/s), overlap of back-to-back chirps, wideband squint, mutual coupling, fl
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -115,6 +116,43 @@ def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[n
     basis = _slow_time_basis(radar.chirps_per_beam, _rounded_up(widest))
     phasors = _phasors(turn - middle, radar.chirps_per_beam)
     return np.exp(1j * middle * chirp), basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
+
+
+def slow_time_table(
+    radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0
+) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Return carrier and basis as `slow_time_terms` has them, and a function that gives the share of many turns.
+
+    Turns from chirp to chirp [rad], of the paths; those asked for may be `margin` times as large. The function takes
+    turns of any shape and returns complex128 [terms, *shape].
+    """
+    middle = 0.5 * (turn_rad.max() + turn_rad.min()) if len(turn_rad) else 0.0
+    reach = float(np.abs(turn_rad).max(initial=0.0)) * (margin - 1.0)
+    widest = _rounded_up((0.5 * (turn_rad.max() - turn_rad.min()) if len(turn_rad) else 0.0) + reach)
+    basis = _slow_time_basis(radar.chirps_per_beam, widest)
+    table = _slow_time_shares(radar.chirps_per_beam, widest)
+    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
+
+    def share(turn_rad: np.ndarray) -> np.ndarray:
+        place = (turn_rad - middle) / widest if widest else np.zeros_like(turn_rad)
+        powers = np.polynomial.chebyshev.chebvander(place.ravel(), table.shape[1] - 1).T
+        return (table.real @ powers + 1j * (table.imag @ powers)).reshape(len(table), *turn_rad.shape)
+
+    return np.exp(1j * middle * chirp), basis, share
+
+
+@lru_cache(maxsize=64)
+def _slow_time_shares(chirps: int, widest_rad: float) -> np.ndarray:
+    """Return the share of each sequence of the basis in exp(j w c), as a Chebyshev series in w / widest.
+
+    Complex128 [terms, powers].
+    """
+    count = int(0.5 * widest_rad * chirps) + 16 if widest_rad else 1
+    node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
+    share = _slow_time_basis(chirps, widest_rad) @ _phasors(widest_rad * node, chirps)
+    values = np.polynomial.chebyshev.chebvander(node, count - 1) * (2.0 / count)
+    values[:, 0] *= 0.5
+    return np.asarray(share @ values)
 
 
 def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
