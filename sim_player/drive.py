@@ -21,9 +21,10 @@ from sim_player.scene.description import Ego, Scene
 from sim_player.scene.world import snapshot, wall_lines
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
-from sim_player.signal.swept_echoes import TOLERANCE
+from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN
 from sim_player.trace.conversion import as_paths
+from sim_player.trace.path_tracks import PathTrack, tracing_step_s
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
 from sim_player.trace.truth import scene_truth
@@ -75,14 +76,13 @@ class DrivePlayer:
         start_ns: int = 0,
         chirps_per_beam: int | None = None,
         effects: str = "basic",
-        precision: str = "float64",
+        precision: str = "float32",
     ) -> None:
         if scene.ego != Ego():
             raise ValueError(f"scene {scene.name!r}: ego must stand still: the drive says how the vehicle moves")
         if effects == "auto":
             raise ValueError("effects must be basic, all or names with commas between them on a drive, got 'auto'")
-        if precision not in TOLERANCE:
-            raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
+        check_precision(precision)
         setup = scene.setup
         if chirps_per_beam is not None:
             radar = msgspec.structs.replace(setup.radar, chirps_per_beam=chirps_per_beam)
@@ -98,6 +98,9 @@ class DrivePlayer:
         self._signal = PLAIN if plan is None else plan.signal
         self._is_basic = plan is None
         self._traced: tuple[float, Paths] | None = None
+        fastest_mps = float(np.abs(drive.speed_mps).max(initial=0.0))
+        step_s = tracing_step_s(self._world, fastest_mps, setup.radar.scan_period_s)
+        self._track = PathTrack(self._trace, step_s)
 
     def stamp_ns(self, scan: int, beam: int = 0) -> int:
         """Return when a beam starts."""
@@ -124,10 +127,11 @@ class DrivePlayer:
         setup = self.setup
         # slow time counts from the middle of the beam
         middle_s = 0.5 * (setup.radar.beam_duration_s - setup.radar.chirp_period_s)
-        paths = self.paths(s_from_ns(self.stamp_ns(scan, index) - self._start_ns) + middle_s)
+        time_s = s_from_ns(self.stamp_ns(scan, index) - self._start_ns) + middle_s
         if not self._is_basic:
-            front_end = self._world.scene.radar.front_end
+            paths, front_end = self._track.at(time_s), self._world.scene.radar.front_end
             return echo_terms(setup, paths, self._signal, front_end, index, self._precision)
+        paths = self.paths(time_s)
         carrier, basis, share = slow_time_terms(setup.radar, paths.radial_speed_mps)
         beats = chirp_beats(setup.radar, paths.length_m, share * beam_weights(setup, paths, slice(index, index + 1)))
         return beats, carrier, basis

@@ -15,7 +15,9 @@ from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.scene.description import Scene
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
+from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN, SignalEffects
+from sim_player.trace.path_tracks import PathTrack, tracing_step_s
 from sim_player.trace.ray_tracing import Paths, prepare, trace
 from sim_player.trace.truth import scene_truth
 
@@ -30,8 +32,8 @@ class ScenePlayer:
 
     `effects`: "basic" (direct echoes and single mirrors, fast enough for the radar's rate where objects move), "auto"
     (the effects that the scene needs under `budget_db`, planned for every scan where objects move), "all", or names
-    with
-    commas between them.
+    with commas between them. What moves under other than basic effects is traced at instants between which it moves
+    little (`sim_player.trace.path_tracks`), its echoes have `precision` ("float32", "float64").
     """
 
     def __init__(
@@ -44,7 +46,9 @@ class ScenePlayer:
         chirps_per_beam: int | None = None,
         effects: str = "basic",
         budget_db: float = BUDGET_DB,
+        precision: str = "float32",
     ) -> None:
+        check_precision(precision)
         setup = scene.setup if setup is None else setup
         if chirps_per_beam is not None:
             shorter = msgspec.structs.replace(setup.radar, chirps_per_beam=chirps_per_beam)
@@ -57,7 +61,8 @@ class ScenePlayer:
         self._phase_jitter_rad = phase_jitter_rad
         self._world = prepare(scene, seed, setup)
         self._bank = noise_bank(setup.radar, seed)
-        self._effects, self._budget_db = effects, budget_db
+        self._effects, self._budget_db, self._precision = effects, budget_db, precision
+        self._track: tuple[frozenset[str], PathTrack] | None = None
         self._plans: dict[int, Plan | None] = {}
         self._traced: dict[tuple[float, int], Paths] = {}
         self.plan(0)
@@ -115,6 +120,13 @@ class ScenePlayer:
         ego = self.scene.ego
         return VehicleState(stamp_ns=stamp_ns, speed_mps=ego.speed_mps, yaw_rate_rps=math.radians(ego.yaw_rate_dps))
 
+    def _tracked(self, used: frozenset[str]) -> PathTrack:
+        """Return the paths of moving things under some effects."""
+        if self._track is None or self._track[0] != used:
+            step_s = tracing_step_s(self._world, self.scene.ego.speed_mps, self.setup.radar.scan_period_s)
+            self._track = used, PathTrack(lambda time_s: trace(self._world, time_s, used), step_s)
+        return self._track[1]
+
     def _elapsed_s(self, stamp_ns: int) -> float:
         return s_from_ns(stamp_ns - self.setup.stamp_ns)
 
@@ -139,9 +151,11 @@ class ScenePlayer:
             return self._still_beats[index : index + 1], unit, unit[None]
         # slow time counts from the middle of the beam, so the scene is frozen there
         middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
-        paths = self.paths(self._elapsed_s(self.stamp_ns(scan, index)) + middle_s, scan)
-        if self.plan(scan) is not None:
-            return echo_terms(self.setup, paths, self._signal(scan), self.scene.radar.front_end, index)
+        time_s, plan = self._elapsed_s(self.stamp_ns(scan, index)) + middle_s, self.plan(scan)
+        if plan is not None:
+            paths, front_end = self._tracked(plan.used).at(time_s), self.scene.radar.front_end
+            return echo_terms(self.setup, paths, plan.signal, front_end, index, self._precision)
+        paths = self.paths(time_s, scan)
         carrier, basis, share = slow_time_terms(radar, paths.radial_speed_mps)
         weights = beam_weights(self.setup, paths, slice(index, index + 1))
         return chirp_beats(radar, paths.length_m, share * weights), carrier, basis

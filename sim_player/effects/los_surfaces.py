@@ -13,7 +13,7 @@ import numpy as np
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
-from sim_player.trace.routes import NEAREST_M, dot, make_routes, straight_routes
+from sim_player.trace.routes import NEAREST_M, NONE, dot, make_routes, straight_routes
 from sim_player.trace.segments import segment_occlusion
 from sim_player.trace.snapshot import TraceContext
 
@@ -66,7 +66,8 @@ def _flashes(view: Snapshot) -> Echoes:
     whole, front, rough = world.reflection(wall, np.ones(len(wall)))
     # one bounce on a round trip: half of it each way
     routes = make_routes(
-        np.arange(len(wall)),
+        # a number that is no scatterer's
+        NONE - wall,
         distance[wall],
         direction,
         direction,

@@ -13,7 +13,7 @@ import numpy as np
 from msgs.values.perception import PathClass
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import Echoes, both_orders, centre_rcs_m2
+from sim_player.trace.echoes import Echoes, both_orders, centre_rcs_m2, chain_of
 from sim_player.trace.routes import NEAREST_M, Routes, dot, norm
 from sim_player.trace.segments import segment_occlusion
 from sim_player.trace.snapshot import TraceContext
@@ -60,6 +60,7 @@ def apply(tracing: TraceContext) -> Echoes:
         needs=route_1.needs | route_2.needs | np.uint32(bit("object_interreflection")),
         surface=route_1.wall,
         object_index=world.centre_object[route_1.target].astype(np.int32),
+        chain=chain_of(route_1, route_2, bit("object_interreflection")),
         point=start,
     )
     return echoes.take(occlusion.free & (rcs_one > 0.0) & (rcs_two > 0.0))

@@ -1,9 +1,9 @@
 """Echoes of one moving beam in single precision, compiled: what a live player can afford.
 
-The same sum as `sim_player.signal.swept_echoes`, in the same slow-time terms, for a tolerance. All echoes lie in a small
-part of the sampled band. So each instant of the sweep and each slow-time term is summed at a low rate, by a non-uniform
-FFT; instants are joined there, and one interpolation a term brings the sum to the converter's rate. The overlapped start
-of the chirp is taken off in time.
+The same sum as `sim_player.signal.swept_echoes`, in the same slow-time terms, for a tolerance. All echoes lie in a
+small part of the sampled band. So each instant of the sweep and each slow-time term is summed at a low rate, by a
+non-uniform FFT; instants are joined there, and one interpolation a term brings the sum to the converter's rate. The
+overlapped start of the chirp is taken off in time.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ from sim_player.trace.paths import Paths
 
 #: Largest error of the interpolations, relative to an echo at the array's peak.
 TOLERANCE = 1e-5
-#: Grid steps that a tone is spread over, on a grid of twice the samples; taps of the interpolation. Each 1e-5 or less of the strongest.
+#: Grid steps that a tone is spread over, on a grid of twice the samples; taps of the interpolation. Each to 1e-5 or
+#: less.
 SPREAD, TAPS = 10, 10
 #: The low rate is this many times the band of the echoes, or more.
 OVERSAMPLING = 2.0
@@ -97,9 +98,7 @@ def compiled_terms(
 class _Weights:
     """Recorded weights of all echoes of a beam: antenna, phase of the beat, Doppler in slow-time terms."""
 
-    def __init__(
-        self, setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beam: int
-    ) -> None:
+    def __init__(self, setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beam: int) -> None:
         self._setup = setup if effects.element_pattern else isotropic(setup)
         self._paths, self._effects = paths, effects
         self._columns = column_weights(setup, effects, front_end)[beam] / np.sqrt(setup.array.columns)
@@ -156,9 +155,7 @@ class _Weights:
         return np.asarray(receive * transmit * (element * element_out))
 
 
-def _sum_tones(
-    cycles: np.ndarray, weights: np.ndarray, instants: np.ndarray, count: int, step: int
-) -> np.ndarray:
+def _sum_tones(cycles: np.ndarray, weights: np.ndarray, instants: np.ndarray, count: int, step: int) -> np.ndarray:
     """Return sum_k l_k(n) sum_p w_prk exp(2 pi j x_p n) for n = 0..count - 1; complex64 [terms, count]."""
     low = count // step + TAPS
     size = fft.next_fast_len(2 * low)

@@ -99,6 +99,12 @@ def migration_swing_rad(radar: RadarParams, radial_speed_mps: np.ndarray) -> flo
     return float(np.pi * stretch * turns)
 
 
+def check_precision(precision: str) -> None:
+    """Raise ValueError for a precision that is not known."""
+    if precision not in TOLERANCE:
+        raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
+
+
 def swept_echoes(
     setup: RadarSetup,
     paths: Paths,
@@ -110,8 +116,7 @@ def swept_echoes(
     """Return the echoes of a scene at rest (Doppler left out), one row per beam; ValueError for an unknown
     precision.
     """
-    if precision not in TOLERANCE:
-        raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
+    check_precision(precision)
     return _sweep(_Factors(setup, paths, effects, front_end, beams), None, precision)
 
 
@@ -128,8 +133,7 @@ def moving_echoes(
 
     ValueError for an unknown precision.
     """
-    if precision not in TOLERANCE:
-        raise ValueError(f"precision must be one of {sorted(TOLERANCE)}, got {precision!r}")
+    check_precision(precision)
     factors = _Factors(setup, paths, effects, front_end, slice(beam, beam + 1))
     slow = _SlowTime(setup.radar, paths, effects)
     return _sweep(factors, slow, precision), slow.carrier, slow.basis

@@ -40,6 +40,7 @@ def as_paths(view: Snapshot, echoes: Echoes, effects: frozenset[str]) -> Paths:
         needs=echoes.needs,
         surface=echoes.surface,
         object_index=echoes.object_index,
+        chain=echoes.chain,
         point_m=np.column_stack([plan, echoes.point[:, 2] - view.world.radar_height_m]),
         virtual_m=arrive * (0.5 * (echoes.out_m + echoes.back_m))[:, None],
     )

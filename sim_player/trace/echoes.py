@@ -40,6 +40,8 @@ class Echoes:
     needs: np.ndarray
     surface: np.ndarray
     object_index: np.ndarray
+    #: The same number for the same scatterer by the same routes at another time, uint64.
+    chain: np.ndarray
     point: np.ndarray
 
     def __len__(self) -> int:
@@ -89,6 +91,7 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
         needs=out.needs | back.needs | np.uint32(needs),
         surface=np.where(out.wall >= 0, out.wall, back.wall),
         object_index=world.centre_object[centre].astype(np.int32),
+        chain=chain_of(out, back, needs),
         point=view.centre[centre],
     )
     return echoes.take(rcs > 0.0)
@@ -105,6 +108,16 @@ def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tup
         return pairs, np.where(mixed, 2.0, 1.0)
     swapped = np.append(out, back[mixed]), np.append(back, out[mixed])
     return swapped, np.ones(len(swapped[0]))
+
+
+def chain_of(out: Routes, back: Routes, needs: int) -> np.ndarray:
+    """Return a number for each echo by its scatterer, its two routes and its effects; uint64 [E], a hash."""
+    chain = np.full(len(out), needs, np.uint64)
+    for routes in (out, back):
+        for part in (routes.target, routes.wall, routes.wall2, routes.edge, routes.ground, routes.needs):
+            # wraps: the odd factor of a linear congruential generator
+            chain = (chain + (part.astype(np.int64) + 2).astype(np.uint64)) * np.uint64(6364136223846793005)
+    return chain
 
 
 def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
@@ -144,6 +157,7 @@ def surface_echoes(
         needs=routes.needs | np.uint32(needs),
         surface=np.asarray(wall, np.int32),
         object_index=np.full(count, NONE, np.int32),
+        chain=chain_of(routes, routes, needs),
         point=point,
     )
 

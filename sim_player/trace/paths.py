@@ -32,6 +32,8 @@ class Paths:
     surface: np.ndarray
     #: Object it comes from, -1 for none; int32.
     object_index: np.ndarray
+    #: The same number for the same scatterer by the same routes at another time, uint64.
+    chain: np.ndarray
     #: True and apparent position of the scatterer: [P, 3].
     point_m: np.ndarray
     virtual_m: np.ndarray

@@ -60,6 +60,7 @@ def some_paths(count: int, longest_m: float, seed: int = 0, two_ways: bool = Fal
         needs=nothing.astype(np.uint32),
         surface=nothing,
         object_index=nothing,
+        chain=np.arange(count, dtype=np.uint64),
         point_m=np.zeros((count, 3)),
         virtual_m=np.zeros((count, 3)),
     )
