@@ -251,9 +251,21 @@ def _recording_events(path: Path) -> Iterator[Event]:
             if recorded.topic not in SETUP_TOPICS and start_ns is None:
                 start_ns = recorded.log_time_ns
             offset_ns = 0 if start_ns is None else recorded.log_time_ns - start_ns
+            if setup is not None:
+                offset_ns += _simulated_wait_ns(setup.message, recorded)
             yield Event(offset_ns, Outgoing(recorded.topic, recorded.message))
         if reader.loss:
             _LOG.warning("%s: %s", path, reader.loss)
+
+
+def _simulated_wait_ns(setup: msgspec.Struct, recorded: Recorded) -> int:
+    """How long a beam that was written at the very time of its stamp is held back: no sensor sends it that soon."""
+    from msgs.values.radar import RadarBeam, RadarSetup
+
+    beam = recorded.message
+    if not (isinstance(setup, RadarSetup) and isinstance(beam, RadarBeam)) or recorded.log_time_ns != beam.stamp_ns:
+        return 0
+    return _wait_ns(setup, beam)
 
 
 def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterator[Recorded]:

@@ -21,7 +21,9 @@ from mirrorwave.commands.graph.top import TOPICS_WATCHED, GraphWatch
 from mirrorwave.diagnose.findings import Finding, Status
 from msgs.bus.topics import SENSOR_TOPICS, TOPICS
 from msgs.values.diagnostics import NodeState, NodeStatus
-from nodes.inputs.view_latency import ViewFigures, views_text
+from msgs.values.lidar import LidarSetup
+from msgs.values.radar import RadarSetup
+from nodes.inputs.view_latency import ViewFigures, scan_period_s, views_text
 from nodes.viewer.node_table import is_of_peer
 
 _MIB, _GIB = 1 << 20, 1 << 30
@@ -48,6 +50,9 @@ class _Graph(NamedTuple):
     log: list[dict[str, Any]]
     #: The resolved launch file's nodes.
     entries: dict[str, Any]
+    #: Longest scan of the sensors that told theirs, and how long was looked.
+    scan_period_s: float = 0.0
+    window_s: float = WINDOW_S
 
     @property
     def names(self) -> list[str]:
@@ -89,6 +94,7 @@ def _look(run_dir: Path, window_s: float) -> _Graph:
 
     bus = ZmqBus(f"doctor-{os.getpid()}", run_dir)
     heard: Heartbeats = {}
+    longest_s = 0.0
     try:
         for topic in TOPICS_WATCHED:
             bus.subscribe(topic)
@@ -97,6 +103,8 @@ def _look(run_dir: Path, window_s: float) -> _Graph:
         while (remaining_s := end_s - time.monotonic()) > 0.0:
             for received in bus.receive(min(remaining_s, 0.1)):
                 watch.take(received.message, bus.now_ns())
+                if isinstance(received.message, RadarSetup | LidarSetup):
+                    longest_s = max(longest_s, scan_period_s(received.message))
                 if isinstance(received.message, NodeStatus):
                     heard.setdefault(received.message.node, []).append(received.message)
         views = watch.report(bus.now_ns())["graph"]
@@ -109,7 +117,7 @@ def _look(run_dir: Path, window_s: float) -> _Graph:
     figures = msgspec.convert({name: views[name] for name in ViewFigures.__struct_fields__}, ViewFigures)
     alive = {name: beats for name, beats in heard.items() if beats[-1].state is not NodeState.STOPPING}
     run = Path(owner["run"]) if owner.get("run") else None
-    return _Graph(owner, publishers, alive, figures, _log_entries(run), _launch_entries(run))
+    return _Graph(owner, publishers, alive, figures, _log_entries(run), _launch_entries(run), longest_s, window_s)
 
 
 def _check_node(graph: _Graph, name: str, window_s: float) -> Finding:
@@ -222,10 +230,16 @@ def _check_rate(graph: _Graph, topic: str, nominal_hz: float, spare: Status) -> 
     rates = [row["hz"] for row in graph.rows(topic, "out").values()]
     hz = sum(rate or 0.0 for rate in rates)
     senders = ", ".join(graph.publishers[topic])
+    if _is_slow(graph, topic):
+        longest_s = graph.scan_period_s
+        text = f"{senders} sends one a scan of {longest_s:.3g} s, longer than the {graph.window_s:g} s that were looked"
+        return Finding(check, Status.OK, text)
     if hz == 0.0 and None in rates:
         return Finding(check, Status.OK, f"{senders} has just started")
     if hz == 0.0:
         return Finding(check, spare, f"silent: {_why_no_message(graph, topic, ())}")
+    if _is_of_a_scan(topic) and graph.scan_period_s:
+        nominal_hz = min(nominal_hz, 1.0 / graph.scan_period_s)
     if hz < _SLOW * nominal_hz:
         return Finding(check, Status.WARNING, f"{hz:.3g} Hz from {senders}, nominal are {nominal_hz:.3g} Hz")
     return Finding(check, Status.OK, f"{hz:.3g} Hz from {senders}")
@@ -258,7 +272,18 @@ def _inputs_of(graph: _Graph, name: str) -> list[str]:
 
 
 def _is_silent(graph: _Graph, topic: str) -> bool:
-    return bool(TOPICS[topic].rate_hz) and not any(row["hz"] for row in graph.rows(topic, "out").values())
+    rate_hz = 0.0 if _is_slow(graph, topic) else TOPICS[topic].rate_hz
+    return bool(rate_hz) and not any(row["hz"] for row in graph.rows(topic, "out").values())
+
+
+def _is_slow(graph: _Graph, topic: str) -> bool:
+    """Whether a topic has one message a scan, and a scan may take longer than was looked."""
+    return _is_of_a_scan(topic) and graph.scan_period_s >= graph.window_s
+
+
+def _is_of_a_scan(topic: str) -> bool:
+    """Whether a topic has one message a scan."""
+    return TOPICS[topic].rate_hz == TOPICS["radar/ra_map"].rate_hz
 
 
 def _check_views(graph: _Graph) -> Iterator[Finding]:

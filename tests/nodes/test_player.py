@@ -74,6 +74,24 @@ def test_a_capture_says_the_same_as_the_scene(tmp_path: Path, name: str) -> None
     np.testing.assert_array_equal(truth.hidden_points_m, source.truth(0).hidden_points_m)
 
 
+@pytest.mark.parametrize("name", ["capture.mcap", "capture.sigmf-meta"])
+def test_a_digital_array_is_played_from_a_capture_as_it_is_simulated(tmp_path: Path, name: str) -> None:
+    """Beams of one time go out over half of the scan, from the scene and from what was written of it: 6 ms apart."""
+    source = scene_player(params(scene="launch/scenes/facade_across_lane_77ghz.yaml"))
+    events = (event.outgoing for event in scene_events(source, 1))
+    path = tmp_path / name
+    if name.endswith(".mcap"):
+        write_recording(path, events, {})
+    else:
+        write_sigmf(path, source.setup, events, {})
+    beams = [event for event in capture_events(path) if isinstance(event.outgoing.message, RadarBeam)]
+    step_ns = source.setup.beam_share_ns // 2
+    assert len({event.outgoing.message.stamp_ns for event in beams}) == 1
+    assert step_ns > 0
+    expected_ns = [index * source.setup.beam_share_ns // 2 for index in range(len(beams))]
+    assert [event.offset_ns - beams[0].offset_ns for event in beams] == expected_ns
+
+
 def test_the_graphs_own_work_in_a_recording_is_left_out(tmp_path: Path) -> None:
     """A recording may hold maps and views of an earlier run: they must not meet those of this one."""
     events = [event.outgoing for event in scene_events(scene_player(params()), 1)]

@@ -231,6 +231,31 @@ def test_a_graph_does_not_miss_the_other_kind_of_sensor(looks: int, takes_both: 
             assert said[raw] is Status.FAILED
 
 
+@pytest.mark.parametrize(("scan_period_s", "window_s"), [(7.68, 3.0), (7.68, 10.0), (0.3, 3.0)])
+def test_a_scan_longer_than_the_window_is_not_silence(scan_period_s: float, window_s: float) -> None:
+    """A LiDAR that takes 7.7 s a scan says nothing in 3 s; in 10 s, or at 0.3 s a scan, nothing is silence."""
+    topics = ("lidar/histograms", "radar/ra_map")
+    heard = {"player": _beats("player", dict.fromkeys(topics, 0)), "former": _beats("former", {}, topics)}
+    views = ViewWatch(0, 3.0).figures(0)
+    publishers = {topic: ["player"] for topic in topics}
+    graph = _Graph({}, publishers, heard, views, [], {}, scan_period_s, window_s)
+    said = {one.check.removeprefix("topic "): one for one in _check_topics(graph)}
+    if scan_period_s > window_s:
+        assert {one.status for one in said.values()} == {Status.OK}
+        assert "one a scan of 7.68 s" in said["lidar/histograms"].detail
+    else:
+        assert said["lidar/histograms"].status is Status.FAILED
+
+
+def test_a_slow_scan_is_not_a_slow_topic() -> None:
+    """One message in 7.7 s is the rate of that scan, and a tenth of the rate of scans of 0.3 s."""
+    heard = {"player": _beats("player", {"lidar/histograms": 1}), "former": _beats("former", {}, ("lidar/histograms",))}
+    views, publishers = ViewWatch(0, 3.0).figures(0), {"lidar/histograms": ["player"]}
+    for scan_period_s, status in ((2.9, Status.OK), (0.3, Status.WARNING)):
+        graph = _Graph({}, publishers, heard, views, [], {}, scan_period_s, 3.0)
+        assert [one.status for one in _check_topics(graph)] == [status]
+
+
 def test_what_a_peer_s_nodes_read_and_publish_is_not_this_graph_s() -> None:
     """Their beams stay there, and a map that two heartbeats count, theirs and the link's, comes once."""
     heard = {
