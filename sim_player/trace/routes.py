@@ -83,7 +83,9 @@ def make_routes(
     count = len(target)
 
     def spread(value: object, dtype: type) -> np.ndarray:
-        return np.array(np.broadcast_to(np.asarray(value, dtype), count))
+        filled = np.empty(count, dtype)
+        filled[:] = value
+        return filled
 
     return Routes(
         target=np.asarray(target, np.int32),
