@@ -43,7 +43,7 @@ from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, form_map
 from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.physics.antenna import setup_weights
-from models.physics.cramer_rao import azimuth_response, periodogram_range_loss, raw_bound, windowed_bound
+from benchmarks.perception.cramer_rao import azimuth_response, periodogram_range_loss, raw_bound, windowed_bound
 from models.physics.waveform import WINDOW_TAPS, tone_profile, window_noise_gain
 from models.training.data.frames import DataSet, Frame, fixed_splits
 from msgs.values.frames import xy_from_polar

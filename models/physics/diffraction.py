@@ -41,26 +41,6 @@ def wedge_terms(
     return scale * incident, scale * first, scale * last
 
 
-def wedge_coefficient(
-    n: np.ndarray,
-    to_source_rad: np.ndarray,
-    to_target_rad: np.ndarray,
-    distance_m: np.ndarray,
-    wavelength_m: float,
-    sin_skew: np.ndarray,
-    reflection_first: np.ndarray,
-    reflection_last: np.ndarray,
-    transmission: np.ndarray | float = 0.0,
-) -> np.ndarray:
-    """Return the diffraction coefficient D [sqrt(m)], the sum of `wedge_terms`; angles and lengths as there.
-
-    The reflections are the two faces' own, -1 for metal. `transmission` is the field that a thin wall transmits into
-    its shadow, which weakens the border. Reciprocal if the coefficients are.
-    """
-    incident, first, last = wedge_terms(n, to_source_rad, to_target_rad, distance_m, wavelength_m, sin_skew)
-    return np.asarray((1.0 - transmission) * incident + reflection_first * first + reflection_last * last)
-
-
 def edge_field(coefficient: np.ndarray, source_m: np.ndarray, target_m: np.ndarray) -> np.ndarray:
     """Return the field via an edge against 1/L of a ray as long as both segments (s', s): D sqrt((s + s') / (s s'))."""
     return np.asarray(coefficient * np.sqrt((source_m + target_m) / (source_m * target_m)))

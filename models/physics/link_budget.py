@@ -11,7 +11,6 @@ from __future__ import annotations
 import numpy as np
 
 from models.physics.antenna import coarray_weights, column_response, element_field, row_field, setup_weights
-from models.physics.photons.optics import direct_photons
 from models.physics.waveform import window_noise_gain
 from msgs.values.arrays import require_positive
 from msgs.values.lidar import SpadParams
@@ -82,26 +81,6 @@ def map_noise_gain(setup: RadarSetup, grid: RangeAzimuthGrid | None = None) -> f
     ideal = np.conj(column_response(setup.array, setup.radar.wavelength_m, azimuth_rad, np.zeros(1)))
     forward = _two_way_weights(setup, ideal) @ np.linalg.pinv(_two_way_weights(setup, setup_weights(setup)))
     return float(np.sum(np.abs(forward) ** 2) / len(azimuth_rad))
-
-
-def spad_snr(
-    spad: SpadParams,
-    range_m: float | np.ndarray,
-    albedo: float | np.ndarray,
-    wall_power_per_bounce: float | np.ndarray = 1.0,
-    cos_incidence: float | np.ndarray = 1.0,
-    earlier_photons: float | np.ndarray = 0.0,
-    earlier_range_m: float | np.ndarray | None = None,
-) -> np.ndarray:
-    """Return the SNR of a matt target that fills the beam, seen in a wall's mirror (broadcast), float64.
-
-    `optics.direct_photons` of the mirrored position times the wall's power squared (`optics.optical_reflectance`, 1 in
-    direct sight); the rest as `photon_snr`. Of light scattered by the wall itself take `photon_snr` of
-    `optics.confocal_photons`, at the wall's range plus the segment. Raises `ValueError` as these do.
-    """
-    wall = _share("wall_power_per_bounce", wall_power_per_bounce)
-    photons = direct_photons(spad, range_m, albedo, cos_incidence) * np.square(wall)
-    return photon_snr(spad, range_m, photons, earlier_photons, earlier_range_m)
 
 
 def photon_snr(

@@ -1,4 +1,4 @@
-"""Effect of roughness on the mirror: criteria of smoothness, two laws of the coherent share, the diffuse rest.
+"""Effect of roughness on the mirror: two laws of the coherent share, the diffuse rest.
 
 g = 4 pi s cos(theta) / lambda is the rms phase that heights of rms s put on a reflected wave. At grazing g -> 0 and
 every wall is smooth. Heights are zero-mean; shadowing and multiple scattering are neglected, so both laws require
@@ -53,19 +53,3 @@ def specular_gain(
 ) -> np.ndarray:
     """Return alpha of Eq. (2): the power ratio |r|^2 exp(-g^2) of one bounce in the mirror direction (broadcast)."""
     return np.square(np.abs(reflection)) * coherent_power(roughness_m, cos_theta, wavelength_m)
-
-
-def rayleigh_criterion_m(cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the roughness lambda / (8 cos) below which a wall begins to act as a mirror; infinite at grazing."""
-    return _criterion_m(cos_theta, wavelength_m, 8.0)
-
-
-def fraunhofer_criterion_m(cos_theta: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the roughness lambda / (32 cos) below which a wall is smooth (loss under 0.7 dB); infinite at grazing."""
-    return _criterion_m(cos_theta, wavelength_m, 32.0)
-
-
-def _criterion_m(cos_theta: np.ndarray, wavelength_m: float, divisor: float) -> np.ndarray:
-    cos_theta = np.asarray(cos_theta, np.float64)
-    grazing = cos_theta == 0.0
-    return np.where(grazing, np.inf, wavelength_m / (divisor * np.where(grazing, 1.0, cos_theta)))

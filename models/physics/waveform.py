@@ -20,6 +20,14 @@ def window_noise_gain(window: str) -> float:
     return float(np.sum(np.square(WINDOW_TAPS[window])))
 
 
+def window_covariance(window: str, bins: int) -> np.ndarray:
+    """Return the covariance [bins, bins] of neighbouring bins of windowed white noise relative to its power in one."""
+    taps = np.array(WINDOW_TAPS[window])
+    lags = np.correlate(taps, taps, "full")[len(taps) - 1 :] / np.sum(taps**2)
+    separation = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
+    return np.append(lags, 0.0)[np.minimum(separation, len(lags))]
+
+
 def beat_frequency_hz(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
     """Return the beat frequency S L / c of paths with round-trip lengths in metres."""
     return radar.chirp_slope_hz_per_s * np.asarray(length_m, np.float64) / SPEED_OF_LIGHT_MPS

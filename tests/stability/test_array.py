@@ -11,7 +11,8 @@ import pytest
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
 from models.perception.geometry.observability import VisibilityParams, observability
 from models.physics.antenna import coupling_matrix, one_way_pattern, setup_weights, two_way_pattern
-from models.physics.cramer_rao import azimuth_response, fisher_information, window_covariance, windowed_bound
+from benchmarks.perception.cramer_rao import _TANGENTS, azimuth_response, windowed_bound
+from models.physics.waveform import window_covariance
 from models.physics.waveform import tone_profile
 from msgs.values.perception import BevGrid, Visibility, Wall
 from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
@@ -290,8 +291,26 @@ def _exact_azimuth_variance(range_parts: np.ndarray, azimuth_parts: np.ndarray, 
         return np.array([float(covariance[3 * count + p, 3 * count + p]) for p in range(count)])
 
 
+def fisher_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
+    """Return the information [4P, 4P] at unit noise, ordered Re a, Im a, range, azimuth of all P echoes each.
+
+    Parts are value and slope, complex [2, P, rows] and [2, P, beams].
+    """
+    in_range = np.einsum("kim,ljm->klij", range_parts.conj(), range_parts)
+    in_azimuth = np.einsum("kim,ljm->klij", azimuth_parts.conj(), azimuth_parts)
+    factor = [np.full(len(amplitude), f) if k < 2 else amplitude for k, (_, _, f) in enumerate(_TANGENTS)]
+    blocks = [
+        [
+            2.0 * np.real(np.multiply.outer(left.conj(), right) * in_range[q, p] * in_azimuth[a, b])
+            for (p, b, _), right in zip(_TANGENTS, factor, strict=True)
+        ]
+        for (q, a, _), left in zip(_TANGENTS, factor, strict=True)
+    ]
+    return np.block(blocks)
+
+
 @pytest.mark.hard(
-    where="models.physics.cramer_rao",
+    where="benchmarks.perception.cramer_rao",
     naive="inverse of the information matrix",
     bound=1e-7,
     unit="",
@@ -309,7 +328,7 @@ def test_two_echoes_a_thousandth_of_a_degree_apart(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.cramer_rao",
+    where="benchmarks.perception.cramer_rao",
     naive="beam width over sqrt(2 SNR)",
     bound=1e-6,
     unit="",

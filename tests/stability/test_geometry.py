@@ -16,10 +16,11 @@ from models.perception.geometry.published import PublishedParams, recover_publis
 from models.perception.geometry.recovery import Recovered, cartesian_covariance, folded
 from models.perception.geometry.stage import GeometryParams, fold_scan, recover_bev
 from models.perception.geometry.walls import WallParams, find_walls
-from models.physics.curved_mirror import arc_points, fermat_points
+from models.physics.curved_mirror import arc_points
 from models.physics.mirror import reflect, wall_from_ends
 from msgs.values.frames import polar_from_xy, xy_from_polar
 from msgs.values.perception import PathClass, Peaks, Wall
+from tests.models.physics.curved_reference import fermat_points
 from tests.stability.catalogue import Errors
 
 RANGE_STD_M, AZIMUTH_STD_RAD = 0.06, math.radians(0.7)

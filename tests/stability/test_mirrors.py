@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from mpmath import mp, mpf
 
-from models.physics.curved_mirror import CAUSTIC, arc_crosses, arc_points, bounces, focusing, one_way_field
+from models.physics.curved_mirror import CAUSTIC, arc_points, bounces
 from models.physics.diffraction import transition, wedge_terms
 from models.physics.mirror import (
     crosses,
@@ -18,6 +18,7 @@ from models.physics.mirror import (
     wall_from_ends,
 )
 from models.physics.plane import segment_distance_m
+from tests.models.physics.curved_reference import arc_crosses, focusing, one_way_field
 from tests.stability.catalogue import Errors
 
 WAVELENGTH_M = 299_792_458.0 / 10e9
@@ -462,7 +463,7 @@ def test_a_nearly_flat_wall_has_a_far_centre(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.curved_mirror",
+    where="tests.models.physics.curved_reference",
     naive="(-b +- sqrt(b^2 - 4 a c)) / 2 a of ray and circle",
     bound=0.0,
     unit="of 6,000 rays told wrong",

@@ -9,11 +9,10 @@ import pytest
 from mpmath import mp, mpf
 
 from models.physics.photons.first_photon import (
-    bins_of_ticks,
     first_photon_histogram,
     first_photon_probability,
-    mean_counts_of,
 )
+from tests.models.physics.photons.histograms import bins_of_ticks, mean_counts_of
 from tests.stability.catalogue import Errors
 
 EPS = 2.0**-52
@@ -71,7 +70,7 @@ def test_total_pile_up(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.photons.first_photon",
+    where="tests.models.physics.photons.histograms",
     naive="-log(1 - h / n)",
     bound=8 * EPS,
     unit="",
@@ -89,7 +88,7 @@ def test_one_count_in_a_million_million_periods(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.photons.first_photon",
+    where="tests.models.physics.photons.histograms",
     naive="sums of counts in float32",
     bound=1e-9,
     unit="",
@@ -108,7 +107,7 @@ def test_the_last_of_a_million_million_counts(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.physics.photons.first_photon",
+    where="tests.models.physics.photons.histograms",
     naive="floor(tick x 55 ps / bin width) in float64",
     bound=0.0,
     unit="of the events on an edge",

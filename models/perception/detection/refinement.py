@@ -4,7 +4,7 @@ A coherent map is a linear image of the beams, so its columns hold as many white
 (15 of 256 with the default array). Each echo is a tone in range times a known vector over these coefficients; each is
 fitted on a patch of a few range bins, with the noise correlation of the window, after the contribution of all other
 echoes is subtracted. Gauss-Newton moves an echo together with its next neighbours; errors come from the Fisher
-information (`models.physics.cramer_rao`), widened where the fit of points leaves more than noise.
+information, widened where the fit of points leaves more than noise.
 
 Bins whose beams did not fit one coherent scene hold magnitudes: echoes there are left as they are.
 """
@@ -17,8 +17,7 @@ import msgspec
 import numpy as np
 
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, coefficient_phases, peak_field
-from models.physics.cramer_rao import window_covariance
-from models.physics.waveform import WINDOW_TAPS
+from models.physics.waveform import WINDOW_TAPS, window_covariance
 from msgs.values.arrays import require_positive
 from msgs.values.perception import Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap

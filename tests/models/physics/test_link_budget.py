@@ -16,10 +16,10 @@ from models.physics.link_budget import (
     photon_snr,
     radar_snr,
     radar_threshold,
-    spad_snr,
     spad_threshold,
 )
 from models.physics.photons.first_photon import first_photon_probability
+from models.physics.photons.optics import direct_photons
 from models.physics.roughness import specular_gain
 from msgs.values.lidar import SpadParams
 from msgs.values.radar import ArrayParams, BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
@@ -28,6 +28,11 @@ from msgs.values.units import SPEED_OF_LIGHT_MPS
 XBAND = RadarSetup()
 AT_77_GHZ = msgspec.structs.replace(XBAND, radar=RadarParams(carrier_hz=77e9))
 CELL_M = RangeAzimuthGrid().range_bin_m
+
+
+def spad_snr(spad: SpadParams, range_m: float, albedo: float, wall_power_per_bounce: float = 1.0) -> np.ndarray:
+    """A matt target that fills the beam, seen head-on in a wall's mirror."""
+    return photon_snr(spad, range_m, direct_photons(spad, range_m, albedo, 1.0) * wall_power_per_bounce**2)
 
 
 def db(ratio: np.ndarray) -> np.ndarray:
@@ -183,8 +188,6 @@ def test_half_range() -> None:
         (lambda: radar_snr(XBAND, np.array([5.0, np.nan]), 1.0), "range_m must be finite and positive"),
         (lambda: radar_snr(XBAND, 5.0, -1.0), "rcs_m2 must be finite and not negative, got -1.0"),
         (lambda: radar_snr(XBAND, 5.0, 1.0, 1.1), "wall_power_per_bounce must lie in 0..1, got 1.1"),
-        (lambda: spad_snr(SpadParams(), 5.0, 0.3, -0.1), "wall_power_per_bounce must lie in 0..1, got -0.1"),
-        (lambda: spad_snr(SpadParams(), 5.0, 2.0), "albedo must lie in 0..1"),
         (lambda: photon_snr(SpadParams(), -5.0, 1.0), "range_m must be finite and positive, got -5.0"),
         (lambda: photon_snr(SpadParams(), 5.0, 1.0, -1.0), "earlier_photons must be finite and not negative"),
         (lambda: photon_snr(SpadParams(), 5.0, 1.0, 1.0, np.inf), "earlier_range_m must be finite and positive"),

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import fresnel
 
-from models.physics.surface_integral import surface_field, two_way_field, wall_field
+from tests.models.physics.surface_integral import surface_field, two_way_field, wall_field
 
 WAVELENGTH_M = 0.1
 RADAR, PLACE = np.array([0.0, 0.0, 0.3]), np.array([1.0, 8.0, 0.9])

@@ -16,6 +16,7 @@ from models.physics.waveform import (
     beat_samples,
     range_profile,
     tone_profile,
+    window_covariance,
     window_noise_gain,
 )
 from msgs.values.radar import RadarParams
@@ -93,3 +94,9 @@ def test_tone_profile_at_any_bin(window: str) -> None:
     spectrum = np.fft.fft(tones * time_window, axis=1) / 200
     expected = np.concatenate([spectrum[:, -80:], spectrum[:, :90]], axis=1)
     np.testing.assert_allclose(tone_profile(200, tone_bin, 170, window, first_bin=-80), expected, atol=1e-13)
+
+
+def test_window_covariance_is_that_of_filtered_noise() -> None:
+    """(1.5, -1, 0.25) / 1.5 for Hann, the identity without a window."""
+    np.testing.assert_allclose(window_covariance("hann", 4)[0], [1.0, -2.0 / 3.0, 1.0 / 6.0, 0.0])
+    np.testing.assert_array_equal(window_covariance("none", 3), np.eye(3))

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models.physics.curved_mirror import focusing
-from models.physics.surface_integral import wall_field
+from tests.models.physics.curved_reference import focusing
+from tests.models.physics.surface_integral import wall_field
 from sim_player.effects.curved_wall import as_chords
 from sim_player.scene.description import SceneRadar
 from sim_player.scene.world import snapshot

@@ -10,7 +10,7 @@ from models.perception.detection.peaks import PeakParams, peaks_at
 from models.perception.detection.refinement import EchoRefiner, RefinementParams, refined_peaks
 from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, form_map
-from models.physics.cramer_rao import azimuth_response, raw_bound
+from benchmarks.perception.cramer_rao import azimuth_response, raw_bound
 from models.physics.waveform import WINDOW_TAPS, tone_profile
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 

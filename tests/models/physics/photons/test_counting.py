@@ -23,9 +23,9 @@ from models.physics.photons.counting import (
     exact_closed_form,
     expected_histogram,
 )
-from models.physics.photons.first_photon import bins_of_ticks
 from models.physics.photons.flux import flux_table, pulses_of, time_at
 from msgs.values.lidar import SpadParams
+from tests.models.physics.photons.histograms import bins_of_ticks
 
 SPAD = SpadParams()
 #: A near path that dims what follows, a weak one, and one so late that its dead time reaches the next period.

@@ -9,11 +9,10 @@ import pytest
 from scipy.stats import chi2, kstest
 
 from models.physics.photons.first_photon import (
-    bins_of_ticks,
     first_photon_histogram,
     first_photon_probability,
-    mean_counts_of,
 )
+from tests.models.physics.photons.histograms import bins_of_ticks, mean_counts_of
 
 #: Table 2: 15 MHz, 512 bins, 55 ps a tick; 1e12 / (512 * 15e6 * 55) ticks a bin.
 TICKS_PER_BIN = Fraction(10**12, 512 * 15 * 10**6 * 55)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from models.physics.cramer_rao import (
+from benchmarks.perception.cramer_rao import (
     azimuth_response,
     periodogram_range_loss,
     raw_bound,
-    window_covariance,
     windowed_bound,
 )
 from models.physics.waveform import window_noise_gain
@@ -93,12 +92,6 @@ def test_a_second_echo_costs_more_the_nearer_it_is() -> None:
     alone = one(0.0)[1]
     assert far == pytest.approx(alone, rel=0.1)
     assert near > 2.0 * alone
-
-
-def test_window_covariance_is_that_of_filtered_noise() -> None:
-    """(1.5, -1, 0.25) / 1.5 for Hann, the identity without a window."""
-    np.testing.assert_allclose(window_covariance("hann", 4)[0], [1.0, -2.0 / 3.0, 1.0 / 6.0, 0.0])
-    np.testing.assert_array_equal(window_covariance("none", 3), np.eye(3))
 
 
 def test_noise_must_be_positive() -> None:

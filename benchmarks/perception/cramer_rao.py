@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from models.physics.antenna import column_response, setup_weights
-from models.physics.waveform import WINDOW_TAPS, tone_profile, window_noise_gain
+from models.physics.waveform import WINDOW_TAPS, tone_profile, window_covariance, window_noise_gain
 from msgs.values.arrays import require_positive
 from msgs.values.radar import RadarSetup
 
@@ -79,14 +79,6 @@ def periodogram_range_loss(window: str = "hann", samples: int = 4096) -> float:
     return float(np.sqrt(np.sum((w * t) ** 2) * np.sum(t**2)) / np.sum(w * t**2))
 
 
-def window_covariance(window: str, bins: int) -> np.ndarray:
-    """Return the covariance [bins, bins] of neighbouring bins of windowed white noise relative to its power in one."""
-    taps = np.array(WINDOW_TAPS[window])
-    lags = np.correlate(taps, taps, "full")[len(taps) - 1 :] / np.sum(taps**2)
-    separation = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
-    return np.append(lags, 0.0)[np.minimum(separation, len(lags))]
-
-
 def azimuth_response(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
     """Return the recorded field of unit echoes in all beams, as set, without element gain; complex128 [echoes, beams].
 
@@ -95,24 +87,6 @@ def azimuth_response(setup: RadarSetup, azimuth_rad: np.ndarray) -> np.ndarray:
     azimuth_rad = np.asarray(azimuth_rad, np.float64)
     columns = column_response(setup.array, setup.radar.wavelength_m, azimuth_rad, np.zeros_like(azimuth_rad))
     return ((columns @ setup_weights(setup).T / setup.array.columns) ** setup.array.steered_ways).conj()
-
-
-def fisher_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
-    """Return the information [4P, 4P] at unit noise, ordered Re a, Im a, range, azimuth of all P echoes each.
-
-    Parts are value and slope, complex [2, P, rows] and [2, P, beams].
-    """
-    in_range = np.einsum("kim,ljm->klij", range_parts.conj(), range_parts)
-    in_azimuth = np.einsum("kim,ljm->klij", azimuth_parts.conj(), azimuth_parts)
-    factor = [np.full(len(amplitude), f) if k < 2 else amplitude for k, (_, _, f) in enumerate(_TANGENTS)]
-    blocks = [
-        [
-            2.0 * np.real(np.multiply.outer(left.conj(), right) * in_range[q, p] * in_azimuth[a, b])
-            for (p, b, _), right in zip(_TANGENTS, factor, strict=True)
-        ]
-        for (q, a, _), left in zip(_TANGENTS, factor, strict=True)
-    ]
-    return np.block(blocks)
 
 
 def _bound(
@@ -133,7 +107,7 @@ def _bound(
 
 
 def _inverse_information(range_parts: np.ndarray, azimuth_parts: np.ndarray, amplitude: np.ndarray) -> np.ndarray:
-    """Return the inverse of `fisher_information` from the singular values of its root, [4P, 4P].
+    """Return the inverse of the information from the singular values of its root, [4P, 4P]: Re a, Im a, range, azimuth.
 
     In a matrix of squares the difference of echoes 1e-3 deg apart is lost: its own inverse has negative
     variances. A parameter that changes no sample (azimuth at endfire) has infinite variance.
