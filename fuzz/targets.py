@@ -262,12 +262,13 @@ def _scene(parts: Parts, box: Box) -> None:
 
 
 def _plan(parts: Parts, box: Box) -> None:
-    from sim_player.planner.plan import plan_effects
+    from sim_player.planner.plan import plan_world
     from sim_player.scene.description import load_scene
+    from sim_player.scene.world import prepare
 
     scene = load_scene(box.put("a.yaml", part(parts, 0)))
     if len(scene.surfaces) + len(scene.objects) < 8 and scene.radar.preset != "spad":
-        plan_effects(scene, thorough=False)
+        plan_world(prepare(scene, 0, scene.setup), scene.setup)
 
 
 def _mesh(parts: Parts, box: Box) -> None:

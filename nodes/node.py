@@ -346,7 +346,6 @@ class InProcessGraph:
 
     Nodes are stepped in the order of `nodes`, each answering all its waiting inputs, until no node has any
     work; then the clock jumps to the next time at which a node is due. `network` and nodes belong to the graph.
-    do; then the clock jumps to the next time at which a node is due. `network` and nodes belong to the graph.
     """
 
     def __init__(self, network: LocalNetwork, nodes: Mapping[str, Node]) -> None:

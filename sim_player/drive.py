@@ -18,7 +18,7 @@ from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.planner.plan import resolve_plan
 from sim_player.scene.description import Ego, Scene
-from sim_player.scene.world import snapshot, wall_lines
+from sim_player.scene.world import prepare, snapshot, wall_lines
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
 from sim_player.signal.swept_echoes import check_precision
@@ -26,7 +26,7 @@ from sim_player.signal.switches import PLAIN
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.path_tracks import PathTrack, tracing_step_s
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import BASIC_EFFECTS, prepare, trace_echoes
+from sim_player.trace.ray_tracing import BASIC_EFFECTS, trace_echoes
 from sim_player.trace.truth import scene_truth
 
 

@@ -13,12 +13,14 @@ from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.planner.plan import BUDGET_DB, Plan, resolve_plan
 from sim_player.scene.description import Scene
+from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, beam_beats, echo_terms, record_beam, with_electronics
 from sim_player.signal.swept_echoes import check_precision
 from sim_player.signal.switches import PLAIN, SignalEffects
 from sim_player.trace.path_tracks import PathTrack, tracing_step_s
-from sim_player.trace.ray_tracing import Paths, prepare, trace
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import scene_truth
 
 

@@ -1,6 +1,6 @@
 """Random drives past side streets: how early a hidden road user is tracked, against the most that its street allows.
 
-Drives are those of `sim_player.generate.side_streets`: widths, corners, walls, parked vehicles, clutter, speeds,
+Drives are those of `benchmarks.accuracy.side_street_scenes`: widths, corners, walls, parked vehicles, clutter, speeds,
 braking and turns are drawn, and no drive is left out. Raw int16 beams of all effects that the simulator has (squint,
 ground, diffraction, second mirrors, faults of the front end, ...; echoes in float32), odometry from states with noise
 and a gyroscope's bias, the chain and the tracker as the graph runs them.
@@ -39,11 +39,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from benchmarks.accuracy.side_street import GATE_M, Said, as_object, lead_s, switches
+from benchmarks.accuracy.side_street_scenes import CROSSING, SideStreet, direct_sight, random_side_street
 from benchmarks.perception.geometry_switches import machine
 from mirrorwave.node_chain import NodeParams
 from models.evaluation.frame_scores import Estimate, bootstrap_weights
 from models.evaluation.metrics import match_objects
-from models.evaluation.object_error import centre_error_m, object_distances
+from models.evaluation.object_error import object_distances
 from models.perception.chain import Chain
 from models.perception.forming.ra_forming import RaFormer
 from msgs.values.frames import Pose2
@@ -52,7 +53,6 @@ from msgs.values.radar import RadarSetup
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.drive import Drive, DrivePlayer
-from sim_player.generate.side_streets import CROSSING, SideStreet, direct_sight, random_side_street
 from sim_player.trace.truth import labelled
 from sim_player.trace.unthinned_truth import unthinned_paths
 
@@ -187,7 +187,7 @@ def _report(track: Track, matched: Sequence[tuple[int, int, float]], truth: Scen
     return Report(
         time_s=time_s,
         face_error_m=face_m,
-        centre_error_m=centre_error_m(as_object(track), user, truth),
+        centre_error_m=float(object_distances([as_object(track)], truth, [user]).centre_m[0, 0]),
         velocity_error_mps=off_mps,
     )
 

@@ -30,7 +30,8 @@ from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, pro
 from sim_player.lidar.spad import SpadOptions, optical_paths, spad_histograms
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Scene, load_scene
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.scene.world import prepare
+from sim_player.trace.ray_tracing import trace
 
 #: Table 2 in both ways of arming, and a period long enough for the whole map.
 LIDARS = {

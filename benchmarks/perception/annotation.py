@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from models.annotation.registration import PosedCloud, RegistrationParams, moved, pose_error, register, rounded_pose
+from models.annotation.registration import PosedCloud, RegistrationParams, moved, register, rounded_pose
 from models.annotation.slice_labels import Disc, PointLabel, SliceLabels, SliceParams, WallRules, label_slice
 from models.physics.mirror import blocked, reflect, wall_from_ends
 from models.physics.plane import segment_distance_m
@@ -31,6 +31,14 @@ SCENES = CHECKOUT / "launch" / "scenes"
 NAMES = ("corner", "two_hidden_vehicles", "facade_across_lane", "oblique_container", "parallel_street_wall")
 PARAMS = RegistrationParams()
 ORIGIN = np.zeros(2)
+
+
+def pose_error(a_from_b: np.ndarray, a_from_c: np.ndarray) -> tuple[float, float]:
+    """Return distance [m] and angle [rad] between two rigid transforms [4, 4]."""
+    difference = np.linalg.inv(a_from_b) @ a_from_c
+    turned = 0.5 * np.linalg.norm(difference[:3, :3] - difference[:3, :3].T) / math.sqrt(2.0)
+    angle_rad = math.atan2(turned, 0.5 * (np.trace(difference[:3, :3]) - 1.0))
+    return float(np.linalg.norm(difference[:3, 3])), angle_rad
 
 
 def placed_clouds(clouds: list[LidarCloud], seed: int, given: bool, row: dict[str, Any]) -> list[PosedCloud]:

@@ -33,6 +33,7 @@ import scipy
 from rich.console import Console
 from rich.progress import track
 
+from benchmarks.perception.cramer_rao import azimuth_response, periodogram_range_loss, raw_bound, windowed_bound
 from mirrorwave.plots.style import legend_below, new_figure, save
 from models.evaluation.metrics import dense_counts, match_points, recovered_counts
 from models.perception.detection.detectors import NetworkDetector, Refine
@@ -43,7 +44,6 @@ from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, form_map
 from models.perception.geometry.stage import GeometryParams, fold_scan
 from models.physics.antenna import setup_weights
-from benchmarks.perception.cramer_rao import azimuth_response, periodogram_range_loss, raw_bound, windowed_bound
 from models.physics.waveform import WINDOW_TAPS, tone_profile, window_noise_gain
 from models.training.data.frames import DataSet, Frame, fixed_splits
 from msgs.values.frames import xy_from_polar

@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
@@ -22,15 +23,20 @@ from models.physics.waveform import range_profile, window_noise_gain
 from msgs.values.radar import PRESETS, RadarSetup, amplitude_per_code
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.dataset.labelled_scan import WINDOW, profile_noise
-from sim_player.scene.meshes import cylinder, dihedral, plate, sphere, trihedral
+from sim_player.scene.meshes import Mesh, cylinder, dihedral, plate, sphere, trihedral
 from sim_player.signal.fmcw import beam_codes, noise_bank
-from sim_player.trace.mesh_rcs import mesh_rcs_m2
-from sim_player.trace.ray_tracing import echo_amplitude
+from sim_player.trace.echoes import echo_amplitude
+from sim_player.trace.mesh_rcs import mesh_field
 
 CARRIERS_HZ = (10e9, 77e9)
 FORWARD = np.array([1.0, 0.0, 0.0])
 #: Boltzmann's constant (SI, exact) and the reference temperature, written out: an anchor shares no constant.
 BOLTZMANN, TEMPERATURE_K = 1.380649e-23, 290.0
+
+
+def mesh_rcs_m2(mesh: Mesh, direction: np.ndarray, wavelength_m: float, **options: Any) -> float:
+    """Monostatic RCS [m^2] towards a radar in `direction` [3]; `options` are those of `mesh_field`."""
+    return abs(mesh_field(mesh, direction, wavelength_m, **options)) ** 2
 
 
 @dataclass(frozen=True)

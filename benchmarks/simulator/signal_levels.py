@@ -15,6 +15,7 @@ import os
 import platform
 import time
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 
 import msgspec
@@ -24,16 +25,24 @@ from msgs.values.radar import RadarSetup
 from sim_player.dataset.labelled_scan import clean_profiles
 from sim_player.generate.streets import random_street
 from sim_player.scene.front_end import FrontEnd
+from sim_player.scene.world import prepare
 from sim_player.signal.levels import beam_beats, hann_profiles, kernel_profiles
 from sim_player.signal.literal import literal_profiles
 from sim_player.signal.switches import PLAIN, SignalEffects
-from sim_player.trace.paths import Paths, join
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import trace
 
 FAULTS = FrontEnd(coupling_db=-18.0, coupling_phase_deg=40.0)
 STATIC = SignalEffects(motion=False, mutual_coupling=True, squint=True, chirp_overlap=True)
 #: Effects whose cost is shown one by one, on top of the plain signal.
 SINGLE = ("mutual_coupling", "squint", "chirp_overlap")
+
+
+def join(parts: list[Paths]) -> Paths:
+    """Return all paths of one or more sets, in order."""
+    return Paths(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Paths)}
+    )
 
 
 def scene_paths(least: int, seed: int) -> Paths:

@@ -11,8 +11,9 @@ from msgs.values.perception import PathClass
 from sim_player.effects.names import PATH_EFFECTS, bit
 from sim_player.planner.plan import resolve_plan
 from sim_player.scene.description import Scene
+from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import best_power_mw
 from sim_player.trace.vertices import outbound_vertices
 

@@ -355,11 +355,3 @@ def rounded_pose(pose: np.ndarray) -> np.ndarray:
     out[:3, :3] = Rotation.from_rotvec(np.round(turned, 6)).as_matrix()
     out[:3, 3] = np.round(pose[:3, 3], 6) + 0.0
     return out
-
-
-def pose_error(a_from_b: np.ndarray, a_from_c: np.ndarray) -> tuple[float, float]:
-    """Return distance [m] and angle [rad] between two rigid transforms [4, 4]."""
-    difference = np.linalg.inv(a_from_b) @ a_from_c
-    turned = 0.5 * np.linalg.norm(difference[:3, :3] - difference[:3, :3].T) / math.sqrt(2.0)
-    angle_rad = math.atan2(turned, 0.5 * (np.trace(difference[:3, :3]) - 1.0))
-    return float(np.linalg.norm(difference[:3, 3])), angle_rad

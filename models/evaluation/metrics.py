@@ -6,7 +6,7 @@ Counts are micro over frames and no frame is skipped: an empty prediction counts
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,15 +87,6 @@ def dense_counts(
         matched = len(match_points(predicted, truth, gate_m))
         counts[path_class] = Counts(matched, len(predicted) - matched, len(truth) - matched)
     return counts
-
-
-def macro_f1(frames: Iterable[dict[PathClass, Counts]]) -> float:
-    """Return the mean over the classes of the F1 of their counts summed over frames."""
-    total = {path_class: Counts() for path_class in PathClass}
-    for frame in frames:
-        for path_class in PathClass:
-            total[path_class] += frame[path_class]
-    return sum(counts.f1 for counts in total.values()) / len(total)
 
 
 def recovered_counts(predicted_m: np.ndarray, truth_m: np.ndarray, tau_m: float = 1.0) -> Counts:

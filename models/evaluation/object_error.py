@@ -33,16 +33,6 @@ class ObjectDistances:
     box_m: np.ndarray
 
 
-def face_error_m(report: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
-    """Return the distance [m] of a reported centre to the nearest visible face or the centre of a true object."""
-    return float(object_distances([report], scene, [truth]).error_m[0, 0])
-
-
-def centre_error_m(report: HiddenObject, truth: TruthObject, scene: SceneTruth) -> float:
-    """Return the distance [m] of a reported centre to the centre of a true object."""
-    return float(object_distances([report], scene, [truth]).centre_m[0, 0])
-
-
 def object_distances(
     objects: Sequence[HiddenObject], truth: SceneTruth, true_objects: Sequence[TruthObject]
 ) -> ObjectDistances:

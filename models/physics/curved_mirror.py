@@ -9,7 +9,8 @@ sqrt((l1 + l2)^2 + dz^2) long (l1 and l2 the segments in plan, dz the height bet
 z_p + dz l1 / (l1 + l2). It grows with l1 + l2, so the Fermat points of the plan are those of space.
 
 Stationary phase over wall height and arc gives the field of one bounce, e^{-jkL} / L times a ray factor (`_ray`); the
-divergence it has where Fermat points merge is replaced by the integral along the arc itself, `bounces`. Time convention e^{+jwt}.
+divergence it has where Fermat points merge is replaced by the integral along the arc itself, `bounces`. Time convention
+e^{+jwt}.
 """
 
 from __future__ import annotations
@@ -100,11 +101,6 @@ def arc_normals(
         return normal
     side = np.sum((towards - arc_points(a, b, curvature_per_m, share)) * normal, axis=-1)
     return np.where(side[..., None] < 0.0, -normal, normal)
-
-
-def arc_length_m(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> float:
-    """Return the length of the arc."""
-    return 2.0 * _frame(a, b, curvature_per_m)[2]
 
 
 def bounces(

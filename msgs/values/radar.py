@@ -13,7 +13,6 @@ from msgs.values.units import (
     BOLTZMANN_J_PER_K,
     REFERENCE_TEMPERATURE_K,
     SPEED_OF_LIGHT_MPS,
-    db_from_ratio,
     ns_from_s,
     ratio_from_db,
 )
@@ -114,11 +113,6 @@ class RadarParams(msgspec.Struct, frozen=True, kw_only=True):
         """k T0 f_s F: total receiver noise power over the sampled band, in milliwatt."""
         watt = BOLTZMANN_J_PER_K * REFERENCE_TEMPERATURE_K * self.sample_rate_hz * ratio_from_db(self.noise_figure_db)
         return 1e3 * watt
-
-    @property
-    def noise_power_dbm(self) -> float:
-        """The same in dBm: -74.2 with the defaults."""
-        return db_from_ratio(self.noise_power_mw)
 
 
 class ArrayParams(msgspec.Struct, frozen=True, kw_only=True):

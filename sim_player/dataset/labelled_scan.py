@@ -14,20 +14,19 @@ import msgspec
 import numpy as np
 
 from models.physics.waveform import range_profile, window_noise_gain
-from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import Plan, manual_plan, plan_world
 from sim_player.planner.plan import clean_profiles as planned_echoes
 from sim_player.scene.description import Scene
-from sim_player.scene.world import World
+from sim_player.scene.world import World, prepare
 from sim_player.signal.fmcw import beam_weights
 from sim_player.signal.levels import RANGE_BINS, kernel_objections, noise_profiles
 from sim_player.signal.switches import IDEAL
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import BASIC_EFFECTS, prepare, trace
-from sim_player.trace.truth import best_power_mw, hidden_objects, scene_truth, visible_paths
+from sim_player.trace.ray_tracing import BASIC_EFFECTS, trace
+from sim_player.trace.truth import best_power_mw, hidden_objects, visible_paths
 
 WINDOW = "hann"
 #: The receiver of the basic signal chain: its converter does not round.
@@ -102,29 +101,6 @@ def noise_power_mw(setup: RadarSetup) -> float:
     """Return the mean thermal noise power of one profile bin, mW."""
     radar = setup.radar
     return radar.noise_power_mw * window_noise_gain(WINDOW) / (radar.samples_per_chirp * radar.chirps_per_beam)
-
-
-def simulate_profiles(scene: Scene, seed: int, gain_db: float = 0.0) -> tuple[np.ndarray, float, SceneTruth]:
-    """Return one scan of a scene at rest, basic effects: (profiles complex64 [beams, 512], noise power a bin in mW,
-    truth).
-
-    `gain_db` scales the echoes, not the noise. Raises ValueError for a scene that moves.
-    """
-    profiles, _, truth, _ = scene_profiles(scene, seed, "basic", gain_db=gain_db)
-    return profiles, noise_power_mw(scene.setup), truth
-
-
-def scene_profiles(
-    scene: Scene, seed: int, choice: EffectChoice = "auto", budget_db: float = -20.0, gain_db: float = 0.0
-) -> tuple[np.ndarray, Labels, SceneTruth, Plan | None]:
-    """Return one scan of a scene at rest: (profiles complex64 [beams, 512] with noise, labels, truth, plan if there is
-    one).
-
-    ValueError for a scene that moves, an unknown effect, a budget that is not negative.
-    """
-    made = _Scan(scene, seed, choice, budget_db, gain_db)
-    scan = made.labelled()
-    return scan.profiles, scan.labels, scene_truth(made.world, made.setup, made.paths, 0.0, 0, 0), scan.plan
 
 
 def labelled_scan(

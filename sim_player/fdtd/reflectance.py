@@ -207,18 +207,6 @@ class ReflectanceTable:
         loss_db = self._roughness_db(at, self._angle_deg(cos_theta, self.rough_angle_deg), roughness_m)
         return smooth * 10.0 ** (0.1 * loss_db)
 
-    def reflected_power(
-        self, wall: str, frequency_hz: float, polarisation: Polarisation = "te"
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the power reflected into all directions and the diffuse share of it, [L, B] each; nan where not
-        measured.
-        """
-        at = self._index(wall, frequency_hz, polarisation)
-        present = self.status[at] == MEASURED
-        smooth = self._smooth_power(at, self.rough_angle_deg)
-        reflected = np.where(present, self.reflected_share[at], np.nan)
-        return reflected * smooth, 1.0 - self.specular_share[at] / reflected
-
     def compare(self) -> list[Comparison]:
         """Return the FDTD minus |r_exact|^2 exp(-g^2), one row a wall, band, polarisation and roughness that was
         run.

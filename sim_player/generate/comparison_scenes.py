@@ -24,7 +24,8 @@ from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid
 from sim_player.generate.places import PlaceKind, draw_place
 from sim_player.scene.description import ObjectClass, Point, Scene, SceneObject, SceneRadar, Surface, check_scene
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.scene.world import prepare
+from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import labelled
 
 

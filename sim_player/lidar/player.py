@@ -13,7 +13,8 @@ from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.lidar.spad import DEFAULT, OpticalPaths, SpadOptions, join_paths, optical_paths, spad_histograms
 from sim_player.scene.description import Scene
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.scene.world import prepare
+from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import scene_truth
 
 #: Azimuths for which a scene that moves is frozen together, at the start of the first: 0.24 s with Table 2.

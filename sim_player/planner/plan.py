@@ -29,9 +29,8 @@ from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
 from sim_player.planner.ablation import EffectAblation, signal_effects
 from sim_player.planner.changes import change_bound
-from sim_player.scene.description import Scene
-from sim_player.scene.world import Snapshot, World, prepare, snapshot
-from sim_player.signal.levels import kernel_objections, kernel_profiles, noise_profiles
+from sim_player.scene.world import Snapshot, World, snapshot
+from sim_player.signal.levels import kernel_profiles, noise_profiles
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes
@@ -105,23 +104,6 @@ class Plan:
         return groups or [(paths, self.signal)]
 
 
-def plan_effects(
-    scene: Scene,
-    setup: RadarSetup | None = None,
-    budget_db: float = BUDGET_DB,
-    seed: int = 0,
-    time_s: float = 0.0,
-    thorough: bool = True,
-) -> Plan:
-    """Decide which effects a scene needs so that no RA cell is off by more than the budget.
-
-    `seed` draws the scatterers as `prepare` does. A quick plan (not `thorough`) does not bound effects that are free.
-    Raises ValueError for a budget that is not negative, or a scene that cannot be simulated.
-    """
-    setup = scene.setup if setup is None else setup
-    return plan_world(prepare(scene, seed, setup), setup, budget_db, time_s, thorough)
-
-
 def plan_world(
     world: World,
     setup: RadarSetup,
@@ -184,20 +166,6 @@ def resolve_plan(
     if not names:
         raise ValueError("effects: want auto, all, basic or names with commas between them, got nothing")
     return manual_plan(world, setup, names, time_s)
-
-
-def planned_profiles(
-    plan: Plan, setup: RadarSetup, seed: int = 0, noise: bool = True, precision: str = "float32"
-) -> np.ndarray:
-    """Range profiles of all beams under a plan, kernel level, sqrt(mW); complex [beams, 512].
-
-    Raises ValueError, with the reason, where this level cannot hold the signal (motion, a clipping converter).
-    """
-    front_end = plan.view.world.scene.radar.front_end
-    objections = kernel_objections(setup, plan.paths, plan.signal, front_end)
-    if objections:
-        raise ValueError(objections[0])
-    return noisy_profiles(plan, setup, seed, precision) if noise else clean_profiles(plan, setup, seed, precision)
 
 
 def noisy_profiles(plan: Plan, setup: RadarSetup, seed: int = 0, precision: str = "float32") -> np.ndarray:

@@ -72,11 +72,6 @@ class Mesh:
         """Size of the box along x, y, z, [3]."""
         return np.ptp(self.vertices_m, axis=0)
 
-    @property
-    def volume_m3(self) -> float:
-        """Enclosed volume, positive for outward normals; meaningless unless closed."""
-        return _signed_volume(self.corners_m)
-
 
 def load_mesh(path: Path, unit: Unit = "m", material: str = "metal", up: UpAxis | None = None) -> Mesh:
     """Return a mesh from an OBJ, PLY, STL, GLB or glTF file, in metres, z up, on the ground, centred in plan.
@@ -354,9 +349,3 @@ def _components(count: int, first: np.ndarray, second: np.ndarray) -> tuple[int,
     graph = coo_array((np.ones(len(first), np.int8), (first, second)), shape=(count, count))
     number, label = connected_components(graph, directed=False)
     return int(number), label
-
-
-def _signed_volume(corners: np.ndarray) -> float:
-    """Return the volume enclosed by triangles [F, 3, 3], positive where they are wound outward."""
-    a, b, c = np.moveaxis(corners, 1, 0)
-    return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0)

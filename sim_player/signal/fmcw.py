@@ -19,7 +19,6 @@ from scipy import fft
 from models.physics.antenna import setup_weights, two_way_pattern
 from models.physics.waveform import beat_frequency_hz, beat_phase_rad
 from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
-from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.trace.paths import Paths
 
 #: Gridding kernel: width in grid steps and oversampling. 12 at 2 is exact to about 1e-10 of the strongest tone.
@@ -280,30 +279,3 @@ def _fill_codes(
                 both[2 * n + 1] = min(max(np.rint(j), least), greatest)
             for n in range(2 * size):
                 out[n] = np.int16(np.int32(both[n]))
-
-
-def literal_beats(radar: RadarParams, length_m: np.ndarray, weights: np.ndarray, chirps: int = 1) -> np.ndarray:
-    """Return the reference: transmit Eq. (6), delay, mix with the conjugate; complex128 [chirps, samples], for few
-    samples.
-
-    Written out in time with no closed form: g(t) g*(t - tau) summed over paths with recorded weights conj(W)
-    [paths]. Complex mixing leaves no sum frequency, so the low pass has nothing to remove. Chirps repeat.
-    """
-    time_s = np.arange(radar.samples_per_chirp) / radar.sample_rate_hz
-    transmitted = _chirp(radar, time_s)
-    mixed = np.zeros(radar.samples_per_chirp, np.complex128)
-    for length, weight in zip(length_m, weights, strict=True):
-        mixed += weight * transmitted * np.conj(_chirp(radar, time_s - length / SPEED_OF_LIGHT_MPS))
-    return np.tile(mixed, (chirps, 1))
-
-
-def chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
-    """Return the phase of Eq. (6) in turns, f_c t + S t^2 / 2; to be reduced to a fraction before it becomes an
-    angle.
-    """
-    return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
-
-
-def _chirp(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
-    """Return the Eq. (6): g(t) = exp(j(2 pi f_c t + pi S t^2)), phase reduced before the exponential."""
-    return np.exp(2j * np.pi * (chirp_turns(radar, time_s) % 1.0))

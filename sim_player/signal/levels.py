@@ -278,22 +278,6 @@ def beam_beats(
     return echo_beats(swept_echoes(setup, paths, effects, front_end, beams))
 
 
-def beat_terms(
-    setup: RadarSetup,
-    paths: Paths,
-    effects: SignalEffects = PLAIN,
-    front_end: FrontEnd = NO_FAULTS,
-    beam: int = 0,
-    seed: Sequence[int] = (0,),
-) -> Terms:
-    """Return the noise-free input of the receiver in one beam: sum_r carrier[c] basis[r, c] beats[r].
-
-    Echoes in slow-time terms, leakage and spurs as two more terms each. Returns beats complex128 [terms, samples],
-    carrier complex128 [chirps], basis float64 [terms, chirps]. `seed` names the beam.
-    """
-    return with_electronics(setup, echo_terms(setup, paths, effects, front_end, beam), effects, front_end, seed)
-
-
 def echo_terms(
     setup: RadarSetup,
     paths: Paths,
@@ -333,8 +317,9 @@ def record_beam(
     effects: SignalEffects = PLAIN,
     front_end: FrontEnd = NO_FAULTS,
 ) -> np.ndarray:
-    """Return int16 I/Q codes of one beam from `beat_terms`, [chirps, samples, 2]; the converter always has int16 codes.
+    """Return int16 I/Q codes of one beam, [chirps, samples, 2]; the converter always has int16 codes.
 
+    `terms` are those of `echo_terms` with `with_electronics`.
     Without flicker, I/Q imbalance and a coarser converter these are the codes of `sim_player.signal.fmcw.beam_codes`.
     """
     step = converter_step(front_end) if effects.adc else 1

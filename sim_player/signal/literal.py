@@ -12,10 +12,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from models.physics.antenna import column_response, element_field, row_field
-from msgs.values.radar import RadarSetup
+from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import NO_FAULTS, FrontEnd
-from sim_player.signal.fmcw import chirp_turns
 from sim_player.signal.levels import hann_profiles
 from sim_player.signal.switches import PLAIN, SignalEffects, column_weights, isotropic, sampled, sweep_ratio
 from sim_player.trace.paths import Paths
@@ -54,6 +53,13 @@ def literal_profiles(
     """Return the Hann-windowed range profiles of one chirp of each of some beams, sqrt(mW); complex128 [beams, 512]."""
     samples = [literal_echoes(setup, paths, effects, front_end, int(beam)) for beam in beams]
     return hann_profiles(np.concatenate(samples), setup.radar.samples_per_chirp)
+
+
+def chirp_turns(radar: RadarParams, time_s: np.ndarray) -> np.ndarray:
+    """Return the phase of Eq. (6) in turns, f_c t + S t^2 / 2; to be reduced to a fraction before it becomes an
+    angle.
+    """
+    return radar.carrier_hz * time_s + 0.5 * radar.chirp_slope_hz_per_s * time_s**2
 
 
 def _literal_echo(

@@ -43,10 +43,9 @@ class SignalEffects(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
     spurs: bool = False
 
 
-#: The plain chain, only the phases of echoes at rest, and all effects.
+#: The plain chain, and only the phases of echoes at rest.
 PLAIN = SignalEffects()
 IDEAL = SignalEffects(**dict.fromkeys(SignalEffects.__struct_fields__, False))
-ALL = SignalEffects(**dict.fromkeys(SignalEffects.__struct_fields__, True))
 
 
 def isotropic(setup: RadarSetup) -> RadarSetup:

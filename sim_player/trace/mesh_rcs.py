@@ -103,25 +103,6 @@ def patches(mesh: Mesh, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES
     )
 
 
-def patch_field(
-    pieces: Patches, wavelength_m: float, to_source: np.ndarray, to_receiver: np.ndarray | None = None
-) -> np.ndarray:
-    """Return the coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3]
-    far away.
-
-    Each gives sqrt(4 pi) A cos / lambda times the sinc lobe of its parallelogram, where source and receiver (None: the
-    source) both see its face; cos is the mean of both, so that the two may be exchanged.
-    """
-    to_source = np.atleast_2d(to_source)
-    to_receiver = to_source if to_receiver is None else np.atleast_2d(to_receiver)
-    both = to_source + to_receiver
-    lit = (to_source @ pieces.normal.T > 0.0) & (to_receiver @ pieces.normal.T > 0.0)
-    cosine = np.where(lit, 0.5 * both @ pieces.normal.T, 0.0)
-    lobe = np.sinc(np.einsum("ni,kei->nke", both, pieces.edges_m) / wavelength_m).prod(axis=2)
-    phasor = np.exp(2j * np.pi / wavelength_m * (both @ pieces.centre_m.T))
-    return math.sqrt(4.0 * math.pi) / wavelength_m * ((cosine * lobe * phasor) @ pieces.area_m2)
-
-
 def mesh_centres(
     mesh: Mesh, wavelength_m: float, patch_m: float = PATCH_M, max_patches: int = MAX_PATCHES
 ) -> MeshCentres:
@@ -153,20 +134,6 @@ def mesh_centres(
         weak_centres=len(order) - len(kept),
         kept_share=float(share[len(kept) - 1]),
     )
-
-
-def mesh_rcs_m2(
-    mesh: Mesh,
-    direction: np.ndarray,
-    wavelength_m: float,
-    bounces: int = 3,
-    ray_spacing_m: float | None = None,
-    polarisation: Polarisation = "te",
-) -> float:
-    """Return the monostatic RCS [m^2] towards a radar in `direction` [3], by shooting and bouncing rays:
-    |`mesh_field`|^2.
-    """
-    return abs(mesh_field(mesh, direction, wavelength_m, bounces, ray_spacing_m, polarisation)) ** 2
 
 
 def mesh_field(

@@ -44,10 +44,3 @@ class Paths:
     def take(self, selection: np.ndarray) -> Paths:
         """Return the paths of an index or mask."""
         return Paths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
-
-
-def join(parts: list[Paths]) -> Paths:
-    """Return all paths of one or more sets, in order."""
-    return Paths(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Paths)}
-    )

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import PATHS
-from sim_player.scene.world import Snapshot, World, prepare, radar_pose, snapshot
+from sim_player.scene.world import Snapshot, World, snapshot
 from sim_player.trace.conversion import as_paths
-from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes
+from sim_player.trace.echoes import Echoes, join_echoes
 from sim_player.trace.paths import Paths
 from sim_player.trace.snapshot import TraceContext
-
-__all__ = ["BASIC_EFFECTS", "Paths", "World", "echo_amplitude", "prepare", "radar_pose", "trace", "trace_echoes"]
 
 #: Direct echoes and flat mirrors with all effects of one bounce.
 BASIC_EFFECTS = frozenset(

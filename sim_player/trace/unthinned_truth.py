@@ -15,8 +15,9 @@ from sim_player.dataset.shards import scene_seed
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.planner.plan import manual_plan, plan_world
 from sim_player.scene.description import Scene, scene_from_yaml
+from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import VISIBLE_SNR_DB, best_power_mw, labelled
 
 

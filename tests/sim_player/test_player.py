@@ -14,8 +14,9 @@ from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.dataset.labelled_scan import clean_profiles
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, load_scene
+from sim_player.scene.world import prepare
 from sim_player.signal.fmcw import beam_weights, chirp_beats
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import hidden_objects
 
 FOLDER = CHECKOUT / "launch" / "scenes"

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from models.annotation.registration import import_open3d, planar_cloud, plane_hold, pose_error
+from benchmarks.perception.annotation import pose_error
+from models.annotation.registration import import_open3d, planar_cloud, plane_hold
 from models.annotation.slice_labels import in_sight
 from sim_player.lidar.clouds import LidarParams, Viewpoint, lidar_cloud, rigid
 from sim_player.scene.description import scene_from_yaml
@@ -43,7 +44,7 @@ def test_a_corridor_holds_nothing_along_itself(errors: Errors) -> None:
 
 
 @pytest.mark.hard(
-    where="models.annotation.registration.pose_error",
+    where="benchmarks.perception.annotation.pose_error",
     naive="arc cosine of the trace",
     bound=1e-12,
     unit="rad",

@@ -8,12 +8,11 @@ import mpmath
 import numpy as np
 import pytest
 
+from benchmarks.perception.cramer_rao import _TANGENTS, azimuth_response, windowed_bound
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams
 from models.perception.geometry.observability import VisibilityParams, observability
 from models.physics.antenna import coupling_matrix, one_way_pattern, setup_weights, two_way_pattern
-from benchmarks.perception.cramer_rao import _TANGENTS, azimuth_response, windowed_bound
-from models.physics.waveform import window_covariance
-from models.physics.waveform import tone_profile
+from models.physics.waveform import tone_profile, window_covariance
 from msgs.values.perception import BevGrid, Visibility, Wall
 from msgs.values.radar import ArrayParams, BeamGrid, RadarSetup, RangeAzimuthGrid
 from tests.stability.catalogue import Errors

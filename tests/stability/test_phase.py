@@ -13,10 +13,11 @@ from models.physics.waveform import beat_phase_rad, beat_samples, tone_profile
 from msgs.values.radar import BeamGrid, RadarParams, RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from msgs.values.vehicle import VehicleState
-from sim_player.signal.fmcw import literal_beats, slow_time_terms, sum_tones
+from sim_player.signal.fmcw import slow_time_terms, sum_tones
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.switches import PLAIN
 from sim_player.trace.paths import Paths
+from tests.sim_player.signal.references import literal_beats
 from tests.stability.catalogue import Errors
 
 TURN_RAD = 2.0 * np.pi

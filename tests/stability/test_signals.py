@@ -19,11 +19,12 @@ from msgs.values.radar import BeamGrid, RadarBeam, RadarParams, RadarSetup, Rang
 from msgs.values.vehicle import VehicleState
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import noise_bank
-from sim_player.signal.levels import beam_beats, beat_terms, kernel_profiles, record_beam
+from sim_player.signal.levels import beam_beats, kernel_profiles, record_beam
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.receiver import convert, flicker_ratio, spur_profile
-from sim_player.signal.switches import ALL, SignalEffects
+from sim_player.signal.switches import SignalEffects
 from sim_player.trace.paths import Paths
+from tests.sim_player.signal.references import ALL, beat_terms
 from tests.stability.catalogue import Errors
 
 

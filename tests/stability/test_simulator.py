@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 from sim_player.effects.table import ALL_EFFECTS
-from sim_player.planner.plan import plan_effects, planned_profiles
+from sim_player.planner.plan import noisy_profiles
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.ray_tracing import trace
+from tests.sim_player.planner.plans import plan_effects
 
 GROUND = Surface(role="ground", material="asphalt")
 CAR = SceneObject(class_="car", x_m=12.0, y_m=3.0)
@@ -85,7 +87,7 @@ def test_every_case_can_be_planned_and_simulated(name: str) -> None:
             plan_effects(asked)
         return
     plan = plan_effects(asked)
-    assert np.isfinite(planned_profiles(plan, asked.setup)).all()
+    assert np.isfinite(noisy_profiles(plan, asked.setup)).all()
     assert plan.spent_db is None or plan.spent_db <= -20.0
 
 

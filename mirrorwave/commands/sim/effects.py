@@ -40,7 +40,8 @@ def effects(
     from sim_player.lidar.spad import plan_optics
     from sim_player.planner.plan import manual_plan, plan_world, resolve_plan
     from sim_player.scene.description import load_scene
-    from sim_player.trace.ray_tracing import BASIC_EFFECTS, prepare
+    from sim_player.scene.world import prepare
+    from sim_player.trace.ray_tracing import BASIC_EFFECTS
 
     loaded = load_scene(scene)
     world = prepare(loaded, seed)

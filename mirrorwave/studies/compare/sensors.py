@@ -39,7 +39,8 @@ from sim_player.generate.comparison_scenes import MirrorPath, with_sensor
 from sim_player.lidar.player import LidarPlayer
 from sim_player.lidar.spad import SpadOptions
 from sim_player.scene.description import PRESETS, Scene
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.scene.world import prepare
+from sim_player.trace.ray_tracing import trace
 
 #: Probability that noise alone passes the threshold of a cell: one false alarm in eight maps of 131 072 cells.
 FALSE_ALARM = 1e-6

@@ -152,15 +152,6 @@ def _principal_axis(points_m: np.ndarray, weights: np.ndarray) -> tuple[float, f
     return cx, cy, 0.5 * math.atan2(2.0 * product, difference)
 
 
-def line_gain(
-    points_m: np.ndarray, covariance_m2: np.ndarray, normals: np.ndarray, offsets_m: np.ndarray
-) -> np.ndarray:
-    """Return what each point [N] adds to each line's [H] score (`residual_gain`), zero for outliers; float64 [H, N]."""
-    points_m, covariance_m2 = np.array(points_m, np.float64), np.array(covariance_m2, np.float64)
-    rows = [gains(points_m, covariance_m2, nx, ny, d) for (nx, ny), d in zip(normals, offsets_m, strict=True)]
-    return np.array(rows).reshape(len(offsets_m), len(points_m))
-
-
 def fit_line(
     points_m: np.ndarray, covariance_m2: np.ndarray, rounds: int = 3
 ) -> tuple[np.ndarray, float, float, float]:

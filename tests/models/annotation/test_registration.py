@@ -10,6 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.perception.annotation import pose_error
 from models.annotation.registration import (
     PosedCloud,
     RegistrationParams,
@@ -17,7 +18,6 @@ from models.annotation.registration import (
     looked_through,
     moved,
     plane_hold,
-    pose_error,
     register,
     rounded_pose,
 )

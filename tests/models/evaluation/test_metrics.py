@@ -10,7 +10,6 @@ from models.evaluation.metrics import (
     Counts,
     chamfer,
     dense_counts,
-    macro_f1,
     match_objects,
     match_points,
     recovered_counts,
@@ -47,20 +46,16 @@ def test_matching_equals_trying_everything(seed):
     assert -distance[pairs[:, 0], pairs[:, 1]].sum() == pytest.approx(best[1])
 
 
-def test_dense_counts_keep_classes_apart_and_macro_is_their_mean():
+def test_dense_counts_keep_classes_apart():
     predicted = np.array([[10.0, 0.0], [10.5, 0.0], [20.0, 0.0]])
     truth = np.array([[10.0, 0.5], [20.0, 0.5]])
     counts = dense_counts(predicted, np.array([0, 0, 0]), truth, np.array([0, 1]))
     assert counts == {PathClass.LOS: Counts(1, 2, 0), PathClass.MIRRORED: Counts(0, 0, 1)}
-    assert macro_f1([counts]) == pytest.approx((0.5 + 0.0) / 2.0)
 
 
 def test_an_empty_prediction_counts_its_misses():
     counts = dense_counts(NONE, np.zeros(0, int), np.array([[1.0, 0.0]]), np.array([1]))
-    full = dense_counts(np.array([[1.0, 0.0]]), np.array([1]), np.array([[1.0, 0.0]]), np.array([1]))
     assert counts[PathClass.MIRRORED] == Counts(0, 0, 1)
-    # micro: 1 of 2 found over the two frames, F1 = 2 / 3; nothing to do for LOS
-    assert macro_f1([counts, full]) == pytest.approx((1.0 + 2.0 / 3.0) / 2.0)
     assert recovered_counts(NONE, np.array([[1.0, 0.0]])) == Counts(0, 0, 1)
 
 

@@ -6,13 +6,21 @@ import numpy as np
 import pytest
 
 from models.evaluation.metrics import match_objects
-from models.evaluation.object_error import centre_error_m, face_error_m
+from models.evaluation.object_error import object_distances
 from msgs.values.perception import HiddenObject, SceneTruth, TruthObject
 
 #: A car of 4 m by 2 m along x, its centre at (10, 5), that drives at 2 m/s along y.
 CAR = TruthObject(
     id=3, object_class="car", x_m=10.0, y_m=5.0, length_m=4.0, width_m=2.0, yaw_rad=0.0, velocity_y_mps=2.0, hidden=True
 )
+
+
+def face_error_m(report: HiddenObject, truth: TruthObject, seen: SceneTruth) -> float:
+    return float(object_distances([report], seen, [truth]).error_m[0, 0])
+
+
+def centre_error_m(report: HiddenObject, truth: TruthObject, seen: SceneTruth) -> float:
+    return float(object_distances([report], seen, [truth]).centre_m[0, 0])
 
 
 def scene(*points_m: tuple[float, float]) -> SceneTruth:

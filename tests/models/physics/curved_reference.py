@@ -9,6 +9,11 @@ import numpy as np
 from models.physics.curved_mirror import _LONGEST, CurvedBounces, _frame, _local, _search, bounces
 
 
+def arc_length_m(a: np.ndarray, b: np.ndarray, curvature_per_m: float) -> float:
+    """Return the length of the arc."""
+    return 2.0 * _frame(a, b, curvature_per_m)[2]
+
+
 def arc_crosses(
     origin: np.ndarray,
     targets: np.ndarray,

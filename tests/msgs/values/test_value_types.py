@@ -38,7 +38,7 @@ def test_table_1_numbers() -> None:
     assert radar.chirps_per_beam * radar.samples_per_chirp == 2**20
     assert radar.beam_duration_s == pytest.approx(0.70e-3, rel=2e-3)
     assert radar.wavelength_m / (2 * radar.beam_duration_s) == pytest.approx(21.4, abs=0.1)
-    assert radar.noise_power_dbm == pytest.approx(-74.2, abs=0.05)
+    assert db_from_ratio(radar.noise_power_mw) == pytest.approx(-74.2, abs=0.05)
     assert math.degrees(0.886 * radar.wavelength_m / (8 * radar.wavelength_m / 2)) == pytest.approx(12.7, abs=0.05)
 
 

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from models.evaluation.object_error import centre_error_m, face_error_m
+from models.evaluation.object_error import object_distances
 from msgs.values.lidar import LidarSetup
 from msgs.values.perception import BevFrame, BevGrid, HiddenObject, Peaks, Track
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
@@ -184,7 +184,8 @@ def test_the_hidden_car_stands_within_a_metre_of_the_truth(
     outline = min(-along, -across) if max(along, across) < 0 else math.hypot(max(along, 0), max(across, 0))
     assert min(outline, math.hypot(dx, dy)) < 1.0
     assert page.locator("#objects tbody tr").count() == 1
-    errors_m = face_error_m(seen, car, corner[3]), centre_error_m(seen, car, corner[3])
+    distances = object_distances([seen], corner[3], [car])
+    errors_m = distances.error_m[0, 0], distances.centre_m[0, 0]
     assert page.locator("#objects tbody td").nth(4).inner_text() == "car"
     assert page.locator("#objects tbody td").nth(5).inner_text() == f"{errors_m[0]:.1f}, {errors_m[1]:.1f} m"
     assert "car" in page.locator("#objects tbody tr").inner_text()

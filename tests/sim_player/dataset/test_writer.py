@@ -30,8 +30,6 @@ from sim_player.dataset.labelled_scan import (
     labelled_scan,
     noise_power_mw,
     profile_noise,
-    scene_profiles,
-    simulate_profiles,
 )
 from sim_player.dataset.shards import Recipe, ShardDone, read_shard
 from sim_player.dataset.statistics import dataset_statistics, histogram, read_records
@@ -40,9 +38,10 @@ from sim_player.effects.names import bit
 from sim_player.generate.places import draw_place, random_place
 from sim_player.generate.streets import random_street
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface, scene_from_yaml
+from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import prepare, trace
-from sim_player.trace.truth import labelled
+from sim_player.trace.ray_tracing import trace
+from sim_player.trace.truth import labelled, scene_truth
 
 ROOT = CHECKOUT
 #: Cheap scenes in small shards.
@@ -94,36 +93,37 @@ def test_noise_power_and_correlation_are_the_windows() -> None:
 
 def test_profiles_are_echoes_plus_noise() -> None:
     scene = random_street(5, 1)
-    profiles, noise_mw, truth = simulate_profiles(scene, 9, gain_db=2.0)
+    scan = labelled_scan(scene, 9, "basic", gain_db=2.0)
+    profiles = scan.profiles
     assert profiles.dtype == np.complex64
     assert profiles.shape == (25, 512)
     paths = trace(prepare(scene, 9))
     rest = profiles - 10.0**0.1 * clean_profiles(scene.setup, paths)
     # 12 800 correlated bins: 2 % rms
-    assert np.mean(np.abs(rest) ** 2) == pytest.approx(noise_mw, rel=0.08, abs=0.0)
-    assert len(truth.objects) == len(scene.objects)
+    assert np.mean(np.abs(rest) ** 2) == pytest.approx(scan.noise_power_mw, rel=0.08, abs=0.0)
 
 
 def test_moving_scenes_are_refused() -> None:
     scene = msgspec.structs.replace(random_street(5, 1), ego=Ego(speed_mps=1.0))
     with pytest.raises(ValueError, match="must be at rest for the kernel level"):
-        simulate_profiles(scene, 0)
+        labelled_scan(scene, 0)
 
 
 def test_choices_of_effects_make_the_signal() -> None:
     """Planned under -20 dB: near the whole in the mean over cells. By name: no more than was asked for."""
     scene = random_place(3, 1)
-    whole = scene_profiles(scene, 4, "all")[0]
-    planned, labels, truth, plan = scene_profiles(scene, 4, "auto", budget_db=-20.0)
-    assert plan is not None
-    assert np.linalg.norm(planned - whole) < 0.1 * np.linalg.norm(whole)
-    assert int((labels.path_class == PathClass.MIRRORED).sum()) == len(truth.mirrored_points_m)
+    whole = labelled_scan(scene, 4, "all").profiles
+    planned = labelled_scan(scene, 4, "auto", budget_db=-20.0)
+    assert planned.plan is not None
+    assert np.linalg.norm(planned.profiles - whole) < 0.1 * np.linalg.norm(whole)
+    truth = scene_truth(prepare(scene, 4, scene.setup), scene.setup, planned.plan.paths, 0.0, 0, 0)
+    assert int((planned.labels.path_class == PathClass.MIRRORED).sum()) == len(truth.mirrored_points_m)
     names = frozenset({"thermal_noise", "los_objects"})
-    few, labels, _, plan = scene_profiles(scene, 4, names)
-    assert plan is not None
-    assert plan.used <= names
-    assert (labels.object_index >= 0).all()
-    assert np.linalg.norm(few - whole) > 0.5 * np.linalg.norm(whole)
+    few = labelled_scan(scene, 4, names)
+    assert few.plan is not None
+    assert few.plan.used <= names
+    assert (few.labels.object_index >= 0).all()
+    assert np.linalg.norm(few.profiles - whole) > 0.5 * np.linalg.norm(whole)
 
 
 def test_gain_is_the_transmitters_power() -> None:

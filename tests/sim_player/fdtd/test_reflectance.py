@@ -99,9 +99,11 @@ def test_a_rough_front_on_a_thin_board_leaves_the_formula(table: ReflectanceTabl
 
 def test_what_is_scattered_is_not_lost(table: ReflectanceTable) -> None:
     """Rough metal reflects all of it at every angle, and the diffuse share is what the mirror lacks (0.08 of 1)."""
-    reflected, diffuse = table.reflected_power("metal", 10e9)
-    np.testing.assert_allclose(reflected, 1.0, atol=0.01)
+    at = (list(table.walls).index("metal"), list(table.bands_hz).index(10e9), 0)
     cosine = np.cos(np.radians(table.rough_angle_deg))
+    reflected, smooth = table.reflected_share[at], table.specular_gain("metal", 10e9, cosine, 0.0)
+    diffuse = 1.0 - table.specular_share[at] / reflected
+    np.testing.assert_allclose(reflected * smooth, 1.0, atol=0.01)
     left = coherent_power(table.roughness_m[0][:, None], cosine, SPEED_OF_LIGHT_MPS / 10e9)
     np.testing.assert_allclose(diffuse, 1.0 - left, atol=0.08)
 

@@ -19,15 +19,15 @@ from sim_player.lidar.spad import (
     LightRoute,
     OpticalPaths,
     SpadOptions,
-    expected_histograms,
     join_paths,
-    label_paths,
     optical_paths,
     plan_optics,
     spad_histograms,
 )
 from sim_player.scene.description import Scene, SceneObject, SceneRadar, Surface
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.scene.world import prepare
+from sim_player.trace.ray_tracing import trace
+from tests.sim_player.lidar.references import expected_histograms, label_paths
 
 #: Azimuths -60, 0, 60 deg: the middle one looks straight ahead.
 AHEAD = RangeAzimuthGrid(azimuth_bins=3)

@@ -11,10 +11,12 @@ from sim_player.effects.table import ALL_EFFECTS
 from sim_player.generate.places import random_place
 from sim_player.planner.bounds import Envelope, _overlap_kernel, swept_pattern
 from sim_player.scene.front_end import NO_FAULTS
+from sim_player.scene.world import prepare
 from sim_player.signal.levels import kernel_profiles
-from sim_player.signal.switches import ALL, IDEAL, PLAIN
+from sim_player.signal.switches import IDEAL, PLAIN
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.ray_tracing import trace
+from tests.sim_player.signal.references import ALL
 
 SETUP = RadarSetup()
 STATIC = msgspec.structs.replace(

@@ -16,15 +16,15 @@ from sim_player.planner.plan import (
     Plan,
     clean_profiles,
     manual_plan,
-    plan_effects,
+    noisy_profiles,
     plan_world,
-    planned_profiles,
     resolve_plan,
 )
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
-from sim_player.signal.levels import noise_density_mw, noise_profiles
+from sim_player.signal.levels import kernel_objections, noise_density_mw, noise_profiles
+from tests.sim_player.planner.plans import plan_effects
 
 WALL = Surface(
     role="relay", material="concrete", polyline_m=((20.0, -10.0), (20.0, 15.0)), height_m=6.0, thickness_mm=300
@@ -160,7 +160,7 @@ def test_an_empty_view_is_noise_not_an_error() -> None:
     """A car behind the radar returns nothing: the plan holds no path and the map is noise."""
     asked = scene(SceneObject(class_="car", x_m=-30.0, y_m=0.0))
     plan = plan_effects(asked)
-    profiles = planned_profiles(plan, asked.setup, seed=1)
+    profiles = noisy_profiles(plan, asked.setup, seed=1)
     assert profiles.shape == (25, 512)
     rms = np.sqrt(np.mean(np.abs(profiles) ** 2))
     density = noise_density_mw(asked.setup, np.arange(512), plan.signal)
@@ -203,5 +203,5 @@ def test_budgets_are_negative(bad: float) -> None:
 def test_motion_is_refused_at_the_kernel_level() -> None:
     moving = SceneObject(class_="car", x_m=12.0, y_m=0.0, speed_mps=5.0)
     asked = scene(moving)
-    with pytest.raises(ValueError, match="use the beat level"):
-        planned_profiles(plan_effects(asked), asked.setup)
+    plan = plan_effects(asked)
+    assert "use the beat level" in kernel_objections(asked.setup, plan.paths, plan.signal)[0]

@@ -20,9 +20,10 @@ from models.physics.waveform import window_noise_gain
 from msgs.values.radar import PRESETS, RangeAzimuthMap
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar
+from sim_player.scene.world import prepare
 from sim_player.trace.echoes import echo_amplitude
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.ray_tracing import trace
 
 FULL = PRESETS["77ghz"]
 RADAR = msgspec.structs.replace(FULL.radar, chirps_per_beam=8, samples_per_chirp=2048, sample_rate_hz=375e6)

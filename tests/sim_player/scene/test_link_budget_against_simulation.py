@@ -19,8 +19,9 @@ from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.dataset.labelled_scan import clean_profiles, noise_power_mw, profile_noise
 from sim_player.scene.description import PRESETS, Scene, SceneObject, SceneRadar, Surface
+from sim_player.scene.world import prepare
 from sim_player.trace.paths import Paths
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.trace.ray_tracing import trace
 
 EDGE_M = 0.05
 GRID = RangeAzimuthGrid()

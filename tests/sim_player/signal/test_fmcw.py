@@ -12,11 +12,11 @@ from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.signal.fmcw import (
     beam_codes,
     chirp_beats,
-    literal_beats,
     noise_bank,
     slow_time_terms,
     sum_tones,
 )
+from tests.sim_player.signal.references import literal_beats
 
 RADAR = RadarParams()
 

@@ -17,7 +17,6 @@ from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.signal.fmcw import beam_codes, beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import (
     beam_beats,
-    beat_terms,
     echo_profiles,
     kernel_objections,
     kernel_profiles,
@@ -27,8 +26,9 @@ from sim_player.signal.levels import (
 )
 from sim_player.signal.literal import literal_echoes
 from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_instants, squint_swing_rad, swept_echoes
-from sim_player.signal.switches import ALL, IDEAL, PLAIN, SignalEffects, sweep_ratio
+from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects, sweep_ratio
 from sim_player.trace.paths import Paths
+from tests.sim_player.signal.references import ALL, beat_terms
 
 FAULTS = FrontEnd(coupling_db=-18.0, coupling_phase_deg=40.0, iq_gain_db=0.5, iq_phase_deg=3.0)
 STATIC = SignalEffects(mutual_coupling=True, squint=True, chirp_overlap=True)

@@ -9,14 +9,34 @@ import numpy as np
 import pytest
 
 from benchmarks.simulator import physics_anchors as anchors
+from benchmarks.simulator.physics_anchors import mesh_rcs_m2
 from models.physics.fresnel import half_space_reflection
 from models.physics.materials import permittivity
 from sim_player.scene.meshes import Mesh, box, cylinder, dihedral, mesh_from_arrays, plate, sphere, trihedral
 from sim_player.trace import mesh_rcs
-from sim_player.trace.mesh_rcs import mesh_centres, mesh_field, mesh_rcs_m2, patch_field, patches
+from sim_player.trace.mesh_rcs import Patches, mesh_centres, mesh_field, patches
 
 XBAND_M, WBAND_M = (299_792_458.0 / carrier_hz for carrier_hz in anchors.CARRIERS_HZ)
 X = np.array([1.0, 0.0, 0.0])
+
+
+def patch_field(
+    pieces: Patches, wavelength_m: float, to_source: np.ndarray, to_receiver: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the coherent sum of patches of perfect conductor, square root of RCS, complex128 [N]; unit vectors [N, 3]
+    far away.
+
+    Each gives sqrt(4 pi) A cos / lambda times the sinc lobe of its parallelogram, where source and receiver (None: the
+    source) both see its face; cos is the mean of both, so that the two may be exchanged.
+    """
+    to_source = np.atleast_2d(to_source)
+    to_receiver = to_source if to_receiver is None else np.atleast_2d(to_receiver)
+    both = to_source + to_receiver
+    lit = (to_source @ pieces.normal.T > 0.0) & (to_receiver @ pieces.normal.T > 0.0)
+    cosine = np.where(lit, 0.5 * both @ pieces.normal.T, 0.0)
+    lobe = np.sinc(np.einsum("ni,kei->nke", both, pieces.edges_m) / wavelength_m).prod(axis=2)
+    phasor = np.exp(2j * np.pi / wavelength_m * (both @ pieces.centre_m.T))
+    return math.sqrt(4.0 * math.pi) / wavelength_m * ((cosine * lobe * phasor) @ pieces.area_m2)
 
 
 def db(ratio: float) -> float:

@@ -18,9 +18,11 @@ from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.effects.names import PATH_EFFECTS, bit
 from sim_player.effects.table import ALL_EFFECTS
 from sim_player.scene.description import Ego, Scene, SceneObject, SceneRadar, Surface, Weather
+from sim_player.scene.world import prepare, snapshot
 from sim_player.trace.conversion import weights
-from sim_player.trace.echoes import Echoes
-from sim_player.trace.ray_tracing import Paths, echo_amplitude, prepare, snapshot, trace, trace_each
+from sim_player.trace.echoes import Echoes, echo_amplitude
+from sim_player.trace.paths import Paths
+from sim_player.trace.ray_tracing import trace, trace_each
 
 RADAR = RadarParams()
 

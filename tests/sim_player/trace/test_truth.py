@@ -12,7 +12,8 @@ from msgs.values.perception import PathClass
 from msgs.values.radar import RangeAzimuthGrid
 from sim_player.player import ScenePlayer
 from sim_player.scene.description import Ego, Scene, SceneObject, Surface
-from sim_player.trace.ray_tracing import prepare, trace
+from sim_player.scene.world import prepare
+from sim_player.trace.ray_tracing import trace
 from sim_player.trace.truth import SEPARATION_CELLS, best_power_mw, hidden_objects, object_images, thin, visible_paths
 
 RELAY = Surface(role="relay", material="concrete", polyline_m=((22.0, -9.0), (22.0, 14.0)), height_m=6.0)

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
+from benchmarks.perception.annotation import pose_error
 from mirrorwave.annotate.clouds import read_cloud
 from mirrorwave.annotate.manifest import Pose, load_manifest
 from mirrorwave.cli import main
-from models.annotation.registration import pose_error
 from models.training.data.frames import DataSet
 
 SCENE = "launch/scenes/facade_across_lane.yaml"

@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.perception.cramer_rao import azimuth_response, raw_bound
 from models.perception.detection.peaks import PeakParams, peaks_at
 from models.perception.detection.refinement import EchoRefiner, RefinementParams, refined_peaks
 from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, form_map
-from benchmarks.perception.cramer_rao import azimuth_response, raw_bound
 from models.physics.waveform import WINDOW_TAPS, tone_profile
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 

@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 import pytest
 
+from benchmarks.perception.cramer_rao import azimuth_response
 from models.perception.detection.refinement import EchoRefiner
 from models.perception.forming.coarray import AzimuthInterpolator, beam_matrix, ideal_beams, peak_field
 from models.perception.forming.ra_forming import BeamFolder, FormingParams, ScanProfiles, form_map
 from models.physics.antenna import element_field, one_way_pattern, row_field, setup_weights, two_way_pattern
-from benchmarks.perception.cramer_rao import azimuth_response
 from models.physics.waveform import tone_profile
 from msgs.values.radar import ArrayParams, RadarParams, RadarSetup, RangeAzimuthGrid
 

@@ -8,7 +8,7 @@ import pytest
 
 from models.perception.forming.noise_floor import NoiseFloor, NoiseMeter
 from msgs.values.radar import RadarBeam, RadarParams, RadarSetup
-from msgs.values.units import ratio_from_db
+from msgs.values.units import db_from_ratio, ratio_from_db
 
 RADAR = RadarParams(chirps_per_beam=32, samples_per_chirp=1024, noise_figure_db=11.0)
 SETUP = RadarSetup(radar=RADAR)
@@ -54,8 +54,8 @@ def test_white_noise_gives_its_figure() -> None:
     """k T0 f_s F at 11 dB is -71.2 dBm; tolerance 0.05 dB: 0.01 of 0.8 M samples, the rest of the fit's corner."""
     floor = measured()
     assert floor.noise_figure_db == pytest.approx(11.0, abs=0.05)
-    assert floor.power_dbm == pytest.approx(RADAR.noise_power_dbm, abs=0.05)
-    assert floor.bin_dbm == pytest.approx(RADAR.noise_power_dbm + 10.0 * np.log10(1.5 / COUNT), abs=0.05)
+    assert floor.power_dbm == pytest.approx(db_from_ratio(RADAR.noise_power_mw), abs=0.05)
+    assert floor.bin_dbm == pytest.approx(db_from_ratio(RADAR.noise_power_mw) + 10.0 * np.log10(1.5 / COUNT), abs=0.05)
     assert floor.flicker_corner_hz == 0.0
     assert floor.spurs == ()
     assert floor.beam_spread_db < 0.3

@@ -5,7 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.geometry.lines import SCATTER_WIDTH_M, LineFit, claimed, fit_line, line_gain
+from models.perception.geometry.lines import SCATTER_WIDTH_M, LineFit, claimed, fit_line, gains
+
+
+def line_gain(
+    points_m: np.ndarray, covariance_m2: np.ndarray, normals: np.ndarray, offsets_m: np.ndarray
+) -> np.ndarray:
+    """Return what each point [N] adds to each line's [H] score (`residual_gain`), zero for outliers; float64 [H, N]."""
+    points_m, covariance_m2 = np.array(points_m, np.float64), np.array(covariance_m2, np.float64)
+    rows = [gains(points_m, covariance_m2, nx, ny, d) for (nx, ny), d in zip(normals, offsets_m, strict=True)]
+    return np.array(rows).reshape(len(offsets_m), len(points_m))
 
 
 def cloud(seed: int, count: int) -> tuple[np.ndarray, np.ndarray]:

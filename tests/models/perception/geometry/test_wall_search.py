@@ -5,8 +5,9 @@ import math
 import numpy as np
 import pytest
 
-from models.perception.geometry.lines import fit_line, line_gain
+from models.perception.geometry.lines import fit_line
 from models.perception.geometry.wall_search import FINALISTS, Limits, best_segment, left_over, next_on_line, supported
+from tests.models.perception.geometry.test_lines import line_gain
 
 LIMITS = Limits(4, 6.5, 2.5, math.radians(6.0), 0.5, 9.0)
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from msgs.values.frames import Pose2
-from sim_player.drive import DrivePlayer
-from sim_player.generate.placement import Walls
-from sim_player.generate.side_streets import (
+from benchmarks.accuracy.side_street_scenes import (
     CROSSING,
     LAYOUTS,
     MANNERS,
@@ -19,6 +16,9 @@ from sim_player.generate.side_streets import (
     direct_sight,
     random_side_street,
 )
+from msgs.values.frames import Pose2
+from sim_player.drive import DrivePlayer
+from sim_player.generate.placement import Walls
 from sim_player.scene.description import check_scene, scene_to_yaml
 
 COUNT = 24
