@@ -1,4 +1,4 @@
-"""What the shell offers on Tab: topics, nodes of a running graph, profiles, launch files, scenes, materials.
+"""Shell completion (Tab): topics, nodes of a running graph, profiles, launch files, scenes, materials.
 
 Each function gets the word so far and gives what begins with it, from file names and tables alone: no bus is opened.
 """

@@ -1,4 +1,4 @@
-"""What all verbs share: exit codes, the shared options, tables for people, JSON for machines."""
+"""Shared parts of all verbs: exit codes, common options, tables for people, JSON for machines."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def print_table(columns: Sequence[str], rows: Iterable[Sequence[object]]) -> Non
 
 
 def print_picture(picture: RenderableType) -> None:
-    """What rich can draw, on stdout."""
+    """Print anything that rich can draw, on stdout."""
     with _printing():
         stdout_console().print(picture)
 

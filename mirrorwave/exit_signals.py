@@ -49,7 +49,7 @@ def hear_endings() -> None:
 
 
 def was_interrupted() -> bool:
-    """Whether a signal to end has interrupted the process: a library may have made any error of it."""
+    """Return whether a signal to end has interrupted the process: a library may have made any error of it."""
     return _heard is not None
 
 
@@ -68,7 +68,7 @@ def ended_by_signal(arguments: Sequence[str] | None = None) -> int:
 
 
 def runs_until_stopped(arguments: Sequence[str]) -> bool:
-    """Whether a command line is that of a verb that runs until it is told to end."""
+    """Return whether a command line is that of a verb that runs until it is stopped."""
     return any(
         tuple(arguments[: len(verb)]) == verb and not ends & set(arguments) for verb, ends in _UNTIL_STOPPED.items()
     )

@@ -58,7 +58,7 @@ class NodeParams:
 
 @dataclass(frozen=True)
 class SharedParts:
-    """What chains of the same parameters and the same radar share: networks and fitted models are loaded once."""
+    """Parts that chains of the same parameters and the same radar share: networks and fitted models are loaded once."""
 
     params: NodeParams
     setup: RadarSetup

@@ -146,7 +146,7 @@ def require_own_results(out: Path) -> None:
 
 
 def _is_ours(path: Path, keys: set[str]) -> bool:
-    """Whether a file's first line is one of a run's; one without a line is nobody's loss."""
+    """Return whether a file's first line is one of a run's; an empty file counts as one."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -179,7 +179,7 @@ class _LineFile:
 
 
 def _loss_of(capture: Path) -> str | None:
-    """What is missing or damaged in a recording; a SigMF capture is refused unless it is whole."""
+    """Describe what is missing or damaged in a recording; a SigMF capture is refused unless it is whole."""
     if capture.suffix != ".mcap":
         return None
     with RecordingReader(capture) as reader:

@@ -1,4 +1,4 @@
-"""Whether a file holds raw data that the graph can begin with, and if not, what it holds and which verb takes it."""
+"""Check that a file holds raw data for the start of the graph; if not, name its content and the verb that takes it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _require_capture_name(path: Path) -> None:
 
 
 def _use_of(recording: Path, held: Iterable[str]) -> str:
-    """What a recording without raw data holds, and what can be done with it."""
+    """Describe the content of a recording without raw data, and its use."""
     content = ", ".join(sorted(held)) or "nothing"
     use = f": `mirrorwave view {recording}` shows it" if "perception/hidden_objects" in held else ""
     return f"it holds {content}{use}. Raw data are recorded with --raw"

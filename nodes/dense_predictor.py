@@ -32,7 +32,7 @@ MAX_THREADS = 256
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Which detector, and its parameters."""
+    """Choice of the detector, and its parameters."""
 
     method: Literal["network", "cfar"] = "network"
     #: An exported network (FILE.onnx) with its card beside it, or the name of a committed one; None: the default.

@@ -101,7 +101,7 @@ def view_stage(params: Params, timed: Timed = nullcontext) -> ViewStage:
 
 
 def parts_of(params: Params) -> tuple[GeometryParams, Residual | None, Confidence | None]:
-    """What the stage needs beside the peaks; raises `ValueError` naming a file that is missing or broken."""
+    """Return the parts of the stage beside the peaks; raises `ValueError` naming a file that is missing or broken."""
     residual = None if params.residual == "none" else _learned_residual(Path(params.residual))
     fitted = tuple(load_confidence(path) for path in confidence_paths(params.confidence))
     if params.confidence == "auto":

@@ -44,7 +44,7 @@ BURST = 8
 
 
 class Params(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What to play and how fast; exactly one of `scene` and `capture`."""
+    """Source to play and its speed; exactly one of `scene` and `capture`."""
 
     scene: str | None = None
     capture: str | None = None
@@ -108,7 +108,7 @@ class Player(Node):
         return self._ended
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When the next message is to go out, or when to end."""
+        """Return when the next message is to be sent, or when to end."""
         if self._next is None:
             return self._end_ns or now_ns
         if self._start_ns is None:
@@ -129,7 +129,7 @@ class Player(Node):
         return out
 
     def _open(self, now_ns: int) -> list[Outgoing]:
-        """What must be known before the first beam goes out at once, the rest after settling.
+        """Return what must be known before the first beam, to be sent at once; the rest follows after settling.
 
         A car may have been heard long before its radar: what queues would not hold goes at its time.
         """
@@ -169,7 +169,7 @@ def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
 
 
 def scene_events(player: ScenePlayer | LidarPlayer, scans: int | None) -> Iterator[Event]:
-    """What the sensor of a scene says, vehicle states and truth, scan after scan, stamped from zero."""
+    """Return what the sensor of a scene sends, vehicle states and truth, scan after scan, stamped from zero."""
     return _lidar_events(player, scans) if _is_lidar(player) else _radar_events(player, scans)
 
 
@@ -213,17 +213,17 @@ def _radar_events(player: ScenePlayer, scans: int | None) -> Iterator[Event]:
 
 
 def _wait_ns(setup: RadarSetup, beam: RadarBeam) -> int:
-    """How long a beam is held back: queues would not take those of one time at once, over half of the scan they do."""
+    """Return how long to delay a beam: queues cannot take those of one time at once, but over half of the scan."""
     return beam.beam_index * setup.beam_share_ns // 2 if setup.array.digital else 0
 
 
 def capture_events(path: Path) -> Iterator[Event]:
-    """What the sensors said in a capture, SigMF or MCAP by its name."""
+    """Return the messages of a capture, SigMF or MCAP by its name."""
     return _recording_events(path) if path.suffix == ".mcap" else _sigmf_events(path)
 
 
 def truth_beside(capture: Path) -> Path:
-    """Where the truth of a SigMF capture stands: NAME.truth.mcap beside NAME.sigmf-meta."""
+    """Return the path of the truth of a SigMF capture: NAME.truth.mcap beside NAME.sigmf-meta."""
     return capture.with_name(capture.name.split(".sigmf")[0] + ".truth.mcap")
 
 
@@ -354,7 +354,7 @@ def _require_for_lidar(params: Params) -> None:
 
 
 def events_of(params: Params) -> Iterator[Event]:
-    """What is to be played, scene or capture; its first message is read or made here.
+    """Return the messages to play, of a scene or a capture; the first one is read or made here.
 
     Raises `ValueError` naming a capture that holds nothing to play.
     """

@@ -101,7 +101,7 @@ class RaFormerNode(Node):
         return len(self._queue) > 0
 
     def due_ns(self, now_ns: int) -> int | None:
-        """When to stop waiting for the rest of a scan."""
+        """Return when to stop waiting for the rest of a scan."""
         return self._give_up_ns
 
     def health(self) -> tuple[NodeState, str]:
@@ -146,7 +146,7 @@ class RaFormerNode(Node):
         self._behind = f"{reason}: {counted(left_out, 'scan')} left out so far"
 
     def _is_sound(self, ra_map: RangeAzimuthMap) -> bool:
-        """Whether a map is to be published: not one that the bus tore too many beams out of."""
+        """Return whether a map is to be published: not one of which the bus lost too many beams."""
         assert self._stage.former is not None
         used = len(self._stage.former.folder.setup.beams) - len(ra_map.unused_beams)
         is_torn = self._queue.torn(ra_map.scan_id)

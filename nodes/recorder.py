@@ -37,7 +37,7 @@ _RATE_KNOWN_S = 5.0
 
 
 class Params(RecordingParams, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where to record to and what; at most one of splitting and snapshots."""
+    """Place and content of a recording; at most one of splitting and snapshots."""
 
 
 class Recorder(Node):
@@ -147,7 +147,7 @@ class Recorder(Node):
             self._refuse(error)
 
     def _is_full(self, message: Encoded) -> bool:
-        """Whether `message` belongs into the next file."""
+        """Return whether `message` belongs in the next file."""
         if self._part_start_ns is None:
             return False
         split_bytes, split_s = self._params.split_bytes, self._params.split_s

@@ -1,4 +1,4 @@
-"""What `mirrorwave annotate` is told: a scene's clouds, first poses, heights and rules, in YAML or JSON."""
+"""Manifest of `mirrorwave annotate`: a scene's clouds, first poses, heights and rules, in YAML or JSON."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from nodes.process.validation import convert_at
 
 
 class Pose(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where a LiDAR stands in the radar's frame: roll, then pitch, then yaw about x, y, z, then the place."""
+    """Pose of a LiDAR in the radar's frame: roll, then pitch, then yaw about x, y, z, then the position."""
 
     x_m: float = 0.0
     y_m: float = 0.0

@@ -79,7 +79,7 @@ def annotate_scene(
 
 
 def _results(labels: SliceLabels, kind: Kind, clouds: Clouds) -> dict[str, Any]:
-    """What the report says of points, walls and clouds."""
+    """Return the report's results on points, walls and clouds."""
     points = frame_points(labels, kind)
     counts = {
         "los": len(points.los_m),
@@ -95,7 +95,7 @@ def _results(labels: SliceLabels, kind: Kind, clouds: Clouds) -> dict[str, Any]:
 
 
 def _provenance(manifest: Manifest, folder: Path, radar: Path) -> dict[str, Any]:
-    """What it was made from: hashes of all files, the manifest with all defaults, versions."""
+    """Return the provenance: hashes of all files, the manifest with all defaults, versions."""
     files = {radar.name: file_sha256(radar)} | {
         cloud.file: file_sha256(folder / cloud.file) for cloud in manifest.clouds
     }
@@ -104,7 +104,7 @@ def _provenance(manifest: Manifest, folder: Path, radar: Path) -> dict[str, Any]
 
 
 def stages(manifest: Manifest) -> int:
-    """How often `advance` is called at least: each cloud read and placed, the radar, the files."""
+    """Return how often `advance` is called at least: each cloud read and placed, the radar, the files."""
     return 2 * len(manifest.clouds) + 2
 
 

@@ -1,4 +1,4 @@
-"""What calibration reads of a capture: set-up, beams, vehicle states, whatever kind of file they are in."""
+"""Content of a capture that calibration reads: set-up, beams, vehicle states, from any kind of file."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Capture:
         return setup
 
     def scan_count(self) -> int:
-        """How many scans there are by the file's size, for a progress bar."""
+        """Estimate the number of scans from the file's size, for a progress bar."""
         radar, beams = self.setup.radar, len(self.setup.beams)
         if self._sigmf is not None:
             return max(len(self._sigmf) // beams, 1)

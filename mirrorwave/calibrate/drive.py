@@ -37,7 +37,7 @@ PASSES = 2
 
 
 class DriveParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What is known before a drive is looked at; None: found from the drive."""
+    """Prior knowledge of a drive; None: estimated from the drive."""
 
     prior: Pose2 = Pose2()
     clock_offset_s: float | None = None

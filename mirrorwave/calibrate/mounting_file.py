@@ -26,7 +26,7 @@ def write_params(out: Path, params: dict[str, Any], mounting: Mounting) -> None:
 
 
 def mounting_lines(mounting: Mounting) -> list[str]:
-    """What is known and what is not, a line each."""
+    """Return what is known and what is not, one line each."""
     degree = math.degrees(1.0)
     return [
         _line("x", mounting.x_m, "m", 1.0),

@@ -1,4 +1,4 @@
-"""What a capture says of the radar alone: its open-field background, its noise floor."""
+"""Calibration of the radar alone from a capture: its open-field background, its noise floor."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ DYNAMIC_RANGE_DB = 45.0
 
 @dataclass(frozen=True, kw_only=True)
 class ImportParams:
-    """What is asked of an import; `min_range_m` leaves the transmitters' own leakage out of the list of returns."""
+    """Parameters of an import; `min_range_m` leaves the transmitters' own leakage out of the list of returns."""
 
     remove_static: bool = False
     mirrored: bool = False
@@ -132,7 +132,7 @@ def _provenance(capture: Path, config_path: Path, config: Dca1000Config) -> dict
 
 
 def _described(config: Dca1000Config) -> dict[str, Any]:
-    """What follows from the configuration, for people and for readers of the maps."""
+    """Return what follows from the configuration, for people and for readers of the maps."""
     params = array_params(config)
     speeds_mps = params.closing_speed_mps(config.frame.loops)
     used = {config.transmitters[at] for at in config.used_chirps}

@@ -1,4 +1,4 @@
-"""What `mirrorwave bag convert` does: a recording in the formats that other tools open."""
+"""Conversion of recordings into the formats that other tools open: `mirrorwave bag convert`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ Bar = Callable[[str, int], AbstractContextManager[Callable[[], None]]]
 
 
 class Conversion(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of a recording: messages by topic, and by reason what did not come along."""
+    """Account of a conversion: messages by topic, and by reason those that were left out."""
 
     source: str
     out: str
@@ -120,7 +120,7 @@ def _loss(damage: str | None, unreadable: dict[str, int], lost: dict[str, int]) 
 
 
 def _written_paths(out: Path, target: Format) -> tuple[Path, ...]:
-    """What a conversion writes, so that it is neither written over nor left half done."""
+    """Return the paths that a conversion writes, so that none is overwritten or left half written."""
     if target is not Format.SIGMF:
         return (out,)
     stem = out.name.removesuffix(".sigmf-meta").removesuffix(".sigmf-data")

@@ -166,7 +166,7 @@ def _plain(value: Any) -> Any:
 
 
 def _is_single(kind: Any) -> bool:
-    """Whether a field always holds one number or text."""
+    """Return whether a field always holds one number or text."""
     return isinstance(kind, type) and issubclass(kind, bool | int | float | str)
 
 

@@ -1,4 +1,4 @@
-"""What the formats of `bag convert` share: the account of a conversion, walls as lines, odometry from states."""
+"""Shared parts of the formats of `bag convert`: the account of a conversion, walls as lines, odometry from states."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TRUTH_COLOUR: Colour = (0.10, 0.65, 0.25, 0.5)
 
 
 class Account:
-    """What became of the messages of a recording: written, left out on purpose, or lost; by topic or by reason."""
+    """Account of the messages of a recording: written, left out on purpose, or lost; by topic or by reason."""
 
     def __init__(self) -> None:
         self.written: Counter[str] = Counter()

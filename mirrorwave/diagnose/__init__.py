@@ -1,1 +1,1 @@
-"""What a running graph does and why it does not."""
+"""Diagnosis of a running graph."""

@@ -1,4 +1,4 @@
-"""What a log of a CAN bus says: states, sampled, and events."""
+"""Report on a log of a CAN bus: states, sampled, and events."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _EVENT_GAP_S = 1.0
 
 
 class LogReport:
-    """What a log says: states, sampled, and events: runs of frames that do not count, spans that are not valid."""
+    """Report on a log: states, sampled, and events: runs of frames that do not count, spans that are not valid."""
 
     def __init__(self, decoder: CanDecoder, every_s: float) -> None:
         self._decoder, self._every_s = decoder, every_s
@@ -64,7 +64,7 @@ class LogReport:
 
     @property
     def yaw_rate_bias(self) -> str:
-        """What the drive shows of the gyroscope's bias."""
+        """Estimate of the gyroscope's bias from the drive."""
         return str(self._odometry.yaw_rate_bias)
 
     def _time_s(self, stamp_ns: int) -> float:

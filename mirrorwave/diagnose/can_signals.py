@@ -1,4 +1,4 @@
-"""What the frames of a bus or a log say, signal by signal, of any DBC: `mirrorwave can decode|monitor --signals`."""
+"""Signals in the frames of a bus or a log, for any DBC: `mirrorwave can decode|monitor --signals`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the doctor finds in a running graph: the node that fails, the topic that is silent, and the reason.
+"""The doctor's findings in a running graph: the node that fails, the topic that is silent, and the reason.
 
 Heartbeats and socket files say what is; the supervisor's log and the process table say why. A silent topic is followed
 back, from reader to publisher, to the first node that does not do its part.
@@ -60,7 +60,7 @@ class _Graph(NamedTuple):
         return sorted({*self.owner.get("nodes", ()), *self.heard})
 
     def rows(self, topic: str, direction: str) -> dict[str, dict[str, Any]]:
-        """What each node of this host says of a topic that it reads ("in") or publishes ("out")."""
+        """Return the row of each node of this host on a topic that it reads ("in") or publishes ("out")."""
         return {
             name: row
             for name, beats in self.heard.items()
@@ -155,7 +155,7 @@ def _why_silent(graph: _Graph, name: str, window_s: float) -> str:
 
 
 def _has_ended(graph: _Graph, name: str) -> bool:
-    """Whether the last that the supervisor said of a node is that it has done its work: that is no failure."""
+    """Return whether the supervisor's last entry on a node is that it finished its work: that is no failure."""
     said = (entry["text"] for entry in reversed(graph.log) if entry["node"] == "supervisor")
     return next((text for text in said if text.startswith(f"{name} ")), "") == f"{name} has ended"
 
@@ -194,7 +194,7 @@ def _losses(graph: _Graph, name: str, beats: list[NodeStatus], window_s: float) 
 
 
 def _restarts(graph: _Graph, name: str) -> list[str]:
-    """How often the supervisor started a node again, and why last."""
+    """Return how often the supervisor restarted a node, and the last reason."""
     texts = [
         entry["text"]
         for entry in graph.log
@@ -217,7 +217,7 @@ def _check_topics(graph: _Graph) -> Iterator[Finding]:
 
 
 def _is_spare_sensor(graph: _Graph, topic: str) -> bool:
-    """Whether a sensor is silent because nobody reads it, or because one of the other kind looks."""
+    """Return whether a sensor is silent because nobody reads it, or because one of the other kind is in use."""
     for (setup, raw), (_, other) in zip(SENSOR_TOPICS, reversed(SENSOR_TOPICS), strict=True):
         if topic in (setup, raw) and _is_silent(graph, raw):
             looks = not _is_silent(graph, other) if raw in graph.publishers else other in graph.publishers
@@ -314,7 +314,7 @@ def _check_can(name: str, entry: dict[str, Any]) -> Iterator[Finding]:
 
 
 def check_can_interface(check: str, channel: str) -> Finding:
-    """Whether a CAN interface of the kernel is there and up."""
+    """Check that a CAN interface of the kernel exists and is up."""
     folder = Path("/sys/class/net") / channel
     if not folder.is_dir():
         return Finding(check, Status.FAILED, f"{channel} is absent: no such interface of the kernel")
@@ -362,7 +362,7 @@ def _launch_entries(run: Path | None) -> dict[str, Any]:
 
 
 def _last_run(runs_dir: Path) -> Iterator[Finding]:
-    """Why the newest run of this folder failed, if it did."""
+    """Report why the newest run of this folder failed, if it did."""
     runs = sorted(runs_dir.glob("*/log.jsonl"), key=lambda path: path.stat().st_mtime) if runs_dir.is_dir() else []
     if not runs:
         return

@@ -1,4 +1,4 @@
-"""What the doctor checks of this machine: packages, processor, disk, clock, buses, weights; then the graph."""
+"""The doctor's checks of this machine: packages, processor, disk, clock, buses, weights; then the graph."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def check_packages() -> Iterator[Finding]:
 
 
 def check_extras() -> Iterator[Finding]:
-    """What of the optional packages is there, by extra, and how the rest is installed."""
+    """Check which optional packages are installed, by extra, and name the command for the rest."""
     extras = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     for extra, requirements in extras.items():
         names = [match.group() for line in requirements if (match := re.match(r"[A-Za-z0-9_.-]+", line))]
@@ -134,7 +134,7 @@ def check_can() -> Iterator[Finding]:
 
 
 def check_viewer_port() -> Iterator[Finding]:
-    """Whether the viewer will get its usual port."""
+    """Check that the viewer's usual port is free."""
     import socket
 
     with socket.socket() as probe:

@@ -43,7 +43,7 @@ class _Head(msgspec.Struct):
 
 
 class _ArrayHead(msgspec.Struct):
-    """What stands for an array."""
+    """Stand-in for an array."""
 
     dtype: str
     shape: tuple[int, ...]

@@ -203,7 +203,7 @@ def _mean(values: list[float], otherwise: float) -> float:
 
 
 def _positions(layout: _Layout, boxes: dict[str, _Box]) -> tuple[dict[str, _Place], float, float]:
-    """Where each box and each passage is, and the size of the drawing."""
+    """Return the position of each box and each passage, and the size of the drawing."""
     heights = [sum(_tall(key) for key in column) for column in layout.columns]
     height = max(heights, default=0.0) + 2 * _MARGIN + 10
     positions: dict[str, _Place] = {}

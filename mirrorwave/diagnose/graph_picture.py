@@ -182,7 +182,7 @@ def _declared(name: str, entry: NodeEntry) -> tuple[tuple[str, ...], tuple[str, 
 
 
 def layers(nodes: tuple[GraphNode, ...] | list[GraphNode]) -> dict[str, int]:
-    """How far each node stands from the sources: one more than the furthest node whose topics it reads.
+    """Return the distance of each node from the sources: one more than that of the furthest node whose topics it reads.
 
     A node that would close a circle counts from what stands before the circle.
     """

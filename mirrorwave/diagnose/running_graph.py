@@ -1,4 +1,4 @@
-"""Whether a graph runs in a domain, and the one line for where none does: what is missing and what starts it."""
+"""Check for a running graph in a domain, and the one line where none runs: what is missing and what starts it."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _LOOK_S = 0.1
 
 
 def is_running(domain: str) -> bool:
-    """Whether anybody publishes in a domain: nodes of ours, or other programs."""
+    """Return whether anybody publishes in a domain: nodes of ours, or other programs."""
     return bool(_publishers(domain))
 
 
 def publishes(domain: str, topic: str) -> bool:
-    """Whether anybody publishes a topic in a domain."""
+    """Return whether anybody publishes a topic in a domain."""
     return topic.replace("/", ".") in _publishers(domain)
 
 

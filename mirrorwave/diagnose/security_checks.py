@@ -1,4 +1,4 @@
-"""What `mirrorwave security check` looks at: run directory, keys, launch file, listeners of the running graph."""
+"""Checks of `mirrorwave security check`: run directory, keys, launch file, listeners of the running graph."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class Grade(StrEnum):
 
 
 class Risk(NamedTuple):
-    """What a check found, and the one line that mends it."""
+    """Finding of a check, and the one line that mends it."""
 
     check: str
     status: Grade
@@ -117,7 +117,7 @@ def check_keys(folder: Path) -> Iterator[Risk]:
 
 
 def check_node(name: str, entry: NodeEntry) -> Iterator[Risk]:
-    """What a node of a launch file opens to others or loads from elsewhere."""
+    """List what a node of a launch file opens to others or loads from elsewhere."""
     check = f"node {name}"
     risks = [*_check_module(check, entry), *_check_environment(check, entry)]
     is_link = entry.module == LINK_MODULE
@@ -126,7 +126,7 @@ def check_node(name: str, entry: NodeEntry) -> Iterator[Risk]:
 
 
 def check_graph(folder: Path) -> Iterator[Risk]:
-    """What the processes of the running graph listen to."""
+    """List what the processes of the running graph listen to."""
     import psutil
 
     from nodes.process.supervisor import read_lock
@@ -317,7 +317,7 @@ def _check_link(check: str, entry: NodeEntry) -> list[Risk]:
 
 
 def _is_link_with_keys(words: list[str]) -> bool:
-    """Whether a command line is that of a link that lets in only who is on its list."""
+    """Return whether a command line is that of a link that admits only the keys on its list."""
     from nodes.link import Params
 
     text = _option(words, "--params")

@@ -1,4 +1,4 @@
-"""How old messages are: from acquisition to sending, from sending to arrival, from the last beam to its view.
+"""Age of messages: from acquisition to sending, from sending to arrival, from the last beam to its view.
 
 All clocks are the monotonic clock of one machine. A stamp that this clock cannot have given (a recording that is played
 back, another machine) gives no figure and is counted apart.

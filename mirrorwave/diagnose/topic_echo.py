@@ -1,4 +1,4 @@
-"""What `topic echo` makes of a message: the part asked for, tests on a field, tables, arrays as files."""
+"""Output of `topic echo`: the part of a message asked for, tests on a field, tables, arrays as files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Condition(NamedTuple):
     value: Any
 
     def holds(self, body: dict[str, Any]) -> bool:
-        """Whether a message passes; one whose field is null, or of another kind than the value, does not."""
+        """Return whether a message passes; one whose field is null, or of another kind than the value, does not."""
         value = field_of(body, self.field)
         try:
             return value is not None and bool(_OPERATORS[self.operator](value, self.value))

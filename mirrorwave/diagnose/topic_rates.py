@@ -40,7 +40,7 @@ def listen(domain: str, topics: list[str]) -> Bus:
 
 
 def are_foreign(topics: list[str], domain: str) -> bool:
-    """Whether all stand in the run directory as topics that the table does not have."""
+    """Return whether all stand in the run directory as topics that the table does not have."""
     from mirrorwave.diagnose.foreign_topic import foreign_publishers
     from msgs.bus.zmq import run_dir
 

@@ -263,7 +263,7 @@ def _draw_object(axes: Axes, hidden: HiddenObject, index: int) -> None:
 
 
 def _draw_tracks(axes: Axes, frame: BevFrame) -> None:
-    """Where each track is, how far it comes in a second, and when it comes into sight."""
+    """Draw each track, its path of the next second, and when it comes into sight."""
     for index, track in enumerate(frame.tracks):
         label = _once("followed object;\narrow: its way in 1 s", index)
         axes.plot(track.y_m, track.x_m, "s", markersize=9, fillstyle="none", color=TRACKED, zorder=10, **label)

@@ -110,7 +110,7 @@ def write_contact_sheet(records: Sequence[SceneRecord], preset: str, out: Path) 
 
 
 def _former(preset: str) -> Callable[[SceneRecord], np.ndarray]:
-    """How a record becomes a map, power over noise [range, azimuth], as in the vehicle."""
+    """Return the function that makes a map of a record, power over noise [range, azimuth], as in the vehicle."""
     interpolator = AzimuthInterpolator(PRESETS[preset])
     gain = interpolator.noise_gain()
 
@@ -290,7 +290,7 @@ def _svg(draw: Callable[[Axes], None], height_inch: float) -> str:
 
 
 def _series_line(series: dict[str, Any]) -> str:
-    """Which data set this is, in words."""
+    """Describe the data set, in words."""
     effects = series.get("effects", "?")
     used = ", ".join(effects) if isinstance(effects, list) else str(effects)
     budget = f" under {series['budget_db']:g} dB" if series.get("budget_db") is not None else ""

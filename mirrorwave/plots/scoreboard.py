@@ -49,13 +49,13 @@ class Scoreboard:
         self._scans = self._objects = 0
 
     def add_truth(self, truth: SceneTruth) -> None:
-        """What was there in a scan."""
+        """Add the truth of a scan."""
         _keep(self._truths, truth.scan_id, truth)
         if truth.scan_id in self._frames:
             self._pair(self._frames.pop(truth.scan_id), truth)
 
     def add_frame(self, frame: BevFrame) -> None:
-        """What was seen in a scan."""
+        """Add the view of a scan."""
         self._scans += 1
         self._objects += len(frame.objects)
         if self._last is None or self._last[1] is None:

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 
 class Key(Enum):
-    """What a key asks for."""
+    """Meaning of a key."""
 
     PAUSE = "pause"
     STEP = "step"
@@ -56,7 +56,7 @@ class Keyboard:
 
     @property
     def is_there(self) -> bool:
-        """Whether keys can come."""
+        """True if keys can come."""
         return self._descriptor is not None
 
     def __enter__(self) -> Self:
@@ -87,7 +87,9 @@ class Keyboard:
 
 
 def _in_background(descriptor: int) -> bool:
-    """Whether a shell has put this process behind another: it would be stopped as soon as it touched the terminal."""
+    """Return whether a shell runs this process in the background: it would be stopped as soon as it touched the
+    terminal.
+    """
     try:
         return os.tcgetpgrp(descriptor) != os.getpgrp()
     except OSError:

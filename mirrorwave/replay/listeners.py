@@ -1,4 +1,4 @@
-"""What a replay hears from the graph that it plays into: who listens, which scans are answered, what was left out."""
+"""State of the graph that a replay plays into: who listens, which scans are answered, what was left out."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Stopped = Callable[[], bool]
 
 
 class NodeLoss(msgspec.Struct, frozen=True, kw_only=True):
-    """What a node told of messages or work that it missed."""
+    """Messages or work that a node reports as missed."""
 
     node: str
     #: A topic, or the kind of work that was left out.
@@ -115,11 +115,11 @@ class ReplayedGraph:
         self._before = dict(self._now)
 
     def begins_scan(self, recorded: Recorded) -> bool:
-        """Whether a message is the first of a scan; every message is where no scans are played."""
+        """Return whether a message is the first of a scan; every message is where no scans are played."""
         return self.head is None or (recorded.topic == self.head and _scan_id(recorded) != self._scan)
 
     def restart(self) -> None:
-        """What comes now is no part of the scan before."""
+        """Begin a new scan with the next message."""
         self._scan = None
 
     def note_sent(self, recorded: Recorded) -> None:
@@ -156,7 +156,7 @@ class ReplayedGraph:
                 return
 
     def losses(self) -> tuple[NodeLoss, ...]:
-        """What the nodes missed or left out since `await_subscribers`, as they tell it."""
+        """Return what the nodes report as missed or left out since `await_subscribers`."""
         losses = [loss for node in self._before for loss in self._losses_of(node)]
         return tuple(loss for loss in losses if loss.count > 0)
 

@@ -64,7 +64,7 @@ class Playback:
 
     @property
     def playing(self) -> bool:
-        """Whether time moves it."""
+        """True if time moves it."""
         return self._speed > 0.0
 
     def run(self) -> NoReturn:
@@ -126,7 +126,7 @@ class Playback:
         self._recent = [*kept, *self._reader.messages(TOPICS_OF_A_SCAN, read_ns, self._end_ns(self._index))]
 
     def _end_ns(self, index: int) -> int:
-        """Where what belongs to scan `index` ends, exclusive."""
+        """Return the end of scan `index`, exclusive."""
         end_ns = self._scans[index].sent_ns + LATE_NS
         return min(end_ns, self._scans[index + 1].sent_ns) if index + 1 < self.count else end_ns
 

@@ -45,7 +45,7 @@ _STATE = "vehicle/state"
 
 
 class ReplayParams(msgspec.Struct, frozen=True, kw_only=True):
-    """What of a recording to play, and how."""
+    """Part of a recording to play, and how."""
 
     #: Topics as the recording names them.
     topics: tuple[str, ...]
@@ -80,7 +80,7 @@ def require_pace(rate: float, keeps_time: bool, on_clock: bool) -> None:
 
 
 class Position(msgspec.Struct, frozen=True, kw_only=True):
-    """Where a replay stands."""
+    """Position of a replay."""
 
     #: Since the start of the span that is played.
     time_s: float
@@ -90,7 +90,7 @@ class Position(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Summary(msgspec.Struct, frozen=True, kw_only=True):
-    """What was played and what became of it."""
+    """Account of a replay: what was played, and what was lost."""
 
     path: str
     #: Messages sent per topic.
@@ -120,7 +120,7 @@ class Summary(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Schedule:
-    """When messages are due on the bus clock, by their log times."""
+    """Times at which messages are due on the bus clock, by their log times."""
 
     def __init__(self, rate: float) -> None:
         self.rate = rate
@@ -132,7 +132,7 @@ class Schedule:
         self._log_ns = None
 
     def due_ns(self, log_ns: int, now_ns: int) -> int:
-        """When a message is due; at once where there is no pace."""
+        """Return when a message is due; at once where there is no pace."""
         if self._log_ns is None or self.rate == 0.0:
             self._log_ns, self._bus_ns = log_ns, now_ns
         return self._bus_ns + round((log_ns - self._log_ns) / (self.rate or 1.0))

@@ -1,4 +1,4 @@
-"""What the reports of all studies share: how a run was made, intervals and quantiles, tables, the two files."""
+"""Shared parts of the reports of all studies: how a run was made, intervals and quantiles, tables, the two files."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SAMPLES_FOR = {"p50": 2, "p90": 20, "p99": 200}
 
 
 class Provenance(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How a run was made; every report begins with it."""
+    """Origin of a run; every report begins with it."""
 
     command: str
     machine: str

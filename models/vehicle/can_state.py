@@ -114,7 +114,7 @@ class CanDecoder:
         )
 
     def expiry_ns(self) -> int | None:
-        """When the state stops being valid if nothing more comes; None while something has never come."""
+        """Return when the state stops being valid if nothing more comes; None while something has never come."""
         times_ns = [item.expiry_ns() for item in self._quantities.values()]
         known_ns = [time_ns for time_ns in times_ns if time_ns is not None]
         return min(known_ns) if len(known_ns) == len(times_ns) else None
@@ -193,7 +193,7 @@ class _Watch:
         self._refused = ""
 
     def judge(self, data: bytes, stamp_ns: int) -> tuple[Verdict, str]:
-        """Whether a frame counts, else why not."""
+        """Take in a frame and judge it: the verdict, and the reason where it does not count."""
         verdict, why = self._check(data, stamp_ns)
         self.seen = True
         self._refused = why
@@ -202,11 +202,11 @@ class _Watch:
         return verdict, why
 
     def expiry_of(self, stamp_ns: int | None) -> int | None:
-        """When what a frame of this stamp said is too old."""
+        """Return when the content of a frame of this stamp is too old."""
         return None if stamp_ns is None else stamp_ns + self._limit_ns
 
     def silence(self, stamp_ns: int | None, now_ns: int) -> str:
-        """Why there is no word younger than ten periods; empty if there is."""
+        """Return why there is no frame younger than ten periods; empty if there is one."""
         if stamp_ns is not None and now_ns - stamp_ns < self._limit_ns:
             return ""
         good = "good " if self._refused else ""
@@ -240,7 +240,7 @@ class _Quantity:
         return self._fault
 
     def trouble(self, now_ns: int) -> str:
-        """Why the value cannot be used at `now_ns`; empty if it can."""
+        """Return why the value cannot be used at `now_ns`; empty if it can."""
         # the message may go on without this signal (multiplexed), so its own stamp counts too
         why = self.watch.silence(self.watch.stamp_ns, now_ns) or self._fault
         why = why or self.watch.silence(self.stamp_ns, now_ns)
@@ -249,7 +249,7 @@ class _Quantity:
         return f"{self._name}: {why}" if why else ""
 
     def expiry_ns(self) -> int | None:
-        """When the value is too old."""
+        """Return when the value is too old."""
         times_ns = [self.watch.expiry_of(self.stamp_ns)]
         if self._sign_watch is not None:
             times_ns.append(self._sign_watch.expiry_of(self._sign_watch.stamp_ns))
@@ -311,7 +311,7 @@ class StateReporter:
         return self._say(state)
 
     def due_ns(self, trouble: str = "") -> int:
-        """When `tick` has something to say: at the moment the state expires, then again and again."""
+        """Return when `tick` has something to publish: when the state expires, then at every period."""
         return min(self._due_ns, self._said_ns + INVALID_INTERVAL_NS) if trouble else self._due_ns
 
     def _say(self, state: VehicleState) -> VehicleState:

@@ -10,7 +10,7 @@ from nodes.node import ShedTally
 
 
 class Refusals:
-    """What a stage refuses. `unit`: what log lines count, as "beam"; None: they name what was refused."""
+    """Refusals of a stage. `unit`: what log lines count, as "beam"; None: they name what was refused."""
 
     def __init__(self, log: logging.Logger, shed: ShedTally, unit: str | None = None) -> None:
         self._log, self._shed, self._unit = log, shed, unit

@@ -1,4 +1,4 @@
-"""What every recorder does around its files: names, metadata, latched messages again, losses, room on the disk."""
+"""Shared work of all recorders around their files: names, metadata, latched messages, losses, free disk space."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class LatchedMessages:
             self._last[message.topic, message.publisher] = message
 
     def before(self, messages: Iterable[Encoded], start_ns: int) -> list[Encoded]:
-        """What is not among `messages`, as if it were sent again at `start_ns`."""
+        """Return the latched messages that are not among `messages`, as if sent again at `start_ns`."""
         there = {id(message) for message in messages}
         return [message._replace(sent_ns=start_ns) for message in self._last.values() if id(message) not in there]
 
@@ -73,7 +73,7 @@ def numbered_files(path: Path) -> dict[int, Path]:
 
 
 def recorded_files(path: Path) -> list[Path]:
-    """What recorders that were told to write to `path` have made: it, what restarts put beside it, its parts."""
+    """Return the files that recorders of `path` have made: the file itself, those of restarts beside it, its parts."""
     pattern = re.compile(re.escape(path.stem) + r"-([1-9]\d{0,3})" + re.escape(path.suffix))
     names = os.listdir(path.parent) if path.parent.is_dir() else []
     restarts = sorted((int(match[1]), name) for name in names if (match := pattern.fullmatch(name)))
@@ -101,7 +101,7 @@ def losses_between(
     missed: Counter[str] | None = None,
     ended: str | None = None,
 ) -> Losses:
-    """What the bus lost between two of its counts and, per topic, the recorder itself missed."""
+    """Return the losses of the bus between two of its counts and, per topic, those of the recorder itself."""
     first = {count.topic: count for count in before}
     last = {count.topic: count for count in after}
     missed = missed or Counter()

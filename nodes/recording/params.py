@@ -12,7 +12,7 @@ _MAX = 1e18
 
 
 class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where to record to and what; at most one of splitting and snapshots."""
+    """Place and content of a recording; at most one of splitting and snapshots."""
 
     path: str
     #: None: all topics but raw beams.
@@ -52,7 +52,7 @@ class RecordingParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
 
     @property
     def splits(self) -> bool:
-        """Whether the recording goes into several files."""
+        """True if the recording is split into several files."""
         return self.split_bytes is not None or self.split_s is not None
 
     def selected_topics(self) -> tuple[str, ...]:

@@ -55,7 +55,7 @@ class Ring:
             self._drop()
 
     def messages(self) -> list[Encoded]:
-        """What it holds, in order of arrival."""
+        """Return the messages in memory, in order of arrival."""
         return list(self._messages)
 
     def _drop(self) -> None:

@@ -1,4 +1,4 @@
-"""How `mirrorwave bag snapshot` reaches a recorder: a locked file in the graph's directory, SIGUSR1, an answer in it.
+"""Trigger of `mirrorwave bag snapshot`: a locked file in the graph's directory, SIGUSR1, and the answer in the file.
 
 The file `snapshot-<pid>.json` is locked as long as its recorder lives, so that no signal can reach another process that
 was given the same number.
@@ -22,7 +22,7 @@ _POLL_S = 0.02
 
 
 class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of one trigger."""
+    """Result of one trigger."""
 
     path: str = ""
     messages: int = 0
@@ -34,7 +34,7 @@ class Snapshot(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class State(msgspec.Struct, frozen=True, kw_only=True):
-    """What the file says."""
+    """Content of the file."""
 
     pid: int
     #: Being written now.
@@ -62,7 +62,7 @@ class TriggerFile:
         self._write(msgspec.structs.replace(self._state, busy=True))
 
     def answer(self, snapshot: Snapshot) -> None:
-        """What became of the trigger."""
+        """Write the result of the trigger."""
         self._write(State(pid=self._state.pid, answers=self._state.answers + 1, last=snapshot))
 
     def close(self) -> None:

@@ -33,7 +33,7 @@ def apply(tracing: TraceContext) -> Echoes:
 
 
 def as_chords(tracing: TraceContext) -> Echoes:
-    """What is traced instead where the effect is skipped: every arc as the mirror its chord would be.
+    """Return the view that is traced where the effect is skipped: every arc as the mirror that its chord would be.
 
     Their legs are not stopped by the arc itself, which the chord is not on.
     """

@@ -1,4 +1,4 @@
-"""What roughness takes from the mirror comes back from everywhere: |r|^2 (1 - rho) in a Lambert lobe.
+"""Diffuse echoes of rough walls: the power |r|^2 (1 - rho) that roughness takes from the mirror, in a Lambert lobe.
 
 RCS per area 4 |r|^2 (1 - rho) cos^2 over the height that the antenna lights; patches of random phase along the wall.
 """

@@ -162,7 +162,7 @@ def _neighbours(world: World) -> tuple[np.ndarray, np.ndarray]:
 def _meeting(
     world: World, first: np.ndarray, second: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Which pairs of walls [N] share an end, the nearest of their ends [N, 2], unit vectors from it along both."""
+    """Find the pairs of walls [N] that share an end, the nearest of their ends [N, 2], unit vectors along both."""
     ends = np.stack([world.wall_a, world.wall_b], axis=1)
     apart = norm(ends[first][:, :, None] - ends[second][:, None]).reshape(-1, 4)
     nearest = np.argmin(apart, axis=1)
@@ -192,7 +192,7 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
 
 
 def _cut(start: np.ndarray, end: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Where straight lines [N, 3] from one side of a wall's line to the other cut it: by the heights over it."""
+    """Return where straight lines [N, 3] from one side of a wall's line to the other cut it: by the heights over it."""
     over = dot(start[:, :2], normal) + offset
     under = dot(end[:, :2], normal) + offset
     return start + (over / (over - under))[:, None] * (end - start)
@@ -254,7 +254,7 @@ def _search(origin, point, a, b, normal, offset):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyped-def]
-    """Where on a wall, 0..1, the line from the image behind it to a point in front goes through."""
+    """Return where on a wall, 0..1, the line from the image behind it to a point in front passes."""
     height = x * nx + y * ny + d
     share = reach / (height + reach)
     wx, wy = b[wall, 0] - a[wall, 0], b[wall, 1] - a[wall, 1]
@@ -264,7 +264,7 @@ def _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyp
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _leaves(ix, iy, reach, x, y, a, b, nx, ny, d, wall):  # type: ignore[no-untyped-def]
-    """Whether a point in front is seen from the image through the wall."""
+    """Return whether a point in front is visible from the image through the wall."""
     if x * nx + y * ny + d <= 1e-9:
         return False
     return 0.0 <= _place(ix, iy, reach, x, y, a, b, nx, ny, d, wall) <= 1.0

@@ -42,7 +42,7 @@ def always(world: World) -> str | None:
 
 @dataclass(frozen=True)
 class Effect:
-    """What every effect states: what it is, when a scene has none of it, and what it costs."""
+    """One effect: its name and kind, why a scene has none of it, and its cost."""
 
     about: str
     #: Why a scene has none of it; None where it may have.

@@ -1,1 +1,1 @@
-"""Which effects a scene calls for: bounds and the plan that keeps a budget."""
+"""Plan of the effects that a scene needs: bounds, and the plan that keeps a budget."""

@@ -71,7 +71,7 @@ class EffectAblation:
         return float((self._cells.bounds(bound) / self._floor).max())
 
     def fits(self, bound: np.ndarray, budget: float, share: float = 1.0) -> bool:
-        """Whether a bound stays under a share of the budget, and with all that was dropped under the budget."""
+        """Return whether a bound stays under a share of the budget, and with all that was dropped under the budget."""
         alone, together = self._cells.bounds(bound), self._cells.bounds(self.spent + bound)
         return bool((alone <= share * budget * self._floor).all() and (together <= budget * self._floor).all())
 
@@ -146,7 +146,7 @@ class EffectAblation:
         return as_paths(self.view, self.echoes if echoes is None else echoes, frozenset(self.used))
 
     def made_by(self, name: str) -> np.ndarray:
-        """Which echoes an effect makes, bool [E]."""
+        """Return the mask of the echoes that an effect makes, bool [E]."""
         return np.asarray((self.echoes.needs & np.uint32(bit(name))) != 0)
 
     def keep(self, selection: np.ndarray) -> None:

@@ -95,7 +95,7 @@ def swept_pattern(setup: RadarSetup, paths: Paths, effects: SignalEffects, front
 
 
 def _remainder(setup: RadarSetup, paths: Paths) -> np.ndarray:
-    """What the terms along the sweep may miss of each path's pattern, in any beam; [P].
+    """Bound what the terms along the sweep may miss of each path's pattern, in any beam; [P].
 
     Each column turns by at most `swing` along the sweep: the terms left out and those they alias to stay under
     4 (J_5 + J_6 + ...) of the array's peak in that direction, J_5(x) + ... < x^5 / 3200 for x < 1.5. Plus rounding.

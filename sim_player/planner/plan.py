@@ -1,4 +1,5 @@
-"""Which effects a scene calls for: bounds of what each could change in the map, and the least that keeps a budget.
+"""Plan of the effects that a scene needs: bounds of what each could change in the map, and the least that keeps a
+budget.
 
 The law: |RA(planned) - RA(all)| / max(noise rms, strongest |RA(all)| within one range bin and half a beam) stays under
 the budget in every cell, for the same noise. It is kept by construction: an ablation goes from all effects to the
@@ -50,7 +51,7 @@ MAX_DB = 200.0
 
 
 class EffectPlan(msgspec.Struct, frozen=True, kw_only=True):
-    """What was decided about one effect, and why."""
+    """Decision on one effect, with its reason."""
 
     name: str
     used: bool
@@ -214,7 +215,7 @@ class _Planner:
             self._timed(name, step)
 
     def plan(self, budget_db: float) -> Plan:
-        """What was decided, in the order of the effects."""
+        """Return the decisions, in the order of the effects."""
         ablation = self.ablation
         return Plan(
             budget_db=budget_db,

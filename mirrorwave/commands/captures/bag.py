@@ -159,7 +159,7 @@ def info(
     as_json: AsJson = False,
     config: Annotated[bool, typer.Option("--config", help="Print the launch file of the recorded graph.")] = False,
 ) -> None:
-    """What a recording holds, its checksums verified; exit code 3 if something is missing or damaged."""
+    """Show the content of a recording, its checksums verified; exit code 3 if something is missing or damaged."""
     from msgs.recording import mcap as recording
 
     contents = recording.info(file)

@@ -1,4 +1,4 @@
-"""What `mirrorwave bag info` prints."""
+"""Output of `mirrorwave bag info`."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ORIGIN = ("started_utc", "part", "command", "scene", "seed")
 
 
 def origin_lines(metadata: dict[str, str]) -> list[str]:
-    """Where a recording comes from, as far as it says so; written by anybody, so nothing is taken for granted."""
+    """Return the recorded origin of a recording, in lines; anybody may have written it, so every field is checked."""
     lines = [f"{key}: {metadata[key]}" for key in _ORIGIN if key in metadata]
     try:
         machine = json.loads(metadata.get("machine", ""))

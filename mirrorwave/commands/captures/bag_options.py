@@ -1,4 +1,4 @@
-"""What the verbs of `mirrorwave bag` and `launch --record` share: arguments, spans of time, the wish to stop."""
+"""Shared options of `mirrorwave bag` and `launch --record`: arguments, spans of time, the request to stop."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ app = typer.Typer(no_args_is_help=True, help="Bring captures and logs of others 
 
 
 class KindOption(StrEnum):
-    """What the folder holds."""
+    """Content of the folder."""
 
     SIM = "sim"
     REAL = "real"

@@ -50,7 +50,7 @@ def collect_heartbeats(run_dir: Path, window_s: float = WINDOW_S) -> Heartbeats:
 
 
 def node_row(beats: list[NodeStatus]) -> dict[str, Any]:
-    """What one node says of itself in its heartbeats; rates need two of them from one process."""
+    """Return the row of one node from its heartbeats; rates need two of them from one process."""
     last = beats[-1]
     first = next(status for status in beats if status.pid == last.pid)
     elapsed_s = last.uptime_s - first.uptime_s
@@ -103,7 +103,7 @@ def node_process(pid: int) -> dict[str, Any]:
 
 
 def shed_text(shed: list[dict[str, Any]]) -> str:
-    """What a node left undone, in words: "12 scans behind, 1 beam late"."""
+    """Describe the work that a node left out, in words: "12 scans behind, 1 beam late"."""
     return ", ".join(f"{counted(count['count'], count['what'])} {count['reason']}" for count in shed)
 
 

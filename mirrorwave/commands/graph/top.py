@@ -51,7 +51,7 @@ class _Heard(NamedTuple):
 
 
 class GraphWatch:
-    """What was heard of a graph within a window, and of its views since the watch began. Times in ns of one clock."""
+    """Messages of a graph within a window, and its views since the watch began. Times in ns of one clock."""
 
     def __init__(self, start_ns: int, window_s: float = WINDOW_S) -> None:
         self._views = ViewWatch(start_ns, window_s)

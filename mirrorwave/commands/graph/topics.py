@@ -226,7 +226,7 @@ def delay(
     domain: Domain = DEFAULT_DOMAIN,
     as_json: AsJson = False,
 ) -> None:
-    """How old messages are: from acquisition to sending, on the way, and from a scan's last beam to its view."""
+    """Measure the age of messages: from acquisition to sending, on the bus, and from a scan's last beam to its view."""
     from mirrorwave.diagnose.topic_delay import DelayWatch
 
     # raw beams only when asked for: listening to 350 MB/s changes what is measured

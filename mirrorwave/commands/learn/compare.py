@@ -110,7 +110,7 @@ def _one_scene(scene: Path, sensors: list[str] | None, equal: str, seed: int, ou
 
 
 def _command(plan: Plan, sweeps: list[str], quick: bool) -> str:
-    """What gives the same run again."""
+    """Return the command that repeats the run."""
     from mirrorwave.studies.compare.runner import SWEEPS
     from mirrorwave.studies.compare.sensors import SENSORS
 

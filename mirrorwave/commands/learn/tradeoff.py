@@ -101,7 +101,7 @@ def _selected_rows(rows: list[Setting], names: list[str]) -> list[Setting]:
 
 
 def _command(plan: Plan, networks: Path | None, settings: Path | None, names: list[str]) -> str:
-    """What gives the same run again."""
+    """Return the command that repeats the run."""
     words = ["mirrorwave", "tradeoff", "--frames", str(plan.frames), "--repeats", str(plan.repeats)]
     words += ["--seed", str(plan.seed)]
     words += ["--networks", str(networks)] if networks else []

@@ -38,14 +38,14 @@ class PresetOption(StrEnum):
 
 
 class ShiftOption(StrEnum):
-    """What a series differs in from the one that networks are trained on."""
+    """Difference of a series from the one that networks are trained on."""
 
     NONE = "none"
     HARD = "hard"
 
 
 class ExecutorOption(StrEnum):
-    """Where shards are made."""
+    """Place where shards are made."""
 
     LOCAL = "local"
     RAY = "ray"
@@ -150,7 +150,7 @@ def parse_slurm(texts: list[str]) -> dict[str, Any]:
 
 
 class _Report:
-    """What has been done so far, and how fast; rates count only what this run made."""
+    """Progress of a run, and its rate; rates count only what this run made."""
 
     def __init__(self, out: Path, count: int) -> None:
         self.out, self.count = out, count
@@ -186,7 +186,7 @@ class _Report:
         return self.made / self.seconds
 
     def summary(self) -> dict[str, Any]:
-        """What a script asks."""
+        """Return the summary for scripts."""
         return {
             "folder": str(self.out),
             "scenes": self.count,

@@ -33,7 +33,7 @@ def effects(
     seed: int = 0,
     as_json: AsJson = False,
 ) -> None:
-    """Which effects a scene calls for, what each could change, and why it is used or skipped."""
+    """Show the effects that a scene needs, what each could change, and why it is used or skipped."""
     import msgspec
 
     from sim_player.effects.table import ALL_EFFECTS
@@ -67,7 +67,7 @@ _PLAIN_SIGNAL = frozenset({"motion", "element_pattern", "quantised_phases", "the
 
 
 def _print_light_plan(plans: Sequence[OpticPlan], as_json: bool) -> None:
-    """What light comes to a LiDAR, and how its photons are counted."""
+    """Print the light that reaches a LiDAR, and how its photons are counted."""
     import msgspec
 
     if as_json:

@@ -69,7 +69,7 @@ def wall(
     plot: PlotFile = None,
     as_json: AsJson = False,
 ) -> None:
-    """What a wall of finite thickness reflects and lets through, by FDTD and exactly; with --plot a beam hits it."""
+    """Compute what a wall of finite thickness reflects and transmits, by FDTD and exactly; --plot draws a beam."""
     from mirrorwave.studies.walls.transmission import answer, wall_document, wall_of
 
     title, layers = wall_of(material, thickness_mm, frequency_ghz)

@@ -97,7 +97,7 @@ def write_recording(path: Path, events: Iterator[Outgoing], metadata: dict[str, 
 
 
 def _sent_ns(message: Any) -> int:
-    """When a player sends a message: at its stamp; a LiDAR's scan when its last azimuth has its turn."""
+    """Return when a player sends a message: at its stamp; a LiDAR's scan at the time of its last azimuth."""
     from msgs.values.lidar import PhotonHistograms
 
     return int(message.azimuth_stamp_ns[-1] if isinstance(message, PhotonHistograms) else message.stamp_ns)

@@ -118,7 +118,7 @@ def _triple(counts: Counts) -> tuple[int, int, int]:
 
 
 def _near_box(places_m: np.ndarray, box: SceneObject) -> np.ndarray:
-    """Which places [N, 2] lie in an object's box or within `OBJECT_GATE_M` of it."""
+    """Return which positions [N, 2] lie in an object's box or within `OBJECT_GATE_M` of it."""
     corners = box.corners_m()
     away_m = segment_distance_m(places_m, corners, np.roll(corners, -1, axis=0)).min(axis=1)
     return np.asarray(box.contains(places_m) | (away_m <= OBJECT_GATE_M))

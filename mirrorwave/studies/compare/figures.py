@@ -139,7 +139,7 @@ def _label(sweep: str) -> str:
 
 
 def _topic(sweep: str) -> str:
-    """What a panel is of, as the end of its title: a sweep's name without its unit."""
+    """Return the subject of a panel, for the end of its title: a sweep's name without its unit."""
     topic = SWEEPS[sweep].title.partition(" [")[0]
     _, behind, wall = topic.partition(" behind ")
     return f"behind {wall}" if behind else f"over {topic}" if " [" in SWEEPS[sweep].title else f"by {topic}"
@@ -164,7 +164,7 @@ def _draw_level(axes: Axes, report: Report, sweep: str) -> None:
 
 
 def _draw_loss(axes: Axes, report: Report, sweep: str) -> None:
-    """What roughness takes; hollow where noise has taken over, where a level cannot fall further."""
+    """Draw the loss by roughness; hollow where noise has taken over, where a level cannot fall further."""
     for name in report.sensors:
         rows = [row for row in report.of(sweep, name) if row.value and row.loss_db is not None]
         colour, marker = LOOKS[name]

@@ -1,4 +1,4 @@
-"""What a comparison says: each sensor over each sweep beside its closed form, where it ends, why; JSON and Markdown."""
+"""Report of a comparison: each sensor over each sweep beside its closed form, where it ends, why; JSON and Markdown."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Row(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class Reach(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where one sensor's measure last falls below half of its best over a sweep."""
+    """Value at which one sensor's measure last falls below half of its best over a sweep."""
 
     sweep: str
     sensor: str
@@ -121,7 +121,7 @@ def make_report(plan: Plan, results: Sequence[SceneResult], command: str) -> Rep
 
 
 def threshold_db(sensor: Sensor) -> float:
-    """What a cell of mean noise must exceed to count, dB over that noise."""
+    """Return the power that a cell must exceed to count, dB over the mean noise."""
     law = spad_threshold if isinstance(sensor, SpadSensor) else radar_threshold
     return db_from_ratio(float(law(FALSE_ALARM)))
 
@@ -262,7 +262,7 @@ def _against(reach: Reach, reference: Reach | None) -> Reach:
 
 
 def findings(report: Report) -> list[str]:
-    """Where each sensor wins and why, in sentences made of the rows."""
+    """Return the findings, in sentences made of the rows: where each sensor is best and why."""
     said = [_reach_sentence(report, sweep) for sweep in RANGE_SWEEPS]
     said += [*_radar_sentences(report), *_roughness_sentences(report), *_window_sentences(report)]
     said += [_walls_sentence(report, name) for name in ("xband", "77ghz")]
@@ -272,7 +272,7 @@ def findings(report: Report) -> list[str]:
 
 
 def _reach_sentence(report: Report, sweep: str) -> str:
-    """How far each sensor reaches."""
+    """Describe the reach of each sensor."""
     mine = [reach for reach in report.reaches if (reach.sweep, reach.measure) == (sweep, "f1_1m")]
     if not mine:
         return ""
@@ -305,7 +305,7 @@ def _open(reach: Reach) -> bool:
 
 
 def _radar_sentences(report: Report) -> list[str]:
-    """Why X-band leads 77 GHz: the terms of the radar equation against what was measured."""
+    """Describe why X-band leads 77 GHz: the terms of the radar equation against what was measured."""
     if not {"xband", "77ghz"} <= set(report.sensors):
         return []
     near, far = RADARS["xband"], RADARS["77ghz"]
@@ -344,12 +344,12 @@ def _gaps_db(report: Report, sweep: str) -> list[float]:
 
 
 def clear(report: Report, row: Row) -> bool:
-    """Whether a level stands so far over its threshold that noise adds little to it."""
+    """Return whether a level stands so far over its threshold that noise adds little to it."""
     return row.snr_db is not None and row.snr_db >= report.threshold_db[row.sensor] + CLEAR_DB
 
 
 def _times(longer: Reach, shorter: Reach) -> str:
-    """How many times as far one reach is as another, where both are known well enough."""
+    """Return the ratio of two reaches, in words, where both are known well enough."""
     if shorter.at_least or _open(shorter) or _open(longer):
         return ""
     return f": {'at least ' if longer.at_least else ''}{longer.half / shorter.half:.1f} times as far"
@@ -380,7 +380,7 @@ def _roughness_sentences(report: Report) -> list[str]:
 
 
 def _outside(row: Row) -> float:
-    """How far a loss lies outside its closed form's band [dB]."""
+    """Return how far a loss lies outside its closed form's band [dB]."""
     return max((row.least_loss_db or 0.0) - (row.loss_db or 0.0), (row.loss_db or 0.0) - (row.most_loss_db or 0.0), 0.0)
 
 
@@ -389,7 +389,7 @@ def _is(reach: Reach, sweep: str, sensor: str, measure: str) -> bool:
 
 
 def _window_sentences(report: Report) -> list[str]:
-    """How much of a LiDAR's reach is its period's, and what the wall's own light does to one that is always armed."""
+    """Describe the share of a LiDAR's reach that its period sets, and the effect of the wall's own light."""
     said = []
     gated, free = ({row.value: row for row in report.of(ROUGHNESS, name)} for name in ("spad_gated", "spad"))
     f1 = [row.f1_1m.value or 0.0 for row in (gated.get(0.0), free.get(0.0)) if row is not None and row.f1_1m]
@@ -416,7 +416,7 @@ def _window_sentences(report: Report) -> list[str]:
 
 
 def _walls_sentence(report: Report, sensor: str) -> str:
-    """What walls of other materials take from a radar's level, against metal."""
+    """Describe the loss of a radar's level at walls of other materials, against metal."""
     level_db = {row.value: row.snr_db for row in report.of("material", sensor) if row.snr_db is not None}
     metal_db = level_db.pop("metal", None)
     if metal_db is None or not level_db:
@@ -426,7 +426,7 @@ def _walls_sentence(report: Report, sensor: str) -> str:
 
 
 def _best_sentence(report: Report, sweep: str) -> str:
-    """Which sensor has the best F1 at each value."""
+    """Name the sensor with the best F1 at each value."""
     values = list(dict.fromkeys(row.value for row in report.of(sweep)))
     parts = []
     for value in values:
@@ -441,7 +441,7 @@ def _best_sentence(report: Report, sweep: str) -> str:
 
 
 def _failed_sentence(report: Report, row: Row) -> str:
-    """Why scans of a row are missing."""
+    """Describe why scans of a row are missing."""
     missing = report.viewpoints - row.scans
     return f"{report.sensors[row.sensor]} failed at {missing} of {report.viewpoints} ({row.value}): {row.failed}."
 

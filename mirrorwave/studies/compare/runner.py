@@ -39,7 +39,7 @@ Value = float | str
 
 @dataclass(frozen=True)
 class Sweep:
-    """What is varied: values of a quick run and of a whole one, and the scene of a value."""
+    """Varied quantity: values of a quick run and of a whole one, and the scene of a value."""
 
     title: str
     quick: tuple[Value, ...]
@@ -48,7 +48,7 @@ class Sweep:
 
     @property
     def is_corner(self) -> bool:
-        """Whether its scenes have one relay wall and one object, for which a closed form holds."""
+        """True if its scenes have one relay wall and one object, for which a closed form holds."""
         return self.scene is not _place
 
 
@@ -107,7 +107,7 @@ MAX_VIEWPOINTS = 1000
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What fixes a run: sensors, values of each sweep, viewpoints of each value, the series."""
+    """Plan of a run: sensors, values of each sweep, viewpoints of each value, the series."""
 
     seed: int
     viewpoints: int
@@ -139,7 +139,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class Seen(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What one sensor made of a scene, or why it could not look."""
+    """View of a scene by one sensor, or why it has none."""
 
     failed: str | None = None
     score: Score | None = None

@@ -52,7 +52,7 @@ class View:
     figures: dict[str, Any]
 
     def summary(self) -> dict[str, Any]:
-        """What is printed of it."""
+        """Return the printed summary."""
         return {"sensor": self.sensor.name, **self.figures}
 
 
@@ -78,7 +78,8 @@ def sensors_of(scene: Scene, names: Sequence[str] = ()) -> list[Sensor]:
 def scene_through(
     scene: Scene, sensors: Sequence[Sensor], equal: Equal, seed: int = 0, tick: Callable[[], None] = lambda: None
 ) -> list[View]:
-    """What each sensor makes of a scene at rest, in the place of its own; one that cannot look says why.
+    """Compute each sensor's view of a scene at rest, in the position of its own; one that cannot see it gives the
+    reason.
 
     ValueError for a negative seed, a scene that moves, and where no sensor can look.
     """
@@ -185,7 +186,7 @@ def _draw_view(axes: Axes, scene: Scene, view: View) -> Any:
 
 
 def _title(view: View) -> str:
-    """Which sensor, and how it fares."""
+    """Return the sensor's name and its result."""
     name = view.sensor.title
     if view.sight is None:
         return f"{name}\ncannot look at this scene"

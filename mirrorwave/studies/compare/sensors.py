@@ -49,7 +49,7 @@ Equal = Literal["power", "energy"]
 
 
 def equal_of(word: str) -> Equal:
-    """What is to be equal; ValueError for anything else."""
+    """Check the quantities that are to be equal; ValueError for anything else."""
     for measure in get_args(Equal):
         if word == measure:
             return cast(Equal, measure)
@@ -154,7 +154,7 @@ def scan_energy_j(setup: RadarSetup) -> float:
 
 @lru_cache(maxsize=4)
 def _interpolator(preset: str) -> tuple[AzimuthInterpolator, np.ndarray]:
-    """How a preset's beams become a map, and the noise of each azimuth relative to a beam's."""
+    """Return the interpolator from a preset's beams to a map, and the noise of each azimuth relative to a beam's."""
     interpolator = AzimuthInterpolator(PRESETS[preset], GRID)
     share = np.sum(np.abs(interpolator.coherent_matrix) ** 2, axis=0)
     return interpolator, share.astype(np.float64)

@@ -1,4 +1,4 @@
-"""What `mirrorwave eval --method` says, as something that can be run: a detector, a back end, a threshold.
+"""Methods of `mirrorwave eval --method`: a detector, a back end, a threshold.
 
 A method is `NAME=SOURCE` or `SOURCE`, then words and key=value pairs with commas between them:
 
@@ -279,7 +279,7 @@ def _published_places(
 def _our_places(
     peaks: Peaks, params: GeometryParams, residual: Residual | None, confidence: PositionConfidence | None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """What `recover_bev` forms its points from, without the objects and the visibility mask."""
+    """Return the positions from which `recover_bev` forms its points, without the objects and the visibility mask."""
     scan = fold_scan(peaks, params, residual, confidence)
     return scan.recovered.points_m, scan.hidden
 

@@ -56,7 +56,7 @@ DEFINITIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectRequest:
-    """What the options ask for."""
+    """Request of the options."""
 
     sets: Sequence[str]
     profiles: Sequence[str]
@@ -224,7 +224,7 @@ def _estimates(report: ObjectReport, field: str) -> dict[str, Estimate]:
 
 
 def _scores(name: str, reports: Mapping[str, ObjectReport]) -> Table:
-    """What scores are worth."""
+    """Return the evaluation of the scores as probabilities."""
     rows = [
         (profile, f"{score_bin.low:g}..{score_bin.high:g}", score_bin.mean_score, *_share_cells(score_bin))
         for profile, report in reports.items()

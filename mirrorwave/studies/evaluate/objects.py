@@ -58,14 +58,14 @@ class ObjectSets(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_field
 
 
 class ObjectPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What fixes the rows of a run."""
+    """Plan that fixes the rows of a run."""
 
     set: ObjectSet
     profiles: list[Setting]
 
 
 class PlaceResult(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What every profile said of one place."""
+    """Results of all profiles at one place."""
 
     place: int
     scene_sha256: str
@@ -138,7 +138,7 @@ def _parts(setting: bytes) -> SharedParts:
 
 
 def image_truth(player: ScenePlayer) -> list[ImageTruth]:
-    """What could be seen of each object of a scene when its first scan begins."""
+    """Return the visible truth of each object of a scene when its first scan begins."""
     paths = player.paths(s_from_ns(player.stamp_ns(0) - player.setup.stamp_ns))
     images = object_images(player.setup, paths, len(player.scene.objects))
     return [

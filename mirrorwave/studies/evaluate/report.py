@@ -69,7 +69,7 @@ DEFINITIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Context:
-    """What a report says beside its numbers."""
+    """Context of a report beside its numbers."""
 
     data: str
     split: str

@@ -28,7 +28,7 @@ MS_PER_S = 1e3
 
 @dataclass(frozen=True, kw_only=True)
 class FrameFacts:
-    """What is known of a frame's scene."""
+    """Facts of a frame's scene."""
 
     index: int
     place: str
@@ -40,7 +40,7 @@ class FrameFacts:
 
 @dataclass
 class MethodRun:
-    """What one method said of every frame, in order."""
+    """Answers of one method for every frame, in order."""
 
     method: Method
     answers: list[FrameAnswer] = field(default_factory=list)
@@ -148,7 +148,7 @@ def answer_of(peaks: Peaks, places_m: np.ndarray, hidden: np.ndarray) -> FrameAn
 
 
 def facts_of(frame: Frame) -> FrameFacts:
-    """What groups are made of."""
+    """Return the facts of which groups are made."""
     hidden = tuple(frame.objects[index] for index in frame.hidden)
     return FrameFacts(index=frame.index, place=frame.place, relays=frame.relays, hidden=hidden, sequence=frame.sequence)
 

@@ -1,1 +1,1 @@
-"""What accuracy costs in time."""
+"""Trade-off of accuracy against time."""

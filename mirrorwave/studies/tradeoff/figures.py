@@ -74,7 +74,7 @@ def _draw_point(axes: Axes, row: Row) -> None:
 
 
 def _colour(row: Row) -> str:
-    """That of the stage a row changes; profiles and rows that change several have their own."""
+    """Return the colour of the stage that a row changes; profiles and rows that change several have their own."""
     touched = [PART_OF[stage] for stage, params in row.params.items() if params]
     if row.switch == PROFILE:
         return VERMILION

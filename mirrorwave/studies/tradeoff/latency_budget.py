@@ -36,7 +36,7 @@ class Timed(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class _CachedTimes(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What was measured on a machine of this kind with these profiles and packages."""
+    """Times measured on a machine of this kind with these profiles and packages."""
 
     key: str
     timed: list[Timed]
@@ -61,7 +61,7 @@ def pick(budget_ms: float, timed: list[Timed]) -> Timed:
 
 
 def reason(budget_ms: float, picked: Timed, timed: list[Timed]) -> str:
-    """Why this profile, in one line."""
+    """Return the reason for this profile, in one line."""
     better = [candidate for candidate in timed if candidate.recovered_f1_1m > picked.recovered_f1_1m]
     slower = ", ".join(f"{candidate.profile} would need {candidate.expected_ms:.0f} ms" for candidate in better)
     return (
@@ -114,7 +114,7 @@ def _known() -> dict[str, tuple[Setting, float]]:
 
 
 def cache_path() -> Path:
-    """Where times are remembered."""
+    """Return the path of the cached times."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "mirrorwave" / "latency.json"
 
@@ -126,7 +126,7 @@ def _key(rows: dict[str, tuple[Setting, float]]) -> str:
 
 
 def _recall(path: Path) -> _CachedTimes | None:
-    """What is remembered; nothing where there is no such file or it says nothing that is understood."""
+    """Read the cached times; None where there is no such file or its content is not understood."""
     try:
         return msgspec.json.decode(path.read_bytes(), type=_CachedTimes)
     except (OSError, msgspec.DecodeError, UnicodeError, RecursionError):

@@ -1,4 +1,4 @@
-"""What a run of the trade-off says: each row's accuracy beside its time, with intervals; JSON and Markdown."""
+"""Report of a trade-off: each row's accuracy beside its time, with intervals; JSON and Markdown."""
 
 from __future__ import annotations
 
@@ -142,7 +142,7 @@ def latency_ms(frames: Sequence[dict[str, list[float]]]) -> dict[str, np.ndarray
 
 
 def measuring_ms() -> float:
-    """How long all beams but the last are measured."""
+    """Return the time that measuring all beams but the last takes."""
     setup = RadarSetup()
     return 1e3 * s_from_ns((len(setup.beams) - 1) * setup.beam_interval_ns)
 

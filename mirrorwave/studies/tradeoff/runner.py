@@ -47,7 +47,7 @@ MS_PER_NS = 1e-6
 
 
 class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What fixes the accuracy of a run: rows, and the places of a seeded series; and how often each is timed."""
+    """Plan that fixes the accuracy of a run: rows, and the places of a seeded series; and how often each is timed."""
 
     rows: list[Setting]
     frames: int
@@ -247,7 +247,7 @@ class Measuring:
 
 
 class _Pass:
-    """What one frame's stages gave: maps and peaks by key, milliseconds by part and key."""
+    """Results of one frame's stages: maps and peaks by key, milliseconds by part and key."""
 
     def __init__(self) -> None:
         self.maps: dict[str, RangeAzimuthMap] = {}
@@ -273,7 +273,7 @@ class _Pass:
 
 
 def truth_of_place(place: LabelledPlace) -> FrameTruth:
-    """What there is to be found in a place."""
+    """Return the truth of a place."""
     labels = place.labels
     return truth_of_points(labels, xy_from_polar(labels.range_m, labels.azimuth_rad), place.hidden)
 

@@ -39,7 +39,7 @@ class Setting(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
 
     @property
     def name(self) -> str:
-        """How the row is called: switch and value, or the profile's own name."""
+        """Name of the row: switch and value, or the profile's own name."""
         return self.value if self.switch == PROFILE else f"{self.switch}: {self.value}"
 
     def of(self, stage: str) -> dict[str, Any]:

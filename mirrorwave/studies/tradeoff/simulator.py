@@ -1,4 +1,4 @@
-"""What accuracy costs the simulator in time: signal level, effects, rays and cells against the most complete answer.
+"""Cost of accuracy in the simulator: signal level, effects, rays and cells against the most complete answer.
 
 A group is one such choice; its settings are tried on the same cases (random places, bodies, walls), in a drawn order
 that changes from round to round, so that drift of the machine hits all alike. One file a case: a run that was stopped
@@ -23,7 +23,7 @@ from sim_player.fdtd.smooth import SMOOTH_WALLS
 
 
 class SimulatorPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What fixes the accuracy of a run: the cases of a seeded series in each group; and how often each is timed."""
+    """Plan that fixes the accuracy of a run: the cases of a seeded series in each group, how often each is timed."""
 
     seed: int
     repeats: int
@@ -50,7 +50,7 @@ class SimulatorPlan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fi
         return [(name, index) for name, count in self.cases.items() for index in range(count)]
 
     def settings_of(self, group: str) -> list[Value]:
-        """What is tried."""
+        """Return the settings to try."""
         return self.settings.get(group) or list(GROUPS[group].settings)
 
 

@@ -1,4 +1,4 @@
-"""What settings of the simulator are tried on: random places, bodies, walls; and the most complete answer of each."""
+"""Cases on which settings of the simulator are tried: random places, bodies, walls; and the best answer to each."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class Clock:
 
 
 class Case(Protocol):
-    """What all settings of a group are tried on; what they share is made with it, before any is timed."""
+    """Case that all settings of a group share; common parts are made with it, before any setting is timed."""
 
     #: What it is, for people.
     name: str
@@ -85,7 +85,7 @@ class Case(Protocol):
         """The most complete answer, which may be one of the settings'."""
 
     def errors(self, answer: Any, truth: Any) -> dict[str, float]:
-        """How far an answer is off, by measure."""
+        """Return the errors of an answer, by measure."""
 
 
 class _Place:
@@ -337,5 +337,5 @@ GROUPS: dict[str, Group] = {
 
 
 def setting_name(group: str, value: Value) -> str:
-    """How a setting is called in its group."""
+    """Return the name of a setting in its group."""
     return value if isinstance(value, str) else f"{value:g} {GROUPS[group].unit}".strip()

@@ -68,7 +68,7 @@ def _draw_budget(axes: Axes, rows: list[SimulatorRow]) -> None:
 
 
 def _draw_times(axes: Axes, at: np.ndarray, rows: list[SimulatorRow]) -> None:
-    """What a scan costs: finding the paths and asking for each effect, then its profiles, or its beats."""
+    """Draw the time of a scan: finding the paths and asking for each effect, then its profiles, or its beats."""
     paths, signal, beats = (_medians(rows, part) for part in ("paths", "signal", "beats"))
     width = 0.2 * STEP_DB
     for side, quantity, label, colour in (
@@ -111,7 +111,7 @@ def _draw_levels(axes: Axes, rows: list[SimulatorRow]) -> None:
 
 
 def _draw_without(axes: Axes, rows: list[SimulatorRow]) -> None:
-    """What leaving out an effect costs: the worst cell of the worst place, and the time it spares."""
+    """Draw the effect of leaving out an effect: the worst cell of the worst place, and the time it saves."""
     whole_ms = next((row.times_ms["wall"].p50 for row in rows if row.name == "all"), None) or 0.0
     left_out = sorted(
         (row for row in rows if row.errors["worst_cell_db"].worst > SAME_DB),

@@ -1,4 +1,4 @@
-"""What a wall reflects and lets through over angle, for both polarisations: exact, or by a simulated wave."""
+"""Power that a wall reflects and transmits over angle, for both polarisations: exact, or by a simulated wave."""
 
 from __future__ import annotations
 

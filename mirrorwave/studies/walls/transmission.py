@@ -131,7 +131,7 @@ def rebuild_table(path: Path, workers: int) -> None:
 
 
 def provenance(workers: int) -> dict[str, Any]:
-    """Where a table comes from: command, version of the code, kind of machine, day."""
+    """Return the origin of a table: command, version of the code, kind of machine, day."""
     import os
     import platform
     from datetime import UTC, datetime
@@ -145,7 +145,7 @@ def provenance(workers: int) -> dict[str, Any]:
 
 
 def _version() -> str:
-    """What git calls this checkout; "unknown" outside of one."""
+    """Return git's name of this checkout; "unknown" outside of one."""
     import subprocess
 
     command = ["git", "-C", str(Path(__file__).parent), "describe", "--always", "--dirty"]

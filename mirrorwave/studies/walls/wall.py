@@ -13,7 +13,7 @@ FDTD_MAX_DEG, FDTD_MAX_ROUGH_DEG = 89.0, 70.0
 
 
 class Method(StrEnum):
-    """How the coefficients are found: transfer matrix, or a wave simulated on a grid."""
+    """Method of finding the coefficients: transfer matrix, or a wave simulated on a grid."""
 
     EXACT = "exact"
     FDTD = "fdtd"
