@@ -15,7 +15,6 @@ import os
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import fields
 from functools import partial
 
 import msgspec
@@ -38,19 +37,12 @@ STATIC = SignalEffects(motion=False, mutual_coupling=True, squint=True, chirp_ov
 SINGLE = ("mutual_coupling", "squint", "chirp_overlap")
 
 
-def join(parts: list[Paths]) -> Paths:
-    """Return all paths of one or more sets, in order."""
-    return Paths(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Paths)}
-    )
-
-
 def scene_paths(least: int, seed: int) -> Paths:
     """Echoes of as many random streets as it takes."""
     parts: list[Paths] = []
     while sum(map(len, parts)) < least:
         parts.append(trace(prepare(random_street(seed, len(parts)), seed)))
-    return join(parts)
+    return Paths.joined(parts)
 
 
 def timed(work: Callable[[], np.ndarray], rounds: int) -> tuple[np.ndarray, np.ndarray]:

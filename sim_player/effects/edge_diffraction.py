@@ -8,11 +8,12 @@ more than two walls meet, bends before or after a mirror, the faces' roughness, 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from models.physics.diffraction import edge_field, wedge_terms
+from msgs.values.array_table import ArrayTable
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
@@ -29,7 +30,7 @@ SAME_END_M = 1e-6
 
 
 @dataclass(frozen=True)
-class Edges:
+class Edges(ArrayTable):
     """E upright edges."""
 
     #: Place in the plane, [E, 2], and the pieces of wall of the first and the last face (a free end: the same), [E].
@@ -45,10 +46,6 @@ class Edges:
 
     def __len__(self) -> int:
         return len(self.n)
-
-    def take(self, selection: np.ndarray) -> Edges:
-        """The edges of an index or mask."""
-        return Edges(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def absent(world: World) -> str | None:

@@ -7,7 +7,7 @@ Walls with their faces at 850 nm, objects as matt surfaces: classes as boxes, me
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from models.physics.photons.optics import (
     optical_material,
     optical_reflectance,
 )
+from msgs.values.array_table import ArrayTable
 from sim_player.scene.description import SceneObject
 from sim_player.scene.world import Snapshot, World
 
@@ -29,7 +30,7 @@ PATCH_M = 0.25
 
 
 @dataclass(frozen=True)
-class Surfaces:
+class Surfaces(ArrayTable):
     """M upright pieces that a level ray can meet: walls, box sides, and cuts through meshes."""
 
     a: np.ndarray
@@ -81,10 +82,6 @@ class Surfaces:
             matt=np.ones(count, bool),
         )
 
-    def take(self, selection: np.ndarray) -> Surfaces:
-        """Return the pieces of an index or mask."""
-        return Surfaces(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
-
     def diffuse(self, cosine: np.ndarray, wavelength_m: float, fresnel: FresnelMean) -> np.ndarray:
         """Return the share of the light that each piece scatters at a cosine of incidence."""
         bare = diffuse_reflectance(self.index, self.albedo, cosine, self.roughness_m, wavelength_m, fresnel)
@@ -109,9 +106,7 @@ def all_surfaces(view: Snapshot, height_m: float) -> Surfaces:
         elif scene_object.kind.height_m <= height_m:
             continue
         parts.append(Surfaces.of_object(index, a, b, level, object_albedo(scene_object)))
-    return Surfaces(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Surfaces)}
-    )
+    return Surfaces.joined(parts)
 
 
 def object_albedo(scene_object: SceneObject) -> float:

@@ -11,7 +11,7 @@ from msgs.values.lidar import LidarSetup, PhotonHistograms
 from msgs.values.perception import SceneTruth
 from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
-from sim_player.lidar.spad import DEFAULT, OpticalPaths, SpadOptions, join_paths, optical_paths, spad_histograms
+from sim_player.lidar.spad import DEFAULT, OpticalPaths, SpadOptions, optical_paths, spad_histograms
 from sim_player.scene.description import Scene
 from sim_player.scene.world import prepare
 from sim_player.trace.ray_tracing import trace
@@ -49,7 +49,7 @@ class LidarPlayer:
             return self._still
         starts = range(0, self.setup.grid.azimuth_bins, BLOCK)
         every = np.arange(self.setup.grid.azimuth_bins)
-        return join_paths(
+        return OpticalPaths.joined(
             [
                 optical_paths(
                     self._world,

@@ -15,7 +15,7 @@ import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Literal
@@ -35,6 +35,7 @@ from models.physics.photons.optics import (
     confocal_photons,
     direct_photons,
 )
+from msgs.values.array_table import ArrayTable
 from msgs.values.lidar import LidarSetup, SpadParams
 from msgs.values.perception import PathClass
 from msgs.values.units import SPEED_OF_LIGHT_MPS
@@ -100,7 +101,7 @@ class LightRoute(IntEnum):
 
 
 @dataclass(frozen=True)
-class OpticalPaths:
+class OpticalPaths(ArrayTable):
     """P paths of light, each at one azimuth."""
 
     azimuth_index: np.ndarray
@@ -115,10 +116,6 @@ class OpticalPaths:
 
     def __len__(self) -> int:
         return len(self.range_m)
-
-    def take(self, selection: np.ndarray) -> OpticalPaths:
-        """Return the paths of an index or mask."""
-        return OpticalPaths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 class OpticPlan(msgspec.Struct, frozen=True, kw_only=True):
@@ -150,7 +147,7 @@ def optical_paths(
         parts += sight.mirrored()
     if "diffuse" in used:
         parts += sight.confocal()
-    return _within(join_paths(parts), lidar.spad, options)
+    return _within(OpticalPaths.joined(parts), lidar.spad, options)
 
 
 def plan_optics(
@@ -193,18 +190,11 @@ def _as_counts(rows: list[np.ndarray]) -> np.ndarray:
     return counts.astype(np.uint32)
 
 
-def join_paths(parts: Sequence[OpticalPaths]) -> OpticalPaths:
-    """Return all paths of one or more sets, in order."""
-    return OpticalPaths(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(OpticalPaths)}
-    )
-
-
 # -- rays ------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
-class _Rays:
+class _Rays(ArrayTable):
     """N level rays, traced so far."""
 
     azimuth_index: np.ndarray
@@ -215,10 +205,6 @@ class _Rays:
     share: np.ndarray
     spread_m: np.ndarray
     slope: np.ndarray
-
-    def take(self, selection: np.ndarray) -> _Rays:
-        """Return the rays of an index or mask."""
-        return _Rays(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 @dataclass(frozen=True)

@@ -6,10 +6,11 @@ over both lengths: 1/R^2 for the same route there and back (Eq. (5)); two bounce
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from msgs.values.array_table import ArrayTable
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams
 from sim_player.scene.road_users import seen_rcs_m2
@@ -18,7 +19,7 @@ from sim_player.trace.routes import NONE, Routes, dot
 
 
 @dataclass(frozen=True)
-class Echoes:
+class Echoes(ArrayTable):
     """E echoes in the scene's frame."""
 
     #: Weight with none of the factors below.
@@ -47,16 +48,10 @@ class Echoes:
     def __len__(self) -> int:
         return len(self.weight)
 
-    def take(self, selection: np.ndarray) -> Echoes:
-        """Return the echoes of an index or mask."""
-        return Echoes(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
-
 
 def join_echoes(parts: list[Echoes]) -> Echoes:
     """Return all echoes of several sets, in order."""
-    return Echoes(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Echoes)}
-    )
+    return Echoes.joined(parts)
 
 
 def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) -> np.ndarray:

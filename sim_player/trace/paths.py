@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from msgs.values.array_table import ArrayTable
+
 
 @dataclass(frozen=True)
-class Paths:
+class Paths(ArrayTable):
     """P paths of one instant; points in the radar's frame (z above the antenna) in metres."""
 
     #: `PathClass` values, uint8 [P].
@@ -40,7 +42,3 @@ class Paths:
 
     def __len__(self) -> int:
         return len(self.length_m)
-
-    def take(self, selection: np.ndarray) -> Paths:
-        """Return the paths of an index or mask."""
-        return Paths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})

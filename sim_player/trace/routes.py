@@ -7,11 +7,12 @@ kept apart, so that an echo's weight can be computed with and without them ("geo
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
 from models.physics.mirror import reflect
+from msgs.values.array_table import ArrayTable
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot
 from sim_player.trace.segments import Occlusion, in_series, segment_occlusion, without
@@ -22,7 +23,7 @@ NONE = -1
 
 
 @dataclass(frozen=True)
-class Routes:
+class Routes(ArrayTable):
     """N one-way routes, in the scene's frame (heights over the ground)."""
 
     #: Index of the target it arrives at, int32.
@@ -50,16 +51,10 @@ class Routes:
     def __len__(self) -> int:
         return len(self.length_m)
 
-    def take(self, selection: np.ndarray) -> Routes:
-        """Return the routes of an index or mask."""
-        return Routes(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
-
 
 def join_routes(parts: list[Routes]) -> Routes:
     """Return all routes of several sets, in order."""
-    return Routes(
-        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Routes)}
-    )
+    return Routes.joined(parts)
 
 
 def make_routes(
@@ -122,7 +117,7 @@ def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int
 
 
 @dataclass(frozen=True)
-class Bounces:
+class Bounces(ArrayTable):
     """M candidate bounces at straight walls between a source and targets: by the law of reflection, inside the ends."""
 
     wall: np.ndarray
@@ -161,7 +156,7 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
     specular = source + portion[:, None] * (image - source)
     below_top = specular[:, 2] < world.wall_height_m[wall]
     bounces = Bounces(wall, target, specular, image, view.normal[wall])
-    return _take(bounces, below_top)
+    return bounces.take(below_top)
 
 
 def mirror_routes(
@@ -196,10 +191,6 @@ def mirror_routes(
         rough=rough,
     )
     return routes, occlusion
-
-
-def _take(bounces: Bounces, selection: np.ndarray) -> Bounces:
-    return Bounces(**{field.name: getattr(bounces, field.name)[selection] for field in fields(bounces)})
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:

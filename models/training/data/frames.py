@@ -20,6 +20,7 @@ from models.perception.forming.coarray import AzimuthInterpolator
 from models.perception.forming.ra_forming import ScanProfiles, form_map
 from msgs.files.array_files import array_names, load_arrays
 from msgs.files.whole_files import write_whole
+from msgs.values.array_table import ArrayTable
 from msgs.values.perception import PathClass
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 
@@ -31,7 +32,7 @@ SHARES = (0.70, 0.15, 0.15)
 
 
 @dataclass(frozen=True, kw_only=True)
-class FrameLabels:
+class FrameLabels(ArrayTable):
     """Truth points of one map, strongest first; arrays [points], positions [points, 2]."""
 
     range_m: np.ndarray
@@ -50,10 +51,6 @@ class FrameLabels:
 
     def __len__(self) -> int:
         return len(self.range_m)
-
-    def select(self, keep: np.ndarray) -> FrameLabels:
-        """Return the points of a mask or an index."""
-        return FrameLabels(**{field.name: getattr(self, field.name)[keep] for field in fields(self)})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -141,7 +141,7 @@ def with_truth(folded: Folded, labels: FrameLabels, scene: int, gate_m: float = 
     Labels without a true position are ignored.
     """
     recovered, reflection = folded
-    truth = labels.select((labels.path_class == PathClass.MIRRORED) & np.isfinite(labels.hidden_xy_m).all(axis=1))
+    truth = labels.take((labels.path_class == PathClass.MIRRORED) & np.isfinite(labels.hidden_xy_m).all(axis=1))
     truth_images_m = xy_from_polar(truth.range_m.astype(np.float64), truth.azimuth_rad.astype(np.float64))
     truth_m = truth.hidden_xy_m.astype(np.float64)
     target_m = np.full((len(recovered), 2), np.nan)

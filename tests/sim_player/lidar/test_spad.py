@@ -19,7 +19,6 @@ from sim_player.lidar.spad import (
     LightRoute,
     OpticalPaths,
     SpadOptions,
-    join_paths,
     optical_paths,
     plan_optics,
     spad_histograms,
@@ -232,7 +231,7 @@ def test_azimuths_alone_are_the_same_as_in_the_whole() -> None:
     world = prepare(slanted())
     whole = optical_paths(world, lidar(grid=grid), 0.0, SURE)
     parts = [optical_paths(world, lidar(grid=grid), 0.0, SURE, np.arange(start, start + 1)) for start in range(41)]
-    joined = join_paths(parts)
+    joined = OpticalPaths.joined(parts)
     order = [np.lexsort((one.range_m, one.route, one.azimuth_index)) for one in (whole, joined)]
     np.testing.assert_array_equal(whole.azimuth_index[order[0]], joined.azimuth_index[order[1]])
     np.testing.assert_allclose(whole.photons[order[0]], joined.photons[order[1]], rtol=1e-12)

@@ -100,7 +100,7 @@ def test_labels_without_a_place_count_for_nothing() -> None:
 
 def test_a_scene_without_returns_gives_no_images() -> None:
     labels = labels_of(PLACES_M)
-    labels = labels.select(labels.path_class == PathClass.MIRRORED)
+    labels = labels.take(labels.path_class == PathClass.MIRRORED)
     for fold in GEOMETRIES.values():
         folded = with_truth(fold(truth_peaks(labels)), labels, 0)
         assert (len(folded), len(folded.truth_m)) == (0, 2)
