@@ -23,6 +23,7 @@ from benchmarks.perception.ra_forming import machine
 from models.physics.fresnel import slab_reflection, slab_transmission
 from models.physics.materials import permittivity
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS
+from sim_player.fdtd.rough import RoughParams
 from sim_player.fdtd.scattering import reflect
 from sim_player.fdtd.smooth import SMOOTH_WALLS, SmoothWall
 
@@ -77,7 +78,7 @@ def thick_concrete() -> dict[str, object]:
     """40 cm of concrete at 10 GHz, normal incidence: R and T in dB, exact and at each resolution."""
     eps = permittivity("concrete", 10e9)
     shape = (eps, 1.0, 0.4, SPEED_OF_LIGHT_MPS / 10e9)
-    runs = [reflect(((eps, 0.4),), 0.0, 10e9, cells_per_wavelength=cells) for cells in CELLS]
+    runs = [reflect(((eps, 0.4),), 0.0, 10e9, settings=RoughParams(cells, dtype="float64")) for cells in CELLS]
     return {
         "exact_db": [level_db(slab_reflection(*shape)), level_db(slab_transmission(*shape))],
         "fdtd_db": [[level_db(run.r), level_db(run.t)] for run in runs],

@@ -24,12 +24,9 @@ def radar_snr(
     rcs_m2: float | np.ndarray,
     wall_power_per_bounce: float | np.ndarray = 1.0,
     azimuth_rad: float | np.ndarray = 0.0,
-    elevation_rad: float | np.ndarray = 0.0,
-    window: str = "hann",
 ) -> np.ndarray:
     """Return the SNR of a point target in the coherent map of a scan (broadcast): `beam_snr` over its cells' noise."""
-    direction = azimuth_rad, elevation_rad
-    return beam_snr(setup, range_m, rcs_m2, wall_power_per_bounce, *direction, window) / map_noise_gain(setup)
+    return beam_snr(setup, range_m, rcs_m2, wall_power_per_bounce, azimuth_rad) / map_noise_gain(setup)
 
 
 def beam_snr(
@@ -38,8 +35,6 @@ def beam_snr(
     rcs_m2: float | np.ndarray,
     wall_power_per_bounce: float | np.ndarray = 1.0,
     azimuth_rad: float | np.ndarray = 0.0,
-    elevation_rad: float | np.ndarray = 0.0,
-    window: str = "hann",
 ) -> np.ndarray:
     """Return the SNR of a point target in one cell of an ideal beam steered at it (broadcast), float64.
 
@@ -52,9 +47,9 @@ def beam_snr(
     rcs_m2 = _not_negative("rcs_m2", rcs_m2)
     radar = setup.radar
     # divided twice: the square of a huge range would overflow
-    field = two_way_field(setup, azimuth_rad, elevation_rad) * wall * radar.wavelength_m / range_m / range_m
+    field = two_way_field(setup, azimuth_rad) * wall * radar.wavelength_m / range_m / range_m
     echo_mw = 1e3 * radar.transmit_power_w * rcs_m2 * np.square(field) / (4.0 * np.pi) ** 3
-    noise_mw = radar.noise_power_mw * window_noise_gain(window)
+    noise_mw = radar.noise_power_mw * window_noise_gain("hann")
     return np.asarray(echo_mw * radar.samples_per_chirp * radar.chirps_per_beam / noise_mw)
 
 
@@ -71,13 +66,13 @@ def two_way_field(
     return np.asarray(element_field(setup.element, azimuth_rad, elevation_rad) ** 2 * gain**directions)
 
 
-def map_noise_gain(setup: RadarSetup, grid: RangeAzimuthGrid | None = None) -> float:
+def map_noise_gain(setup: RadarSetup) -> float:
     """Return the mean noise power of a coherent map's cells over a beam's: 0.58 of the default radar, 1 of 57 columns.
 
-    Least squares from all beams to ideal beams at the azimuths of `grid` (None: its default). Holds if the beams are
+    Least squares from all beams to ideal beams at the azimuths of the default grid. Holds if the beams are
     at least as many as the co-array's coefficients.
     """
-    azimuth_rad = (grid or RangeAzimuthGrid()).azimuth_rad
+    azimuth_rad = RangeAzimuthGrid().azimuth_rad
     ideal = np.conj(column_response(setup.array, setup.radar.wavelength_m, azimuth_rad, np.zeros(1)))
     forward = _two_way_weights(setup, ideal) @ np.linalg.pinv(_two_way_weights(setup, setup_weights(setup)))
     return float(np.sum(np.abs(forward) ** 2) / len(azimuth_rad))

@@ -589,9 +589,9 @@ def _losses(values: dict[str, str] | None) -> Losses | None:
 
 
 @contextlib.contextmanager
-def whole_recording(path: Path, metadata: dict[str, str], *, overwrite: bool = False) -> Iterator[RecordingWriter]:
+def whole_recording(path: Path, metadata: dict[str, str]) -> Iterator[RecordingWriter]:
     """Yield a writer of a recording that is complete if the context ends well, else absent; raises as the writer."""
-    with _whole(path, overwrite) as part, RecordingWriter(part, metadata) as writer:
+    with _whole(path, overwrite=False) as part, RecordingWriter(part, metadata) as writer:
         yield writer
 
 

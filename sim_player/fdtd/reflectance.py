@@ -416,7 +416,8 @@ def simulate(entry: Entry) -> Done:
     if entry.roughness_m > 0.0:
         return Done(entry, tuple(_rough_cell(entry, layers, angle_deg) for angle_deg in entry.angles_deg))
     angles_rad = np.radians(entry.angles_deg)
-    runs = reflect_angles(layers, angles_rad, entry.frequency_hz, entry.polarisation, SMOOTH_CELLS, workers=1)
+    settings = RoughParams(SMOOTH_CELLS, dtype="float64")
+    runs = reflect_angles(layers, angles_rad, entry.frequency_hz, entry.polarisation, settings, workers=1)
     return Done(
         entry,
         tuple(

@@ -32,7 +32,7 @@ LAST_MODE = 8.0
 
 @dataclass(frozen=True)
 class RoughParams:
-    """Settings of a wide strip: resolution, surface and number type."""
+    """Settings of a wall's run: resolution, surface (roughness 0: smooth) and number type."""
 
     cells_per_wavelength: float = 20.0
     roughness_m: float = 0.0

@@ -16,6 +16,8 @@ from sim_player.fdtd.strip import StripParams, build_strips, run_strip
 
 #: Steepest planar incidence: nearer to grazing, the length of a pulse clear of the cut-off grows without bound.
 MAX_ANGLE_RAD = math.radians(89.0)
+#: A column of cells: a wall without roughness.
+SMOOTH = RoughParams(dtype="float64")
 
 
 @dataclass(frozen=True)
@@ -44,30 +46,25 @@ def reflect(
     angle_rad: float,
     frequency_hz: float,
     polarisation: Polarisation = "te",
-    cells_per_wavelength: float = 20.0,
-    roughness_m: float = 0.0,
-    correlation_m: float = 0.03,
-    width_m: float | None = None,
-    seed: int = 0,
-    dtype: str = "float64",
+    settings: RoughParams = SMOOTH,
     on_step: Callable[[int, float], None] | None = None,
 ) -> Scattered:
     """Return the reflection of a plane wave by layers (permittivity, thickness_m) in air, front first, by time
     stepping.
 
     Smooth walls run on one column of cells, rough ones (rms height, correlation exp(-x^2/l^2)) on a periodic strip of
-    `width_m`. Angle from the normal, at most 89 deg (86 deg rough). `on_step(steps, residue)` is called now and then.
-    Look at `residue`: a rough wall without loss rings beyond the run. Raises ValueError for bad media, angle, settings.
+    `settings.width_m`. Angle from the normal, at most 89 deg (86 deg rough). `on_step(steps, residue)` is called now
+    and then. Look at `residue`: a rough wall without loss rings beyond the run. Raises ValueError for bad media, angle,
+    settings.
     """
     if polarisation not in ("te", "tm"):
         raise ValueError(f"polarisation must be te or tm, got {polarisation!r}")
     if not (math.isfinite(frequency_hz) and frequency_hz > 0.0):
         raise ValueError(f"frequency_hz must be finite and positive, got {frequency_hz!r}")
-    if roughness_m == 0.0:
-        params = StripParams(cells_per_wavelength, dtype=dtype)
+    if settings.roughness_m == 0.0:
+        params = StripParams(settings.cells_per_wavelength, dtype=settings.dtype)
         return _reflect_smooth(layers, angle_rad, frequency_hz, polarisation, params, on_step)
-    surface = RoughParams(cells_per_wavelength, roughness_m, correlation_m, width_m, seed, dtype)
-    return _from_orders(scatter(layers, angle_rad, frequency_hz, polarisation, surface, on_step))
+    return _from_orders(scatter(layers, angle_rad, frequency_hz, polarisation, settings, on_step))
 
 
 def reflect_angles(
@@ -75,8 +72,7 @@ def reflect_angles(
     angles_rad: Sequence[float] | np.ndarray,
     frequency_hz: float,
     polarisation: Polarisation = "te",
-    cells_per_wavelength: float = 20.0,
-    dtype: str = "float64",
+    settings: RoughParams = SMOOTH,
     workers: int = 2,
 ) -> list[Scattered]:
     """Return `reflect` of a smooth wall at many angles, side by side on threads; same results for any number of
@@ -84,7 +80,7 @@ def reflect_angles(
     """
 
     def reflect_at(angle_rad: float) -> Scattered:
-        return reflect(layers, float(angle_rad), frequency_hz, polarisation, cells_per_wavelength, dtype=dtype)
+        return reflect(layers, float(angle_rad), frequency_hz, polarisation, settings)
 
     with ThreadPoolExecutor(max_workers=workers) as pool:
         return list(pool.map(reflect_at, angles_rad))

@@ -12,6 +12,7 @@ import numpy as np
 from models.physics.fresnel import Polarisation, slab_reflection
 from models.physics.materials import permittivity
 from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.fdtd.rough import RoughParams
 from sim_player.fdtd.scattering import Scattered, reflect_angles
 
 
@@ -45,8 +46,8 @@ class SmoothWall:
     ) -> list[Scattered]:
         """Return the reflection by time stepping; cells count per wavelength in the material."""
         layers = ((self.permittivity, self.thickness_m),)
-        settings = (self.frequency_hz, self.polarisation, cells_per_wavelength, dtype, workers)
-        return reflect_angles(layers, angles_rad, *settings)
+        settings = RoughParams(cells_per_wavelength, dtype=dtype)
+        return reflect_angles(layers, angles_rad, self.frequency_hz, self.polarisation, settings, workers)
 
 
 _POLARISATIONS: tuple[Polarisation, ...] = ("te", "tm")

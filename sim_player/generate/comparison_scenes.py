@@ -229,11 +229,11 @@ class MirrorPath:
         return self.to_wall_m + self.beyond_m
 
 
-def mirror_path(scene: Scene, surface: int = 0, object_index: int = 0) -> MirrorPath:
-    """Return the path from the sensor to an object by the line of a straight wall of two points."""
-    a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
+def mirror_path(scene: Scene) -> MirrorPath:
+    """Return the path from the sensor to the first object by the line of the first wall, which is straight."""
+    a, b = np.array(scene.surfaces[0].polyline_m[0]), np.array(scene.surfaces[0].polyline_m[-1])
     normal, offset_m = wall_from_ends(a, b, np.zeros(2))
-    position = np.array([scene.objects[object_index].x_m, scene.objects[object_index].y_m])
+    position = np.array([scene.objects[0].x_m, scene.objects[0].y_m])
     image = reflect(position, normal, offset_m)
     range_m = math.hypot(*image)
     share = offset_m / (offset_m + float(normal @ position + offset_m))
@@ -261,13 +261,13 @@ class ShownPoints:
         return len(self.position_m)
 
 
-def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = None) -> ShownPoints:
-    """Return the points on the sides of objects that one mirror shows within the grid: by geometry alone, without
-    power.
+def shown_points(scene: Scene, seed: int = 0) -> ShownPoints:
+    """Return the points on the sides of objects that one mirror shows within the default grid.
 
-    Scattering centres of the objects, thinned to `TRUTH_SPACING_M` in order; the same for every sensor.
+    By geometry alone, without power: scattering centres of the objects, thinned to `TRUTH_SPACING_M` in order; the same
+    for every sensor.
     """
-    grid = RangeAzimuthGrid() if grid is None else grid
+    grid = RangeAzimuthGrid()
     paths = trace(prepare(with_sensor(scene, "xband"), seed))
     paths = paths.take(labelled(paths) & (paths.object_index >= 0))
     direct = frozenset(paths.object_index[paths.kind == PathClass.LOS].tolist())
@@ -283,9 +283,9 @@ def shown_points(scene: Scene, seed: int = 0, grid: RangeAzimuthGrid | None = No
     )
 
 
-def incidences(scene: Scene, shown: ShownPoints, surface: int = 0) -> tuple[float, float]:
-    """Return the least and largest cosine of incidence at the line of a straight wall, over what it shows."""
-    a, b = np.array(scene.surfaces[surface].polyline_m[0]), np.array(scene.surfaces[surface].polyline_m[-1])
+def incidences(scene: Scene, shown: ShownPoints) -> tuple[float, float]:
+    """Return the least and largest cosine of incidence at the line of the first, straight wall, over what it shows."""
+    a, b = np.array(scene.surfaces[0].polyline_m[0]), np.array(scene.surfaces[0].polyline_m[-1])
     normal, _ = wall_from_ends(a, b, np.zeros(2))
     cosine = -(shown.image_m @ normal) / np.linalg.norm(shown.image_m, axis=1)
     return float(cosine.min()), float(cosine.max())

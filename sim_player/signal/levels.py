@@ -237,11 +237,9 @@ def noise_density_mw(
     return per_sample / (radar.samples_per_chirp * radar.chirps_per_beam)
 
 
-def noise_rms(
-    setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS, range_bins: int = RANGE_BINS
-) -> np.ndarray:
-    """Return the rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [bins]."""
-    density = noise_density_mw(setup, np.arange(range_bins), effects, front_end)
+def noise_rms(setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS) -> np.ndarray:
+    """Return the rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [512]."""
+    density = noise_density_mw(setup, np.arange(RANGE_BINS), effects, front_end)
     return np.sqrt(density * window_noise_gain("hann"))
 
 

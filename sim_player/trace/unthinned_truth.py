@@ -70,12 +70,11 @@ def labelled_paths(drawn: DrawnScene) -> tuple[Paths, np.ndarray]:
     return unthinned_paths(drawn.setup, paths), label_points(drawn.setup, paths).range_m
 
 
-def unthinned_paths(setup: RadarSetup, paths: Paths, grid: RangeAzimuthGrid | None = None) -> Paths:
+def unthinned_paths(setup: RadarSetup, paths: Paths) -> Paths:
     """Return the candidates of `sim_player.trace.truth.visible_paths`: labelled, in the grid, over the noise in some
     beam.
     """
-    grid = RangeAzimuthGrid() if grid is None else grid
-    radar = setup.radar
+    grid, radar = RangeAzimuthGrid(), setup.radar
     noise_mw = radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam)
     row, column = grid.range_index(0.5 * paths.length_m), grid.azimuth_index(paths.azimuth_rad)
     inside = (row <= grid.range_bins - 1) & (column >= 0.0) & (column <= grid.azimuth_bins - 1)

@@ -14,14 +14,15 @@ ARC_STEPS = 256
 CLEARANCE_M = 1e-6
 
 
-def outbound_vertices(world: World, paths: Paths, time_s: float = 0.0) -> list[np.ndarray]:
-    """Return the outbound vertices [N, 3] of every path in the radar's frame: antenna, bounces at walls, scatterer.
+def outbound_vertices(world: World, paths: Paths) -> list[np.ndarray]:
+    """Return the outbound vertices [N, 3] of every path: antenna, bounces at walls, scatterer; in the radar's frame at
+    the start.
 
     The ray follows the direction of departure from the antenna, with as many mirrors as the path has bounces. Bends at
     edges and bounces on the ground are drawn straight.
     """
     a, b, normal = _pieces(world)
-    back = radar_pose(world.scene, time_s).inverse()
+    back = radar_pose(world.scene, 0.0).inverse()
     a, b, normal = back.apply(a), back.apply(b), back.rotate(normal)
     return [_outbound_vertices(paths, index, a, b, normal) for index in range(len(paths))]
 

@@ -14,6 +14,7 @@ from sim_player.fdtd import grid as grid_module
 from sim_player.fdtd import strip as strip_module
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, VACUUM_PERMITTIVITY_F_PER_M, CpmlParams, recursion
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
+from sim_player.fdtd.rough import RoughParams
 from sim_player.fdtd.scattering import reflect
 from sim_player.fdtd.strip import Strip, StripParams, build_strips, courant_limit_s, run_strip
 from tests.stability.catalogue import Errors
@@ -234,7 +235,7 @@ def test_metal(loss: float, errors: Errors, monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_opaque_slab_is_a_half_space() -> None:
     """A metre of 80 - 20j: e^-230 behind it. r is that of the half-space, t is nothing and no warning."""
-    found = reflect(((80.0 - 20.0j, 1.0),), 0.0, FREQUENCY_HZ, "te", 10)
+    found = reflect(((80.0 - 20.0j, 1.0),), 0.0, FREQUENCY_HZ, "te", RoughParams(10, dtype="float64"))
     assert abs(found.r - slab_reflection(80.0 - 20.0j, 1.0, math.inf, WAVELENGTH_M)) < 5e-3
     assert abs(found.t) < 1e-12
 

@@ -119,17 +119,18 @@ def _fdtd_curves(wall: Wall, frequency_hz: float, angles_deg: np.ndarray, polari
 
     from models.physics.materials import wall_layers
     from msgs.values.units import SPEED_OF_LIGHT_MPS
+    from sim_player.fdtd.rough import RoughParams
     from sim_player.fdtd.scattering import reflect
 
     layers = wall_layers(wall.material, wall.thickness_m, frequency_hz, wall.extrapolate)
-    options: dict[str, Any] = {"polarisation": polarisation, "roughness_m": wall.roughness_m}
+    settings = RoughParams(roughness_m=wall.roughness_m, dtype="float64")
     if wall.roughness_m > 0.0:
         correlation_m = FDTD_CORRELATION_WAVELENGTHS * SPEED_OF_LIGHT_MPS / frequency_hz
-        options |= {"cells_per_wavelength": FDTD_ROUGH_CELLS, "correlation_m": correlation_m, "dtype": "float32"}
+        settings = RoughParams(FDTD_ROUGH_CELLS, wall.roughness_m, correlation_m)
     console = Console(stderr=True)
     label = f"{wall.material} {frequency_hz / 1e9:g} GHz {polarisation}"
     angles = track(np.radians(angles_deg), label, console=console, transient=True, disable=not console.is_terminal)
-    results = [reflect(layers, float(angle), frequency_hz, **options) for angle in angles]
+    results = [reflect(layers, float(angle), frequency_hz, polarisation, settings) for angle in angles]
     t = np.array([result.t for result in results], np.complex128)
     return Curves(
         np.array([result.r for result in results], np.complex128),

@@ -68,6 +68,7 @@ def answer(
     from models.physics.fresnel import stack_reflection, stack_transmission
     from msgs.values.units import SPEED_OF_LIGHT_MPS
     from sim_player.fdtd.experiment import transmission_experiment
+    from sim_player.fdtd.rough import RoughParams
     from sim_player.fdtd.scattering import reflect
 
     setup = layout(layers, frequency_hz) if picture else None
@@ -75,7 +76,7 @@ def answer(
     media, thicknesses_m = zip(*layers, strict=True)
     case = (media, thicknesses_m, np.cos(angle_rad), SPEED_OF_LIGHT_MPS / frequency_hz, polarisation)
     exact_db = _level_db(stack_reflection(*case)), _level_db(stack_transmission(*case))
-    column = reflect(layers, angle_rad, frequency_hz, polarisation, COLUMN_CELLS)
+    column = reflect(layers, angle_rad, frequency_hz, polarisation, RoughParams(COLUMN_CELLS, dtype="float64"))
     beam, sides_m = None, (0.0, 0.0)
     if setup is not None:
         with _progress() as progress:

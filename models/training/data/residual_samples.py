@@ -114,9 +114,9 @@ def _none() -> FoldedImages:
 Folded = tuple[Recovered, ReflectionState]
 
 
-def fold_ours(peaks: Peaks, params: GeometryParams | None = None) -> Folded:
+def fold_ours(peaks: Peaks) -> Folded:
     """Return the images of a scene as folded by the geometry stage, hidden or not."""
-    scan = fold_scan(peaks, params or GeometryParams())
+    scan = fold_scan(peaks, GeometryParams())
     return scan.recovered, reflection_state(scan.recovered, scan.walls, scan.returns, NEIGHBOURS)
 
 
@@ -228,9 +228,7 @@ class RecoveredScores(msgspec.Struct, frozen=True, kw_only=True):
     chamfer_m: float
 
 
-def recovered_scores(
-    folded: FoldedImages, offsets_m: np.ndarray, reach_m: float = math.inf, tau_m: float = 1.0
-) -> RecoveredScores:
+def recovered_scores(folded: FoldedImages, offsets_m: np.ndarray, reach_m: float = math.inf) -> RecoveredScores:
     """Return scores of folded positions moved by offsets [N, 2] (zero: the mirror law alone)."""
     within = folded.within(reach_m)
     errors_m = np.abs(offsets_m - folded.target_m)[within].sum(axis=1)
@@ -238,7 +236,7 @@ def recovered_scores(
     total, distances_m = Counts(), []
     for scene in np.union1d(folded.scene, folded.truth_scene):
         here_m, truth_m = places_m[folded.scene == scene], folded.truth_m[folded.truth_scene == scene]
-        total += recovered_counts(here_m, truth_m, tau_m)
+        total += recovered_counts(here_m, truth_m)
         distances_m.append(chamfer(here_m, truth_m).metres)
     finite = [distance_m for distance_m in distances_m if math.isfinite(distance_m)]
     return RecoveredScores(

@@ -21,7 +21,7 @@ from models.physics.materials import permittivity
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
 from sim_player.fdtd.experiment import Experiment, transmission_experiment
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
-from sim_player.fdtd.rough import rough_profile
+from sim_player.fdtd.rough import RoughParams, rough_profile
 from sim_player.fdtd.scattering import reflect, reflect_angles
 
 FREQUENCY_HZ = 10e9
@@ -34,7 +34,9 @@ POLARISATIONS: tuple[Polarisation, ...] = ("te", "tm")
 
 def error(eps: complex, thickness_m: float, polarisation: Polarisation, cells: float, dtype: str = "float64") -> float:
     """Relative L2 of complex r over the angles against the closed form."""
-    found = reflect_angles(((eps, thickness_m),), ANGLES_RAD, FREQUENCY_HZ, polarisation, cells, dtype)
+    found = reflect_angles(
+        ((eps, thickness_m),), ANGLES_RAD, FREQUENCY_HZ, polarisation, RoughParams(cells, dtype=dtype)
+    )
     exact = slab_reflection(eps, np.cos(ANGLES_RAD), thickness_m, WAVELENGTH_M, polarisation)
     return float(np.linalg.norm([one.r for one in found] - exact) / np.linalg.norm(exact))
 
@@ -105,7 +107,7 @@ def test_double_glazing_resonates_as_the_stack_does(polarisation: Polarisation) 
     Bias: second order, the two panes multiply it. Tolerance 5e-3 relative L2 of r and t.
     """
     window = ((GLASS, 4e-3), (1.0 + 0j, 12e-3), (GLASS, 4e-3))
-    found = reflect_angles(window, ANGLES_RAD, FREQUENCY_HZ, polarisation, 40)
+    found = reflect_angles(window, ANGLES_RAD, FREQUENCY_HZ, polarisation, RoughParams(40, dtype="float64"))
     stack = (*(list(column) for column in zip(*window, strict=True)), np.cos(ANGLES_RAD), WAVELENGTH_M, polarisation)
     for got, exact in (
         ([one.r for one in found], stack_reflection(*stack)),
@@ -116,7 +118,7 @@ def test_double_glazing_resonates_as_the_stack_does(polarisation: Polarisation) 
 
 def test_forty_centimetres_of_concrete() -> None:
     """Layout: slab of 0.4 m, normal incidence, 40 cells. Analytic: -8.10 and -81.35 dB. Tolerance 0.01 and 0.05 dB."""
-    found = reflect(((CONCRETE, 0.4),), 0.0, FREQUENCY_HZ, cells_per_wavelength=40)
+    found = reflect(((CONCRETE, 0.4),), 0.0, FREQUENCY_HZ, settings=RoughParams(40, dtype="float64"))
     exact = [20 * math.log10(abs(f(CONCRETE, 1.0, 0.4, WAVELENGTH_M))) for f in (slab_reflection, slab_transmission)]
     assert 20 * math.log10(abs(found.r)) == pytest.approx(exact[0], abs=0.01)
     assert 20 * math.log10(abs(found.t)) == pytest.approx(exact[1], abs=0.05)
@@ -126,7 +128,7 @@ def test_forty_centimetres_of_concrete() -> None:
 def test_single_precision_is_enough(polarisation: Polarisation) -> None:
     """float32 steps beside float64 ones, 0..80 deg. Bias: rounding, 1e-7. Tolerance 1e-5 on r, and some."""
     single, double = (
-        reflect_angles(((CONCRETE, math.inf),), ANGLES_RAD, FREQUENCY_HZ, polarisation, 10, dtype)
+        reflect_angles(((CONCRETE, math.inf),), ANGLES_RAD, FREQUENCY_HZ, polarisation, RoughParams(10, dtype=dtype))
         for dtype in ("float32", "float64")
     )
     assert 0.0 < max(abs(a.r - b.r) for a, b in zip(single, double, strict=True)) < 1e-5
@@ -189,7 +191,7 @@ def test_energy_never_grows() -> None:
 def test_wide_strip_without_roughness_is_one_column() -> None:
     """A height of 1 nm on 12 columns: the flat wall, nothing diffuse. Bias: square cells at 10, second order, 0.02."""
     layers, angle_rad = ((CONCRETE, math.inf),), math.radians(40.0)
-    wide = reflect(layers, angle_rad, FREQUENCY_HZ, "te", 10, 1e-9, width_m=0.015, correlation_m=0.01, dtype="float32")
+    wide = reflect(layers, angle_rad, FREQUENCY_HZ, "te", RoughParams(10, 1e-9, width_m=0.015, correlation_m=0.01))
     exact = half_space_reflection(CONCRETE, math.cos(angle_rad), "te")
     assert abs(wide.r - exact) < 0.02
     assert wide.reflected_power == pytest.approx(wide.specular_power, rel=1e-4)
@@ -202,7 +204,7 @@ def test_rough_metal_sends_back_all_it_gets() -> None:
     Analytic: reflected power 1 (loss of metal 1e-4). Orders of the wrong sign gave 0.81..0.97. Tolerance 0.01.
     """
     layers = ((permittivity("metal", FREQUENCY_HZ), math.inf),)
-    rough = reflect(layers, math.radians(60.0), FREQUENCY_HZ, "te", 12, 4e-3, 0.04, 0.45, seed=1, dtype="float32")
+    rough = reflect(layers, math.radians(60.0), FREQUENCY_HZ, "te", RoughParams(12, 4e-3, 0.04, 0.45, seed=1))
     assert rough.specular_power < 0.9
     assert rough.reflected_power == pytest.approx(1.0, abs=0.01)
 
@@ -215,7 +217,7 @@ def test_rough_wall_keeps_the_rayleigh_share() -> None:
     lobe is found in other directions: all reflected power is that of the smooth wall to 5 %.
     """
     layers, angle_rad = ((CONCRETE, math.inf),), math.radians(45.0)
-    rough = reflect(layers, angle_rad, FREQUENCY_HZ, "te", 8, 2e-3, 0.04, 0.45, seed=1, dtype="float32")
+    rough = reflect(layers, angle_rad, FREQUENCY_HZ, "te", RoughParams(8, 2e-3, 0.04, 0.45, seed=1))
     smooth = reflect(layers, angle_rad, FREQUENCY_HZ)
     share_db = 10.0 * math.log10(rough.specular_power / smooth.specular_power)
     exact_db = 10.0 * math.log10(coherent_power(2e-3, math.cos(angle_rad), WAVELENGTH_M))
@@ -226,9 +228,7 @@ def test_rough_wall_keeps_the_rayleigh_share() -> None:
 
 def test_same_seed_same_bytes() -> None:
     layers = ((CONCRETE, math.inf),)
-    runs = [
-        reflect(layers, 0.3, FREQUENCY_HZ, "te", 6, 1e-3, 0.01, 0.1, seed=seed, dtype="float32") for seed in (7, 7, 8)
-    ]
+    runs = [reflect(layers, 0.3, FREQUENCY_HZ, "te", RoughParams(6, 1e-3, 0.01, 0.1, seed=seed)) for seed in (7, 7, 8)]
     assert runs[0].r == runs[1].r
     assert runs[0].orders[1].tobytes() == runs[1].orders[1].tobytes()
     assert runs[0].r != runs[2].r
@@ -272,13 +272,15 @@ def test_beam_sees_the_slab() -> None:
         (((4.0, 0.1),), {"angle_rad": math.nan}, "89 deg"),
         (((4.0, 0.1),), {"frequency_hz": 0.0}, "positive"),
         (((4.0, 0.1),), {"polarisation": "hh"}, "te or tm"),
-        (((4.0, 0.1),), {"cells_per_wavelength": 2.0}, "at least 4"),
-        (((4.0, 0.1),), {"dtype": "float16"}, "float32 or float64"),
-        (((4.0, 0.1),), {"roughness_m": -1e-3}, "roughness_m"),
-        (((4.0, 0.005),), {"roughness_m": 5e-3}, "pierces"),
-        (((1.0 - 1e6j, math.inf),), {"roughness_m": 1e-3, "polarisation": "tm"}, "good conductor"),
+        (((4.0, 0.1),), {"settings": {"cells_per_wavelength": 2.0}}, "at least 4"),
+        (((4.0, 0.1),), {"settings": {"dtype": "float16"}}, "float32 or float64"),
+        (((4.0, 0.1),), {"settings": {"roughness_m": -1e-3}}, "roughness_m"),
+        (((4.0, 0.005),), {"settings": {"roughness_m": 5e-3}}, "pierces"),
+        (((1.0 - 1e6j, math.inf),), {"settings": {"roughness_m": 1e-3}, "polarisation": "tm"}, "good conductor"),
     ],
 )
 def test_bad_input_is_refused(layers: tuple, options: dict, rule: str) -> None:
+    wave = {"angle_rad": 0.1, "frequency_hz": FREQUENCY_HZ} | options
+    settings = wave.pop("settings", {})
     with pytest.raises(ValueError, match=rule):
-        reflect(layers, **{"angle_rad": 0.1, "frequency_hz": FREQUENCY_HZ, **options})
+        reflect(layers, **wave, settings=RoughParams(**settings))
