@@ -67,7 +67,7 @@ def timed(peaks: Peaks, params: GeometryParams) -> dict[str, float]:
     returns = DirectReturns(points_m, peaks.snr_db[direct], labels, wall)
     recovered = watch.time("folds", recover, peaks, walls, returns, params.recovery)
     hidden = watch.time("explained", hidden_mask, recovered, walls, returns, params.recovery)
-    watch.time("objects", form_objects, recovered.select(hidden), walls, params.objects)
+    watch.time("objects", form_objects, recovered.take(hidden), walls, params.objects)
     watch.time("mask", observability, walls, peaks.sensitivity_db, params.grid, params.visibility)
     return watch.ms
 

@@ -138,7 +138,7 @@ def places(setting: str, peaks: Peaks, confidence: PositionConfidence | None = N
         return recover_published(peaks, PublishedParams()).points_m, np.zeros((0, 2))
     params = SWITCHES.get(setting, DEFAULT)
     scan = fold_scan(peaks, params, confidence=confidence if setting == CONFIDENT else None)
-    objects = form_objects(scan.recovered.select(scan.hidden), scan.walls, params.objects)
+    objects = form_objects(scan.recovered.take(scan.hidden), scan.walls, params.objects)
     return scan.recovered.points_m, np.array([(one.x_m, one.y_m) for one in objects]).reshape(-1, 2)
 
 

@@ -67,7 +67,7 @@ class _FoldContext:
     @cached_property
     def long_walls(self) -> WallArrays:
         """Walls too long for a vehicle's side."""
-        return self.walls.select(self.walls.length_m > self.params.vehicle_length_m)
+        return self.walls.take(self.walls.length_m > self.params.vehicle_length_m)
 
 
 def _echo(context: _FoldContext) -> dict[str, np.ndarray]:
@@ -227,7 +227,7 @@ class PositionConfidence(msgspec.Struct, frozen=True, kw_only=True, forbid_unkno
     ) -> Recovered:
         """Return the positions of a scan that reach the threshold, each with its probability as score."""
         probability = self.probability(position_features(recovered, walls, returns, params))
-        return replace(recovered, score=probability).select(probability >= self.threshold)
+        return replace(recovered, score=probability).take(probability >= self.threshold)
 
     def probability(self, features: np.ndarray) -> np.ndarray:
         """Return the probability [N] that each position lies within 1 m of a true one, from features [N, features].

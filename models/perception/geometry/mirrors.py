@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from models.physics.mirror import crosses, crossing_parameters
+from msgs.values.array_table import ArrayTable
 from msgs.values.perception import Wall
 
 RADAR = np.zeros(2)
@@ -20,7 +21,7 @@ NO_WALL = -1
 
 
 @dataclass(frozen=True)
-class WallArrays:
+class WallArrays(ArrayTable):
     """Walls as arrays: chord normals [W, 2] and offsets [W], ends a and b [W, 2], uncertainties, curvatures [W].
 
     A positive curvature is hollow towards the radar.
@@ -41,10 +42,6 @@ class WallArrays:
     def length_m(self) -> np.ndarray:
         """Lengths of the chords [W]."""
         return np.linalg.norm(self.b - self.a, axis=1)
-
-    def select(self, keep: np.ndarray) -> WallArrays:
-        """Return the walls of a mask or an index."""
-        return WallArrays(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def distance_m(self, points_m: np.ndarray) -> np.ndarray:
         """Return the signed distance of points [N, 2] from each wall's chord line, positive on the radar's side; [N,
@@ -99,7 +96,7 @@ def hits(origin: np.ndarray, targets: np.ndarray, walls: WallArrays) -> Hits:
     normal = np.broadcast_to(walls.normal, (*shape, 2)).copy()
     offset_m = np.broadcast_to(walls.offset_m, shape).copy()
     for index in np.flatnonzero(walls.curvature_per_m):
-        wall = walls.select(np.array([index]))
+        wall = walls.take(np.array([index]))
         ray_share, hit_m, normal[:, index] = _on_arc(origin, targets, along_ray[:, index], wall)
         chord = wall.b[0] - wall.a[0]
         along_ray[:, index], along_wall[:, index] = ray_share, (hit_m - wall.a[0]) @ chord / (chord @ chord)

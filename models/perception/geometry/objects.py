@@ -75,7 +75,7 @@ class ObjectParams(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 def form_objects(recovered: Recovered, walls: list[Wall], params: ObjectParams) -> tuple[HiddenObject, ...]:
     """Return the objects of hidden points, best score first (then x, then y), ids in that order."""
     labels = merge_fragments(recovered, dbscan(recovered.points_m, params.eps_m, 1), params)
-    clusters = [recovered.select(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
+    clusters = [recovered.take(labels == label) for label in range(int(labels.max(initial=-1)) + 1)]
     clusters = [cluster for cluster in clusters if _is_object(cluster, walls, params)]
     clusters = _without_satellites(_without_lobes(clusters, params.lobe_db), params)
     boxes = [_box(cluster, params) for cluster in clusters]

@@ -24,12 +24,13 @@ from models.perception.geometry.association import (
 from models.perception.geometry.clustering import NOISE
 from models.perception.geometry.mirrors import NO_WALL, WallArrays, hits, wall_arrays
 from models.physics.mirror import reflect
+from msgs.values.array_table import ArrayTable
 from msgs.values.frames import xy_from_polar
 from msgs.values.perception import HiddenPoint, PathClass, Peaks, Wall
 
 
 @dataclass(frozen=True)
-class Recovered:
+class Recovered(ArrayTable):
     """Images folded back: true and apparent positions [N, 2], with all data that objects are formed from.
 
     The covariance [N, 2, 2] of a position comes from the image's own error and from the wall's, which is common to all
@@ -54,10 +55,6 @@ class Recovered:
     def covariance_m2(self) -> np.ndarray:
         """Covariance of each position [N, 2, 2], positive definite."""
         return self.image_covariance_m2 + self.wall_covariance_m2
-
-    def select(self, keep: np.ndarray) -> Recovered:
-        """Return the points of a mask or an index."""
-        return Recovered(**{name: getattr(self, name)[keep] for name in self.__dataclass_fields__})
 
     def as_hidden_points(self) -> tuple[HiddenPoint, ...]:
         """Return the message values."""

@@ -64,7 +64,7 @@ def _on_visible_vehicle(
             together = np.vstack([points_m, recovered.points_m[i]])
             length_m, width_m = params.vehicle_length_m + sigma_m[i], params.vehicle_width_m + sigma_m[i]
             explained[i] = fits_box(together, length_m, width_m)
-    return explained & ~behind_walls(recovered.points_m, walls.select(long_walls), params.cut_depth_m)
+    return explained & ~behind_walls(recovered.points_m, walls.take(long_walls), params.cut_depth_m)
 
 
 def _with_whole_walls(group: np.ndarray, returns: DirectReturns) -> np.ndarray:

@@ -94,7 +94,7 @@ def recover_bev(
 ) -> BevFrame:
     """Form hidden points and objects from peaks by way of folded positions; tracks are added by `ScanMemory`."""
     scan = fold_scan(peaks, params, residual, confidence, wall_prior)
-    hidden = scan.recovered.select(scan.hidden)
+    hidden = scan.recovered.take(scan.hidden)
     return BevFrame(
         stamp_ns=peaks.stamp_ns,
         scan_id=peaks.scan_id,

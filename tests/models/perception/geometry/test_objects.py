@@ -81,7 +81,7 @@ def test_two_objects_apart_and_their_order():
 
 def test_order_of_the_points_does_not_matter():
     points = together(recovered(face(20.0, 9.0, 2.0, 3)), recovered(face(10.0, 9.0, 2.0, 4)))
-    shuffled = points.select(np.random.default_rng(0).permutation(7))
+    shuffled = points.take(np.random.default_rng(0).permutation(7))
     for one, other in zip(objects_of(points), objects_of(shuffled), strict=True):
         assert (one.x_m, one.y_m, one.score) == pytest.approx((other.x_m, other.y_m, other.score))
 
