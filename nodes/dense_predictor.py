@@ -1,4 +1,4 @@
-"""Finds LOS and mirrored returns in each range-azimuth map."""
+"""Detection of LOS and mirrored returns in each range-azimuth map."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class DensePredictorNode(Node):
         self._refusals = Refusals(_LOG, self.shed)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One set of peaks per map; set-ups and maps that do not suit the detector are refused, counted and said."""
+        """Return one set of peaks per map; set-ups and maps that do not suit the detector are refused and counted."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "radar/ra_map"):
             match received.message:
@@ -82,7 +82,7 @@ class DensePredictorNode(Node):
         return out
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while maps are refused."""
+        """Report DEGRADED while maps are refused."""
         return self._refusals.health()
 
     def _set_up(self, setup: RadarSetup) -> None:
@@ -108,12 +108,12 @@ def detection_stage(params: Params, timed: Timed = nullcontext) -> DetectionStag
 
 
 def model_path(model: str | None) -> Path:
-    """The file of a network as parameters name it."""
+    """Return the file of a network as parameters name it."""
     return DEFAULT_MODEL if model is None else learned_path(model, ".onnx")
 
 
 def detector_for(params: Params, setup: RadarSetup) -> Detector:
-    """The detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
+    """Return the detector that parameters name; raises `ValueError` naming a file that is missing or broken."""
     if params.method == "cfar":
         return CfarDetector(setup, params.cfar)
     return NetworkDetector(
@@ -130,5 +130,5 @@ def detector_for(params: Params, setup: RadarSetup) -> Detector:
 
 
 def create(params: Params) -> DensePredictorNode:
-    """The node with its parameters."""
+    """Return the node with its parameters."""
     return DensePredictorNode(params)

@@ -1,4 +1,4 @@
-"""Folds mirror images back through their walls and publishes the bird's-eye view."""
+"""Geometry: mirror images folded back through their walls, and the bird's-eye view."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class GeometryNode(Node):
         self._bias_log = BiasLog()
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One view per set of peaks; what the stage cannot take is refused, counted and said."""
+        """Return one view per set of peaks; what the stage cannot take is refused, counted and logged."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "perception/peaks"):
             match received.message:
@@ -66,7 +66,7 @@ class GeometryNode(Node):
         return out
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while peaks are refused."""
+        """Report DEGRADED while peaks are refused."""
         return self._refusals.health()
 
     def _seen(self, peaks: Peaks) -> list[Outgoing]:
@@ -81,7 +81,7 @@ class GeometryNode(Node):
 
 
 class BiasLog:
-    """Logs what the bias of the yaw rate is learnt from, whenever that changes."""
+    """Log of the source of the estimated yaw rate bias, a line a change."""
 
     def __init__(self) -> None:
         self._source: BiasSource | None = None
@@ -126,5 +126,5 @@ def confidence_paths(confidence: str) -> list[Path]:
 
 
 def create(params: Params) -> GeometryNode:
-    """The node with its parameters."""
+    """Return the node with its parameters."""
     return GeometryNode(params)

@@ -1,4 +1,4 @@
-"""Turns the photon histograms of each scan of a LiDAR into a map on the radar's grid."""
+"""Forming of the photon histograms of each scan of a LiDAR into a map on the radar's grid."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LidarFormerNode(Node):
         self._refusals = Refusals(_LOG, self.shed, "scan")
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """One map per scan; what does not fit the set-up is refused, counted and said."""
+        """Return one map per scan; what does not fit the set-up is refused, counted and logged."""
         out: list[Outgoing] = []
         for received in sorted(inputs, key=lambda item: item.topic == "lidar/histograms"):
             match received.message:
@@ -43,7 +43,7 @@ class LidarFormerNode(Node):
         return out
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while histograms are refused or no set-up has come."""
+        """Report DEGRADED while histograms are refused or no set-up has come."""
         return self._refusals.health()
 
     def _formed(self, histograms: PhotonHistograms) -> list[Outgoing]:
@@ -57,5 +57,5 @@ class LidarFormerNode(Node):
 
 
 def create(params: Params) -> LidarFormerNode:
-    """The node; it has no parameters."""
+    """Return the node; it has no parameters."""
     return LidarFormerNode()

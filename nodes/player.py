@@ -1,4 +1,4 @@
-"""Plays a scene, a SigMF capture or an MCAP recording onto the bus, at the sensor's rate or any other."""
+"""Player of a scene, a SigMF capture or an MCAP recording onto the bus, at the sensor's rate or any other."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class Player(Node):
         self._next = next(events, None)
 
     def finished(self) -> bool:
-        """True once the last message has had time to get through."""
+        """Return whether the last message has had time to get through."""
         return self._ended
 
     def due_ns(self, now_ns: int) -> int | None:
@@ -116,7 +116,7 @@ class Player(Node):
         return self._start_ns + round(self._next.offset_ns / self._rate)
 
     def step(self, inputs: list[Received], now_ns: int) -> list[Outgoing]:
-        """All messages whose time has come."""
+        """Return all messages whose time has come."""
         if self._next is None:
             self._ended = self._end_ns is not None and now_ns >= self._end_ns
             self._end_ns = self._end_ns or now_ns + self._settle_ns
@@ -146,7 +146,7 @@ class Player(Node):
         return due_ns is not None and due_ns <= now_ns
 
     def _take(self) -> Outgoing:
-        """The next message; makes the one after it, so that its time finds it ready."""
+        """Return the next message, and make the one after it in time."""
         assert self._next is not None
         outgoing = self._stamped(self._next.outgoing)
         with self.stages("synthesise"):
@@ -154,14 +154,14 @@ class Player(Node):
         return outgoing
 
     def _stamped(self, outgoing: Outgoing) -> Outgoing:
-        """A live scene is stamped with the bus clock; a capture keeps the stamps it was recorded with."""
+        """Return a message of a live scene stamped with the bus clock; one of a capture keeps its recorded stamp."""
         if not self._restamp or self._start_ns is None:
             return outgoing
         return Outgoing(outgoing.topic, moved(outgoing.message, self._start_ns))
 
 
 def moved(message: msgspec.Struct, by_ns: int) -> msgspec.Struct:
-    """A message with a stamp, as if it had been measured so much later."""
+    """Return a message with its stamp moved, as if it had been measured so much later."""
     stamps: dict[str, Any] = {"stamp_ns": message.stamp_ns + by_ns}  # type: ignore[attr-defined]
     if isinstance(message, PhotonHistograms):
         stamps["azimuth_stamp_ns"] = message.azimuth_stamp_ns + by_ns
@@ -179,7 +179,7 @@ def _is_lidar(player: ScenePlayer | LidarPlayer) -> TypeIs[LidarPlayer]:
 
 
 def _lidar_events(player: LidarPlayer, scans: int | None) -> Iterator[Event]:
-    """Histograms go out when their last azimuth has been measured."""
+    """Yield the histograms, each when its last azimuth has been measured."""
     setup = player.setup
     azimuths = setup.grid.azimuth_bins
     state_azimuths = range(0, azimuths, max(1, round(_STATE_PERIOD_S / setup.spad.measurement_time_s)))
@@ -269,7 +269,7 @@ def _simulated_wait_ns(setup: msgspec.Struct, recorded: Recorded) -> int:
 
 
 def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterator[Recorded]:
-    """`messages` of a recording with `setup`, the first set-up among them, before all others.
+    """Yield the `messages` of a recording with `setup`, the first set-up among them, before all others.
 
     A part of a recording begins with the set-up, sent again with the part's first message; a beam that was sent a
     moment before and took longer on its way stands before both.
@@ -287,7 +287,7 @@ def setup_first(setup: Recorded | None, messages: Iterator[Recorded]) -> Iterato
 
 
 def _with_offset(event: Event, offset_ns: int) -> Event:
-    """A vehicle state on the radar's clock; everything else as it is."""
+    """Return a vehicle state on the radar's clock; everything else as it is."""
     topic, message = event.outgoing
     if not isinstance(message, VehicleState):
         return event
@@ -304,7 +304,7 @@ def _not_empty(events: Iterator[Event], capture: str | None) -> Iterator[Event]:
 
 
 def scene_of(params: Params) -> Scene:
-    """The scene named by `params`, with the speeds it overrides."""
+    """Return the scene named by `params`, with the speeds it overrides."""
     from sim_player.scene.description import check_scene, load_scene
 
     path = Path(params.scene or "")
@@ -323,7 +323,7 @@ def scene_of(params: Params) -> Scene:
 
 
 def scene_player(params: Params) -> ScenePlayer | LidarPlayer:
-    """The simulator that plays `params.scene`: of a radar, or of a LiDAR where its preset is "spad"."""
+    """Return the simulator that plays `params.scene`: of a radar, or of a LiDAR where its preset is "spad"."""
     scene = scene_of(params)
     if scene.radar.preset == "spad":
         from sim_player.lidar.player import LidarPlayer
@@ -370,5 +370,5 @@ def events_of(params: Params) -> Iterator[Event]:
 
 
 def create(params: Params) -> Player:
-    """The node with its parameters; the first message is made here, so that compiling is over when it is ready."""
+    """Return the node with its parameters; the first message is made here: compiling ends before it is ready."""
     return Player(events_of(params), params.rate, params.settle_s, restamp=params.scene is not None)

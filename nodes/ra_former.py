@@ -1,4 +1,4 @@
-"""Folds beams as they arrive and publishes the range-azimuth map of each scan.
+"""Forming of the range-azimuth map of each scan, beam by beam as they arrive.
 
 Where beams come faster than they can be folded, whole scans are left out (`nodes.inputs.beam_queue`): never single
 beams of a scan that was begun. A scan of which the bus lost too many beams is left out as well. All are counted.
@@ -97,7 +97,7 @@ class RaFormerNode(Node):
         return [Outgoing("radar/ra_map", ra_map) for ra_map in maps if self._is_sound(ra_map)]
 
     def pending(self) -> bool:
-        """True while beams wait."""
+        """Return whether beams wait."""
         return len(self._queue) > 0
 
     def due_ns(self, now_ns: int) -> int | None:
@@ -105,7 +105,7 @@ class RaFormerNode(Node):
         return self._give_up_ns
 
     def health(self) -> tuple[NodeState, str]:
-        """DEGRADED while beams are refused, no set-up has come or scans are left out."""
+        """Report DEGRADED while beams are refused, no set-up has come or scans are left out."""
         reason = self._refusals.reason or self._behind
         return (NodeState.DEGRADED, reason) if reason else (NodeState.READY, "")
 
@@ -126,7 +126,7 @@ class RaFormerNode(Node):
             self._leave_out("behind")
 
     def _fold_next(self) -> list[RangeAzimuthMap]:
-        """Maps of the next beam: between two beams the bus is emptied, so that nothing is lost there meanwhile."""
+        """Return the maps of the next beam: the bus is read between two beams, so that it loses none meanwhile."""
         if not self._queue:
             return []
         # a scan that another follows gets no more beams
@@ -192,5 +192,5 @@ def forming_stage(params: Params, timed: Timed = nullcontext) -> FormingStage:
 
 
 def create(params: Params) -> RaFormerNode:
-    """The node with its parameters."""
+    """Return the node with its parameters."""
     return RaFormerNode(params)

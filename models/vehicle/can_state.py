@@ -1,4 +1,4 @@
-"""CAN frames to vehicle state: which frames count, what they say in SI units, how long it holds.
+"""Vehicle state from CAN frames: valid frames, their values in SI units, and their time of validity.
 
 Pure: a frame is an arbitration id, bytes and a stamp; time is only what the caller says it is.
 """
@@ -44,7 +44,7 @@ HARMLESS = frozenset({Verdict.COUNTED, Verdict.FIRST, Verdict.UNKNOWN_ID, Verdic
 
 
 class Judged(NamedTuple):
-    """The verdict on a frame, the message it belongs to, and why it does not count."""
+    """Verdict on a frame, the message it belongs to, and the reason where it does not count."""
 
     verdict: Verdict
     message: str = ""
@@ -52,7 +52,7 @@ class Judged(NamedTuple):
 
 
 class CanDecoder:
-    """Holds what the frames of one car have said.
+    """Decoder of the frames of one car; keeps the last value of each quantity.
 
     Raises `ValueError` naming the mapping's field for a message or signal that the DBC does not have, and where the
     units of DBC and mapping do not meet.
@@ -95,7 +95,7 @@ class CanDecoder:
         return Judged(verdict)
 
     def state(self, now_ns: int) -> VehicleState:
-        """The vehicle at `now_ns`; not valid, with every reason, while any quantity is missing, old or out of range."""
+        """Return the state at `now_ns`; not valid, with reasons, while a quantity is missing, old or out of range."""
         troubles = [text for text in (item.trouble(now_ns) for item in self._quantities.values()) if text]
         unknown_frames = self.counts[Verdict.UNKNOWN_ID]
         if unknown_frames >= _MANY_FRAMES and not any(watch.seen for watch in self._watches.values()):
@@ -120,7 +120,7 @@ class CanDecoder:
         return min(known_ns) if len(known_ns) == len(times_ns) else None
 
     def _wheel_difference_mps(self, now_ns: int) -> float | None:
-        """Right less left; the state is valid without it."""
+        """Return the speed of the right wheels less that of the left ones; the state is valid without it."""
         if not self._wheels or any(side.trouble(now_ns) for side in self._wheels):
             return None
         left, right = self._wheels
@@ -160,7 +160,7 @@ class CanDecoder:
         return _Quantity(name, quantity, watch, sign_watch)
 
     def _wheel_sides(self, rule: WheelSpeedsRule) -> list[_Quantity]:
-        """The speed of the left side, then that of the right one."""
+        """Return the speed of the left side, then that of the right one."""
         sides = {"left": rule.side(rule.left), "right": rule.side(rule.right)}
         return [self._quantity(f"{name} wheels", "wheel_speeds", side, Dimension.SPEED) for name, side in sides.items()]
 
@@ -173,7 +173,7 @@ class CanDecoder:
 
 
 class _Watch:
-    """One message: whether its frames count, and what the last one that counted said."""
+    """Watch over one message: the check of its frames, and the time of the last one that counted."""
 
     def __init__(self, message: Message, rule: MessageRule) -> None:
         self.message = message
@@ -184,7 +184,7 @@ class _Watch:
         self.forget()
 
     def forget(self) -> None:
-        """As if no frame had come."""
+        """Forget all frames."""
         self.values: dict[str, float] = {}
         self.stamp_ns: int | None = None
         self.seen = False
@@ -226,7 +226,7 @@ class _Watch:
 
 
 class _Quantity:
-    """Speed, yaw rate or steering as last said within its range."""
+    """Last value of speed, yaw rate or steering that was within its range."""
 
     def __init__(self, name: str, quantity: Quantity, watch: _Watch, sign_watch: _Watch | None) -> None:
         self._name, self.quantity, self.watch, self._sign_watch = name, quantity, watch, sign_watch
@@ -235,7 +235,7 @@ class _Quantity:
         self._fault = ""
 
     def take(self, stamp_ns: int) -> str:
-        """Take the value from the frame that has just counted; returns what is wrong with it."""
+        """Take the value from the frame that has just counted; return its fault, empty if there is none."""
         self._fault = self._read(stamp_ns)
         return self._fault
 
@@ -282,7 +282,7 @@ class _Quantity:
 
 
 class StateReporter:
-    """Says the state at the rate of the speed message; where it is not valid, also when nothing comes."""
+    """Reporter of the state at the rate of the speed message; one that is not valid also without a message."""
 
     def __init__(self, decoder: CanDecoder, start_ns: int) -> None:
         self.decoder = decoder
@@ -291,14 +291,14 @@ class StateReporter:
         self._was_valid = False
 
     def frame(self, judged: Judged, stamp_ns: int) -> VehicleState | None:
-        """The state if the frame just judged was a speed message that counts."""
+        """Return the state if the frame just judged was a speed message that counts."""
         is_speed = judged.message == self.decoder.speed_message
         if not is_speed or judged.verdict not in (Verdict.COUNTED, Verdict.OUT_OF_RANGE):
             return None
         return self._say(self.decoder.state(stamp_ns))
 
     def tick(self, now_ns: int, trouble: str = "") -> VehicleState | None:
-        """The state if it is due; `trouble` of the bus itself makes it invalid."""
+        """Return the state if it is due; `trouble` of the bus itself makes it invalid."""
         if now_ns < self.due_ns(trouble):
             return None
         state = self.decoder.state(now_ns)
@@ -325,7 +325,7 @@ class StateReporter:
 
 
 class StampMapper:
-    """Maps stamps of another clock onto the bus clock: the fastest of the last seconds' frames took no time.
+    """Map of stamps of another clock onto the bus clock: the fastest of the last seconds' frames took no time.
 
     Delays only add, so the least difference between arrival and stamp is the offset between the clocks. It is taken
     over one to two windows: clocks that drift or are set are followed within two seconds.
@@ -337,7 +337,7 @@ class StampMapper:
         self._window_end_ns: int | None = None
 
     def map(self, stamp_ns: int, arrival_ns: int) -> int:
-        """The stamp on the clock of `arrival_ns`, never later than that."""
+        """Return the stamp on the clock of `arrival_ns`, never later than that."""
         difference_ns = arrival_ns - stamp_ns
         if self._window_end_ns is None or arrival_ns >= self._window_end_ns:
             self._window_end_ns = arrival_ns + self._window_ns

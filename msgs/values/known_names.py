@@ -1,4 +1,4 @@
-"""The fields and choices that a type has, listed where a value names another."""
+"""Fields and choices of a type, listed in the error about an unknown one."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PLACE = " - at `$"
 
 
 def with_known_names(error: msgspec.ValidationError, wanted: Any) -> str:
-    """msgspec's message for `wanted`; about an unknown field or choice, it lists those that stand in its place."""
+    """Return msgspec's message for `wanted`; for an unknown field or choice with a list of the known ones."""
     text = str(error)
     match = _UNKNOWN.search(text)
     valid = _names_at(wanted, match["path"] or "", match["what"].startswith("Object")) if match else []
@@ -58,7 +58,7 @@ def _refuse(value: Any, wanted: Any, where: str) -> None:
 
 
 def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:
-    """Names of the fields, or of the choices, of all that may stand at a path of msgspec's."""
+    """Return the names of the fields, or of the choices, of all types that a path of msgspec's may hold."""
     kinds = _alternatives(wanted)
     for step in _STEP.finditer(path):
         kinds = [inner for kind in kinds for inner in _inside(kind, step["field"])]
@@ -68,7 +68,7 @@ def _names_at(wanted: Any, path: str, fields: bool) -> list[str]:
 
 
 def _alternatives(wanted: Any) -> list[Any]:
-    """The types that a union or an annotated type stands for."""
+    """Return the types that a union or an annotated type stands for."""
     origin = typing.get_origin(wanted)
     if origin is typing.Annotated:
         return _alternatives(typing.get_args(wanted)[0])
@@ -82,12 +82,12 @@ def _is_struct(kind: Any) -> bool:
 
 
 def _fields(kind: Any) -> dict[str, Any]:
-    """Fields of a struct and their types; none of another type."""
+    """Return the fields of a struct and their types; none of another type."""
     return {field.encode_name: field.type for field in msgspec.structs.fields(kind)} if _is_struct(kind) else {}
 
 
 def _choices(kind: Any, in_order: bool = True) -> list[str]:
-    """The values that a type may have, where only some may; those of a Literal in their order or sorted."""
+    """Return the values of a type that has only some; those of a Literal in their order or sorted."""
     if typing.get_origin(kind) is typing.Literal:
         values = [str(value) for value in typing.get_args(kind)]
         return values if in_order else sorted(values)
@@ -95,7 +95,7 @@ def _choices(kind: Any, in_order: bool = True) -> list[str]:
 
 
 def _inside(kind: Any, field: str | None) -> list[Any]:
-    """Types of a field, or of the items or values where `field` is None."""
+    """Return the types of a field, or of the items or values where `field` is None."""
     if field is not None:
         fields = _fields(kind)
         return _alternatives(fields[field]) if field in fields else []

@@ -1,4 +1,4 @@
-"""Plain data to typed values, with the field's own path in every error."""
+"""Conversion of plain data to typed values, with the field's own path in every error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PATH = re.compile(r" - at `\$(?P<path>[^`]*)`$")
 
 
 def convert_at(value: Any, wanted: type[T], where: str) -> T:
-    """`value` as `wanted`; an error reads `where.field: rule`, or `where: field: rule` where `where` ends in ": ".
+    """Convert `value` to `wanted`; an error reads `where.field: rule`, `where: field: rule` where `where` ends in ": ".
 
     Raises `ValueError` for a wrong type, an unknown field (it lists the known) or a value its type refuses.
     """
@@ -30,7 +30,7 @@ def convert_at(value: Any, wanted: type[T], where: str) -> T:
 
 
 def explain(text: str, where: str) -> str:
-    """msgspec's message with its `$.path` put behind `where`, the way a person would write the field."""
+    """Return msgspec's message with its `$.path` put behind `where`, the way a person would write the field."""
     match = _PATH.search(text)
     path = match["path"] if match else ""
     rule = _PATH.sub("", text).replace("`", "")
@@ -41,7 +41,7 @@ def explain(text: str, where: str) -> str:
 
 
 def require_rest(name: str, value_s: float) -> None:
-    """Raise `ValueError` unless a rest is 0 s to an hour: what has no end fails only once the node runs."""
+    """Raise `ValueError` unless a rest is 0 s to an hour: an endless one would fail only once the node runs."""
     if not 0.0 <= value_s <= LONGEST_REST_S:
         raise ValueError(f"{name} must be 0..{LONGEST_REST_S:g} s, got {value_s!r}")
 
