@@ -23,9 +23,9 @@ from msgs.bus.interface import Received
 from msgs.bus.topics import TOPICS
 from msgs.bus.zmq import ZmqBus, list_publishers, run_dir, socket_path
 from msgs.values.diagnostics import LogRecord, TopicCount
-from msgs.values.perception import Peaks
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
+from tests.msgs.bus.test_local import peaks
 
 #: Ends a test that hangs; every wait below normally ends within some 50 ms.
 PATIENCE_S = 60.0
@@ -162,21 +162,6 @@ def test_resent_latched_message_is_not_delivered_twice(meeting: Path) -> None:
 
 
 def test_newest_only_topic_gives_the_newest(meeting: Path) -> None:
-    none = np.zeros(0)
-
-    def peaks(stamp_ns: int) -> Peaks:
-        return Peaks(
-            stamp_ns=stamp_ns,
-            scan_id=0,
-            range_m=none,
-            azimuth_rad=none,
-            score=none,
-            path_class=np.zeros(0, np.uint8),
-            covariance=np.zeros((0, 2, 2)),
-            peak_stamp_ns=np.zeros(0, np.int64),
-            snr_db=none,
-        )
-
     with closing(ZmqBus("sender", meeting)) as sender, closing(ZmqBus("receiver", meeting)) as receiver:
         sent = connect(sender, receiver, "perception/peaks", peaks)
         lost = count_of(receiver, "perception/peaks").lost
