@@ -94,7 +94,7 @@ class World:
 
     @property
     def orders_alike(self) -> bool:
-        """Whether an echo that goes out by one route and back by another is the same in the other order.
+        """True if an echo that goes out by one route and back by another is the same in the other order.
 
         So it is where transmitter and receiver stand in one place and steer alike.
         """

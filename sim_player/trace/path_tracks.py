@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from sim_player.scene.world import World
-from sim_player.trace.paths import Paths, join
+from sim_player.trace.paths import Paths
 
 #: Ends of one path may lie so far from where its rates carry it; beyond, it is taken for another.
 LARGEST_JUMP_M = 0.1
@@ -70,7 +70,7 @@ class _Span:
         """Return all paths so long after the first instant."""
         share = since_s / self._step_s
         goes, comes = _faded(self._goes, 1.0 - share, since_s), _faded(self._comes, share, since_s - self._step_s)
-        return join([self._carried(since_s), goes, comes])
+        return Paths.joined([self._carried(since_s), goes, comes])
 
     def _carried(self, since_s: float) -> Paths:
         first, last, share = self._first, self._last, since_s / self._step_s

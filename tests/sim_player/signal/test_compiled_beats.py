@@ -11,8 +11,9 @@ from sim_player.signal.compiled_beats import compiled_terms, decimation
 from sim_player.signal.fmcw import slow_time_table, slow_time_terms
 from sim_player.signal.levels import Terms, echo_beats, echo_terms
 from sim_player.signal.swept_echoes import moving_echoes
-from sim_player.signal.switches import ALL, IDEAL, PLAIN, SignalEffects
+from sim_player.signal.switches import IDEAL, PLAIN, SignalEffects
 from sim_player.trace.paths import Paths
+from tests.sim_player.signal.references import ALL
 from tests.sim_player.signal.test_levels import FAULTS, OVERLAP, SMALL, chirp_span_m, some_paths
 
 BEAM = 9
