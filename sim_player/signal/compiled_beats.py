@@ -283,10 +283,10 @@ def _add_starts(beats, weights, cycles, ends, slow, part):  # type: ignore[no-un
     re, im = np.zeros((terms, len(slow) * part), np.float32), np.zeros((terms, len(slow) * part), np.float32)
     for p in range(paths):
         turn = 2.0 * np.pi * cycles[p]
-        one, on = complex(np.cos(turn), np.sin(turn)), complex(1.0, 0.0)
+        step, on = complex(np.cos(turn), np.sin(turn)), complex(1.0, 0.0)
         for i in range(part):
             fine_re[i], fine_im[i] = on.real, on.imag
-            on *= one
+            on *= step
         for r in range(terms):
             start, after = complex(1.0, 0.0), complex(0.0, 0.0)
             for k in range(instants):

@@ -78,7 +78,7 @@ def make_routes(
     count = len(target)
 
     def spread(value: object, dtype: type) -> np.ndarray:
-        filled = np.empty(count, dtype)
+        filled: np.ndarray = np.empty(count, dtype)
         filled[:] = value
         return filled
 

@@ -519,6 +519,7 @@ def _echoes(length_m: np.ndarray, amplitude: float) -> Paths:
         needs=index.astype(np.uint32),
         surface=index,
         object_index=index,
+        chain=index.astype(np.uint64),
         point_m=np.zeros((count, 3)),
         virtual_m=np.zeros((count, 3)),
     )
