@@ -17,6 +17,7 @@ import zmq
 from msgs.bus.codec import MAX_HEADER_BYTES, Buffer
 from msgs.bus.interface import Envelope, Forwarded, Received
 from msgs.bus.topics import MIB, TOPICS
+from msgs.bus.zmq import InterruptibleContext
 from msgs.values.arrays import DTYPES, MAX_NDIM
 from msgs.values.diagnostics import TopicCount
 
@@ -66,7 +67,7 @@ class ForeignBus:
 
     def __init__(self, run_dir: Path) -> None:
         self._dir = run_dir
-        self._context = zmq.Context()
+        self._context = InterruptibleContext()
         self._poller = zmq.Poller()
         self._sockets: dict[str, zmq.Socket[bytes]] = {}
         self._connected: set[Path] = set()
@@ -115,9 +116,7 @@ class ForeignBus:
 
     def close(self) -> None:
         """Close all sockets."""
-        for subscriber in self._sockets.values():
-            subscriber.close()
-        self._context.term()
+        self._context.destroy()
 
     def _search(self) -> None:
         if time.monotonic() - self._searched_s < _SEARCH_S:

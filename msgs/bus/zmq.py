@@ -14,6 +14,7 @@ import socket
 import stat
 import time
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import zmq
@@ -42,6 +43,21 @@ _SEARCH_INTERVAL_NS = 50_000_000
 _RESCAN_INTERVAL_NS = 100_000_000
 
 
+class InterruptibleContext(zmq.Context[zmq.Socket[bytes]]):
+    """A context that knows its sockets before they are open, so that `destroy` closes all of them.
+
+    `term` waits for ever for one that is still open, as one would be that a signal interrupts between its opening and
+    the line that keeps it: the interrupt's traceback holds it.
+    """
+
+    def socket(self, socket_type: int, *_: Any, **__: Any) -> zmq.Socket[bytes]:
+        """Open a socket."""
+        opened = zmq.Socket.__new__(zmq.Socket)
+        self._add_socket(opened)
+        opened.__init__(self, socket_type)  # type: ignore[misc]
+        return opened
+
+
 class ZmqBus:
     """One node's connection to the live graph; a `Bus`.
 
@@ -60,7 +76,7 @@ class ZmqBus:
         for topic in TOPICS:
             _require_path_fits(socket_path(self._dir, topic, node))
         make_run_dir(self._dir)
-        self._context = zmq.Context()
+        self._context = InterruptibleContext()
         self._paced, self._counted = paced, paced or counted
         self._tally = Tally(node, paced, keeps_all=counted)
         self._poller = zmq.Poller()
@@ -161,11 +177,9 @@ class ZmqBus:
 
     def close(self) -> None:
         """Close all sockets; waits for messages in transit no longer than half a second."""
-        for opened in [*self._publishers.values(), *self._subscribers.values()]:
-            opened.close()
         self._publishers.clear()
         self._subscribers.clear()
-        self._context.term()
+        self._context.destroy()
 
     def _hand_out(self, topic: str, publisher: str, frames: list[Buffer]) -> None:
         """Send a message to all subscribers, and keep it for later ones if its topic is latched."""

@@ -9,16 +9,20 @@ import stat
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
-from itertools import chain
+from itertools import chain, count
 from pathlib import Path
+from types import FrameType
+from typing import Any
 
 import numpy as np
 import pytest
 import zmq
 
+from mirrorwave.diagnose.foreign_topic import ForeignBus
 from msgs.bus.interface import Received
 from msgs.bus.topics import TOPICS
 from msgs.bus.zmq import ZmqBus, list_publishers, run_dir, socket_path
@@ -339,6 +343,48 @@ def test_a_watched_descriptor_ends_the_wait(meeting: Path) -> None:
         assert bus.receive(0.0) == []
     os.close(read)
     os.close(write)
+
+
+def interrupt_at(line: int, action: Callable[[], None]) -> None:
+    """Do something, with Ctrl-C at a line of it, counted through all Python that it runs."""
+    left = line
+
+    def trace(frame: FrameType, event: str, _argument: object) -> Any:
+        nonlocal left
+        left -= event == "line"
+        if left == 0:
+            sys.settrace(None)
+            raise KeyboardInterrupt
+        return trace
+
+    previous = sys.gettrace()
+    sys.settrace(trace)
+    try:
+        action()
+    finally:
+        sys.settrace(previous)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("make", [lambda folder: ZmqBus("node", folder), ForeignBus], ids=["own", "foreign"])
+def test_a_bus_interrupted_at_any_line_of_a_subscription_can_be_closed(
+    meeting: Path, make: Callable[[Path], ZmqBus | ForeignBus]
+) -> None:
+    """A socket that nobody knows keeps libzmq waiting for ever."""
+    for line in count(1):
+        bus = make(meeting)
+        try:
+            interrupt_at(line, lambda bus=bus: bus.subscribe("vehicle/state"))  # type: ignore[misc]
+        except KeyboardInterrupt:
+            # here, where its traceback holds whatever was open
+            closing_bus = threading.Thread(target=bus.close, daemon=True)
+            closing_bus.start()
+            closing_bus.join(PATIENCE_S)
+            assert not closing_bus.is_alive(), f"interrupted at line {line}, it is not closed"
+        else:
+            bus.close()
+            break
+    assert line > 10
 
 
 @pytest.mark.parametrize("node", ["", "a/b", "a@b", "a b", "n" * 65, "ü"])
