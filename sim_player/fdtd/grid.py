@@ -321,8 +321,7 @@ def _run(  # type: ignore[no-untyped-def]
     for step in range(start + 1, start + steps + 1):
         _advance_v(u, vx, vz, at_vx, at_vz, along_z, along_x, psi_z[0], psi_x[0])
         if periodic:
-            vz[0, 0] = cosine * vz[0, nx] - sine * vz[1, nx]
-            vz[1, 0] = cosine * vz[1, nx] + sine * vz[0, nx]
+            _wrap(vz, 0, nx, cosine, sine)
         _advance_u(u, vx, vz, at_u, along_z, along_x, psi_z[1], psi_x[1])
         late = step - half_length * deviation
         if late < half_length * deviation:
@@ -335,8 +334,7 @@ def _run(  # type: ignore[no-untyped-def]
                 else:
                     u[0, i + 1, k] += source[0, i] * odd + source[1, i] * even
         if periodic:
-            u[0, nx + 1] = cosine * u[0, 1] + sine * u[1, 1]
-            u[1, nx + 1] = cosine * u[1, 1] - sine * u[0, 1]
+            _wrap(u, nx + 1, 1, cosine, -sine)
         turn = np.exp(-1j * phase * step)
         for r in range(len(rows)):
             for i in range(nx):
@@ -345,6 +343,15 @@ def _run(  # type: ignore[no-untyped-def]
                     spectra[r, i] += u[1, i + 1, rows[r]] * (1j * turn)
         if picture.shape[0] > 0 and step % picture_every == 0:
             _add_picture(u, turn, picture)
+
+
+@numba.njit(cache=True)
+def _wrap(field, to, row, cosine, sine):  # type: ignore[no-untyped-def]
+    """Set a row of both parts to another one, turned by the phase of a period."""
+    # not by rows: expressions of arrays take seconds to compile
+    for k in range(field.shape[2]):
+        field[0, to, k] = cosine * field[0, row, k] - sine * field[1, row, k]
+        field[1, to, k] = cosine * field[1, row, k] + sine * field[0, row, k]
 
 
 @numba.njit(parallel=True, cache=True)
@@ -374,4 +381,11 @@ def _level_and_flush(u, vx, vz):  # type: ignore[no-untyped-def]
                 vx[p, i, k] = 0.0
             if abs(vz[p, i, k]) < FLUSHED:
                 vz[p, i, k] = 0.0
-    return levels.sum() if np.isnan(levels).any() else levels.max()
+    # not by numpy's reductions: they take seconds to compile
+    largest = 0.0
+    for level in levels:
+        if not level <= largest:
+            largest = level
+        if math.isnan(largest):
+            break
+    return largest

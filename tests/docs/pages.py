@@ -55,8 +55,12 @@ SHORTER: tuple[tuple[str, str], ...] = (
     (r"^mirrorwave launch (launch/\S+)(?!.*--duration)(.*)$", r"mirrorwave launch \1 --duration 2\2"),
     # a LiDAR has no chirps
     (r"^mirrorwave launch (launch/corner(?!_spad)\S*)(.*)$", r"mirrorwave launch \1 -p player.chirps_per_beam=8\2"),
-    (r"^mirrorwave top$", "mirrorwave top --once --window 1"),
+    (r"^mirrorwave top( --once)?$", "mirrorwave top --once --window 1"),
+    (r"^(mirrorwave topic (hz|bw|delay)(?!.*--duration).*)$", r"\1 --duration 1"),
     (r"--count \d+", "--count 8"),
+    (r"^(mirrorwave topic echo .*)--count 8", r"\1--count 2"),
+    # a thin wall of a light material takes few cells
+    (r"^mirrorwave sim wall --plot", "mirrorwave sim wall --material wood --thickness-mm 20 --plot"),
     (r"--workers 2", "--workers 1"),
     (r"^(mirrorwave train dense .*)$", r"\1 --epochs 1 --batch-size 2 --limit 2"),
     # the network of one short epoch finds nothing to learn from
@@ -149,14 +153,21 @@ class Runner:
         #: Graphs that leave nothing behind and ran to their end already, on this page or another.
         self._launched = launched
         self._background: list[subprocess.Popen[str]] = []
+        #: The command of the graph among them.
+        self._graph = ""
         #: Programs of `OPTIONAL` that a command would have needed.
         self.missing: list[str] = []
 
-    def run(self, block: Block) -> None:
+    def run_page(self, blocks: list[Block]) -> None:
+        """Run a page's blocks, top to bottom."""
+        for number, block in enumerate(blocks):
+            self._run(block, blocks[number + 1 :])
+
+    def _run(self, block: Block, later: list[Block]) -> None:
         """Run a block; a failure names page, line and command."""
         where = f"{block.page.relative_to(ROOT)}:{block.line}"
         if block.language in ("sh", "bash"):
-            self._shell(block, where)
+            self._shell(block, where, later)
         elif block.language == "python":
             self._python(block, where)
         elif block.language == "yaml":
@@ -182,13 +193,18 @@ class Runner:
             output, _ = process.communicate(timeout=120)
             assert process.returncode == 0, f"ended with {process.returncode}: {process.args}: {output[-2000:]}"
         self._background.clear()
+        self._graph = ""
 
-    def _shell(self, block: Block, where: str) -> None:
+    def _shell(self, block: Block, where: str, later: list[Block]) -> None:
+        is_wanted = False
         try:
             for line, command in commands_of(block.text):
                 self._command(command, f"{where}+{line - 1}")
+            is_wanted = self._graph in _backgrounds(later)
         finally:
-            self.close()
+            # a graph that a later block starts again runs on until then
+            if not is_wanted:
+                self.close()
 
     def _command(self, written: str, where: str) -> None:
         background = written.endswith("&")
@@ -198,11 +214,14 @@ class Runner:
         if words[0] in OPTIONAL and shutil.which(words[0]) is None:
             self.missing.append(words[0])
             return
+        if background and command == self._graph:
+            return
         if words[1:2] == ["launch"]:
             # by then the graph before it has ended by itself
             self.close()
         if background or (words[:2] == ["mirrorwave", "view"] and "--help" not in words):
             self._start(words, command)
+            self._graph = command if words[1:2] == ["launch"] else self._graph
             return
         if command in self._launched:
             return
@@ -261,6 +280,12 @@ class Runner:
             stdout=subprocess.PIPE,
             text=True,
         )
+
+
+def _backgrounds(blocks: list[Block]) -> set[str]:
+    """Commands that blocks start in the background, in the form in which they are run."""
+    commands = [command for block in blocks if block.language == "sh" for _, command in commands_of(block.text)]
+    return {shortened(command.rstrip("& ")) for command in commands if command.endswith("&")}
 
 
 def _environment() -> dict[str, str]:

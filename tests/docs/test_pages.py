@@ -86,8 +86,7 @@ def test_page(name: str, folder: Path, prepared: Prepared, launched: set[str]) -
     runner = Runner(folder, launched)
     graph = "mirrorwave launch launch/corner.yaml &" if name in OF_A_GRAPH else ""
     with speaking_car(), runner.beside(graph):
-        for block in blocks_of(ROOT / name):
-            runner.run(block)
+        runner.run_page(blocks_of(ROOT / name))
     if runner.missing:
         pytest.skip(f"all but what needs {', '.join(runner.missing)}, which this machine lacks")
 
@@ -123,6 +122,7 @@ def test_comments_continued_lines_and_aliases() -> None:
 def test_short_forms() -> None:
     assert shortened("make test") == "make -n test"
     assert shortened("mirrorwave top") == "mirrorwave top --once --window 1"
+    assert shortened("mirrorwave topic hz radar/beam") == "mirrorwave topic hz radar/beam --duration 1"
     assert shortened("mirrorwave sim effects launch/scenes/corner.yaml") == (
         "mirrorwave sim effects launch/scenes/corner.yaml"
     )

@@ -8,7 +8,8 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -76,6 +77,14 @@ def phases(helds: list[str]) -> list[tuple[str, signal.Signals]]:
     """Every phase with Ctrl-C, the first and the last one with the other signals: a phase takes a second."""
     others = [(held, number) for number in CODES if number != signal.SIGINT for held in (helds[0], helds[-1])]
     return [*((held, signal.SIGINT) for held in helds), *others]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _hang_up_is_heard() -> Iterator[None]:
+    """What is started here hears SIGHUP, also where the tests themselves run under `nohup`."""
+    previous = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, previous)
 
 
 @pytest.fixture
@@ -202,22 +211,27 @@ def test_a_running_graph_with_its_recorder_is_done_when_told(box: Path, numbers:
     assert info(out).complete or len(numbers) > 1
 
 
-@pytest.mark.parametrize("number", CODES)
 @pytest.mark.parametrize(
     "verb", ["topic hz vehicle/state --duration 500", "topic echo vehicle/state", "node list --window 500"]
 )
 def test_who_listens_is_ended_as_a_shell_would_have_it(
-    box_of_all: Path, verb: str, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+    box_of_all: Path, verb: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """By each signal one of three that listen at the same time."""
     monkeypatch.setenv("MIRRORWAVE_RUN_DIR", str(box_of_all))
     monkeypatch.setenv("MIRRORWAVE_DOMAIN", "t")
-    with started(["-m", "mirrorwave", *verb.split()]) as process:
-        wait_for(process, lambda: hears_endings(process))
+    with ExitStack() as stack:
+        command = ["-m", "mirrorwave", *verb.split()]
+        listeners = {number: stack.enter_context(started(command)) for number in CODES}
+        for process in listeners.values():
+            wait_for(process, partial(hears_endings, process))
         # well within its set-up or its work
         time.sleep(1.0)
-        process.send_signal(number)
-        process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == CODES[number]
+        for number, process in listeners.items():
+            process.send_signal(number)
+        for process in listeners.values():
+            process.communicate(timeout=PATIENCE_S)
+    assert {number: process.returncode for number, process in listeners.items()} == CODES
 
 
 @pytest.mark.parametrize(
