@@ -177,9 +177,9 @@ class ZmqBus:
 
     def close(self) -> None:
         """Close all sockets; waits for messages in transit no longer than half a second."""
+        self._context.destroy()
         self._publishers.clear()
         self._subscribers.clear()
-        self._context.destroy()
 
     def _hand_out(self, topic: str, publisher: str, frames: list[Buffer]) -> None:
         """Send a message to all subscribers, and keep it for later ones if its topic is latched."""
