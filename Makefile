@@ -15,8 +15,10 @@ $(VENV)/.installed: pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo "mirrorwave needs Python 3.11 or newer; name one with: make PYTHON=python3.11 ..."; exit 1; }
 	@$(PYTHON) -m venv $(VENV) || { echo "cannot make $(VENV); on Debian: apt-get install python3-venv"; exit 1; }
 	$(BIN)/pip install --quiet --editable .
-	@# compiles the kernels once, so that no node does when it starts
-	$(BIN)/python -c "from models.perception.chain import Chain; from models.perception.detection.detectors import NetworkDetector; from msgs.values.radar import RadarSetup; Chain.of(RadarSetup(), NetworkDetector(RadarSetup()))"
+	@# compiles the kernels of perception and simulator once, so that no node does when it starts
+	$(BIN)/python -c "from models.perception.chain import Chain; from models.perception.detection.detectors import NetworkDetector; from msgs.values.radar import RadarSetup; Chain.of(RadarSetup(), NetworkDetector(RadarSetup()))" & \
+	$(BIN)/mirrorwave sim run launch/scenes/corner.yaml --effects all --chirps-per-beam 8 --out $(VENV)/compiled.mcap >/dev/null && wait $$!
+	@rm $(VENV)/compiled.mcap
 	@touch $@
 
 $(VENV)/.installed-dev: $(VENV)/.installed
@@ -36,16 +38,19 @@ demo: setup  ## a simulated corner through the whole graph: hidden objects besid
 
 # a run of tests is ended when it takes longer; pyproject.toml has the limit of a single test
 TEST_LIMIT_S ?= 5400
+CORES := $(shell getconf _NPROCESSORS_ONLN)
 # one more than there are cores: that many compute while the first waits for the processes that its tests start
-WORKERS ?= $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1)))
+WORKERS ?= $(shell echo $$(($(CORES) + 1)))
 # in workers: what a worker dies of, pytest outlives and names. tests/scheduling.py has their order.
-PYTEST := timeout --foreground --verbose --kill-after 300 $(TEST_LIMIT_S) $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile
+PYTEST = timeout --foreground --verbose --kill-after 300 $(TEST_LIMIT_S) $(BIN)/python -m pytest -q -n $(WORKERS) --dist loadfile
 # where a machine forbids it (containers often do) every process that a test starts would compile all modules again
 unexport PYTHONDONTWRITEBYTECODE
 
 test: setup-dev  ## all tests
 	$(PYTEST)
 
+# nothing to wait for
+test-fast: WORKERS := $(CORES)
 test-fast: setup-dev  ## all tests but those that start processes (graph) or compute for half a second or more (slow)
 	$(PYTEST) -m "not graph and not slow"
 

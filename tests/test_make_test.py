@@ -19,6 +19,8 @@ import pytest
 from msgs.files.shipped import CHECKOUT
 from tests import scheduling
 
+pytestmark = pytest.mark.slow
+
 ROOT = CHECKOUT
 #: Nothing is measured against this: it ends a run that would not end.
 PATIENCE_S = 600.0

@@ -34,7 +34,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # tests in the background of a shell: what is started from here would not hear the Ctrl-C that ends it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 #: A graph that the documentation starts in the background gets this long to be ready.
-READY_S = 120.0
+READY_S = 600.0
+UP = (NodeState.READY, NodeState.DEGRADED)
 
 #: Programs that a reader may have and a test machine need not.
 OPTIONAL = ("node", "npm")
@@ -293,7 +294,10 @@ def _environment() -> dict[str, str]:
 
 
 def _wait_until_ready(process: subprocess.Popen[str], has_source: bool) -> None:
-    """Until all are ready and, where there is a source, a view came: the last node of a graph is then up."""
+    """Until all are up and, where there is a source, a view came: the last node of a graph is then up.
+
+    On a machine with much else to do some are up and behind, DEGRADED, as long as it lasts.
+    """
     deadline_s = time.monotonic() + READY_S
     while time.monotonic() < deadline_s:
         assert process.poll() is None, f"the graph ended with {process.returncode}"
@@ -305,6 +309,6 @@ def _wait_until_ready(process: subprocess.Popen[str], has_source: bool) -> None:
             for count in found[-1].published
             if count.topic == "perception/hidden_objects"
         )
-        if states and (seen or not has_source) and all(state is NodeState.READY for state in states.values()):
+        if states and (seen or not has_source) and all(state in UP for state in states.values()):
             return
     raise TimeoutError(f"no graph in {READY_S:g} s")

@@ -9,6 +9,7 @@ import pytest
 from tests.docs.pages import ROOT
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:jupyter_client")
 def test_the_notebook_runs() -> None:
     notebook = nbformat.read(ROOT / "docs" / "examples" / "scan_to_bev.ipynb", as_version=4)

@@ -14,12 +14,15 @@ from mirrorwave.convert.result_lines import bev_to_json
 from msgs.recording.mcap import RecordingReader
 from msgs.values.perception import BevFrame
 
+SCANS = 3
+#: A graph that is behind sheds whole scans: on a machine with much else to do it is given more time for each.
+RATES = (1.0, 0.3, 0.1)
 LAUNCH = """
 name: spine
 nodes:
   player:
     module: nodes.player
-    params: {{capture: {capture}, settle_s: 1.0}}
+    params: {{capture: {capture}, settle_s: 1.0, rate: {rate}}}
     after: [ra_former, dense_predictor, geometry, recorder]
     ends_graph: true
   ra_former: {{module: nodes.ra_former}}
@@ -43,17 +46,20 @@ def run_dir(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 def test_many_processes_give_the_bytes_of_one(tmp_path: Path, run_dir: Path) -> None:
     capture, recording = tmp_path / "capture.mcap", tmp_path / "seen.mcap"
     scene = "launch/scenes/two_hidden_vehicles.yaml"
-    short = ["--scans", "3", "--chirps-per-beam", "8", "--effects", "basic"]
+    short = ["--scans", str(SCANS), "--chirps-per-beam", "8", "--effects", "basic"]
     assert main(["sim", "run", scene, "--out", str(capture), *short]) == 0
     assert main(["process", str(capture), "--out", str(tmp_path / "out"), "--profile", "cfar"]) == 0
 
-    launch = tmp_path / "spine.yaml"
-    launch.write_text(LAUNCH.format(capture=capture, recording=recording))
-    assert main(["launch", str(launch), "--runs-dir", str(tmp_path / "runs"), "--domain", "spine"]) == 0
-
-    with RecordingReader(recording) as reader:
-        frames = [item.message for item in reader.messages(topics=["perception/hidden_objects"])]
-        assert reader.loss is None
+    for rate in RATES:
+        launch = tmp_path / "spine.yaml"
+        launch.write_text(LAUNCH.format(capture=capture, recording=recording, rate=rate))
+        assert main(["launch", str(launch), "--runs-dir", str(tmp_path / "runs"), "--domain", "spine"]) == 0
+        with RecordingReader(recording) as reader:
+            frames = [item.message for item in reader.messages(topics=["perception/hidden_objects"])]
+            assert reader.loss is None
+        if len(frames) == SCANS:
+            break
+        recording.unlink()
     assert all(isinstance(frame, BevFrame) for frame in frames)
     seen = "".join(json.dumps(bev_to_json(frame)) + "\n" for frame in frames)
     assert seen == (tmp_path / "out" / "objects.jsonl").read_text()

@@ -82,6 +82,7 @@ def recorded(
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scene", "change"),
     [

@@ -14,6 +14,7 @@ from nodes.recording.params import RecordingParams
 ROOT = CHECKOUT
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["messages.md", "parameters.md", "commands.md"])
 def test_committed_pages_are_up_to_date(name: str) -> None:
     """If this fails: make reference."""

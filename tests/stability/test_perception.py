@@ -304,6 +304,7 @@ def test_wall_far_from_the_origin(errors: Errors) -> None:
     errors(naive=abs(naive @ along), ours=abs(normal @ along))
 
 
+@pytest.mark.slow
 @pytest.mark.hard(
     where="models.perception.geometry.lines",
     naive="running sums in float32",

@@ -32,6 +32,7 @@ def test_a_sound_radar_raises_no_flag(scene: Path) -> None:
     assert (case.missed, case.ghosts, case.flags) == (0, 0, [])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", CASES)
 @pytest.mark.parametrize("scene", TWO, ids=lambda scene: scene.stem)
 def test_mild_faults_keep_every_vehicle_and_severe_ones_are_flagged(scene: Path, fault: str) -> None:

@@ -79,6 +79,7 @@ def test_double_chain_knows_what_is_missing(scan: tuple[list[RadarBeam], RadarSe
     assert np.abs(wrong - right).max() > 1e-2 * np.abs(right).max()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(numba.config.NUMBA_NUM_THREADS < 2, reason="one core")
 def test_fields_are_the_same_bits_on_one_thread_and_on_two() -> None:
     """A lossy block in absorbing air, 600 steps: rows are shared out, sums are not."""

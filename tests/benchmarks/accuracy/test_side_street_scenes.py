@@ -21,6 +21,9 @@ from sim_player.drive import DrivePlayer
 from sim_player.generate.placement import Walls
 from sim_player.scene.description import check_scene, scene_to_yaml
 
+#: Drawing the drives that they share takes seconds.
+pytestmark = pytest.mark.slow
+
 COUNT = 24
 
 

@@ -108,6 +108,7 @@ def test_precision_and_groups_of_many_methods(tmp_path: Path, saved_figures: lis
         assert_readable_at_page_width(figure)
 
 
+@pytest.mark.slow
 def test_curves_of_a_training_run(tmp_path: Path, saved_figures: list[Figure]) -> None:
     reports = [
         SimpleNamespace(

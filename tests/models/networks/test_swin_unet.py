@@ -42,6 +42,7 @@ def without_values(config: SwinUNetConfig) -> SwinUNet:
         return SwinUNet(config).eval()
 
 
+@pytest.mark.slow
 def test_table_3_has_the_published_tensors() -> None:
     """322 learned tensors with 41,392,932 entries; masks and position indices are derived and not stored."""
     net = without_values(TABLE_3)

@@ -32,6 +32,7 @@ def test_compact_one_is_as_large_as_ours() -> None:
     assert 0.9e6 < sum(p.numel() for p in UNet(COMPACT).parameters()) < 1.2e6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [FULL, COMPACT, replace(COMPACT, in_channels=5, range_bins=512)])
 def test_answers_every_cell(config: UNetConfig) -> None:
     with torch.device("meta"):

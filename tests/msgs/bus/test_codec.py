@@ -399,6 +399,7 @@ def refusal(read: Callable[[], object]) -> str:
     return ""
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None)
 @given(
     message=st.builds(

@@ -124,6 +124,7 @@ def test_forty_centimetres_of_concrete() -> None:
     assert 20 * math.log10(abs(found.t)) == pytest.approx(exact[1], abs=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("polarisation", POLARISATIONS)
 def test_single_precision_is_enough(polarisation: Polarisation) -> None:
     """float32 steps beside float64 ones, 0..80 deg. Bias: rounding, 1e-7. Tolerance 1e-5 on r, and some."""

@@ -280,6 +280,7 @@ def test_ambient_light_is_counted_once_or_for_every_path() -> None:
     assert drawn[[0, 2]].tolist() == [0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("engine", ["closed", "events"])
 def test_same_seed_same_bytes_whatever_else_is_counted(engine: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither the other azimuths nor the number of threads matter."""

@@ -62,6 +62,7 @@ def off(asked: Scene, plan: Plan, seed: int) -> float:
     return float(cells_of(setup).off(maps[0], maps[1], rms).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("index", range(6))
 @pytest.mark.parametrize("budget_db", [-10.0, -30.0])
 def test_the_law_on_random_places(index: int, budget_db: float, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,6 +83,7 @@ def test_the_law_on_random_places(index: int, budget_db: float, monkeypatch: pyt
         assert ratio <= 10.0 ** (plan.spent_db / 20.0) + 1e-3
 
 
+@pytest.mark.slow
 def test_a_wider_budget_never_needs_more_paths() -> None:
     asked = random_place(21, 0)
     world = prepare(asked, 0)
@@ -167,6 +169,7 @@ def test_an_empty_view_is_noise_not_an_error() -> None:
     np.testing.assert_allclose(rms, np.sqrt(density[0] * 1.5), rtol=0.02)
 
 
+@pytest.mark.slow
 def test_plans_are_reproducible() -> None:
     asked = random_place(21, 3)
     one, two = (plan_effects(asked, budget_db=-20.0, seed=5) for _ in range(2))

@@ -55,6 +55,7 @@ def directions(count: int, seed: int) -> np.ndarray:
     return drawn / np.linalg.norm(drawn, axis=1, keepdims=True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("anchor", anchors.ANCHORS, ids=lambda anchor: f"{anchor.func.__name__}{anchor.args}")
 def test_anchor(anchor: partial[anchors.Anchor]) -> None:
     """Layout, textbook value, bias and tolerance of each stand in its function in `physics_anchors`."""

@@ -103,8 +103,11 @@ def test_failed_rows_stay_in_their_place_with_the_reason(made: tuple[Path, Simul
 
 
 @pytest.mark.slow
-def test_same_accuracy_twice(made: tuple[Path, SimulatorReport], tmp_path: Path) -> None:
-    """Whatever else runs, and however often; another seed gives other places."""
+def test_same_accuracy_twice(
+    made: tuple[Path, SimulatorReport], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whatever else runs, warm or cold, and however often; another seed gives other places."""
+    monkeypatch.setattr(tradeoff_simulator, "warm_up", lambda plan, group: None)
     part = msgspec.structs.replace(PLAN, repeats=2, cases={"effect budget": 1, "all but": 1, "rays": 1, "fdtd": 1})
     again = {(one.group, one.index): one for one in run_simulator_plan(part, tmp_path)}
     first = {(one.group, one.index): one for one in run_simulator_plan(PLAN, made[0])}
