@@ -197,8 +197,8 @@ def test_graphs_run_one_at_a_time_and_the_longest_of_the_others_first(tmp_path: 
     for name, tests in {
         "short": [("other", "pass")],
         "slow": [("slow", "pass")],
-        # the second worker has reported a test, and has its next file, before the first one reports any; it lasts as long
-        # as there are graphs
+        # the second worker has reported a test, and has its next file, before the first one reports any; its file lasts
+        # as long as there are graphs
         "slower": [("slow", "pass"), ("slow", f"{say.format('second')}\n    {await_it.format('done')}")],
         "graph": [("graph", say.format("done"))],
         "graphs": [("graph", await_it.format("second")), ("graph", "pass"), ("other", "pass")],
