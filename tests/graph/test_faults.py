@@ -928,13 +928,15 @@ def _first(bus: ZmqBus, topic: str) -> Any:
 
 
 def _await_beams(graph: LiveGraph, count: int) -> None:
-    """Until the former has received so many more beams."""
+    """Until the player has sent so many more beams, by heartbeats from now on: older ones may still wait to be heard."""
+    start_ns = time.monotonic_ns()
 
-    def came() -> int:
-        return next(one.messages for one in graph.status["ra_former"].received if one.topic == "radar/beam")
+    def sent() -> int:
+        return next(one.messages for one in graph.status["player"].published if one.topic == "radar/beam")
 
-    before = came()
-    graph.await_that(f"{count} beams", lambda: came() >= before + count)
+    graph.await_that("a new heartbeat", lambda: graph.status["player"].stamp_ns > start_ns)
+    before = sent()
+    graph.await_that(f"{count} beams", lambda: sent() >= before + count)
 
 
 def _scans_left_out(graph: LiveGraph) -> int:
