@@ -928,7 +928,7 @@ def _first(bus: ZmqBus, topic: str) -> Any:
 
 
 def _await_beams(graph: LiveGraph, count: int) -> None:
-    """Until the player has sent so many more beams, by heartbeats from now on: older ones may still wait to be heard."""
+    """Until the player has sent so many more beams, by heartbeats from now on: older ones may not be heard yet."""
     start_ns = time.monotonic_ns()
 
     def sent() -> int:
