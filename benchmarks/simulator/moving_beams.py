@@ -56,12 +56,15 @@ def samples_of(terms: Terms) -> np.ndarray:
 
 
 def apart_db(got: np.ndarray, wanted: np.ndarray) -> tuple[float, float]:
-    """Relative L2 over all samples; largest difference in a windowed range-Doppler cell over the strongest cell."""
+    """Relative L2 over all samples; largest difference in a windowed range-Doppler cell over the strongest cell.
+
+    Nothing against nothing, where the radar has driven into something, is no difference.
+    """
     window = np.hanning(wanted.shape[1] + 1)[:-1]
     cells = [np.fft.fft(np.fft.fft(one * window, axis=1)[:, :512], axis=0) for one in (got - wanted, wanted)]
     ratios = (
-        np.linalg.norm(got - wanted) / np.linalg.norm(wanted),
-        np.abs(cells[0]).max() / np.abs(cells[1]).max(),
+        np.linalg.norm(got - wanted) / max(np.linalg.norm(wanted), 1e-300),
+        np.abs(cells[0]).max() / max(np.abs(cells[1]).max(), 1e-300),
     )
     level_db, cell_db = (20.0 * math.log10(max(ratio, 1e-15)) for ratio in ratios)
     return level_db, cell_db
