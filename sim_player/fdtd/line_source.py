@@ -13,7 +13,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import newton
 
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
 from sim_player.fdtd.grid import LOOK_STEPS, GridParams, Media, YeeGrid
@@ -24,8 +23,10 @@ PULSE_SHARE, HALF_LENGTH = 0.15, 5.0
 ABSORBER = CpmlParams(cells=24, leak=1e-7)
 #: Cells by which the stepped part of the grid is wider than the light cone: numerical forerunners are faster.
 CONE_CELLS = 48
-#: Permittivity of a wire: a conductor so good that its node stays at zero.
-WIRE_PERMITTIVITY = 1.0 - 1e7j
+#: Each doubles the digits, of which free space has three.
+NEWTON_STEPS = 4
+#: A conductor so good that its nodes stay at zero.
+CONDUCTOR_PERMITTIVITY = 1.0 - 1e7j
 #: Side of the domain without a scene, in cells beyond its absorbers.
 EMPTY_CELLS = 64
 
@@ -81,13 +82,20 @@ class LineGrid:
         free = 2.0 * math.pi * np.asarray(frequency_hz, np.float64)[:, None] / SPEED_OF_LIGHT_MPS
         wanted = np.square(np.sin(math.pi * np.asarray(frequency_hz)[:, None] * self.step_s) / self.params.courant)
 
-        def excess(k: np.ndarray) -> np.ndarray:
-            return np.asarray(np.square(np.sin(k * half[:, 0])) + np.square(np.sin(k * half[:, 1])) - wanted)
+        k = free + np.zeros(len(half))
+        for _ in range(NEWTON_STEPS):
+            excess = np.square(np.sin(k * half[:, 0])) + np.square(np.sin(k * half[:, 1])) - wanted
+            k = k - excess / (half[:, 0] * np.sin(2.0 * k * half[:, 0]) + half[:, 1] * np.sin(2.0 * k * half[:, 1]))
+        return k
 
-        def slope(k: np.ndarray) -> np.ndarray:
-            return np.asarray(half[:, 0] * np.sin(2.0 * k * half[:, 0]) + half[:, 1] * np.sin(2.0 * k * half[:, 1]))
+    def permittivity(self, eps: complex) -> complex:
+        """Return the permittivity of cells whose face on nodes reflects as that of `eps` at normal incidence.
 
-        return np.asarray(newton(excess, free + np.zeros(len(half)), slope, tol=1e-12 / self.cell_m))
+        On the grid a medium has the admittance sqrt(eps) cos(k h / 2): with s = sin(w dt / 2) / S, that of air is
+        sqrt(1 - s^2). Uncorrected, concrete at 20 cells per wavelength reflects 0.5 dB too little.
+        """
+        squared = (math.sin(math.pi * self.frequency_hz * self.step_s) / self.params.courant) ** 2
+        return complex((1.0 - np.sqrt(1.0 - 4.0 * squared * (1.0 - squared) * eps)) / (2.0 * squared))
 
     def source_gain(self, frequency_hz: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return the far field of the grid's line source over that of H0 at the same wave number, [frequencies,
@@ -165,12 +173,15 @@ def empty_echo(grid: LineGrid, steps: int) -> LineEcho:
     return line_source_echo(small, None, (0.0, 0.0), steps)
 
 
-def wire_amplitude(empty: LineEcho, frequency_hz: np.ndarray) -> np.ndarray:
-    """Return what a wire of one node sends out per unit of field there, as a factor of H0^(2)(k r), complex128.
+def thread_amplitude(empty: LineEcho, frequency_hz: np.ndarray, eps: complex) -> np.ndarray:
+    """Return what a thread, one node of permittivity `eps`, sends out per unit of field: a factor of H0, complex128.
 
-    Its current cancels the field at its node, where that of a unit source is `empty`: F = -1 / g(0).
+    Its current is P = -j (eps - 1) (sin(w dt / 2) / S)^2 times the field at its node, to which it adds g(0), that of a
+    unit source at itself (`empty`): F = P / (1 - P g(0)). A good conductor leaves F = -1 / g(0): it is a wire.
     """
-    return np.asarray(-1.0 / empty.spectrum(frequency_hz))
+    half = math.pi * np.asarray(frequency_hz) * empty.step_s
+    current = -1j * (eps - 1.0) * np.square(np.sin(half) / empty.courant)
+    return np.asarray(current / (1.0 - current * empty.spectrum(frequency_hz)))
 
 
 def _light_cone(

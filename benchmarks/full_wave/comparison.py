@@ -1,0 +1,243 @@
+"""Rays against the full wave, path group by path group, with all effects and with each one left out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.full_wave.rays import RayField, ray_field
+from benchmarks.full_wave.scenes import RADAR, THREAD_PERMITTIVITY, MiniScene
+from benchmarks.full_wave.waves import Waves
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.effects.names import PATH_EFFECTS
+from sim_player.effects.table import WEIGHTS
+from sim_player.fdtd.line_source import LineEcho, thread_amplitude
+from sim_player.scene.world import World
+
+#: The chirp's sweep; the full wave is read at so many frequencies.
+SWEEP_HZ = RADAR.carrier_hz + RADAR.bandwidth_hz * np.linspace(-0.5, 0.5, 29)
+#: Half length of a gate around an echo, and of its tapered ends: round trips.
+GATE_M, TAPER_M = 0.15, 0.03
+#: An echo names its gate where it lies this little below the gate's strongest.
+NAMED_DB = 20.0
+EFFECTS = frozenset({*PATH_EFFECTS, *WEIGHTS}) - {"ground_bounce", "object_interreflection", "vegetation", "atmosphere"}
+
+
+#: What walls alone return; diffuse patches have random phases and are compared by power.
+WALL_GROUPS = ("flash", "radar twice mirrored")
+
+
+@dataclass(frozen=True)
+class Group:
+    """Echoes of one gate: level of the full wave under the strongest gate of all, and errors of the rays [dB, deg]."""
+
+    scene: str
+    target: str
+    name: str
+    #: Round trip [m], first to last echo.
+    delay_m: tuple[float, float]
+    strength_db: float
+    #: Level of the rays over the full wave, rms over the sweep, and the largest deviation of any frequency.
+    level_db: float
+    worst_db: float
+    phase_deg: float
+    #: Difference of both fields over the full wave.
+    relative_db: float
+    #: `level_db` with one effect left out, where that changes it; None: nothing is left.
+    without: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Remainder:
+    """What the gates of a run leave over: its level and where it is strongest; the whole run's relative error."""
+
+    scene: str
+    target: str
+    strength_db: float
+    delay_m: float
+    relative_db: float
+    without: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All groups of a run, what is left over, and the fields over delay for the picture."""
+
+    groups: list[Group]
+    remainder: Remainder
+    delay_m: np.ndarray
+    waves_db: np.ndarray
+    rays_db: np.ndarray
+
+
+def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
+    """Compare one run: the walls alone (None), or what a target adds to them."""
+    echo = waves.walls if target is None else waves.targets[target]
+    world = scene.world(None if target is None else scene.node_m(waves.grid, target))
+    amplitude = thread_amplitude(waves.empty, SWEEP_HZ, THREAD_PERMITTIVITY)
+
+    def rays(effects: frozenset[str]) -> RayField:
+        field = ray_field(world, effects, waves.grid, SWEEP_HZ, amplitude)
+        field = field.take(np.isin(field.name, "diffuse", invert=True) & (field.delay_m < scene.longest_m))
+        return field.take(np.isin(field.name, WALL_GROUPS, invert=target is not None))
+
+    everything = rays(EFFECTS)
+    lesser = {name: rays(EFFECTS - {name}) for name in sorted(EFFECTS)}
+    lesser = {name: field for name, field in lesser.items() if not _same(field, everything)}
+    gates = clusters(everything)
+    found = [gated(echo, low, high) for low, high in gates]
+    strongest = max(map(rms, found))
+    label = target or "walls"
+    groups = [
+        _group((scene.name, label), gate, field, everything, lesser, strongest)
+        for gate, field in zip(gates, found, strict=True)
+    ]
+    whole = echo.spectrum(SWEEP_HZ)
+    rest = echo.field * np.prod([1.0 - gate_of(echo, low, high) for low, high in gates], axis=0)
+    remainder = Remainder(
+        scene.name,
+        label,
+        db(rms(echo.spectrum(SWEEP_HZ, rest)) / strongest),
+        float(SPEED_OF_LIGHT_MPS * echo.time_s[np.argmax(np.abs(rest))]),
+        relative_db(everything.field.sum(axis=0), whole),
+        {name: relative_db(field.field.sum(axis=0), whole) for name, field in lesser.items()},
+    )
+    return Comparison(groups, remainder, *profiles(whole, everything.field.sum(axis=0)))
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """A rough wall over its draws: field of the mirror and power of all else, over the smooth wall's mirror."""
+
+    draws: int
+    #: Mean field over draws, full wave and Kirchhoff's factor as the product has it [dB].
+    mean_db: float
+    kirchhoff_db: float
+    #: Mean power, which holds what is scattered into the gate [dB].
+    power_db: float
+    #: Power between the gate and the wall's ends: full wave, and Lambert's lobe as the product has it [dB].
+    diffuse_db: float
+    lambert_db: float
+
+
+def roughness(draws: list[tuple[MiniScene, Waves]]) -> Roughness:
+    """Compare the draws of the rough wall with the product's two laws."""
+    scene, waves = draws[0]
+    nothing = np.zeros(len(SWEEP_HZ), complex)
+    world = scene.world(None)
+    smooth = ray_field(world, EFFECTS - {"rough_wall_loss", "diffuse_scattering"}, waves.grid, SWEEP_HZ, nothing)
+    rays = ray_field(world, EFFECTS, waves.grid, SWEEP_HZ, nothing)
+    is_flash, at_m = np.isin(rays.name, "flash"), float(smooth.delay_m[0])
+    between = (at_m + 2.0 * GATE_M, _ends_m(world) - 2.0 * GATE_M)
+    flash = np.array([gated(waves.walls, at_m, at_m) / smooth.field[0] for _, waves in draws])
+    rest = np.array([gated(waves.walls, *between) / smooth.field[0] for _, waves in draws])
+    inside = ~is_flash & (rays.delay_m > between[0] - GATE_M) & (rays.delay_m < between[1] + GATE_M)
+    lambert = np.sum(np.abs(rays.field[inside] / smooth.field[0]) ** 2, axis=0)
+    return Roughness(
+        len(draws),
+        db(rms(flash.mean(axis=0))),
+        db(rms(rays.field[is_flash][0] / smooth.field[0])),
+        db(rms(flash)),
+        db(rms(rest)),
+        db(float(np.sqrt(lambert.mean()))),
+    )
+
+
+def _ends_m(world: World) -> float:
+    """Return the round trip to the nearest end of a wall."""
+    return 2.0 * float(np.hypot(*np.concatenate([world.wall_a, world.wall_b]).T).min())
+
+
+def clusters(rays: RayField) -> list[tuple[float, float]]:
+    """Return the first and last delay [m] of echoes that one gate must hold."""
+    delays = np.sort(rays.delay_m)
+    cut = np.flatnonzero(np.diff(delays) > 2.0 * GATE_M) + 1
+    return [(float(part[0]), float(part[-1])) for part in np.split(delays, cut)]
+
+
+def gate_of(echo: LineEcho, low_m: float, high_m: float) -> np.ndarray:
+    """Return the gate around delays, 0..1 [steps], with cosine tapers."""
+    delay_m = SPEED_OF_LIGHT_MPS * echo.time_s
+    away = np.maximum(low_m - delay_m, delay_m - high_m)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip((away - GATE_M + TAPER_M) / TAPER_M, 0.0, 1.0)))
+
+
+def gated(echo: LineEcho, low_m: float, high_m: float) -> np.ndarray:
+    """Return the spectrum of the full wave around delays, [frequencies]."""
+    return echo.spectrum(SWEEP_HZ, echo.field * gate_of(echo, low_m, high_m))
+
+
+def _group(
+    place: tuple[str, str],
+    gate: tuple[float, float],
+    wave: np.ndarray,
+    everything: RayField,
+    lesser: dict[str, RayField],
+    strongest: float,
+) -> Group:
+    field, names = _within(everything, gate)
+    rays = field.sum(axis=0)
+    without = {name: _within(other, gate)[0].sum(axis=0) for name, other in lesser.items()}
+    levels = {
+        name: level_db(other, wave) if np.any(other) else None
+        for name, other in without.items()
+        if not np.allclose(other, rays, rtol=1e-6)
+    }
+    return Group(
+        *place,
+        names,
+        gate,
+        db(rms(wave) / strongest),
+        level_db(rays, wave),
+        float(np.abs(20.0 * np.log10(np.abs(rays / wave))).max()),
+        float(np.degrees(np.angle(np.vdot(wave, rays)))),
+        relative_db(rays, wave),
+        levels,
+    )
+
+
+def _within(rays: RayField, gate: tuple[float, float]) -> tuple[np.ndarray, str]:
+    """Return the echoes within a gate [E, frequencies], and the names of the strong ones."""
+    inside = (rays.delay_m > gate[0] - GATE_M) & (rays.delay_m < gate[1] + GATE_M)
+    field = rays.field[inside]
+    level = np.abs(field).max(axis=1, initial=0.0)
+    names = [rays.name[i] for i in np.flatnonzero(inside)]
+    strong = [
+        name for name, value in zip(names, level, strict=True) if value > 10.0 ** (-NAMED_DB / 20.0) * level.max()
+    ]
+    return field, " + ".join(dict.fromkeys(strong))
+
+
+def profiles(*fields: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return the delays [m] of a Hann-weighted sweep and the level [dB] of fields over them."""
+    size = 4096
+    spacing_hz = SWEEP_HZ[1] - SWEEP_HZ[0]
+    delay_m = np.arange(size) * SPEED_OF_LIGHT_MPS / (spacing_hz * size)
+    window = np.hanning(len(SWEEP_HZ) + 2)[1:-1]
+    levels = [20.0 * np.log10(np.abs(np.fft.ifft(field * window, size)) * size / window.sum()) for field in fields]
+    return delay_m, *levels
+
+
+def _same(field: RayField, other: RayField) -> bool:
+    return field.field.shape == other.field.shape and np.allclose(field.field, other.field, rtol=1e-9)
+
+
+def rms(field: np.ndarray) -> float:
+    """Return the root mean square over the sweep."""
+    return float(np.sqrt(np.mean(np.abs(field) ** 2)))
+
+
+def db(ratio: float) -> float:
+    """Return a ratio of fields in dB."""
+    return float(20.0 * np.log10(ratio))
+
+
+def level_db(rays: np.ndarray, wave: np.ndarray) -> float:
+    """Return the level of the rays over the full wave."""
+    return db(rms(rays) / rms(wave))
+
+
+def relative_db(rays: np.ndarray, wave: np.ndarray) -> float:
+    """Return the difference of both over the full wave."""
+    return db(rms(rays - wave) / rms(wave))

@@ -1,0 +1,136 @@
+"""The ray tracer in two dimensions: the product's own echoes with cylindrical instead of spherical spreading.
+
+Every factor of a route (Fresnel, roughness, focusing of an arc, bend at an edge) is defined against a flat mirror of
+the route's length, and none depends on whether the wave spreads in one direction or two: the tracer stays as it is at
+the antenna's height. In its weights the spherical 1 / L becomes the cylindrical H(L) = H0^(2)(k L), unit source:
+
+    flash of a wall, radar in a corner: factors H(L) for lambda sqrt(P) / (4 pi L), the field of the image source
+    object by routes out and back: factors F H(L_o) H(L_b) for sqrt(P lambda^2 sigma / (4 pi)^3) / (L_o L_b)
+    patch ds of a rough wall: the same with F = sqrt(k w / 4), w = pi |r|^2 (1 - rho) cos^2 ds
+
+F is the scattering amplitude of the target, w an echo width (2 pi times power per angle over density), here that of
+Lambert's law in the plane, cos / 2 per radian. The grid's wave number and line source stand for those of free space.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import hankel2
+
+from msgs.values.units import SPEED_OF_LIGHT_MPS
+from sim_player.effects.diffuse_scattering import LIT_ELEVATION_RAD
+from sim_player.effects.los_surfaces import flash_weight
+from sim_player.effects.names import bit
+from sim_player.fdtd.line_source import LineGrid
+from sim_player.scene.world import Snapshot, World, snapshot
+from sim_player.trace.conversion import weights
+from sim_player.trace.echoes import Echoes, echo_amplitude
+from sim_player.trace.ray_tracing import trace_echoes
+
+#: Bends and arcs turn a route by other angles than walls along the axes do.
+TURNS = bit("edge_diffraction") | bit("curved_wall")
+DIFFUSE = bit("diffuse_scattering")
+
+
+@dataclass(frozen=True)
+class RayField:
+    """E echoes over a sweep: complex128 [E, frequencies], their names, and their delays as lengths [m]."""
+
+    field: np.ndarray
+    name: list[str]
+    delay_m: np.ndarray
+
+    def take(self, selection: np.ndarray) -> RayField:
+        """Return the echoes of a mask."""
+        return RayField(
+            self.field[selection], [self.name[i] for i in np.flatnonzero(selection)], self.delay_m[selection]
+        )
+
+
+def ray_field(
+    world: World, effects: frozenset[str], grid: LineGrid, frequency_hz: np.ndarray, amplitude: np.ndarray
+) -> RayField:
+    """Return the echoes of a world in the plane under some effects; `amplitude` is the target's F [frequencies]."""
+    view = snapshot(world)
+    echoes = trace_echoes(view, effects)
+    echoes = echoes.take(echoes.weight != 0.0)
+    factor = weights(echoes, world, effects)
+    out_rad, back_rad = (
+        _phase(grid, frequency_hz, view, echoes, length, depart)
+        for length, depart in ((echoes.out_m, echoes.depart), (echoes.back_m, echoes.arrive))
+    )
+    gains = [grid.source_gain(frequency_hz, side[:, :2]) for side in (echoes.depart, echoes.arrive)]
+    there_and_back = hankel2(0, out_rad) * hankel2(0, back_rad) * gains[0] * gains[1]
+    round_trip = hankel2(0, out_rad + back_rad) * gains[0]
+    unit_weight = echo_amplitude(world.radar, np.ones(1), np.ones(1))
+    of_object = (factor * echoes.out_m * echoes.back_m / unit_weight) * there_and_back
+    flash = factor / flash_weight(view, echoes.out_m + echoes.back_m) * round_trip
+    is_object, is_diffuse = echoes.object_index >= 0, (echoes.needs & DIFFUSE) > 0
+    field = np.where(
+        is_object, of_object * amplitude[:, None], np.where(is_diffuse, of_object * _plane(view, echoes), flash)
+    )
+    return RayField(field.T, _names(echoes), _delay_m(out_rad + back_rad, frequency_hz))
+
+
+def _phase(
+    grid: LineGrid, frequency_hz: np.ndarray, view: Snapshot, echoes: Echoes, length_m: np.ndarray, depart: np.ndarray
+) -> np.ndarray:
+    """Return the phase of one-way routes on the grid [rad], [frequencies, E].
+
+    Walls along the axes mirror a direction into one of the same wave number. A route that an edge or an arc turns has
+    two segments: the turn is where the first, along the departure, leaves the length to the target for the second.
+    """
+    ray = echoes.point[:, :2] - view.origin
+    along = np.sum(depart[:, :2] * ray, axis=1)
+    turned = ((echoes.needs & TURNS) > 0) & (echoes.object_index >= 0) & (length_m - along > 1e-9)
+    first = np.where(
+        turned, 0.5 * (length_m**2 - np.sum(ray**2, axis=1)) / np.where(turned, length_m - along, 1.0), length_m
+    )
+    onwards = np.where(turned[:, None], ray - first[:, None] * depart[:, :2], depart[:, :2])
+    onwards /= np.linalg.norm(onwards, axis=1, keepdims=True)
+    segments = ((depart[:, :2], first), (onwards, length_m - first))
+    return np.asarray(sum(grid.wave_number(frequency_hz, direction) * span_m for direction, span_m in segments))
+
+
+def _plane(view: Snapshot, echoes: Echoes) -> np.ndarray:
+    """Return F in the plane over the square root of RCS of the product's patches, which are as high as they are lit.
+
+    The product's RCS is 4 |r|^2 (1 - rho) cos^2 h ds: Lambert's law in space, cos / pi per steradian.
+    """
+    height_m = np.minimum(view.world.wall_height_m[echoes.surface], LIT_ELEVATION_RAD * echoes.out_m)
+    wave_per_m = 2.0 * np.pi / view.world.radar.wavelength_m
+    return np.asarray(np.sqrt(wave_per_m / 4.0 * np.pi / 4.0 / height_m))
+
+
+def _delay_m(phase_rad: np.ndarray, frequency_hz: np.ndarray) -> np.ndarray:
+    """Return the group delay of every echo as a length [m]."""
+    slope = (phase_rad[-1] - phase_rad[0]) / (2.0 * np.pi * (frequency_hz[-1] - frequency_hz[0]))
+    return np.asarray(slope * SPEED_OF_LIGHT_MPS)
+
+
+def _names(echoes: Echoes) -> list[str]:
+    """Return the path group of every echo."""
+    needs = [{name for name in _NAMED if row & bit(name)} for row in echoes.needs]
+    same = np.isclose(echoes.out_m, echoes.back_m) & np.all(np.isclose(echoes.depart, echoes.arrive), axis=1)
+    return [_name(*row) for row in zip(needs, echoes.object_index >= 0, same, echoes.order, strict=True)]
+
+
+_NAMED = ("edge_diffraction", "second_relay", "diffuse_scattering", "non_cofocal")
+
+
+def _name(needs: set[str], of_object: bool, same: bool, order: int) -> str:
+    if not of_object:
+        return (
+            "diffuse"
+            if "diffuse_scattering" in needs
+            else "radar twice mirrored"
+            if "second_relay" in needs
+            else "flash"
+        )
+    if "edge_diffraction" in needs:
+        return "diffracted" if same else "diffracted, mixed"
+    if "non_cofocal" in needs:
+        return "mixed, twice mirrored" if order == 2 else "mixed"
+    return ("direct", "mirrored", "twice mirrored")[order]
