@@ -6,7 +6,7 @@ LIBRARIES := libgl1 libegl1 libx11-6 libusb-1.0-0 libudev1 libgomp1 libiio0
 export PIP_DISABLE_PIP_VERSION_CHECK = 1
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-dev demo test test-fast lint audit stability reference bench faults soak fuzz tables fdtd-figures compare results results-gpu clean
+.PHONY: help setup setup-dev demo test test-fast lint audit stability reference bench faults soak fuzz tables fdtd-figures full-wave compare results results-gpu clean
 
 help:  ## this list
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -106,6 +106,9 @@ fdtd-figures: setup  ## the pictures of docs/explain/materials.md
 	$(BIN)/mirrorwave sim wall --plot docs/images/fdtd_wall.png
 	$(BIN)/mirrorwave sim reflectance --plot docs/images/fdtd_reflectance.png
 
+full-wave: setup-dev  ## rays against a full-wave solution: docs/results/full-wave.md (half an hour; goes on if stopped)
+	$(BIN)/python -m benchmarks.full_wave --table docs/results/full-wave.md --figure docs/images/full-wave.png
+
 compare: setup  ## three sensors over all sweeps, the tables and pictures of docs/explain/sensors.md (half an hour; goes on if stopped)
 	$(BIN)/mirrorwave compare --viewpoints 6 --jobs 2 --out runs/compare
 	$(BIN)/mirrorwave compare --scene launch/scenes/hidden_car_xband.yaml --out runs/compare
@@ -120,3 +123,4 @@ results-gpu: setup-dev  ## the same at full size and for the published 100 epoch
 
 clean:  ## forget the virtual environment and caches
 	rm -rf $(VENV) build *.egg-info .pytest_cache .mypy_cache .ruff_cache
+/root/.pyenv/libexec/pyenv-hooks: line 24: enable: cannot open shared object /root/.pyenv/libexec/pyenv-realpath.dylib: /root/.pyenv/libexec/pyenv-realpath.dylib: cannot open shared object file: No such file or directory

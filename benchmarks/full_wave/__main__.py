@@ -48,7 +48,8 @@ def main() -> None:
         print(json.dumps(_report(found, rough), indent=1))
     else:
         console.print(as_table(found))
-        console.print(rough)
+        if rough is not None:
+            console.print(rough)
     if options.table is not None:
         options.table.write_text(page([scene for scene, _ in solved], found, rough, options))
     if options.figure is not None:

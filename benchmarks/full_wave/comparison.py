@@ -19,11 +19,15 @@ from sim_player.scene.world import World
 SWEEP_HZ = RADAR.carrier_hz + RADAR.bandwidth_hz * np.linspace(-0.5, 0.5, 29)
 #: Half length of a gate around an echo, and of its tapered ends: round trips.
 GATE_M, TAPER_M = 0.15, 0.03
+#: Half length of what must be recorded of a pulse, three deviations.
+PULSE_M = 0.1
 #: An echo names its gate where it lies this little below the gate's strongest.
 NAMED_DB = 20.0
 EFFECTS = frozenset({*PATH_EFFECTS, *WEIGHTS}) - {"ground_bounce", "object_interreflection", "vegetation", "atmosphere"}
 
 
+#: Echoes weaker than this below the strongest get no gate of their own: they would tie strong ones together.
+GATED_DB = 50.0
 #: What walls alone return; diffuse patches have random phases and are compared by power.
 WALL_GROUPS = ("flash", "radar twice mirrored")
 
@@ -75,11 +79,12 @@ def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
     """Compare one run: the walls alone (None), or what a target adds to them."""
     echo = waves.walls if target is None else waves.targets[target]
     world = scene.world(None if target is None else scene.node_m(waves.grid, target))
+    recorded_m = float(SPEED_OF_LIGHT_MPS * echo.time_s[-1]) - PULSE_M
     amplitude = thread_amplitude(waves.empty, SWEEP_HZ, THREAD_PERMITTIVITY)
 
     def rays(effects: frozenset[str]) -> RayField:
         field = ray_field(world, effects, waves.grid, SWEEP_HZ, amplitude)
-        field = field.take(np.isin(field.name, "diffuse", invert=True) & (field.delay_m < scene.longest_m))
+        field = field.take(np.isin(field.name, "diffuse", invert=True) & (field.delay_m < recorded_m))
         return field.take(np.isin(field.name, WALL_GROUPS, invert=target is not None))
 
     everything = rays(EFFECTS)
@@ -94,7 +99,8 @@ def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
         for gate, field in zip(gates, found, strict=True)
     ]
     whole = echo.spectrum(SWEEP_HZ)
-    rest = echo.field * np.prod([1.0 - gate_of(echo, low, high) for low, high in gates], axis=0)
+    outside = [1.0 - gate_of(echo, low, high) for low, high in gates]
+    rest = echo.field * np.prod(outside, axis=0)
     remainder = Remainder(
         scene.name,
         label,
@@ -150,8 +156,9 @@ def _ends_m(world: World) -> float:
 
 
 def clusters(rays: RayField) -> list[tuple[float, float]]:
-    """Return the first and last delay [m] of echoes that one gate must hold."""
-    delays = np.sort(rays.delay_m)
+    """Return the first and last delay [m] of strong echoes that one gate must hold."""
+    level = np.abs(rays.field).max(axis=1)
+    delays = np.sort(rays.delay_m[level > 10.0 ** (-GATED_DB / 20.0) * level.max()])
     cut = np.flatnonzero(np.diff(delays) > 2.0 * GATE_M) + 1
     return [(float(part[0]), float(part[-1])) for part in np.split(delays, cut)]
 

@@ -196,7 +196,7 @@ def _kind(group: Group) -> str:
         "mirrored": {"mirrored"},
         "twice mirrored": {"twice mirrored", "radar twice mirrored"},
         "mixed": {"mixed", "mixed, twice mirrored"},
-        "diffracted": {"diffracted", "diffracted, mixed"},
+        "diffracted": {"diffracted", "diffracted, mixed", "diffracted, mixed, twice mirrored"},
     }.items():
         if parts <= names:
             return kind

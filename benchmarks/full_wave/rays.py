@@ -130,7 +130,7 @@ def _name(needs: set[str], of_object: bool, same: bool, order: int) -> str:
             else "flash"
         )
     if "edge_diffraction" in needs:
-        return "diffracted" if same else "diffracted, mixed"
+        return "diffracted" if same else "diffracted, mixed, twice mirrored" if order == 2 else "diffracted, mixed"
     if "non_cofocal" in needs:
         return "mixed, twice mirrored" if order == 2 else "mixed"
     return ("direct", "mirrored", "twice mirrored")[order]

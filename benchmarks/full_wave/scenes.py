@@ -226,6 +226,17 @@ def _rough(roughness_m: float, seed: int) -> MiniScene:
     return MiniScene(name, about, (surface,), (solid,), "concrete", _at(-2, -32), _at(46, 32), _m(113)[0])
 
 
+_SINGLE = MiniScene(
+    "wall",
+    "one concrete wall whose ends echo after all else",
+    (_wall((20, -21), (20, 26)),),
+    (_box(20, -21, 25, 26),),
+    "concrete",
+    _at(-2, -22),
+    _at(21, 27),
+    _m(62)[0],
+    {"lit": _at(12, 6)},
+)
 _CORNER = MiniScene(
     "corner",
     "two concrete walls at a right angle, the radar within",
@@ -253,6 +264,7 @@ _HIDDEN = MiniScene(
 def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
     """Return all scenes; the rough wall once for each of `seeds` draws from `seed` on."""
     return (
+        _SINGLE,
         _facade("facade", "concrete", THICKNESS, "a concrete facade with two ends", "lit", "border"),
         _CORNER,
         _HIDDEN,

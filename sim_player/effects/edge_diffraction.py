@@ -60,7 +60,7 @@ def apply(tracing: TraceContext) -> Echoes:
     view = tracing.view
     bent = edge_routes(view, view.centre, tracing.owner)
     tracing.routes["edge_diffraction"] = bent
-    clear = tracing.clear_routes("los_objects", "specular_relay")
+    clear = tracing.clear_routes("los_objects", "specular_relay", "curved_wall", "second_relay")
     first, second = same_target(bent.target, clear.target)
     both = join_routes([bent, clear])
     mixed = object_echoes(view, both, (first, second + len(bent)), bit("edge_diffraction"))

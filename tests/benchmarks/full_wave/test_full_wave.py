@@ -9,21 +9,12 @@ import numpy as np
 import pytest
 
 from benchmarks.full_wave.comparison import SWEEP_HZ, compare, gate_of
-from benchmarks.full_wave.scenes import RADAR, Box, MiniScene, _at, _box, _wall, scenes
+from benchmarks.full_wave.scenes import Box, scenes
 from benchmarks.full_wave.waves import Waves, solve
 from models.physics.curved_mirror import arc_points
 
-SMALL = MiniScene(
-    "small",
-    "a concrete wall of 47 wavelengths, 20 in front of the radar; its ends echo after all else",
-    (_wall((20, -21), (20, 26)),),
-    (_box(20, -21, 25, 26),),
-    "concrete",
-    _at(-2, -22),
-    _at(21, 27),
-    62 * RADAR.wavelength_m,
-    {"lit": _at(12, 6)},
-)
+#: A wall 20 wavelengths in front of the radar.
+SMALL = scenes(0)[0]
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +50,10 @@ def test_gates_hold_a_pulse_and_nothing_beyond(waves: Waves) -> None:
 
 
 def test_kept_echoes_are_not_computed_again(tmp_path: Path) -> None:
-    tiny = replace(SMALL, low_m=_at(-2, -2), high_m=_at(4, 4), longest_m=0.1, solids=(), targets={})
+    tiny = replace(SMALL, low_m=(-0.06, -0.06), high_m=(0.12, 0.12), longest_m=0.1, solids=(), targets={})
     runs: list[str] = []
     first = solve(tiny, 10.0, tmp_path, lambda run, share: runs.append(run))
-    assert set(runs) == {"small-walls-10"}
+    assert set(runs) == {"wall-walls-10"}
     again = solve(tiny, 10.0, tmp_path, lambda run, share: pytest.fail("computed again"))
     np.testing.assert_array_equal(first.walls.field, again.walls.field)
 

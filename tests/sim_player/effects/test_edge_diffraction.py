@@ -193,3 +193,21 @@ def test_an_arcs_end_faces_along_its_tangent() -> None:
     start = np.flatnonzero(edges.point[:, 1] == 0.0)[0]
     # centre to the left of the way down, at greater x: the wall bulges to smaller x, its start leans there
     assert edges.face_rad[start] == pytest.approx(-0.5 * math.pi - 0.3)
+
+
+def test_bent_ways_mix_with_all_clear_ways() -> None:
+    """Point in a corner of two walls, which have ends: out by an edge, back straight, by one mirror or by two.
+
+    Analytic: one way squared, (clear + bent)^2, but for two different edges: clear^2 + 2 clear bent + sum bent^2.
+    Tolerance 1e-9 (phases). Seen in the full-wave solution of the scene `hidden` of benchmarks.full_wave.
+    """
+    corner = wall((6.0, -4.0), (6.0, 5.0)), wall((6.0, 5.0), (-3.0, 5.0))
+    clear = ("los_objects", "specular_relay", "second_relay")
+    found = traced(points_world([(3.0, 1.4, 1.0)], *corner), *clear, "non_cofocal", NAME)
+    total = 0.0j
+    for echoes in (echoes.take(echoes.object_index >= 0) for echoes in found.echoes.values()):
+        total += (unit_weight(echoes) * np.exp(-1j * WAVENUMBER * (echoes.out_m + echoes.back_m))).sum()
+    fields = {name: one_way_field(found.routes[name]) for name in (*clear, NAME)}
+    assert all(map(len, fields.values()))
+    field, bent = sum(fields[name].sum() for name in clear), fields[NAME]
+    assert total == pytest.approx(field**2 + 2.0 * field * bent.sum() + (bent**2).sum(), rel=1e-9)
