@@ -118,7 +118,8 @@ class MiniScene:
             share = np.floor(share + 0.5 + 1e-6)
             solid_eps = CONDUCTOR_PERMITTIVITY
         else:
-            solid_eps = grid.permittivity(solid_eps)
+            on_nodes = all(isinstance(solid, Box) for solid in self.solids)
+            solid_eps = grid.permittivity(solid_eps, on_nodes)
         media = (1.0 + (solid_eps - 1.0) * share).astype(np.complex64)
         if target is not None:
             media[grid.node(self.node_m(grid, target))] = THREAD_PERMITTIVITY

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import newton
 
 from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
 from sim_player.fdtd.grid import LOOK_STEPS, GridParams, Media, YeeGrid
@@ -23,6 +24,8 @@ PULSE_SHARE, HALF_LENGTH = 0.15, 5.0
 ABSORBER = CpmlParams(cells=24, leak=1e-7)
 #: Cells by which the stepped part of the grid is wider than the light cone: numerical forerunners are faster.
 CONE_CELLS = 48
+#: Positions of a face within a cell, over which its reflection is meant.
+FACE_SHARES = 40
 #: Each doubles the digits, of which free space has three.
 NEWTON_STEPS = 4
 #: A conductor so good that its nodes stay at zero.
@@ -88,14 +91,24 @@ class LineGrid:
             k = k - excess / (half[:, 0] * np.sin(2.0 * k * half[:, 0]) + half[:, 1] * np.sin(2.0 * k * half[:, 1]))
         return k
 
-    def permittivity(self, eps: complex) -> complex:
-        """Return the permittivity of cells whose face on nodes reflects as that of `eps` at normal incidence.
+    def permittivity(self, eps: complex, on_nodes: bool = True) -> complex:
+        """Return the permittivity of cells that reflects as `eps` does at normal incidence, its face on nodes or not.
 
-        On the grid a medium has the admittance sqrt(eps) cos(k h / 2): with s = sin(w dt / 2) / S, that of air is
-        sqrt(1 - s^2). Uncorrected, concrete at 20 cells per wavelength reflects 0.5 dB too little.
+        On the grid a medium has the admittance sqrt(eps) cos(k h / 2), and a node that is solid by another share than
+        one half adds to it. A face that is bent or rough meets nodes at all shares: the mean of the fields holds.
+        Uncorrected, concrete at 20 cells per wavelength reflects 0.56 dB too little (on nodes), or 0.17 dB.
         """
-        squared = (math.sin(math.pi * self.frequency_hz * self.step_s) / self.params.courant) ** 2
-        return complex((1.0 - np.sqrt(1.0 - 4.0 * squared * (1.0 - squared) * eps)) / (2.0 * squared))
+        sine = math.sin(math.pi * self.frequency_hz * self.step_s) / self.params.courant
+        share = np.array([0.5]) if on_nodes else (np.arange(FACE_SHARES) + 0.5) / FACE_SHARES
+        wanted = (1.0 - np.sqrt(eps)) / (1.0 + np.sqrt(eps))
+        to_face = np.exp(-4j * math.asin(sine) * (share - 0.5))
+
+        def excess(cells: complex) -> complex:
+            wall = np.sqrt(cells) * np.cos(np.arcsin(np.sqrt(cells) * sine)) + 2j * sine * (cells - 1.0) * (share - 0.5)
+            air = math.cos(math.asin(sine))
+            return complex(np.mean((air - wall) / (air + wall) * to_face) - wanted)
+
+        return complex(newton(excess, complex(eps), x1=1.05 * complex(eps)))
 
     def source_gain(self, frequency_hz: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Return the far field of the grid's line source over that of H0 at the same wave number, [frequencies,
