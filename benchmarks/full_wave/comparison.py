@@ -17,6 +17,8 @@ from sim_player.scene.world import World
 
 #: The chirp's sweep; the full wave is read at so many frequencies.
 SWEEP_HZ = RADAR.carrier_hz + RADAR.bandwidth_hz * np.linspace(-0.5, 0.5, 29)
+#: A wider band for the picture, where groups shall stand apart.
+PICTURE_HZ = RADAR.carrier_hz + 4e9 * np.linspace(-0.5, 0.5, 161)
 #: Half length of a gate around an echo, and of its tapered ends: round trips.
 GATE_M, TAPER_M = 0.15, 0.03
 #: Half length of what must be recorded of a pulse, three deviations.
@@ -80,10 +82,10 @@ def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
     echo = waves.walls if target is None else waves.targets[target]
     world = scene.world(None if target is None else scene.node_m(waves.grid, target))
     recorded_m = float(SPEED_OF_LIGHT_MPS * echo.time_s[-1]) - PULSE_M
-    amplitude = thread_amplitude(waves.empty, SWEEP_HZ, THREAD_PERMITTIVITY)
 
-    def rays(effects: frozenset[str]) -> RayField:
-        field = ray_field(world, effects, waves.grid, SWEEP_HZ, amplitude)
+    def rays(effects: frozenset[str], frequency_hz: np.ndarray = SWEEP_HZ) -> RayField:
+        amplitude = thread_amplitude(waves.empty, frequency_hz, THREAD_PERMITTIVITY)
+        field = ray_field(world, effects, waves.grid, frequency_hz, amplitude)
         field = field.take(np.isin(field.name, "diffuse", invert=True) & (field.delay_m < recorded_m))
         return field.take(np.isin(field.name, WALL_GROUPS, invert=target is not None))
 
@@ -109,7 +111,9 @@ def compare(scene: MiniScene, waves: Waves, target: str | None) -> Comparison:
         relative_db(everything.field.sum(axis=0), whole),
         {name: relative_db(field.field.sum(axis=0), whole) for name, field in lesser.items()},
     )
-    return Comparison(groups, remainder, *profiles(whole, everything.field.sum(axis=0)))
+    return Comparison(
+        groups, remainder, *profiles(echo.spectrum(PICTURE_HZ), rays(EFFECTS, PICTURE_HZ).field.sum(axis=0))
+    )
 
 
 @dataclass(frozen=True)
@@ -217,11 +221,10 @@ def _within(rays: RayField, gate: tuple[float, float]) -> tuple[np.ndarray, str]
 
 
 def profiles(*fields: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return the delays [m] of a Hann-weighted sweep and the level [dB] of fields over them."""
+    """Return the delays [m] and the level [dB] of fields over them, of spectra at `PICTURE_HZ` under a Hann window."""
     size = 4096
-    spacing_hz = SWEEP_HZ[1] - SWEEP_HZ[0]
-    delay_m = np.arange(size) * SPEED_OF_LIGHT_MPS / (spacing_hz * size)
-    window = np.hanning(len(SWEEP_HZ) + 2)[1:-1]
+    delay_m = np.arange(size) * SPEED_OF_LIGHT_MPS / ((PICTURE_HZ[1] - PICTURE_HZ[0]) * size)
+    window = np.hanning(len(PICTURE_HZ) + 2)[1:-1]
     levels = [20.0 * np.log10(np.abs(np.fft.ifft(field * window, size)) * size / window.sum()) for field in fields]
     return delay_m, *levels
 

@@ -25,6 +25,8 @@ from mirrorwave.plots.style import (
 
 #: Groups this far below the strongest of their run are beyond the aim, and drawn hollow.
 CONSIDERED_DB = -30.0
+#: Errors are drawn as far as this.
+MAX_ERROR_DB = 4.0
 #: Aims for the level: diffracted groups, all others.
 AIMS_DB = (2.0, 0.5)
 HEADS = (
@@ -135,7 +137,7 @@ def _markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 
 def draw(path: Path, wanted: list[MiniScene], found: list[Comparison]) -> None:
     """Draw the fields over delay, one panel a run that has groups, and below them the error of every group."""
-    runs = [comparison for comparison in found if not comparison.remainder.scene.startswith("rough")]
+    runs = [comparison for comparison in found if not comparison.remainder.scene.startswith(("rough", "wall"))]
     rows = -(-len(runs) // 3)
     figure = new_figure(PAGE_INCH, 1.55 * rows + 2.8)
     grid = figure.add_gridspec(rows + 1, 3, height_ratios=[1.0] * rows + [1.7])
@@ -152,7 +154,7 @@ def draw(path: Path, wanted: list[MiniScene], found: list[Comparison]) -> None:
     panels[0].set_ylabel("dB", fontsize=8)
     panels[-1].set_xlabel("round trip (m)", fontsize=8)
     errors = figure.add_subplot(grid[rows, :])
-    _draw_errors(errors, [group for run in runs for group in run.groups])
+    _draw_errors(errors, [group for run in found for group in run.groups])
     legend_of_figure(figure, handles_of(panels[0], errors), 5)
     save(figure, path)
 
@@ -164,7 +166,7 @@ def _draw_errors(axes, groups: list[Group]) -> None:  # type: ignore[no-untyped-
         shown = [group for group in groups if (group.strength_db >= CONSIDERED_DB) == near]
         places = [names.index(_kind(group)) for group in shown]
         spread = np.linspace(-0.25, 0.25, max(len(shown), 1))
-        levels = np.clip([group.level_db for group in shown], -8.0, 8.0)
+        levels = np.clip([group.level_db for group in shown], -MAX_ERROR_DB, MAX_ERROR_DB)
         axes.plot(
             np.array(places) + spread,
             levels,
@@ -179,7 +181,7 @@ def _draw_errors(axes, groups: list[Group]) -> None:  # type: ignore[no-untyped-
         axes.fill_between([index - 0.4, index + 0.4], -aim, aim, color=SKY, alpha=0.35, lw=0, label="aim")
     axes.set_xticks(range(len(names)), names, fontsize=8)
     axes.set_ylabel("rays over full wave (dB)", fontsize=8)
-    axes.set_ylim(-8.5, 8.5)
+    axes.set_ylim(-1.05 * MAX_ERROR_DB, 1.05 * MAX_ERROR_DB)
     axes.tick_params(axis="y", labelsize=7)
     axes.grid(axis="y", alpha=0.3)
 

@@ -271,6 +271,6 @@ def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
         _HIDDEN,
         _arc("arc", -60.0, "a concrete arc that bulges towards the radar, radius 1.8 m"),
         _arc("hollow", 80.0, "a concrete arc that is hollow towards the radar, radius 2.4 m"),
-        _facade("sheet", "metal", 0.1, "a metal sheet with two ends", *_BESIDE),
+        _facade("sheet", "metal", 0.1, "a metal sheet with two ends", "border", "shadow"),
         *(_rough(2e-3, seed + draw) for draw in range(seeds)),
     )
