@@ -304,12 +304,12 @@ def _step_v_row(p, i, u, vx, vz, at_vx, at_vz, along_z, along_x, psi_z, psi_x, n
     _, _, _, decay_z, drive_z, flat_z = along_z
     _, _, _, decay_x, drive_x, flat_x = along_x
     nx, nz, cells, sides = u.shape[1] - 2, u.shape[2], psi_z.shape[2] // 2, psi_x.shape[1] // 2
-    end, one = min(far, nz - 1), u.dtype.type(1.0)
+    end, plus = min(far, nz - 1), u.dtype.type(1.0)
     ax, bx = _row(at_vx[0], i, near, end), _row(at_vx[1], i, near, end)
     az, bz = _row(at_vz[0], i, near, far), _row(at_vz[1], i, near, far)
     here, onward = u[p, i, near:far], u[p, i + 1, near:far]
-    _step_slope(vx[p, i, near:end], u[p, i, near:end], u[p, i, near + 1 : end + 1], flat_z[near:end], ax, bx, one)
-    _step_slope(vz[p, i, near:far], here, onward, flat_x[i], az, bz, -one)
+    _step_slope(vx[p, i, near:end], u[p, i, near:end], u[p, i, near + 1 : end + 1], flat_z[near:end], ax, bx, plus)
+    _step_slope(vz[p, i, near:far], here, onward, flat_x[i], az, bz, -plus)
     for j in range(2 * cells):
         k = j if j < cells else nz - 1 - 2 * cells + j
         if near <= k < far:

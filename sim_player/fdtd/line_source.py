@@ -1,6 +1,6 @@
 """A line source over a scene of solids in two dimensions: the field that comes back to it, in time and over a sweep.
 
-TE: E is parallel to the source, to all walls and to all wires, which is vertical polarisation seen from above. One node
+TE: E is parallel to the source, to all walls and threads, which is vertical polarisation seen from above. One node
 is source and receiver: the source adds to the field and lets all waves pass. Free space is the grid's own: its wave
 number and its line source depend on the direction, and both are known in closed form (Taflove and Hagness, ch. 4), so
 that a ray may be compared with the grid without its dispersion.
