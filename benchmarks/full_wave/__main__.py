@@ -1,7 +1,7 @@
 """Rays against a full-wave solution of miniature scenes: error of every path group, with all effects and without each.
 
 Echoes of time steps are kept in the work folder; what is there is not computed again. Run from the root of the
-checkout: python -m benchmarks.full_wave [--scene NAME ...] [--seed 0] [--seeds 8] [--cells 20] [--work runs/full-wave]
+checkout: python -m benchmarks.full_wave [--scene NAME ...] [--seed 0] [--seeds 4] [--cells 20] [--work runs/full-wave]
        [--figure FILE] [--table FILE] [--json]
 """
 
@@ -27,7 +27,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scene", nargs="+", help="only these scenes; rough is all draws of the rough wall")
     parser.add_argument("--seed", type=int, default=0, help="first draw of the rough wall")
-    parser.add_argument("--seeds", type=int, default=8, help="draws of the rough wall")
+    parser.add_argument("--seeds", type=int, default=4, help="draws of the rough wall")
     parser.add_argument("--cells", type=float, default=20.0, help="cells per wavelength in air")
     parser.add_argument("--work", type=Path, default=Path("runs/full-wave"), help="folder of kept echoes")
     parser.add_argument("--figure", type=Path, help="picture to write")

@@ -154,7 +154,9 @@ def draw(path: Path, wanted: list[MiniScene], found: list[Comparison]) -> None:
     panels[0].set_ylabel("dB", fontsize=8)
     panels[-1].set_xlabel("round trip (m)", fontsize=8)
     errors = figure.add_subplot(grid[rows, :])
-    _draw_errors(errors, [group for run in found for group in run.groups])
+    _draw_errors(
+        errors, [group for run in found for group in run.groups if not run.remainder.scene.startswith("rough")]
+    )
     legend_of_figure(figure, handles_of(panels[0], errors), 5)
     save(figure, path)
 

@@ -262,7 +262,7 @@ _HIDDEN = MiniScene(
 )
 
 
-def scenes(seeds: int = 8, seed: int = 0) -> tuple[MiniScene, ...]:
+def scenes(seeds: int = 4, seed: int = 0) -> tuple[MiniScene, ...]:
     """Return all scenes; the rough wall once for each of `seeds` draws from `seed` on."""
     return (
         _SINGLE,

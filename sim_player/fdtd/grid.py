@@ -184,8 +184,11 @@ class YeeGrid:
         record = np.zeros(len(drive))
         media = (self.at_u, self.at_vx, self.at_vz)
         absorbers = (self.along_z, self.along_x, self.psi_z, self.psi_x)
+        threads = numba.get_num_threads()
+        numba.set_num_threads(1)
         _run_node(self.u, self.vx, self.vz, *media, *absorbers, part, node, drive, record)
         self.settle(len(drive))
+        numba.set_num_threads(threads)
         return record
 
     def settle(self, steps: int) -> None:
