@@ -181,6 +181,7 @@ def moving_path(length_m: float, speed_mps: float) -> Paths:
         needs=np.zeros(1, np.uint32),
         surface=np.full(1, -1, np.int32),
         object_index=np.zeros(1, np.int32),
+        chain=np.zeros(1, np.uint64),
         point_m=np.zeros((1, 3)),
         virtual_m=np.zeros((1, 3)),
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +19,7 @@ from models.physics.attenuation import gas_db_per_m, rain_db_per_m, vegetation_d
 from models.physics.fresnel import slab_reflection, slab_transmission, stack_reflection, stack_transmission
 from models.physics.materials import permittivity, wall_layers
 from msgs.files.shipped import CHECKOUT
+from sim_player.fdtd.rough import RoughParams
 
 PAGE = CHECKOUT / "docs" / "explain" / "materials.md"
 WAVELENGTH_M = 299_792_458.0 / 10e9
@@ -148,10 +150,11 @@ def simulated(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """A stand-in for the wave simulation: exact, and it notes what it was asked."""
     calls: list[dict[str, Any]] = []
 
-    def reflect(layers: Any, angle_rad: float, frequency_hz: float, **options: Any) -> Any:
-        calls.append({"layers": layers, "angle_rad": angle_rad, "frequency_hz": frequency_hz, **options})
+    def reflect(layers: Any, angle_rad: float, frequency_hz: float, polarisation: Any, settings: RoughParams) -> Any:
+        asked = {"layers": layers, "angle_rad": angle_rad, "frequency_hz": frequency_hz, "polarisation": polarisation}
+        calls.append({**asked, **asdict(settings)})
         media, thicknesses = zip(*layers, strict=True)
-        args = (media, thicknesses, np.cos(angle_rad), 299_792_458.0 / frequency_hz, options["polarisation"])
+        args = (media, thicknesses, np.cos(angle_rad), 299_792_458.0 / frequency_hz, polarisation)
         return SimpleNamespace(
             r=complex(stack_reflection(*args)),
             t=complex(stack_transmission(*args)),
