@@ -105,8 +105,8 @@ def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarr
     return Occlusion(free, through, foliage)
 
 
-def without(blockers: Blockers, index: int) -> Blockers:
-    """Return all blockers but one."""
+def without(blockers: Blockers, index: int | np.ndarray) -> Blockers:
+    """Return all blockers but those of an index or several."""
     return Blockers(
         **{field.name: np.delete(getattr(blockers, field.name), index, axis=0) for field in fields(Blockers)}
     )
