@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
 
@@ -29,7 +30,7 @@ from benchmarks.simulator.path_comparison import (
     our_routes,
 )
 from mirrorwave.studies.report import machine, table, versions
-from sim_player.foreign.export import clear_of_bodies, exported_surfaces
+from sim_player.foreign.export import ARC_ERROR_M, clear_of_bodies, exported_surfaces
 from sim_player.foreign.sionna_tracer import SAMPLES, ForeignTracerMissingError, llvm_version, trace_to_points
 from sim_player.generate.places import random_place
 from sim_player.scene.description import Scene
@@ -71,44 +72,34 @@ def compare_scene(scene: Scene, samples: int = SAMPLES) -> Comparison:
 
 def page(result: Comparison, command: str, places: int, samples: int) -> str:
     """Return the results as Markdown."""
-    wide = int((np.abs(result.length_m) > LENGTH_AIM_M).sum())
-    flat = ~np.char.endswith(result.group, "arc")
-    loud = int((np.abs(result.amplitude_db) > AMPLITUDE_AIM_DB).sum())
-    odd = sum(path.reason == UNEXPLAINED for path in (*result.missing, *result.extra))
     stated = ", ".join(f"{name} {number}" for name, number in {**versions(), **foreign_versions()}.items())
+    run = f"`{command}`: {places} drawn places, {samples} search rays. {machine()}; {stated}. Written by the command."
+    errors = ("path", "length, um", "departure, urad", "arrival, urad", "amplitude, dB", "phase, deg")
     lines = [
-        "# A foreign tracer",
-        "",
-        f"`{command}`. {places} drawn places, {samples} search rays, {machine()}; {stated}. Written by the command.",
-        "",
-        COMMON_GROUND,
-        "## Common, missing, extra",
-        "",
+        *("# A foreign tracer", "", fill(run, 120), "", COMMON_GROUND),
+        *("## Common, missing, extra", ""),
         *table(("path", "common", "missing in the foreign", "extra in the foreign"), _counts(result)),
-        "",
-        f"Common paths by flat surfaces that differ by more than {LENGTH_AIM_M:g} m: "
-        f"{int((np.abs(result.length_m[flat]) > LENGTH_AIM_M).sum())} of {int(flat.sum())} ({wide} with arcs); by more "
-        f"than {AMPLITUDE_AIM_DB:g} dB: {loud} of {int(np.isfinite(result.amplitude_db).sum())}. "
-        f"Paths without a reason: {odd}.",
-        "",
-        "## Differences of common paths",
-        "",
-        "Median, 99 % quantile and largest magnitude.",
-        "",
-        *table(
-            ("path", "length, um", "departure, urad", "arrival, urad", "amplitude, dB", "phase, deg"), _errors(result)
-        ),
-        "",
-        "## Missing in the foreign tracer",
-        "",
-        *_reasons(result.missing),
-        "",
-        "## Extra in the foreign tracer",
-        "",
-        *_reasons(result.extra),
-        "",
+        *("", fill(_aims(result), 120), ""),
+        *("## Differences of common paths", "", "Median, 99 % quantile and largest magnitude.", ""),
+        *table(errors, _errors(result)),
+        *("", "## Missing in the foreign tracer", "", *_reasons(result.missing)),
+        *("", "## Extra in the foreign tracer", "", *_reasons(result.extra), ""),
     ]
     return "\n".join(lines)
+
+
+def _aims(result: Comparison) -> str:
+    """Return how many common paths miss the aims, and how many others have no reason."""
+    by_arc = np.char.endswith(result.group, "arc")
+    wide = np.abs(result.length_m) > LENGTH_AIM_M
+    levels_db = np.abs(result.amplitude_db[np.isfinite(result.amplitude_db)])
+    odd = sum(path.reason == UNEXPLAINED for path in (*result.missing, *result.extra))
+    return (
+        f"Common paths whose lengths differ by more than {LENGTH_AIM_M:g} m: {(wide & ~by_arc).sum()} of "
+        f"{(~by_arc).sum()} by flat surfaces, {(wide & by_arc).sum()} of {by_arc.sum()} by arcs (their strips lie off "
+        f"by up to {1e3 * ARC_ERROR_M:g} mm). Compared amplitudes that differ by more than {AMPLITUDE_AIM_DB:g} dB: "
+        f"{(levels_db > AMPLITUDE_AIM_DB).sum()} of {len(levels_db)}. Paths without a reason: {odd}."
+    )
 
 
 def foreign_versions() -> dict[str, str]:

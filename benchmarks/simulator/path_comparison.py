@@ -248,7 +248,8 @@ def _extra(place: Place, theirs: Routes, indices: np.ndarray, strongest: np.ndar
         elif by_arc[row]:
             reasons.append("an arc beside another mirror: ours leaves it out" if by_two[row] else "one more strip")
         elif routes.ground[row] and routes.target[row] == place.own:
-            reasons.append("the ground in the radar's own image: ours leaves it out")
+            beside = "the ground and another surface" if by_two[row] else "the ground straight below"
+            reasons.append(f"{beside} as the radar's mirror: ours leaves it out")
         else:
             reasons.append(_why_extra(place, int(index)))
     group = np.where(by_object, "object", _groups(place, routes))

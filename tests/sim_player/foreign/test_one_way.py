@@ -7,14 +7,17 @@ import pytest
 
 from sim_player.effects.names import bit
 from sim_player.effects.second_relay import two_wall_routes
-from sim_player.foreign.export import ExportedSurface, SurfaceKind, exported_surfaces
-from sim_player.foreign.one_way import OneWayPaths, as_routes, foreign_paths, meets_own_object
+from sim_player.foreign.export import ExportedSurface, SurfaceKind, clear_of_bodies, exported_surfaces
+from sim_player.foreign.one_way import OneWayPaths, as_routes, foreign_paths, meets_own_object, surface_columns
+from sim_player.foreign.sionna_tracer import trace_to_points
 from sim_player.scene.description import Scene, SceneObject, Surface
 from sim_player.scene.world import Snapshot, prepare, snapshot
+from sim_player.signal.levels import kernel_profiles
 from sim_player.trace.paths import Paths
 from sim_player.trace.ray_tracing import trace
 from sim_player.trace.routes import Routes, join_routes
 from sim_player.trace.snapshot import TraceContext
+from tests.sim_player.foreign.requirements import require_sionna
 
 SCENE = Scene(
     name="foreign",
@@ -97,3 +100,23 @@ def test_ground_and_objects_are_marked_and_walls_come_first() -> None:
     assert (routes.needs & marks).tolist() == [bit("ground_bounce"), bit("object_interreflection"), 0]
     assert meets_own_object(paths, surfaces, world.centre_object).tolist() == [False, True, False]
     assert meets_own_object(paths, surfaces, np.full(len(world.centre_m), -1)).tolist() == [False] * 3
+
+
+def test_beats_of_foreign_paths_are_ours() -> None:
+    """Paths by Sionna RT, echoes and range profiles by us, against all ours: 1 % relative L2 of a scan.
+
+    Round trips differ by some 1e-5 m (2e-3 rad), reflections by up to 0.02 dB at these slopes. The car's own faces and
+    its images in walls as mirrors are left out: in ours its centres stand for them.
+    """
+    require_sionna()
+    world = clear_of_bodies(prepare(SCENE))
+    view, surfaces = snapshot(world), exported_surfaces(world)
+    found = trace_to_points(surfaces, view.antenna, view.centre, world.radar.carrier_hz, samples=100_000)
+    kind, _ = surface_columns(surfaces)
+    found = found.take((kind[found.surface] != SurfaceKind.OBJECT).all(axis=1))
+    foreign = foreign_paths(view, as_routes(found, surfaces), EFFECTS)
+    ours = trace(world, effects=EFFECTS)
+    ours = ours.take((ours.object_index >= 0) | ((ours.needs & bit("second_relay")) == 0))
+    assert len(foreign) == len(ours)
+    got, expected = (kernel_profiles(SCENE.setup, paths) for paths in (foreign, ours))
+    assert np.linalg.norm(got - expected) < 0.01 * np.linalg.norm(expected)
