@@ -13,7 +13,7 @@ from sim_player.foreign.export import ExportedSurface
 from sim_player.foreign.one_way import OneWayPaths
 from sim_player.trace.routes import NONE
 
-#: Dr.Jit emits `fmaximum`: LLVM 14, 15 and 16 end the process at it, 19 compiles it.
+#: Dr.Jit emits `fmaximum`: LLVM 15 and 16 end the process at it, 19 compiles it; those between were not tried.
 MIN_LLVM = 17
 REMEDY = "install libllvm19, or name its file in DRJIT_LIBLLVM_PATH"
 #: A wall without a back is this thick: every material of the table absorbs 60 dB on the way to its back.

@@ -103,10 +103,10 @@ def test_ground_and_objects_are_marked_and_walls_come_first() -> None:
 
 
 def test_beats_of_foreign_paths_are_ours() -> None:
-    """Paths by Sionna RT, echoes and range profiles by us, against all ours: 1 % relative L2 of a scan.
+    """Paths by Sionna RT, echoes of the car and range profiles by us, against all ours: 2e-3 relative L2 of a scan.
 
-    Round trips differ by some 1e-5 m (2e-3 rad), reflections by up to 0.02 dB at these slopes. The car's own faces and
-    its images in walls as mirrors are left out: in ours its centres stand for them.
+    Round trips differ by some 1e-5 m, which turns a beat by 2e-3 rad; reflections by up to 0.02 dB (2e-3) at these
+    slopes. Paths mirrored by the car are left out: in ours its centres stand for them.
     """
     require_sionna()
     world = clear_of_bodies(prepare(SCENE))
@@ -115,8 +115,7 @@ def test_beats_of_foreign_paths_are_ours() -> None:
     kind, _ = surface_columns(surfaces)
     found = found.take((kind[found.surface] != SurfaceKind.OBJECT).all(axis=1))
     foreign = foreign_paths(view, as_routes(found, surfaces), EFFECTS)
-    ours = trace(world, effects=EFFECTS)
-    ours = ours.take((ours.object_index >= 0) | ((ours.needs & bit("second_relay")) == 0))
-    assert len(foreign) == len(ours)
+    foreign, ours = (paths.take(paths.object_index >= 0) for paths in (foreign, trace(world, effects=EFFECTS)))
+    assert len(foreign) == len(ours) > 100
     got, expected = (kernel_profiles(SCENE.setup, paths) for paths in (foreign, ours))
-    assert np.linalg.norm(got - expected) < 0.01 * np.linalg.norm(expected)
+    assert np.linalg.norm(got - expected) < 2e-3 * np.linalg.norm(expected)
