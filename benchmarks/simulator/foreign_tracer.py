@@ -2,7 +2,7 @@
 
 Both find the specular paths from the antenna to every scattering centre and back to the antenna itself, by two
 reflections at most. Usage: DRJIT_LIBLLVM_PATH=/usr/lib/x86_64-linux-gnu/libLLVM.so.19.1
-python -m benchmarks.simulator.foreign_tracer [--places 50] [--seed 21] [--samples 1000000]
+python -m benchmarks.simulator.foreign_tracer [--places 50] [--seed 21] [--samples 200000]
 [--out docs/results/foreign-tracer.md]
 """
 
@@ -56,7 +56,7 @@ routes, from which our echoes and beats are made.
 
 Ours computes in double precision; the foreign tracer searches surfaces by rays and computes in single precision. A path
 of one tracer alone gets its reason by computation: the surfaces it meets, its distance from every edge, the triangles
-or boxes in its way, the foreign search from its other end. Level: field over the strongest common path to the same
+or boxes in its way, the foreign search once more for it alone and from its other end. Level: field over the strongest common path to the same
 point, one way.
 """
 
@@ -67,7 +67,7 @@ def compare_scene(scene: Scene, samples: int = SAMPLES) -> Comparison:
     view, surfaces = snapshot(world), exported_surfaces(world)
     traced = partial(trace_to_points, surfaces, carrier_hz=world.radar.carrier_hz, samples=samples)
     place = Place(view, surfaces, our_routes(view), traced(source_m=view.antenna, point_m=end_points(view)))
-    return compare(place, lambda point_m: traced(source_m=point_m, point_m=view.antenna[None]))
+    return compare(place, lambda source_m, point_m: traced(source_m=source_m, point_m=point_m[None]))
 
 
 def page(result: Comparison, command: str, places: int, samples: int) -> str:

@@ -75,8 +75,8 @@ class Place:
         return len(self.view.centre)
 
 
-#: Paths of the foreign tracer from a point back to the antenna.
-TraceBack = Callable[[np.ndarray], OneWayPaths]
+#: Paths of the foreign tracer from one source [3] to one point [3].
+TraceAgain = Callable[[np.ndarray, np.ndarray], OneWayPaths]
 
 
 def end_points(view: Snapshot) -> np.ndarray:
@@ -102,7 +102,7 @@ def _own_images(view: Snapshot) -> Routes:
     return replace(routes, target=np.full(len(routes), len(view.centre), np.int32))
 
 
-def compare(place: Place, trace_back: TraceBack) -> Comparison:
+def compare(place: Place, trace_again: TraceAgain) -> Comparison:
     """Match the paths of both tracers by target and surfaces, then give the others their reasons."""
     theirs = as_routes(place.foreign, place.surfaces)
     by_object = _meets(place, SurfaceKind.OBJECT)
@@ -119,7 +119,7 @@ def compare(place: Place, trace_back: TraceBack) -> Comparison:
         arrive_rad=np.linalg.norm(foreign.arrive - ours.arrive, axis=1),
         amplitude_db=20.0 * np.log10(np.abs(ratio)),
         phase_rad=np.angle(ratio),
-        missing=_missing(place, missing, strongest, trace_back),
+        missing=_missing(place, missing, strongest, trace_again),
         extra=_extra(place, theirs, extra, strongest),
     )
 
@@ -200,14 +200,16 @@ def _is_comparable(place: Place, routes: Routes) -> np.ndarray:
     return ~_by_arc(place, routes) & (layers[routes.wall] == 1) & (layers[routes.wall2] == 1)
 
 
-def _missing(place: Place, indices: np.ndarray, strongest: np.ndarray, trace_back: TraceBack) -> tuple[Unmatched, ...]:
+def _missing(
+    place: Place, indices: np.ndarray, strongest: np.ndarray, trace_again: TraceAgain
+) -> tuple[Unmatched, ...]:
     """Return the paths that the foreign tracer has not."""
     routes = place.ours.take(indices)
     by_arc = _by_arc(place, routes)
     reasons = [
         "the flat strips of an arc show no image there"
         if by_arc[row]
-        else _why_missing(place, routes.take(np.array([row])), trace_back)
+        else _why_missing(place, routes.take(np.array([row])), trace_again)
         for row in range(len(routes))
     ]
     return _unmatched(routes, _groups(place, routes), reasons, strongest)
@@ -217,7 +219,7 @@ def _unmatched(routes: Routes, group: np.ndarray, reasons: list[str], strongest:
     return tuple(map(Unmatched, group.tolist(), reasons, _level_db(routes, strongest).tolist()))
 
 
-def _why_missing(place: Place, route: Routes, trace_back: TraceBack) -> str:
+def _why_missing(place: Place, route: Routes, trace_again: TraceAgain) -> str:
     """Return why the foreign tracer has not a path of ours by flat mirrors."""
     vertices = route_vertices(place.view, route)
     if edge_distance_m(place.surfaces, vertices) < ROUNDING_M:
@@ -225,11 +227,18 @@ def _why_missing(place: Place, route: Routes, trace_back: TraceBack) -> str:
     blocker = mesh_blocker(place.surfaces, vertices)
     if blocker is not None:
         return f"the mesh of {blocker.name.lower()} is in the way"
-    back = as_routes(trace_back(vertices[-1]), place.surfaces)
-    first, second = (route.wall2, route.wall) if route.wall2[0] >= 0 else (route.wall, route.wall2)
-    if ((back.wall == first) & (back.wall2 == second) & (back.ground == route.ground)).any():
-        return "its search rays hit no such surfaces; it has the path with the ends exchanged"
+    alone = as_routes(trace_again(vertices[0], vertices[-1]), place.surfaces)
+    if _holds(alone, route.wall, route.wall2, route.ground):
+        return "its table of candidates lost it among all points; traced to this point alone it has it"
+    back = as_routes(trace_again(vertices[-1], vertices[0]), place.surfaces)
+    if _holds(back, *((route.wall2, route.wall) if route.wall2[0] >= 0 else (route.wall, route.wall2)), route.ground):
+        return "its search rays hit no such surfaces; with the ends exchanged it has it"
     return UNEXPLAINED
+
+
+def _holds(routes: Routes, wall: np.ndarray, wall2: np.ndarray, ground: np.ndarray) -> bool:
+    """Return whether some route has these mirrors, [1] each."""
+    return bool(((routes.wall == wall) & (routes.wall2 == wall2) & (routes.ground == ground)).any())
 
 
 def _extra(place: Place, theirs: Routes, indices: np.ndarray, strongest: np.ndarray) -> tuple[Unmatched, ...]:

@@ -18,8 +18,10 @@ MIN_LLVM = 17
 REMEDY = "install libllvm19, or name its file in DRJIT_LIBLLVM_PATH"
 #: A wall without a back is this thick: every material of the table absorbs 60 dB on the way to its back.
 ENDLESS_M = 10.0
-#: Rays that search for surfaces in sight: 3.5 mrad apart.
-SAMPLES = 1_000_000
+#: Rays that search for surfaces in sight: 8 mrad apart.
+SAMPLES = 200_000
+#: Also the size of the table that keeps candidates apart by their hashes; colliding candidates are lost, a few of a
+#: thousand paths to hundreds of points.
 MAX_PATHS = 1_000_000
 
 
@@ -60,7 +62,7 @@ def trace_to_points(
     """Return all specular paths from a source [3] to points [N, 3] by `max_bounces` reflections at most.
 
     Single precision throughout. Surfaces are found by shooting `samples` rays, so one that is hit by none is missed;
-    the paths themselves come from images. `ForeignTracerMissingError` as `load_sionna`.
+    candidates may be lost by chance (`MAX_PATHS`). The paths themselves come from images. `ForeignTracerMissingError` as `load_sionna`.
     """
     sionna = load_sionna()
     scene = sionna.load_scene()
