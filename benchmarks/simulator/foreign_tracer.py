@@ -56,8 +56,8 @@ routes, from which our echoes and beats are made.
 
 Ours computes in double precision; the foreign tracer searches surfaces by rays and computes in single precision. A path
 of one tracer alone gets its reason by computation: the surfaces it meets, its distance from every edge, the triangles
-or boxes in its way, the foreign search once more for it alone and from its other end. Level: field over the strongest common path to the same
-point, one way.
+or boxes in its way, the foreign search once more for it alone and from its other end. Level: field over the strongest
+common path to the same point, one way.
 """
 
 

@@ -62,7 +62,8 @@ def trace_to_points(
     """Return all specular paths from a source [3] to points [N, 3] by `max_bounces` reflections at most.
 
     Single precision throughout. Surfaces are found by shooting `samples` rays, so one that is hit by none is missed;
-    candidates may be lost by chance (`MAX_PATHS`). The paths themselves come from images. `ForeignTracerMissingError` as `load_sionna`.
+    candidates may be lost by chance (`MAX_PATHS`). The paths themselves come from images.
+    `ForeignTracerMissingError` as `load_sionna`.
     """
     sionna = load_sionna()
     scene = sionna.load_scene()
