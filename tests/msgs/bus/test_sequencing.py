@@ -5,11 +5,14 @@ from __future__ import annotations
 import tracemalloc
 
 from msgs.bus.codec import encode
-from msgs.bus.interface import Envelope
+from msgs.bus.interface import Envelope, Received
 from msgs.bus.sequencing import MAX_PUBLISHERS, Tally, latch
 from msgs.values.diagnostics import LogRecord
+from tests.msgs.bus.test_codec import CASES
 
 TOPIC = "log"
+#: Its receivers want the newest message only.
+ANSWER = "perception/hidden_objects"
 S = 1_000_000_000
 RECORD = LogRecord(stamp_ns=0, node="x", level="info", text="")
 
@@ -97,3 +100,16 @@ def test_latched_messages_are_kept_in_order_of_the_last_word_and_not_without_end
     latch(kept, "n10", [b"new"])
     assert list(kept) == [f"n{number}" for number in range(8, 40) if number != 10] + ["n10"]
     assert kept["n10"] == [b"new"]
+
+
+def test_only_who_counts_all_messages_gets_outdated_ones() -> None:
+    """Three views wait at once: a display wants the last one, a player that waits for each answer wants every one."""
+    waiting = [
+        Received(ANSWER, dict(CASES)[ANSWER], Envelope(publisher="n", topic=ANSWER, sequence=number, sent_ns=number))
+        for number in range(3)
+    ]
+    for keeps_all, kept in ((False, [2]), (True, [0, 1, 2])):
+        tally = Tally("listener", keeps_all=keeps_all)
+        tally.expect(ANSWER)
+        assert [one.envelope.sequence for one in tally.without_outdated(waiting)] == kept
+        assert tally.counts()[0][0].outdated == 3 - len(kept)

@@ -7,6 +7,7 @@ import logging
 import socket
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -18,7 +19,7 @@ from msgs.bus.codec import decode, encode, topic_frame
 from msgs.bus.interface import Envelope, Forwarded, Received
 from msgs.bus.local import LocalNetwork
 from msgs.bus.topics import TOPICS, topic_facts
-from msgs.link.curve import CLOCK, STAMP, queue_messages
+from msgs.link.curve import CLOCK, MAX_A_TURN, STAMP, Monitor, queue_messages
 from msgs.link.exporter import Exporter
 from msgs.link.importer import Importer, Server
 from msgs.link.keys import KeyPair
@@ -369,6 +370,23 @@ def test_queues_are_bounded_by_the_history_of_their_topics() -> None:
     assert queue_messages(facts("radar/ra_map")) == 64
     assert queue_messages(facts("log")) == 64
     assert queue_messages(facts("vehicle/state", "radar/ra_map")) == pytest.approx(17 * 2**20 / 0.253 / 2**20, rel=0.02)
+
+
+def test_a_flood_of_connection_events_is_taken_in_turns(bench: Bench, tmp_path: Path) -> None:
+    """One event for each address it is bound to: a turn takes `MAX_A_TURN`, the next ones the rest; none is lost."""
+    with bench.context.socket(zmq.PULL) as flooded:
+        monitor = Monitor(flooded, zmq.EVENT_LISTENING)
+        for number in range(MAX_A_TURN + 6):
+            flooded.bind(f"ipc://{tmp_path}/{number}")
+        turns: list[int] = []
+
+        def came_all() -> bool:
+            turns.append(len(monitor.events()))
+            return sum(turns) == MAX_A_TURN + 6
+
+        bench.until(came_all)
+        monitor.close()
+    assert max(turns) == MAX_A_TURN
 
 
 def test_wrong_ends_are_refused_by_one_line(bench: Bench) -> None:

@@ -298,6 +298,25 @@ def test_damaged_chunk_is_left_out_and_the_rest_read(tmp_path: Path) -> None:
     assert info(path).checksums_agree is False
 
 
+@pytest.mark.parametrize(("damaged", "reads_it"), [(2, False), (5, True), (8, False)])
+def test_damage_outside_a_span_of_time_is_not_met(tmp_path: Path, damaged: int, reads_it: bool) -> None:
+    """A state every 2 s, each in a chunk of its own after the second; of 8..14 s no chunk before or after is read."""
+    path = tmp_path / "a.mcap"
+    with RecordingWriter(path, {}) as writer:
+        for index in range(10):
+            sent_ns = 2_000_000_000 * index
+            writer.write("vehicle/state", state(index), publisher="car", sequence=index, sent_ns=sent_ns)
+    with RecordingReader(path) as reader:
+        (offset,) = [at for at, start_ns, *_ in reader._walk.chunks if start_ns == 2_000_000_000 * damaged]
+    raw = bytearray(path.read_bytes())
+    raw[offset + 60] ^= 1
+    path.write_bytes(raw)
+    with RecordingReader(path) as reader:
+        messages = list(reader.messages(start_ns=8_000_000_000, end_ns=14_000_000_000))
+        assert [message.sequence for message in messages] == ([4, 6] if reads_it else [4, 5, 6])
+        assert (reader.loss is not None) is reads_it
+
+
 CHILD = """
 import sys, time
 from pathlib import Path

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
+from msgs.values.radar import RadarParams
 from sim_player.effects.table import EFFECTS, SIGNAL, ArrayEffect, SignalEffect, always
 from sim_player.planner.ablation import EffectAblation
 from sim_player.planner.changes import change_bound
@@ -57,6 +60,22 @@ def test_faults_that_are_not_stated_change_nothing() -> None:
     faultless = ablation(FrontEnd())
     for name in ("flicker", "leakage", "iq_imbalance", "spurs"):
         assert not change_bound(faultless, name).any(), name
+
+
+def test_flicker_widens_noise_draws_of_five_and_a_half_rms() -> None:
+    """Layout: corner at range bin 8. Analytic: the density of the sum is 1 + 8 / bin of the thermal one's, which a Hann
+    window turns into a power of 1.5 / N a bin; what draws reach grows by 5.5 times what the rms grows.
+
+    Bias: the window passes on the next lower bin's density too. Bound: from the bin's own to that one's.
+    """
+    radar = RadarParams()
+    tested = ablation(FrontEnd(flicker_corner_hz=8.0 / radar.chirp_period_s))
+    thermal_rms = math.sqrt(1.5 * radar.noise_power_mw / (radar.samples_per_chirp * radar.chirps_per_beam))
+    bins = np.arange(1, tested.shape[1])
+    own = 5.5 * thermal_rms * (np.sqrt(1.0 + 8.0 / bins) - 1.0)
+    bound = change_bound(tested, "flicker")[:, 1:]
+    assert (bound >= own * (1.0 - 1e-6)).all()
+    assert (bound[:, 1:] <= own[:-1] * (1.0 + 1e-6)).all()
 
 
 def test_effect_without_a_bound_is_an_error(full: EffectAblation, monkeypatch: pytest.MonkeyPatch) -> None:

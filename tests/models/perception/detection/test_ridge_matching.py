@@ -63,6 +63,15 @@ def test_the_heatmaps_own_maximum_counts_where_the_map_has_no_ridge_of_its_class
     assert peaks.path_class.tolist() == [PathClass.LOS, PathClass.MIRRORED]
 
 
+@pytest.mark.parametrize("own", [(60, 60), (60, 180), (140, 60), (140, 180)])
+def test_a_maximum_far_from_a_ridge_is_kept_on_whichever_side_it_lies(own: tuple[int, int]) -> None:
+    """40 bins nearer or farther than the ridge of its class, 60 columns to the left or right: another object."""
+    heatmap = heatmap_with((PathClass.LOS, 100, 120, 0.6), (PathClass.LOS, *own, 0.5))
+    peaks = ridge_matched_peaks(heatmap, map_with((100.0, 120.0, 40.0)), PeakParams(), RidgeMatchingParams())
+    assert sorted(peaks.score.tolist()) == pytest.approx([0.5, 0.6])
+    assert GRID.range_index(peaks.range_m[peaks.score.argmin()]) == pytest.approx(own[0], abs=1.0)
+
+
 def test_equal_bytes_on_equal_maps_and_none_on_an_empty_one() -> None:
     empty = map_with()
     assert len(ridge_matched_peaks(heatmap_with(), empty, PeakParams(), RidgeMatchingParams())) == 0

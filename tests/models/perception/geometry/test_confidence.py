@@ -12,7 +12,13 @@ import numpy as np
 import pytest
 
 from models.perception.geometry.association import DirectReturns, RecoveryParams
-from models.perception.geometry.confidence import FEATURES, PositionConfidence, load_confidence, position_features
+from models.perception.geometry.confidence import (
+    FEATURES,
+    FittedConfidences,
+    PositionConfidence,
+    load_confidence,
+    position_features,
+)
 from models.perception.geometry.mirrors import NO_WALL
 from models.perception.geometry.recovery import Recovered
 from models.perception.geometry.stage import GeometryParams, recover_bev
@@ -128,6 +134,16 @@ def test_improbable_places_are_dropped_and_the_others_carry_their_probability() 
     assert point.score == pytest.approx(1.0 / (1.0 + math.exp(0.5 - 2.0 * math.tanh(1.5))))
     assert (point.x_m, point.y_m) == pytest.approx((12.0, 4.0), abs=1e-6)
     assert [point.score for point in recover_bev(peaks, GeometryParams()).points] == [0.9, 0.9]
+
+
+def test_a_model_fitted_on_another_detectors_peaks_judges_nothing() -> None:
+    """Images of 35 dB and 5 dB: both stay with their own scores, as without a model; those of its detector go."""
+    fitted = model(threshold=0.9, detector="network")
+    of_cfar, of_network = (msgspec.structs.replace(scan_of([35.0, 5.0]), detector=name) for name in ("cfar", "network"))
+    for confidence in (fitted, FittedConfidences((fitted,))):
+        left = recover_bev(of_cfar, GeometryParams(), confidence=confidence).points
+        assert [point.score for point in left] == [0.9, 0.9]
+        assert recover_bev(of_network, GeometryParams(), confidence=confidence).points == ()
 
 
 def test_objects_are_formed_from_probable_places_by_their_probability() -> None:

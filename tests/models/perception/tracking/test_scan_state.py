@@ -19,6 +19,7 @@ from models.perception.tracking.scan_state import MemoryParams, ScanMemory
 from msgs.bus.interface import Envelope, Received
 from msgs.values.frames import Pose2, polar_from_xy
 from msgs.values.perception import Peaks
+from msgs.values.radar import RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes import geometry
 from nodes.player import Params, scene_player
@@ -92,6 +93,16 @@ def test_arrival_does_not_decide() -> None:
     assert in_order.count("velocity_x_mps") >= 3
     for seed in range(5):
         assert lines(shuffled(np.random.default_rng(seed))) == in_order
+
+
+@pytest.mark.parametrize("tracking", [True, False])
+def test_a_chain_follows_objects_unless_it_is_told_not_to(tracking: bool) -> None:
+    """Four images behind a wall in each of six scans: an object in every view, and its track where wanted."""
+    setup = RadarSetup()
+    chain = Chain.of(setup, CfarDetector(setup), memory=MemoryParams(tracking=tracking))
+    views = [chain.views.view(scan(number)) for number in range(SCANS)]
+    assert all(view.objects for view in views)
+    assert bool(views[-1].tracks) is tracking
 
 
 @pytest.mark.slow
