@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from msgs.bus.interface import Outgoing, Received
-from msgs.bus.local import LocalNetwork
+from msgs.bus.local import LocalBus, LocalNetwork
 from msgs.files.shipped import CHECKOUT
 from msgs.values.diagnostics import NodeState, NodeStatus
 from msgs.values.vehicle import VehicleState
@@ -74,6 +74,28 @@ def test_loop_publishes_until_finished_and_says_so() -> None:
     assert [beat.state for beat in beats] == [NodeState.READY, NodeState.STOPPING]
     assert beats[-1].stages[0].name == "tick"
     assert beats[-1].stages[0].count == 3
+
+
+class _VirtualWait(LocalBus):
+    """A bus whose waits pass on the virtual clock."""
+
+    def receive(self, timeout_s: float) -> list[Received]:
+        inputs = super().receive(timeout_s)
+        if not inputs:
+            self._network.advance(round(1e9 * timeout_s))
+        return inputs
+
+
+def test_loop_waits_no_longer_than_until_a_node_is_due() -> None:
+    """Due every 7 ms, on a bus that waits as long as it may: a step each 7 ms, not each turn of 0.1 s."""
+    network = LocalNetwork()
+    listener = network.bus("listener")
+    listener.subscribe("vehicle/state")
+    bus = _VirtualWait(network, "tick")
+    node = toy_nodes.create(toy_nodes.Params(period_s=0.007, ticks=4))
+    run_loop(node, bus, Stop(), Heartbeat(bus, "tick"))
+    stamps_ns = [received.message.stamp_ns for received in listener.receive(0.0)]
+    assert [stamp_ns - stamps_ns[0] for stamp_ns in stamps_ns] == [0, 7_000_000, 14_000_000, 21_000_000]
 
 
 def test_a_step_that_raises_leaves_with_its_reason() -> None:

@@ -11,6 +11,7 @@ import pytest
 from mirrorwave.commands.sim.group import write_recording, write_sigmf
 from msgs.bus.local import LocalNetwork
 from msgs.recording.mcap import RecordingWriter
+from msgs.recording.sigmf import write_capture
 from msgs.values.perception import SceneTruth
 from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
@@ -90,6 +91,17 @@ def test_a_digital_array_is_played_from_a_capture_as_it_is_simulated(tmp_path: P
     assert step_ns > 0
     expected_ns = [index * source.setup.beam_share_ns // 2 for index in range(len(beams))]
     assert [event.offset_ns - beams[0].offset_ns for event in beams] == expected_ns
+
+
+def test_a_capture_begins_at_once_whatever_clock_its_stamps_are_of(tmp_path: Path) -> None:
+    """Stamps in Unix time, as a board writes them: offsets are those from its first beam, 12 ms a beam."""
+    source = scene_player(params())
+    unix_ns = 1_750_000_000_000_000_000
+    beams = (source.beam(0, index) for index in range(3))
+    later = (msgspec.structs.replace(beam, stamp_ns=beam.stamp_ns + unix_ns) for beam in beams)
+    path, _ = write_capture(tmp_path / "capture.sigmf-meta", source.setup, later)
+    events = [event for event in capture_events(path) if event.outgoing.topic == "radar/beam"]
+    assert [event.offset_ns for event in events] == [0, 12_000_000, 24_000_000]
 
 
 def test_the_graphs_own_work_in_a_recording_is_left_out(tmp_path: Path) -> None:

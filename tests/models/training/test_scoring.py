@@ -44,3 +44,15 @@ def test_class_and_threshold_matter() -> None:
     tally.add(found((0, 10, 10, 0.35), (1, 30, 30, 0.9)), labels((10, 10, 1), (30, 30, 1)))
     assert tally.counts[0.3] == {PathClass.LOS: Counts(0, 1, 0), PathClass.MIRRORED: Counts(1, 0, 1)}
     assert tally.counts[0.4] == {PathClass.LOS: Counts(0, 0, 0), PathClass.MIRRORED: Counts(1, 0, 1)}
+
+
+def test_a_score_at_the_threshold_counts_as_in_the_detector() -> None:
+    """At every threshold as many points as the detector reports there: at 0.3 also one of a score of 0.3."""
+    heatmap = np.zeros((2, *GRID.shape))
+    for column, score in ((10, 0.3), (30, 0.29), (50, 0.31)):
+        heatmap[0, 20, column] = score
+    tally = DetectionTally(GRID)
+    tally.add(heatmap_points(heatmap, 0.05, 3), labels())
+    counted = {threshold: counts[PathClass.LOS].false_positives for threshold, counts in tally.counts.items()}
+    assert counted == {threshold: len(heatmap_points(heatmap, threshold, 3).score) for threshold in tally.counts}
+    assert counted[0.3] == 2

@@ -183,6 +183,21 @@ def test_recorded_beams_are_the_plain_chain_s() -> None:
     assert np.abs(expected).max() > 100
 
 
+def test_a_fault_that_the_board_does_not_have_changes_no_code() -> None:
+    """Switches of flicker and imbalance over a front end without either: the plain codes to the bit, up to full scale.
+
+    Another order of float32 sums would move some of the 8192 codes of up to 2^15 by one.
+    """
+    radar = RadarParams(samples_per_chirp=512, chirps_per_beam=8)
+    setup = RadarSetup(radar=radar)
+    terms = beat_terms(setup, louder(some_paths(40, 6.0, speed_mps=20.0), 500.0), beam=7)
+    bank = noise_bank(radar, 1)
+    plain = record_beam(setup, terms, bank, [1, 2])
+    assert np.abs(plain.astype(int)).max() > 20_000
+    switched = record_beam(setup, terms, bank, [1, 2], SignalEffects(flicker=True, iq_imbalance=True), FrontEnd())
+    np.testing.assert_array_equal(switched, plain)
+
+
 def test_no_paths_and_far_paths() -> None:
     setup = RadarSetup()
     assert not kernel_profiles(setup, some_paths(0, 1.0), STATIC, FAULTS).any()

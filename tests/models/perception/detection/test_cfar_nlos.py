@@ -8,7 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from models.perception.detection.cfar import CfarParams
 from models.perception.detection.cfar_nlos import CfarNlosParams, privileged_peaks
+from models.perception.detection.ridges import RidgeParams
 from msgs.values.perception import PathClass, Peaks
 from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
 
@@ -71,6 +73,17 @@ def test_both_tolerances_must_hold(off_m: float, off_deg: float, direct: bool) -
     strongest = np.abs(peaks.range_m - WALL[0]) < 0.15
     expected = PathClass.LOS if direct else PathClass.MIRRORED
     assert set(peaks.path_class[strongest].tolist()) == {expected}
+
+
+def test_tolerances_and_detector_are_the_caller_s() -> None:
+    """Truth 2.5 m beyond the wall's echo, which the defaults call mirrored: direct within 3.5 m; lobes of 40 dB
+    are no detections where 60 dB are asked for.
+    """
+    beyond = [(WALL[0] + 2.5, WALL[1])]
+    wide = CfarNlosParams(range_tolerance_m=3.5)
+    assert class_at(found(beyond, [PathClass.LOS], wide), WALL) == PathClass.LOS
+    deaf = CfarNlosParams(cfar=CfarParams(ridges=RidgeParams(spacing=(2, 4), min_snr_db=60.0)))
+    assert len(found(beyond, [PathClass.LOS], deaf)) == 0
 
 
 @pytest.mark.parametrize(
