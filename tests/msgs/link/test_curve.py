@@ -19,7 +19,7 @@ from msgs.bus.codec import decode, encode, topic_frame
 from msgs.bus.interface import Envelope, Forwarded, Received
 from msgs.bus.local import LocalNetwork
 from msgs.bus.topics import TOPICS, topic_facts
-from msgs.link.curve import CLOCK, MAX_A_TURN, STAMP, Monitor, queue_messages
+from msgs.link.curve import CLOCK, MAX_A_TURN, STAMP, Monitor, queue_messages, waiting_on
 from msgs.link.exporter import Exporter
 from msgs.link.importer import Importer, Server
 from msgs.link.keys import KeyPair
@@ -432,3 +432,14 @@ def test_a_peer_that_pauses_is_said_to_be_silent_and_nothing_is_lost(
     bench.until(lambda: "lost nothing" in caplog.text)
     # until the next silence of one that gets no core
     bench.until(lambda: not importer.trouble())
+
+
+def test_a_flood_is_taken_in_turns() -> None:
+    """100 messages wait: 64 in one turn, so that other peers and the clock get theirs, the rest in the next."""
+    with zmq.Context() as context, context.socket(zmq.PAIR) as flood, context.socket(zmq.PAIR) as taker:
+        taker.bind("inproc://flood")
+        flood.connect("inproc://flood")
+        for number in range(100):
+            flood.send(bytes([number]))
+        turns = [[parts[0].bytes[0] for parts in waiting_on(taker)] for _ in range(3)]
+    assert turns == [list(range(64)), list(range(64, 100)), []]

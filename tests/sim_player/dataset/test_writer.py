@@ -24,6 +24,7 @@ from msgs.values.perception import PathClass
 from msgs.values.radar import RadarSetup, RangeAzimuthGrid
 from msgs.values.units import ratio_from_db
 from sim_player.dataset.executors import Executor, map_jobs
+from sim_player.dataset.labelled_beams import LabelledPlace
 from sim_player.dataset.labelled_scan import (
     clean_profiles,
     label_points,
@@ -248,6 +249,15 @@ def test_millimetre_waves_too(tmp_path: Path) -> None:
 
 
 # --- however they are made
+
+
+def test_raw_beams_of_a_place_are_sent_at_the_gain_of_the_data_set() -> None:
+    """A place at -2.95 dB: power of the transmitter over that of its scene, and the gain that the shard states."""
+    (gain_db,) = shards.shard_arrays(Recipe(effects="basic"), 3, 1, 1)["gain_db"]
+    assert gain_db == pytest.approx(-2.953, abs=1e-3)
+    player = LabelledPlace(3, 1, "basic").player
+    scene_w, sent_w = (setup.radar.transmit_power_w for setup in (player.scene.setup, player.setup))
+    assert sent_w / scene_w == pytest.approx(ratio_from_db(gain_db), rel=1e-12)
 
 
 @pytest.mark.slow

@@ -18,12 +18,14 @@ from models.physics.fresnel import (
     stack_transmission,
 )
 from models.physics.materials import permittivity
-from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, CpmlParams
+from sim_player.fdtd.cpml import SPEED_OF_LIGHT_MPS, VACUUM_PERMITTIVITY_F_PER_M, CpmlParams
 from sim_player.fdtd.experiment import Experiment, transmission_experiment
 from sim_player.fdtd.grid import Drive, GridParams, Media, YeeGrid
+from sim_player.fdtd.media import real_medium
 from sim_player.fdtd.rough import RoughParams, rough_profile
 from sim_player.fdtd.scattering import reflect, reflect_angles
 from sim_player.fdtd.smooth import SmoothWall
+from sim_player.fdtd.strip import StripParams, build_strips
 
 FREQUENCY_HZ = 10e9
 WAVELENGTH_M = SPEED_OF_LIGHT_MPS / FREQUENCY_HZ
@@ -76,6 +78,23 @@ def test_metal_is_a_mirror(polarisation: Polarisation) -> None:
     exact = half_space_reflection(metal, 0.5, polarisation)
     assert abs(found.r - exact) < 1e-4
     assert abs(exact - (-1.0 if polarisation == "te" else 1.0)) > 1e-4
+
+
+@pytest.mark.parametrize("factor", [1.0, 100.0])
+def test_good_conductors_need_no_shorter_steps(factor: float) -> None:
+    """Layout: half-space of 1e7 S/m and of 100 times that at 60 deg; cells of the skin shrink as 1 / sqrt(loss).
+
+    Analytic: waves in it as slow as that, so that every metal takes 20 / 0.99 sqrt(500) = 452 steps a period of 20
+    cells; with eps_r 1 they were 1e5. Its r stays, to 1e-6: displacement is nothing beside conduction.
+    """
+    metal = 1.0 + 1j * factor * permittivity("metal", FREQUENCY_HZ).imag
+    column, _ = build_strips(((metal, math.inf),), math.radians(60.0), FREQUENCY_HZ, StripParams())
+    assert 1.0 / (FREQUENCY_HZ * column.step_s) == pytest.approx(20.0 / 0.99 * math.sqrt(500.0), rel=1e-3)
+    eps_r, sigma = real_medium(metal, FREQUENCY_HZ)
+    stepped = complex(eps_r, -sigma / (2.0 * math.pi * FREQUENCY_HZ * VACUUM_PERMITTIVITY_F_PER_M))
+    for polarisation in POLARISATIONS:
+        exact = half_space_reflection(metal, 0.5, polarisation)
+        assert abs(half_space_reflection(stepped, 0.5, polarisation) - exact) < 1e-6
 
 
 @pytest.mark.parametrize("polarisation", POLARISATIONS)

@@ -14,6 +14,7 @@ from sim_player.planner.changes import change_bound
 from sim_player.scene.description import Scene, SceneObject, SceneRadar
 from sim_player.scene.front_end import FrontEnd, Spur
 from sim_player.scene.world import prepare
+from sim_player.signal.levels import noise_profiles
 from tests.sim_player.effects.point_scenes import wall
 
 FRONT_END = FrontEnd(
@@ -76,6 +77,17 @@ def test_flicker_widens_noise_draws_of_five_and_a_half_rms() -> None:
     bound = change_bound(tested, "flicker")[:, 1:]
     assert (bound >= own * (1.0 - 1e-6)).all()
     assert (bound[:, 1:] <= own[:-1] * (1.0 + 1e-6)).all()
+
+
+def test_noise_stays_under_its_bound() -> None:
+    """40 draws of 25 x 512 cells of thermal noise and rounding. Rayleigh: the strongest of 5e5 reaches 3.6 rms, +-0.4.
+
+    The bound is to hold for 10^13 cells, 5.5 rms; a much wider one would keep noise that nobody sees.
+    """
+    plain = ablation(FrontEnd())
+    draws = [noise_profiles(plain.setup, seed, plain.flags(), plain.front_end) for seed in range(40)]
+    strongest = float((np.abs(draws).max(axis=0) / change_bound(plain, "thermal_noise")).max())
+    assert 3.2 / 5.5 < strongest < 4.0 / 5.5
 
 
 def test_effect_without_a_bound_is_an_error(full: EffectAblation, monkeypatch: pytest.MonkeyPatch) -> None:
