@@ -18,7 +18,7 @@ import msgspec
 import numpy as np
 from scipy import fft
 
-from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz, window_noise_gain
+from models.physics.waveform import WINDOW_TAPS, beat_frequency_hz
 from msgs.values.radar import RadarSetup
 from sim_player.scene.front_end import NO_FAULTS, FrontEnd
 from sim_player.signal.compiled_beats import compiled_terms, decimation
@@ -239,8 +239,9 @@ def noise_density_mw(
 
 def noise_rms(setup: RadarSetup, effects: SignalEffects = PLAIN, front_end: FrontEnd = NO_FAULTS) -> np.ndarray:
     """Return the rms of the noise in a Hann-windowed profile, sqrt(mW); float64 [512]."""
-    density = noise_density_mw(setup, np.arange(RANGE_BINS), effects, front_end)
-    return np.sqrt(density * window_noise_gain("hann"))
+    density = noise_density_mw(setup, np.arange(-1, RANGE_BINS + 1), effects, front_end)
+    # the window brings in the neighbours: 1/f noise is far stronger in the first bin than beside it
+    return np.sqrt(np.convolve(density, np.square(WINDOW_TAPS["hann"]), "valid"))
 
 
 def _peak(setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd) -> float:

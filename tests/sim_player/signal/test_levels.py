@@ -21,6 +21,7 @@ from sim_player.signal.levels import (
     kernel_objections,
     kernel_profiles,
     noise_profiles,
+    noise_rms,
     received_samples,
     record_beam,
 )
@@ -461,3 +462,16 @@ def test_beats_keep_the_recorded_convention() -> None:
     one = RadarSetup(radar=SMALL.radar, array=ArrayParams(columns=1, rows=1), beams=BeamGrid(azimuth_deg=(0.0,)))
     gain = 10.0 ** (2 * 4.1 / 20.0)
     assert apart(beam_beats(one, path)[0], gain * beat_samples(SMALL.radar, np.array([5.0]))[0]) < 1e-9
+
+
+@pytest.mark.parametrize("corner_hz", [0.0, 1e5])
+def test_noise_rms_is_that_of_its_draws(corner_hz: float) -> None:
+    """40 seeds of 25 beams: 1,000 draws a bin, whose rms scatters by 1.6 %; 8 % in all of the first 20 bins.
+
+    With 1/f noise the window lifts bin 1 by what it takes from bin 0: 2.9 times its own density's rms.
+    """
+    setup, front_end = RadarSetup(), FrontEnd(flicker_corner_hz=corner_hz)
+    effects = SignalEffects(flicker=True)
+    draws = np.concatenate([noise_profiles(setup, seed, effects, front_end, range_bins=20) for seed in range(40)])
+    found = np.sqrt(np.mean(np.abs(draws) ** 2, axis=0))
+    np.testing.assert_allclose(found, noise_rms(setup, effects, front_end)[:20], rtol=0.08)
