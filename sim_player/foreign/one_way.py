@@ -6,10 +6,11 @@ sight and everything along the sweep are ours: paths from the foreign tracer, be
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
+from msgs.values.array_table import ArrayTable
 from sim_player.effects.names import bit
 from sim_player.effects.table import PATHS
 from sim_player.foreign.export import ExportedSurface, SurfaceKind
@@ -23,7 +24,7 @@ from sim_player.trace.snapshot import TraceContext
 
 
 @dataclass(frozen=True)
-class OneWayPaths:
+class OneWayPaths(ArrayTable):
     """N paths from one source to points, by D specular reflections at most, in the scene's frame."""
 
     #: Index of the point, int32 [N].
@@ -40,10 +41,6 @@ class OneWayPaths:
 
     def __len__(self) -> int:
         return len(self.length_m)
-
-    def take(self, selection: np.ndarray) -> OneWayPaths:
-        """Return the paths of an index or mask."""
-        return OneWayPaths(**{field.name: getattr(self, field.name)[selection] for field in fields(self)})
 
 
 def as_routes(paths: OneWayPaths, surfaces: tuple[ExportedSurface, ...]) -> Routes:
