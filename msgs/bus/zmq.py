@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import logging
 import os
 import re
@@ -300,7 +301,14 @@ class ZmqBus:
 
     def _search(self) -> None:
         """Connect to the publishers that appeared since the last search."""
-        for topic, node in _published_names(self._dir):
+        try:
+            published = _published_names(self._dir)
+        except OSError as error:
+            # a flood of connections may have taken all descriptors of the process for a while
+            if error.errno not in (errno.EMFILE, errno.ENFILE):
+                raise
+            published = []
+        for topic, node in published:
             if topic in self._subscribers and node not in self._lives[topic]:
                 self._subscribers[topic].connect(f"ipc://{socket_path(self._dir, topic, node)}")
                 self._lives[topic][node] = _life(socket_path(self._dir, topic, node))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import signal
 import socket
@@ -311,6 +312,38 @@ def test_other_topics_with_the_same_beginning_do_not_come_in(meeting: Path) -> N
         rogue.close()
         context.term()
         assert count_of(receiver, "log").rejected == 0
+
+
+def test_a_process_without_descriptors_searches_later(meeting: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A flood of connections takes them all for a while: what is known goes on, a new publisher is found after it."""
+    with closing(ZmqBus("known", meeting)) as known, closing(ZmqBus("listener", meeting)) as listener:
+        sent = connect(known, listener, "vehicle/state", state)
+
+        def refuse(path: object) -> list[str]:
+            raise OSError(errno.EMFILE, os.strerror(errno.EMFILE), str(path))
+
+        with monkeypatch.context() as without:
+            without.setattr("msgs.bus.zmq.os.listdir", refuse)
+            with closing(ZmqBus("new", meeting)) as new:
+                new.publish("vehicle/state", state(0))
+            time.sleep(0.15)
+            known.publish("vehicle/state", state(sent))
+            assert stamps(collect(listener, 1)) == [sent]
+        with closing(ZmqBus("new", meeting)) as new:
+            until(lambda: bool(new.publish("vehicle/state", state(-1)) or stamps(listener.receive(0.05))))
+
+
+def test_any_other_trouble_of_a_search_is_an_error(meeting: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with closing(ZmqBus("listener", meeting)) as listener:
+        listener.subscribe("vehicle/state")
+
+        def refuse(path: object) -> list[str]:
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+        monkeypatch.setattr("msgs.bus.zmq.os.listdir", refuse)
+        time.sleep(0.15)
+        with pytest.raises(PermissionError):
+            listener.receive(0.05)
 
 
 def test_strange_files_in_the_run_dir_are_passed_over(meeting: Path) -> None:
