@@ -222,9 +222,8 @@ class Workspace:
             raise ValueError(f"tests must exist: {' '.join(output.split())}")
         if code in (0, 5):
             return ""
-        names = re.findall(r"^(?:FAILED|ERROR) (\S+)", output, re.MULTILINE)
         # a mutant may end the whole process
-        return names[0] if names else tests[0]
+        return first_failed(output) or tests[0]
 
     def _run(self, command: list[str], environment: dict[str, str], until_s: float) -> tuple[int, str]:
         with (self.folder.parent / "pytest.log").open("w+") as log:
@@ -248,6 +247,12 @@ class Workspace:
                     process.wait()
             log.seek(0)
             return process.returncode, log.read()
+
+
+def first_failed(summary: str) -> str:
+    """Return the first test that pytest's summary names as failed; its parameters may hold spaces. Empty: none."""
+    found = re.search(r"^(?:FAILED|ERROR) ([^\s\[]+\[.*?\](?= - |$)|\S+)", summary, re.MULTILINE)
+    return found[1] if found else ""
 
 
 def digest_of(root: Path, mutation: Mutation, tests: Iterable[str]) -> str:

@@ -15,6 +15,7 @@ from benchmarks.mutation.mutations import (
     as_json,
     as_yaml,
     digest_of,
+    first_failed,
     known_verdicts,
     load_list,
     mutated,
@@ -137,6 +138,21 @@ def test_every_mutation_of_the_list_fits_its_file(one: Mutation) -> None:
     assert ast.dump(ast.parse(mutant)) != ast.dump(ast.parse(source))
     assert [test for test in one.tests if not (ROOT / test.partition("::")[0]).exists()] == []
     assert one.group == "guard" or stages_of(ROOT, one)[0] != ["tests/stability"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "tests/test_shapes.py::test_area",
+        "tests/test_shapes.py::test_area[3-must be > 0 - or none]",
+        "tests/test_shapes.py::test_area[width [m] must exceed 0]",
+        "tests/test_shapes.py",
+    ],
+)
+def test_the_name_of_a_failed_test_may_hold_spaces(name: str) -> None:
+    for end in (f"{name} - assert 3 == 12", f"{name} - KeyError: 'a [b] - c'", name):
+        assert first_failed(f".F\n== short test summary info ==\nFAILED {end}\n1 failed in 0.1s") == name
+    assert first_failed("1 passed in 0.1s") == ""
 
 
 @pytest.mark.slow
