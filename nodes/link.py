@@ -15,6 +15,7 @@ import zmq
 from msgs.bus.interface import Forwarded, Received
 from msgs.bus.sequencing import MAX_LATCHED
 from msgs.bus.topics import topic_facts
+from msgs.bus.zmq import InterruptibleContext
 from msgs.link.exporter import Exporter
 from msgs.link.importer import Importer, Server
 from msgs.link.keys import KeyPair, is_loopback, load_allowed, load_own, load_public
@@ -106,7 +107,7 @@ class Link(Node):
         super().__init__()
         own, public = _keys(params)
         allowed = load_allowed(Path(params.allowed)) if params.allowed else {}
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._context = InterruptibleContext()
         self._exporter: Exporter | None = None
         self._importers: list[Importer] = []
         self._reported: dict[tuple[str, str], int] = {}
@@ -165,7 +166,7 @@ class Link(Node):
             importer.close()
         if self._exporter is not None:
             self._exporter.close()
-        self._context.term()
+        self._context.destroy()
 
     def _connect(self, params: Params, own: KeyPair | None, public: dict[str, bytes]) -> None:
         for name, peer in params.connect.items():

@@ -80,7 +80,7 @@ def graph_findings(run_dir: Path, window_s: float = WINDOW_S) -> Iterator[Findin
         return
     graph = _look(run_dir, window_s)
     for name in graph.names:
-        yield _check_node(graph, name, window_s)
+        yield _check_node(graph, name)
     yield from _check_topics(graph)
     yield from _check_views(graph)
     for name, entry in graph.entries.items():
@@ -120,38 +120,36 @@ def _look(run_dir: Path, window_s: float) -> _Graph:
     return _Graph(owner, publishers, alive, figures, _log_entries(run), _launch_entries(run), longest_s, window_s)
 
 
-def _check_node(graph: _Graph, name: str, window_s: float) -> Finding:
+def _check_node(graph: _Graph, name: str) -> Finding:
     check = f"node {name}"
     beats = graph.heard.get(name, [])
     if not beats and _has_ended(graph, name):
         return Finding(check, Status.WARNING, "has come to its end (exit code 0) and is not started again")
     if not beats:
-        return Finding(check, Status.FAILED, _why_silent(graph, name, window_s))
+        return Finding(check, Status.FAILED, _why_silent(graph, name))
     row = node_row(beats)
     load = f"{row['cpu_percent']:.0f} % cpu, {row['resident_bytes'] / _MIB:.0f} MiB"
     if row["state"] == NodeState.DEGRADED:
         # a supervisor that is degraded has a node that it gave up
         status = Status.FAILED if name == "supervisor" else Status.WARNING
         return Finding(check, status, f"degraded: {row['reason'] or 'no reason given'}; {load}")
-    troubles = [*_losses(graph, name, beats, window_s), *_restarts(graph, name)]
+    troubles = [*_losses(graph, name, beats), *_restarts(graph, name)]
     if row["shed"]:
         troubles.append(f"left undone so far: {shed_text(row['shed'])}")
     return Finding(check, Status.WARNING if troubles else Status.OK, "; ".join([row["state"], *troubles, load]))
 
 
-def _why_silent(graph: _Graph, name: str, window_s: float) -> str:
+def _why_silent(graph: _Graph, name: str) -> str:
     """No heartbeat: because there is no process, because it was stopped, or because it hangs."""
     said = _last_word(graph, name)
     word = f"; the log says: {said}" if said else ""
+    silent = f"no heartbeat in {graph.window_s:g} s"
     process = _process_of(graph, name)
     if process is None:
-        return f"no heartbeat in {window_s:g} s: its process has ended or was never started{word}"
+        return f"{silent}: its process has ended or was never started{word}"
     if process["status"] == "stopped":
-        return f"no heartbeat in {window_s:g} s: pid {process['pid']} is stopped; kill -CONT {process['pid']} wakes it"
-    return (
-        f"no heartbeat in {window_s:g} s: pid {process['pid']} is there ({process['status']}), "
-        f"it starts still or hangs in a step{word}"
-    )
+        return f"{silent}: pid {process['pid']} is stopped; kill -CONT {process['pid']} wakes it"
+    return f"{silent}: pid {process['pid']} is there ({process['status']}), it starts still or hangs in a step{word}"
 
 
 def _has_ended(graph: _Graph, name: str) -> bool:
@@ -174,7 +172,7 @@ def _process_of(graph: _Graph, name: str) -> dict[str, Any] | None:
     return None
 
 
-def _losses(graph: _Graph, name: str, beats: list[NodeStatus], window_s: float) -> list[str]:
+def _losses(graph: _Graph, name: str, beats: list[NodeStatus]) -> list[str]:
     first = {count.topic: count for count in beats[0].received}
     texts = []
     for count in beats[-1].received:
@@ -184,7 +182,7 @@ def _losses(graph: _Graph, name: str, beats: list[NodeStatus], window_s: float) 
             total = getattr(count, kind)
             new = total - getattr(before, kind, 0)
             if total:
-                parts.append(f"{total} {kind} ({new} in the last {window_s:g} s)")
+                parts.append(f"{total} {kind} ({new} in the last {graph.window_s:g} s)")
         if parts:
             # who publishes on a peer's host is not known here
             senders = "" if is_of_peer(name) else f" from {', '.join(graph.publishers.get(count.topic, ['nobody']))}"

@@ -60,21 +60,19 @@ def as_routes(paths: OneWayPaths, surfaces: tuple[ExportedSurface, ...]) -> Rout
         | np.where(on_object, bit("object_interreflection"), 0)
     )
     clear = Occlusion(np.ones(len(paths), bool), np.ones(len(paths), np.complex128), np.ones(len(paths)))
-    routes = make_routes(
+    return make_routes(
         paths.target,
         paths.length_m,
         paths.depart,
         paths.arrive,
         clear,
-        0,
+        needs,
         wall=piece[:, 0],
         wall2=piece[:, 1],
+        ground=on_ground,
         whole=paths.reflection,
         front=paths.reflection,
     )
-    routes.needs[:] = needs
-    routes.ground[:] = on_ground
-    return routes
 
 
 def foreign_paths(view: Snapshot, routes: Routes, effects: frozenset[str]) -> Paths:

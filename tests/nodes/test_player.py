@@ -17,6 +17,7 @@ from msgs.values.radar import RadarBeam, RadarSetup
 from msgs.values.vehicle import VehicleState
 from nodes.node import InProcessGraph
 from nodes.player import SENSED_TOPICS, Params, capture_events, create, scene_events, scene_of, scene_player
+from sim_player.player import ScenePlayer
 
 SCENE = "launch/scenes/facade_across_lane.yaml"
 
@@ -58,15 +59,20 @@ def test_rate_scales_time() -> None:
     assert max(sent_ns) - 5_000_000_000 == 300_000_000 + 24 * 3_000_000
 
 
-@pytest.mark.parametrize("name", ["capture.mcap", "capture.sigmf-meta"])
-def test_a_capture_says_the_same_as_the_scene(tmp_path: Path, name: str) -> None:
-    source = scene_player(params())
+def written(source: ScenePlayer, path: Path) -> Path:
+    """A capture of the first scan of a scene, in the format that the name asks for."""
     events = (event.outgoing for event in scene_events(source, 1))
-    path = tmp_path / name
-    if name.endswith(".mcap"):
+    if path.suffix == ".mcap":
         write_recording(path, events, {})
     else:
         write_sigmf(path, source.setup, events, {})
+    return path
+
+
+@pytest.mark.parametrize("name", ["capture.mcap", "capture.sigmf-meta"])
+def test_a_capture_says_the_same_as_the_scene(tmp_path: Path, name: str) -> None:
+    source = scene_player(params())
+    path = written(source, tmp_path / name)
     messages, _ = played(Params(capture=str(path)))
     beams = [message for message in messages if isinstance(message, RadarBeam)]
     assert [beam.stamp_ns for beam in beams] == [source.stamp_ns(0, index) for index in range(25)]
@@ -79,12 +85,7 @@ def test_a_capture_says_the_same_as_the_scene(tmp_path: Path, name: str) -> None
 def test_a_digital_array_is_played_from_a_capture_as_it_is_simulated(tmp_path: Path, name: str) -> None:
     """Beams of one time go out over half of the scan, from the scene and from what was written of it: 6 ms apart."""
     source = scene_player(params(scene="launch/scenes/facade_across_lane_77ghz.yaml"))
-    events = (event.outgoing for event in scene_events(source, 1))
-    path = tmp_path / name
-    if name.endswith(".mcap"):
-        write_recording(path, events, {})
-    else:
-        write_sigmf(path, source.setup, events, {})
+    path = written(source, tmp_path / name)
     beams = [event for event in capture_events(path) if isinstance(event.outgoing.message, RadarBeam)]
     step_ns = source.setup.beam_share_ns // 2
     assert len({event.outgoing.message.stamp_ns for event in beams}) == 1

@@ -185,10 +185,10 @@ def test_a_node_that_has_done_its_work_has_not_failed() -> None:
     ]
     views = ViewWatch(0, 3.0).figures(0)
     graph = _Graph({"nodes": ["player"]}, {"radar/beam": ["player"]}, {}, views, said, {})
-    assert _check_node(graph, "player", 3.0).status is Status.WARNING
+    assert _check_node(graph, "player").status is Status.WARNING
     assert _why_no_message(graph, "radar/beam", ()) == "player has come to its end"
     again = graph._replace(log=[*said, said[0]])
-    assert _check_node(again, "player", 3.0).status is Status.FAILED
+    assert _check_node(again, "player").status is Status.FAILED
     assert _why_no_message(again, "radar/beam", ()) == "player gives no heartbeat"
 
 
@@ -275,7 +275,7 @@ def test_what_a_peer_s_nodes_read_and_publish_is_not_this_graph_s() -> None:
     assert silent["radar/ra_map"] == "silent: link is ready and publishes none"
     lost = TopicCount(topic="radar/beam", messages=9, bytes=9, lost=3)
     lossy = [msgspec.structs.replace(beat, received=(lost,)) for beat in heard["geometry"]]
-    assert "radar/beam: 3 lost" in _check_node(graph._replace(heard={"sensor.x": lossy}), "sensor.x", 3.0).detail
+    assert "radar/beam: 3 lost" in _check_node(graph._replace(heard={"sensor.x": lossy}), "sensor.x").detail
 
 
 def test_weights_that_cannot_be_read_are_named(tmp_path: Path) -> None:
