@@ -20,6 +20,9 @@ from tests.scheduling import FromBothEnds, in_order
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # tests in the background of a shell: what they start would not hear the Ctrl-C that ends it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+    # nohup: nor the goodbye of a terminal
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 class Ending:
