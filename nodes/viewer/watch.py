@@ -13,7 +13,7 @@ from msgs.values.perception import BevFrame, Peaks
 from msgs.values.radar import RadarSetup, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 from nodes.inputs.view_latency import Setup, ViewWatch, scan_period_s, views_text
-from nodes.viewer.driver_warnings import DriverWarning, Facts, NodeFact, Warner, WarningParams
+from nodes.viewer.driver_warnings import DriverWarning, Facts, NodeFact, Warner
 from nodes.viewer.node_table import NodeTable
 from nodes.viewer.trails import Past, Trails
 
@@ -32,11 +32,11 @@ TOPICS_WATCHED = (
 class Watch:
     """Processes messages in order of arrival; belongs to one thread. `start_ns`: when it began to listen."""
 
-    def __init__(self, start_ns: int, params: WarningParams | None = None) -> None:
+    def __init__(self, start_ns: int) -> None:
         self._trails = Trails()
         self._views = ViewWatch(start_ns)
         self._nodes = NodeTable()
-        self._warner = Warner(params)
+        self._warner = Warner()
         self._facts = Facts(start_ns, start_ns)
         #: Whether the newest view came after its deadline.
         self.is_late = False

@@ -287,6 +287,26 @@ def test_a_synthesiser_that_takes_another_ramp_is_refused(
 
 
 @needs_library
+@pytest.mark.parametrize(
+    ("taken_hz", "is_refused"),
+    [(125_125_000, False), (124_875_000, False), (125_125_001, True), (124_874_999, True)],
+)
+def test_a_ramp_may_be_off_by_a_thousandth(
+    monkeypatch: pytest.MonkeyPatch, kit: StandInKit, library: Any, taken_hz: int, is_refused: bool
+) -> None:
+    """500 MHz behind a divider of 4 are 125 MHz: 125 kHz to either side, that itself included."""
+    channel = kit.ramp.find_channel("altvoltage0", True)
+    assert channel is not None
+    swept = channel.attrs["frequency_deviation_range"]
+    swept._on_write = lambda text: setattr(swept, "_text", str(taken_hz))
+    if is_refused:
+        with pytest.raises(ValueError, match=r"cn0566: freq_dev_range must be 125000000, the synthesiser took 1\.2"):
+            start(monkeypatch, library)
+    else:
+        start(monkeypatch, library)
+
+
+@needs_library
 def test_the_stand_in_refuses_what_the_library_does_not_have(library: Any) -> None:
     """A misspelt attribute would be a new one on a plain object, and nobody would know."""
     board = library.CN0566(uri=BOARD_URI)

@@ -327,6 +327,22 @@ def test_a_log_can_be_laid_beside_a_recording(tmp_path: Path) -> None:
     assert stamps_ns[-1] == pytest.approx(77 * SECOND_NS + 480_000_000, abs=2000)
 
 
+@pytest.mark.parametrize("source", ["bus", "log"])
+def test_the_clock_offset_moves_the_stamps_and_nothing_else(bus: dict, tmp_path: Path, source: str) -> None:
+    """Stamps of the bus plus 0.25 s are times of the radar, for a live bus and for a log: 250 ms on each."""
+
+    def played(clock_offset_s: float) -> list[VehicleState]:
+        if source == "bus":
+            node = vehicle_can.create(vehicle_can.Params(**bus, clock_offset_s=clock_offset_s))
+            return heard({"vehicle_can": node, "car": car_sim.create(car_sim.Params(**bus))}, 5_200_000_000)
+        log = str(write_log(tmp_path / "drive.log", drive()))
+        return heard({"vehicle_can": vehicle_can.create(vehicle_can.Params(log=log, clock_offset_s=clock_offset_s))})
+
+    plain, moved = played(0.0), played(0.25)
+    assert any(state.valid for state in plain)
+    assert moved == [msgspec.structs.replace(one, stamp_ns=one.stamp_ns + 250_000_000) for one in plain]
+
+
 def test_a_gap_in_a_log_is_silence(tmp_path: Path) -> None:
     frames = [frame for frame in drive(50) if not 0.21 < frame.timestamp - 1e-9 * EPOCH_NS < 0.69]
     node = vehicle_can.create(vehicle_can.Params(log=str(write_log(tmp_path / "drive.log", frames))))

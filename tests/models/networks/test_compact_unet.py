@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import nn
@@ -72,6 +74,18 @@ def test_shuffle_puts_each_column_on_its_eight_outputs() -> None:
     assert shuffled.shape == (1, classes, 6, 32)
     assert torch.equal(shuffled[0, :, 2:4, 16:24].reshape(-1), torch.arange(1.0, 33.0))
     assert shuffled.count_nonzero() == 32
+
+
+@pytest.mark.parametrize("factor", [1, 2, 8])
+def test_the_answer_has_the_stated_shape_and_columns(factor: int) -> None:
+    """8 columns times the factor; the head's biases, 1 to 4 x factor, lie class by class, then bin, then azimuth."""
+    net = network(replace(SMALL, azimuth_factor=factor))
+    with torch.no_grad():
+        nn.init.zeros_(net.head.weight)
+        net.head.bias.copy_(torch.arange(1.0, 4 * factor + 1))
+        answer = net(torch.zeros(1, 5, 32, 8))
+    assert answer.shape == (1, *net.config.output_shape) == (1, 2, 32, 8 * factor)
+    assert torch.equal(answer[0, :, 10:12, :factor].reshape(-1), torch.arange(1.0, 4 * factor + 1))
 
 
 def test_every_input_cell_reaches_every_output() -> None:

@@ -49,6 +49,15 @@ def test_wall_normal_points_towards_the_asker() -> None:
         assert normal @ towards + offset == pytest.approx(10.0)
 
 
+def test_a_point_on_the_line_leaves_the_left_hand_normal() -> None:
+    """Along +x the left hand is +y, along -x it is -y; the same line, y = 3, either way."""
+    for ends, sign in ((([0.0, 3.0], [8.0, 3.0]), 1.0), (([8.0, 3.0], [0.0, 3.0]), -1.0)):
+        for towards in ([5.0, 3.0], [-9.0, 3.0], ends[0]):
+            normal, offset_m = wall_from_ends(*ends, towards)
+            np.testing.assert_array_equal(normal, [0.0, sign])
+            assert offset_m == -3.0 * sign
+
+
 def test_wall_without_length_is_refused() -> None:
     with pytest.raises(ValueError, match=r"wall must be longer.*\[1\.0, 2\.0\]"):
         wall_from_ends([1.0, 2.0], [1.0, 2.0], [0.0, 0.0])

@@ -7,6 +7,8 @@ import pytest
 from scipy.optimize import approx_fprime
 
 from models.perception.geometry.confidence import FEATURES
+from models.perception.geometry.stage import GeometryParams, made_up_peaks
+from models.training.data.frames import Frame, FrameLabels
 from models.training.fit_confidence import (
     FitConfig,
     ScenePositions,
@@ -15,7 +17,10 @@ from models.training.fit_confidence import (
     confidence_metrics,
     fit_confidence,
     fit_weights,
+    scene_positions,
 )
+from msgs.values.perception import PathClass, Peaks
+from msgs.values.radar import RangeAzimuthMap
 
 
 def drawn(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -58,6 +63,31 @@ def test_the_same_seed_gives_the_same_model_another_another() -> None:
 def test_a_place_is_true_within_a_metre() -> None:
     assert scene([[0.0, 0.0], [3.0, 0.0]], [[0.99, 0.0], [4.01, 0.0]]).is_true.tolist() == [True, False]
     assert scene([[0.0, 0.0]], []).is_true.tolist() == [False]
+
+
+class MadeUp:
+    """The same peaks in every map."""
+
+    def detect(self, ra_map: RangeAzimuthMap) -> Peaks:
+        return made_up_peaks()
+
+
+@pytest.mark.parametrize("by_labels", [True, False])
+def test_truth_is_the_places_known_in_both_coordinates(by_labels: bool) -> None:
+    """Of four places one is known in x alone and one not at all; of labels the one in direct sight does not count."""
+    places_m = np.array([[11.0, -9.0], [12.0, np.nan], [np.nan, np.nan], [13.0, -4.0]])
+    point = np.zeros(4)
+    labels = FrameLabels(
+        range_m=point, azimuth_rad=point, path_class=np.array([1, 1, 1, 0]) * PathClass.MIRRORED, order=point,
+        hidden_xy_m=places_m, power_mw=point, object_index=point, object_class=point,
+    )  # fmt: skip
+    frame = Frame(
+        index=0, ra_map=None, labels=labels, place="", relays=(), objects=(), hidden=(), scene_yaml="", sequence="",
+        places_m=None if by_labels else places_m,
+    )  # type: ignore[arg-type]  # fmt: skip
+    found = scene_positions(frame, MadeUp(), GeometryParams())
+    assert found.truth_m.tolist() == [[11.0, -9.0]] + ([] if by_labels else [[13.0, -4.0]])
+    assert len(found.is_true) == len(found.points_m) > 0
 
 
 def test_the_threshold_is_that_of_the_best_f1_and_metrics_say_so() -> None:

@@ -217,6 +217,13 @@ def test_own_run_goes_on_as_it_was(tmp_path: Path, config: SwinUNetConfig) -> No
 FIRST = "swin_unet.patch_embed.proj.weight"
 
 
+def but_one(value: float) -> Tensor:
+    """Zeros for the first tensor, one of its 384 numbers replaced."""
+    tensor = torch.zeros(8, 3, 4, 4)
+    tensor[5, 2, 1, 3] = value
+    return tensor
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -224,6 +231,8 @@ FIRST = "swin_unet.patch_embed.proj.weight"
         ({"swin_unet.more.weight": torch.zeros(2)}, r"1 foreign \(swin_unet.more.weight\)"),
         ({FIRST: torch.zeros(8, 5, 4, 4)}, r"1 of another shape \(.*proj.weight must be \(8, 3, 4, 4\), got \(8, 5"),
         ({FIRST: torch.full((8, 3, 4, 4), torch.nan)}, rf"1 not finite \({FIRST}\)"),
+        ({FIRST: but_one(torch.nan)}, rf"1 not finite \({FIRST}\)"),
+        ({FIRST: but_one(-torch.inf)}, rf"1 not finite \({FIRST}\)"),
         ({"swin_unet.layers.7.blocks.1.attn_mask": torch.zeros(4)}, r"1 foreign \(swin_unet.layers.7.blocks.1.attn"),
         (
             {f"swin_unet.{n}": torch.zeros(1) for n in "abcd"},

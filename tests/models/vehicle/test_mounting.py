@@ -157,3 +157,20 @@ def test_poses_of_states_are_those_of_the_drive() -> None:
     moved, true = first.inverse() @ last, way.pose(12.0)
     assert math.hypot(moved.x_m - true.x_m, moved.y_m - true.y_m) < 5e-3
     assert abs(moved.yaw_rad - true.yaw_rad) < math.radians(0.05)
+
+
+@pytest.mark.parametrize(("rest_s", "bias_rps"), [(2.0, 0.03), (0.5, 0.0)])
+def test_the_bias_at_rest_is_of_the_rest_alone(rest_s: float, bias_rps: float) -> None:
+    """Backwards at 2 m/s turning at -0.3 rad/s, a rest that says 0.03 rad/s, forwards turning at 0.2 rad/s: 0.03, where
+    the rest lasts a second. Backwards is no rest.
+    """
+    times_s = np.arange(0.0, 8.0, 0.02)
+    part = np.digitize(times_s, [3.0, 3.0 + rest_s])
+    speed, yaw_rate = np.array([-2.0, 0.0, 2.0])[part], np.array([-0.3, 0.03, 0.2])[part]
+    motion = Motion(
+        [
+            VehicleState(stamp_ns=START_NS + ns_from_s(float(t)), speed_mps=float(v), yaw_rate_rps=float(w))
+            for t, v, w in zip(times_s, speed, yaw_rate, strict=True)
+        ]
+    )
+    assert motion.rest_bias_rps == pytest.approx(bias_rps, abs=1e-12)

@@ -135,6 +135,22 @@ def test_corners_flash_on_both_sides_of_the_right_angle() -> None:
     assert below == pytest.approx(above, abs=0.02)
 
 
+@pytest.mark.parametrize("angle_deg", [98.0, 105.0])
+def test_beyond_the_right_angle_the_apex_is_an_edge(angle_deg: float) -> None:
+    """Opening a, apex at d = 12 m: each way round is the wave that an edge throws back, out to the apex and home.
+
+    Fresnel's integral far in the dark (Keller): of the way of 2 d a share exp(-j pi / 4) / (pi sqrt(2) v), where
+    v = -cos(a) sqrt(8 d / (lambda (1 + sin a))) is 5.6 and 10.4; the next term is 1 / (pi v^2) = 1 % and 0.3 % of it.
+    """
+    angle_rad = math.radians(angle_deg)
+    echoes = loops(angle_rad)
+    np.testing.assert_allclose(echoes.out_m + echoes.back_m, 24.0, rtol=1e-9)
+    v = -math.cos(angle_rad) * math.sqrt(8.0 * 12.0 / (RADAR.wavelength_m * (1.0 + math.sin(angle_rad))))
+    one = math.sqrt(1e3 * RADAR.transmit_power_w) * RADAR.wavelength_m / (4.0 * math.pi * 24.0)
+    edge = np.exp(-0.25j * math.pi) / (math.pi * math.sqrt(2.0) * v)
+    np.testing.assert_allclose(echoes.weight / one, [edge, edge], rtol=1.2 / (math.pi * v**2))
+
+
 def test_the_loop_leaves_and_returns_apart() -> None:
     """60 deg corner: the radar's two ways round are each other's reverse."""
     echoes = loops(math.radians(60.0))

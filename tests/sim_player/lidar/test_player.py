@@ -53,14 +53,16 @@ def test_same_seed_same_bytes_in_any_order(speed_mps: float) -> None:
     assert not np.array_equal(first[0], LidarPlayer(hidden_car(speed_mps), seed=4).scan(0).counts)
 
 
-def test_what_moves_moves_within_a_scan() -> None:
+@pytest.mark.parametrize("start_ns", [0, 1_763_750_000_123_456_789])
+def test_what_moves_moves_within_a_scan(start_ns: int) -> None:
     """At -36 deg (azimuth 51) the image of the car's near face, x = 25.1 m, lies 25.1 m / cos 36 deg away.
 
-    A vehicle that drives at 8 m/s is 0.45 m on when that block starts, 48 measurements of 1.171875 ms into the scan.
+    A vehicle that drives at 8 m/s is 0.45 m on when that block starts, 48 measurements of 1.171875 ms into the scan,
+    whatever the clock says when the scene starts.
     """
 
     def car_at_51(ego_mps: float, scan: int) -> float:
-        paths = LidarPlayer(hidden_car(ego_mps=ego_mps)).paths(scan)
+        paths = LidarPlayer(hidden_car(ego_mps=ego_mps), start_ns=start_ns).paths(scan)
         car = (paths.object_index == 0) & (paths.route == LightRoute.MIRROR) & (paths.azimuth_index == 51)
         return float(paths.range_m[car][0])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from msgs.values.radar import RadarSetup
+from msgs.values.radar import BeamGrid, RadarSetup
 from sim_player.planner.cells import cells_of
 
 CELLS = cells_of(RadarSetup())
@@ -18,6 +18,14 @@ def test_floor_is_noise_or_what_stands_next_door() -> None:
     np.testing.assert_allclose(floor[11:14, 3:6], 5.0)
     np.testing.assert_allclose(floor[:11], 1.0)
     np.testing.assert_allclose(floor[:, :3], 1.0)
+
+
+def test_a_single_beam_has_no_neighbour() -> None:
+    """No beam stands within half a beam of it: its floor is its own signal, 10 - 2 - 3, next door in range alone."""
+    profile = np.zeros((1, 8))
+    profile[0, 4] = 10.0
+    floor = cells_of(RadarSetup(beams=BeamGrid(azimuth_deg=(0.0,)))).floor(profile, np.ones(8), 2.0, 3.0)
+    np.testing.assert_allclose(floor[0], [1.0, 1.0, 1.0, 5.0, 5.0, 5.0, 1.0, 1.0])
 
 
 def test_noise_of_the_map_is_that_of_its_beams_added_up() -> None:

@@ -13,6 +13,7 @@ from sim_player.signal.fmcw import (
     beam_codes,
     chirp_beats,
     noise_bank,
+    slow_time_table,
     slow_time_terms,
     sum_tones,
 )
@@ -80,6 +81,19 @@ def test_slow_time_of_moving_paths(slowest: float, fastest: float, chirps: int) 
     got = carrier[:, None] * (basis.T @ share)
     assert np.sqrt(np.mean(np.abs(got - exact) ** 2, axis=0)).max() < 2e-5
     assert len(basis) <= min(chirps, 16)
+
+
+@pytest.mark.parametrize("speeds_mps", [(30.0,), (-30.0,), (-30.0, -20.0), (-5.0, 15.0)])
+def test_the_table_holds_turns_as_much_larger_as_was_asked(speeds_mps: tuple[float, ...]) -> None:
+    """Turns 7 % larger than those of the paths, all to one side or to both: exp(j w c), rms 1e-5 (twice, as above)."""
+    radar = RadarParams(chirps_per_beam=128)
+    turn = 4.0 * np.pi * np.array(speeds_mps) * radar.chirp_period_s / radar.wavelength_m
+    carrier, basis, share = slow_time_table(radar, turn, margin=1.07)
+    chirp = np.arange(128) - 63.5
+    for asked in (turn, 1.07 * turn):
+        got = carrier[:, None] * (basis.T @ share(asked))
+        exact = np.exp(1j * np.multiply.outer(chirp, asked))
+        assert np.sqrt(np.mean(np.abs(got - exact) ** 2, axis=0)).max() < 2e-5
 
 
 def test_a_scene_at_one_speed_needs_one_term() -> None:
