@@ -218,7 +218,7 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
     profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
     for index in range(first, first + count):
         scene, place = draw_scene(recipe, seed, index)
-        gain_db = float(np.random.default_rng([seed, index, 7]).uniform(-GAIN_DB, GAIN_DB))
+        gain_db = draw_gain_db(seed, index)
         scan_seed = scene_seed(seed, index)
         scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db)
         if recipe.shift == "hard":
@@ -264,6 +264,11 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
         "objects": [scene_object.object_class for scene_object in scene.objects],
         "surfaces": [{name: getattr(surface, name) for name in names} for surface in scene.surfaces],
     }
+
+
+def draw_gain_db(seed: int, index: int) -> float:
+    """Return the radar's gain in a scene."""
+    return float(np.random.default_rng([seed, index, 7]).uniform(-GAIN_DB, GAIN_DB))
 
 
 def scene_seed(seed: int, index: int) -> int:

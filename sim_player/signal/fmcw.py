@@ -17,7 +17,7 @@ from numba import njit
 from scipy import fft
 
 from models.physics.antenna import setup_weights, two_way_pattern
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
 from sim_player.trace.paths import Paths
 
@@ -108,13 +108,11 @@ def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[n
     share complex128 [terms, paths]. A common turn is taken out first, then the band that is left needs only as many
     Slepian sequences as it has turns, and a few.
     """
-    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
-    turn = 4.0 * np.pi * radial_speed_mps * radar.chirp_period_s / radar.wavelength_m
-    middle = 0.5 * (turn.max() + turn.min()) if len(turn) else 0.0
-    widest = 0.5 * (turn.max() - turn.min()) if len(turn) else 0.0
-    basis = _slow_time_basis(radar.chirps_per_beam, _rounded_up(widest))
+    turn = doppler_turn_rad(radar, radial_speed_mps)
+    middle, widest, carrier = _slow_time_band(radar, turn)
+    basis = _slow_time_basis(radar.chirps_per_beam, widest)
     phasors = _phasors(turn - middle, radar.chirps_per_beam)
-    return np.exp(1j * middle * chirp), basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
+    return carrier, basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
 
 
 def slow_time_table(
@@ -125,19 +123,27 @@ def slow_time_table(
     Turns from chirp to chirp [rad], of the paths; those asked for may be `margin` times as large. The function takes
     turns of any shape and returns complex128 [terms, *shape].
     """
-    middle = 0.5 * (turn_rad.max() + turn_rad.min()) if len(turn_rad) else 0.0
-    reach = float(np.abs(turn_rad).max(initial=0.0)) * (margin - 1.0)
-    widest = _rounded_up((0.5 * (turn_rad.max() - turn_rad.min()) if len(turn_rad) else 0.0) + reach)
+    middle, widest, carrier = _slow_time_band(radar, turn_rad, margin)
     basis = _slow_time_basis(radar.chirps_per_beam, widest)
     table = _slow_time_shares(radar.chirps_per_beam, widest)
-    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
 
     def share(turn_rad: np.ndarray) -> np.ndarray:
         place = (turn_rad - middle) / widest if widest else np.zeros_like(turn_rad)
         powers = np.polynomial.chebyshev.chebvander(place.ravel(), table.shape[1] - 1).T
         return (table.real @ powers + 1j * (table.imag @ powers)).reshape(len(table), *turn_rad.shape)
 
-    return np.exp(1j * middle * chirp), basis, share
+    return carrier, basis, share
+
+
+def _slow_time_band(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> tuple[float, float, np.ndarray]:
+    """Return the middle of a band of turns, half its width rounded up, and the carrier at its middle [chirps]; turns
+    may be `margin` times as large.
+    """
+    least, greatest = (float(turn_rad.min()), float(turn_rad.max())) if len(turn_rad) else (0.0, 0.0)
+    middle = 0.5 * (greatest + least)
+    reach = max(abs(least), abs(greatest)) * (margin - 1.0)
+    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
+    return middle, _rounded_up(0.5 * (greatest - least) + reach), np.exp(1j * middle * chirp)
 
 
 @lru_cache(maxsize=64)
