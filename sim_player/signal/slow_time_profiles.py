@@ -7,10 +7,10 @@ term, are the profiles that the former has of the chirps: Doppler, the loss of a
 chirp and over the beam, and the former's own correction of the vehicle's motion are all in them, to the tolerance of
 the terms (1e-5 of the strongest echo).
 
-Drawn per bin instead of per sample: noise, rounding. Left out, as at the beat level: within a beam (0.7 ms) a path keeps
-its direction and its radial speed. At a speed v and a distance R the array of N columns turns an echo by up to
-pi (N - 1) v T_f / (2 R) at the beam's ends, with opposite signs, so that it cancels in their sum to first order (0.03
-at 8 m/s and 2 m); its phase errs by pi v^2 T_f^2 / (2 R lambda) (5e-3 at 30 m/s and 5 m).
+Drawn per bin instead of per sample: noise, rounding. Left out, as at the beat level: within a beam (0.7 ms) a path
+keeps its direction and its radial speed. At a speed v and a distance R the array of N columns turns an echo by up to
+pi (N - 1) v T_f / (2 R) at the beam's ends (0.03 at 8 m/s and 2 m), with opposite signs, so that it cancels in their
+sum to first order; its phase errs by pi v^2 T_f^2 / (2 R lambda) (5e-3 at 30 m/s and 5 m).
 """
 
 from __future__ import annotations
