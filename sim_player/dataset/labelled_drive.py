@@ -103,11 +103,11 @@ class LabelledDrive:
         odometry = self._odometry(scan)
         beams = list(self._beams(scan, state_of(odometry)))
         profiles, objection = self._profiles(scan, beams)
-        seen, elapsed_s = self._seen([beam.paths for beam in beams])
-        visible = visible_paths(self._setup, seen)
+        shown, elapsed_s = self._shown([beam.paths for beam in beams])
+        visible = visible_paths(self._setup, shown)
         classes = tuple(road_user.object_class for road_user in self._scene.objects)
-        labels = label_points(self._setup, seen.take(visible), 1.0, classes)
-        hidden = hidden_objects(seen)
+        labels = label_points(self._setup, shown.take(visible), 1.0, classes)
+        hidden = hidden_objects(shown)
         users = self._player.truth(scan).objects
         velocity_mps = np.array([*((user.velocity_x_mps, user.velocity_y_mps) for user in users), (0.0, 0.0)])
         return DriveScan(
@@ -169,7 +169,7 @@ class LabelledDrive:
         density_mw = noise_density_mw(self._setup, middle, signal, self._scene.radar.front_end)
         return float(density_mw[0]) * window_noise_gain(WINDOW)
 
-    def _seen(self, beams: list[Paths]) -> tuple[Paths, np.ndarray]:
+    def _shown(self, beams: list[Paths]) -> tuple[Paths, np.ndarray]:
         """Return the paths that can have labels as the scan's map shows them, each by the beam that looks at it most
         directly, and when that was after the stamp [s].
         """
@@ -183,11 +183,11 @@ class LabelledDrive:
             parts.append(carried(paths.take(own), pose))
             elapsed_s.append(np.full(len(own), middle_s))
             off_rad.append(away_rad[own, beam])
-        seen = Paths.joined(parts)
+        shown = Paths.joined(parts)
         # a path that turns from one beam's share to the next one's can be seen by both
         order = np.argsort(np.concatenate(off_rad), kind="stable")
-        once = np.sort(order[np.unique(seen.chain[order], return_index=True)[1]])
-        return seen.take(once), np.concatenate(elapsed_s)[once]
+        once = np.sort(order[np.unique(shown.chain[order], return_index=True)[1]])
+        return shown.take(once), np.concatenate(elapsed_s)[once]
 
     def _odometry(self, scan: int) -> np.ndarray:
         """Return the vehicle's states as its bus sends them, float64 [STATES_PER_SCAN, 3]."""

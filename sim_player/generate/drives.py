@@ -114,8 +114,8 @@ class _Traffic:
             return False
         if _nearest_m(self._radar_m[:, None], discs) < RADAR_ROOM_M:
             return False
-        others = (other for index, other in enumerate(self._discs) if index != number)
-        return all(_nearest_m(centres_m, other) > radius_m + ROOM_M for other in others)
+        rest = (other for index, other in enumerate(self._discs) if index != number)
+        return all(_nearest_m(centres_m, other) > radius_m + ROOM_M for other in rest)
 
     def _discs_of(self, road_user: SceneObject) -> Discs:
         """Return the discs that cover a road user's outline, in a row along it."""
