@@ -3,7 +3,8 @@
 Random places in which the radar drives at 8 m/s and turns by 10 deg/s and every road user moves at 8 m/s (pedestrians
 1.5 m/s), all effects but noise and rounding. Of each place one scan, folded by the former with the vehicle's motion:
 - the kernel level in single precision against all chirps of the beat level in double precision: |difference| in a cell
-  over the strongest within one range bin and half a beam, or the noise's rms where that is more, of profiles and maps;
+  over the strongest within one range bin and half a beam, or the noise's rms where that is more: of the slow-time sums,
+  of the profiles (where two Doppler bins are alike, the former may choose either), and of the maps;
 - the same against the literal level: one short beam, the strongest paths;
 - what both leave out: paths that change within a beam, each group of chirps traced at its own time, against paths
   frozen at the beam's middle;
@@ -37,8 +38,8 @@ from models.perception.forming.ra_forming import (
     ego_correction,
     form_map,
 )
-from models.perception.forming.slow_time_sums import group_edges
-from msgs.values.radar import RadarBeam, RangeAzimuthGrid
+from models.perception.forming.slow_time_sums import fold_chirps, group_edges
+from msgs.values.radar import RadarBeam, RangeAzimuthGrid, amplitude_per_code
 from msgs.values.vehicle import VehicleState
 from sim_player.dataset.labelled_scan import noise_power_mw
 from sim_player.effects.table import ALL_EFFECTS
@@ -106,13 +107,28 @@ class _Place:
             full_scale_dbm=float(20.0 * np.log10(2.0 * peak)),
         )
 
-    def profiles(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Kernel and beat profile of each beam by the same former, and where the beam looked."""
+    def profiles(self) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]]:
+        """Kernel and beat profile of each beam by the same former, where the beam looked, and the errors of the
+        slow-time sums before one Doppler bin is chosen, dB.
+        """
+        noise_mw = noise_power_mw(self.setup)
         for beam in range(len(self.setup.beams)):
             paths, ego = self.track.at(beam_middle_s(self.setup, beam)), self.ego(beam)
-            wanted, noise_mw, _ = self.folder.fold(self.beat_beam(paths, beam), ego)
-            got = self.folder.strongest_doppler(self.sums(paths, beam, ego).astype(np.complex64), noise_mw, ego)
-            yield got * ego.bin_phase, wanted, ego.look_azimuth_rad
+            sums = self.sums(paths, beam, ego), self.sums_of(self.beat_beam(paths, beam), ego)
+            got, wanted = (
+                self.folder.strongest_doppler(one.astype(np.complex64), noise_mw, ego) * ego.bin_phase for one in sums
+            )
+            yield got, wanted, ego.look_azimuth_rad, apart_db(*sums, self.floor, (1, 3))
+
+    def sums_of(self, codes: RadarBeam, ego: EgoCorrection) -> np.ndarray:
+        """Windowed profiles of the slow-time sums of all chirps."""
+        sums = fold_chirps(codes.samples, self.folder.groups)[0] @ np.array([1.0, 1.0j])
+        if self.setup.beat_sign < 0:
+            sums = np.conj(sums)
+        count = sums.shape[1]
+        window = (1.0 - np.cos(2.0 * np.pi * np.arange(count) / count)) / (count * self.setup.radar.chirps_per_beam)
+        spectra = np.fft.fft(sums * ego.sample_phase * window, axis=1)[:, : self.folder.grid.range_bins]
+        return np.asarray(spectra * amplitude_per_code(codes.full_scale_dbm))
 
     def literal(self, count: int) -> tuple[float, float]:
         """Relative L2 and worst cell of slow-time sums of the strongest paths against the literal level."""
@@ -188,7 +204,7 @@ def apart_db(got: np.ndarray, wanted: np.ndarray, floor: float, near: tuple[int,
 
 def row_of(place: _Place, literal_paths: int) -> dict[str, Any]:
     """All figures of one place."""
-    got, wanted, looks = (np.stack(part) for part in zip(*place.profiles(), strict=True))
+    got, wanted, looks, sums_db = (np.stack(part) for part in zip(*place.profiles(), strict=True))
     noise_mw = noise_power_mw(place.setup)
     interpolator = AzimuthInterpolator(place.setup, RangeAzimuthGrid())
     stamps = place.setup.beam_interval_ns * np.arange(len(got), dtype=np.int64)
@@ -205,6 +221,7 @@ def row_of(place: _Place, literal_paths: int) -> dict[str, Any]:
     return {
         "place": place.world.scene.name,
         "paths": len(place.track.at(0.0)),
+        "sums_db": quantiles(sums_db),
         "profile_db": quantiles(profile_db),
         "map_db": quantiles(map_db),
         "map_over_40_db": float(np.mean(map_db > -40.0)),
@@ -239,13 +256,14 @@ def main() -> None:
         return
     for row in rows:
         worst = [
-            f"{row[name][-1]:.0f}" for name in ("profile_db", "map_db", "literal_db", "frozen_db", "frozen_mean_db")
+            f"{row[name][-1]:.0f}"
+            for name in ("sums_db", "profile_db", "map_db", "literal_db", "frozen_db", "frozen_mean_db")
         ]
         print(
-            f"{row['place']:28s} {row['paths']:5d} paths; worst cell, dB: profiles {worst[0]}, map {worst[1]} "
-            f"(99.9 %: {row['map_db'][1]:.0f}; over -40: {1e6 * row['map_over_40_db']:.0f} per million; "
-            f"alike {100.0 * row['bins_alike']:.2f} %), literal {worst[2]}, frozen {worst[3]} "
-            f"(99.9 %: {row['frozen_db'][1]:.0f}; mean over the beam {worst[4]})"
+            f"{row['place']:28s} {row['paths']:5d} paths; worst cell, dB: sums {worst[0]}, profiles {worst[1]}, "
+            f"map {worst[2]} (99.9 %: {row['map_db'][1]:.0f}; over -40: {1e6 * row['map_over_40_db']:.0f} per million; "
+            f"alike {100.0 * row['bins_alike']:.2f} %), literal {worst[3]}, frozen {worst[4]} "
+            f"(99.9 %: {row['frozen_db'][1]:.0f}; mean over the beam {worst[5]})"
         )
     for name in rows[0]["times_ms"]:
         times_ms = [row["times_ms"][name] for row in rows]
