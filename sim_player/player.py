@@ -96,8 +96,8 @@ class ScenePlayer:
     def beam(self, scan: int, index: int) -> RadarBeam:
         """Return one steering angle's raw samples, as measured at its time."""
         stamp_ns, seed = self.stamp_ns(scan, index), [self._seed, 5, scan, index]
-        signal, front_end = self._signal(scan), self.scene.radar.front_end
-        beats, carrier, basis = with_electronics(self.setup, self._echoes(scan, index), signal, front_end, seed)
+        signal, front_end = self.signal(scan), self.scene.radar.front_end
+        beats, carrier, basis = with_electronics(self.setup, self.echoes(scan, index), signal, front_end, seed)
         if self._phase_jitter_rad:
             rng = np.random.default_rng([self._seed, 4, scan, index])
             carrier = carrier * np.exp(1j * self._phase_jitter_rad * rng.standard_normal())
@@ -132,7 +132,7 @@ class ScenePlayer:
     def _elapsed_s(self, stamp_ns: int) -> float:
         return s_from_ns(stamp_ns - self.setup.stamp_ns)
 
-    def _signal(self, scan: int) -> SignalEffects:
+    def signal(self, scan: int) -> SignalEffects:
         """Return the antenna, waveform and receiver of a scan."""
         plan = self.plan(scan)
         return PLAIN if plan is None else plan.signal
@@ -145,19 +145,22 @@ class ScenePlayer:
             return chirp_beats(self.setup.radar, paths.length_m, beam_weights(self.setup, paths))
         return np.sum([beam_beats(self.setup, paths, flags, front_end) for paths, flags in plan.groups()], axis=0)
 
-    def _echoes(self, scan: int, index: int) -> Terms:
+    def beam_paths(self, scan: int, index: int) -> Paths:
+        """Return the paths of one beam, frozen at its middle, from where slow time counts."""
+        radar, plan = self.setup.radar, self.plan(scan)
+        middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
+        time_s = self._elapsed_s(self.stamp_ns(scan, index)) + middle_s
+        return self.paths(time_s, scan) if plan is None else self._tracked(plan.used).at(time_s)
+
+    def echoes(self, scan: int, index: int) -> Terms:
         """Return the terms of one beam's echoes: beats [terms, samples], carrier [chirps], basis [terms, chirps]."""
         radar = self.setup.radar
         if self._still_beats is not None:
             unit = np.ones(radar.chirps_per_beam)
             return self._still_beats[index : index + 1], unit, unit[None]
-        # slow time counts from the middle of the beam, so the scene is frozen there
-        middle_s = 0.5 * (radar.beam_duration_s - radar.chirp_period_s)
-        time_s, plan = self._elapsed_s(self.stamp_ns(scan, index)) + middle_s, self.plan(scan)
+        paths, plan = self.beam_paths(scan, index), self.plan(scan)
         if plan is not None:
-            paths, front_end = self._tracked(plan.used).at(time_s), self.scene.radar.front_end
-            return echo_terms(self.setup, paths, plan.signal, front_end, index, self._precision)
-        paths = self.paths(time_s, scan)
+            return echo_terms(self.setup, paths, plan.signal, self.scene.radar.front_end, index, self._precision)
         carrier, basis, share = slow_time_terms(radar, paths.radial_speed_mps)
         weights = beam_weights(self.setup, paths, slice(index, index + 1))
         return chirp_beats(radar, paths.length_m, share * weights), carrier, basis

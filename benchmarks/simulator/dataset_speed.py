@@ -2,9 +2,10 @@
 
 The same scenes are made with one worker and with several, then with a run that is killed (SIGKILL, parent alone) after
 its first shard and goes on; with `--executors` also through Ray or submitit's own processes (the code that drives
-Slurm, without Slurm). Times are of the whole call, start of the processes included. Usage:
-OPENBLAS_NUM_THREADS=1 python -m benchmarks.simulator.dataset_speed [--count 200] [--seed 3] [--workers 1 2] [--effects
-auto] [--preset xband] [--executors ray slurm] [--out DIR] [--json]
+Slurm, without Slurm). Times are of the whole call, start of the processes included; processor time too, as other work
+on the machine does not count in it. With `--scans` the scenes are scans of drives, of which `--count` are made. Usage:
+OPENBLAS_NUM_THREADS=1 python -m benchmarks.simulator.dataset_speed [--count 200] [--scans N] [--seed 3] [--workers 1 2]
+[--effects auto] [--preset xband] [--executors ray slurm] [--out DIR] [--json]
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def timed(folder: Path, args: argparse.Namespace, recipe: Recipe, workers: int, executor: str) -> dict[str, Any]:
-    start_s = time.perf_counter()
+    start_s, before_s = time.perf_counter(), sum(os.times()[:4])
     # Slurm's code path on this machine: submitit starts the processes itself
     slurm = {"cluster": "local"} if executor == "slurm" else None
     write_dataset(folder, args.count, args.seed, recipe, workers, executor=executor, slurm=slurm)  # type: ignore[arg-type]
@@ -51,7 +52,8 @@ def timed(folder: Path, args: argparse.Namespace, recipe: Recipe, workers: int, 
         "executor": "submitit, no Slurm" if slurm else executor,
         "workers": workers,
         "seconds": round(seconds, 2),
-        "scenes_per_s": round(args.count / seconds, 2),
+        "processor_s": round(sum(os.times()[:4]) - before_s, 2),
+        "scenes_per_s": round(args.count * (args.scans or 1) / seconds, 2),
     }
 
 
@@ -70,7 +72,8 @@ def kill_and_go_on(folder: Path, args: argparse.Namespace, recipe: Recipe, worke
 
 
 def measure(args: argparse.Namespace, folder: Path) -> dict[str, Any]:
-    recipe = Recipe(preset=args.preset, effects=parse_effects(args.effects), scenes_per_shard=args.scenes_per_shard)
+    effects = parse_effects(args.effects)
+    recipe = Recipe(preset=args.preset, effects=effects, scans=args.scans, scenes_per_shard=args.scenes_per_shard)
     runs = [timed(folder / f"local{workers}", args, recipe, workers, "local") for workers in args.workers]
     runs += [timed(folder / executor, args, recipe, max(args.workers), executor) for executor in args.executors]
     left = kill_and_go_on(folder / "killed", args, recipe, max(args.workers))
@@ -90,6 +93,7 @@ def measure(args: argparse.Namespace, folder: Path) -> dict[str, Any]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--scans", type=int, default=None, help="scans of a drive; none: places at rest")
     parser.add_argument("--seed", type=int, default=3)
     parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
     parser.add_argument("--executors", nargs="*", default=[], choices=["ray", "slurm"])
@@ -108,7 +112,8 @@ def main() -> None:
         return
     print(f"{found['machine']}; {found['series']}")
     for run in found["runs"]:
-        print(f"{run['executor']:<20} {run['workers']} workers  {run['seconds']:8.2f} s  {run['scenes_per_s']:6.2f}/s")
+        times = f"{run['seconds']:8.2f} s  {run['scenes_per_s']:6.2f}/s  processor {run['processor_s']:8.2f} s"
+        print(f"{run['executor']:<20} {run['workers']} workers  {times}")
     print(f"killed after {found['shards_left_by_kill']} of {found['shards']} shards, then went on")
     print(f"same bytes: {found['same_bytes']}")
 

@@ -41,6 +41,13 @@ def beat_phase_rad(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
     return 2.0 * np.pi * (turns % 1.0)
 
 
+def doppler_turn_rad(radar: RadarParams, radial_speed_mps: np.ndarray) -> np.ndarray:
+    """Return the turn of beats from chirp to chirp, 4 pi v T_c / lambda, of paths with radial speeds; chirps follow
+    each other without rest.
+    """
+    return 4.0 * np.pi * np.asarray(radial_speed_mps, np.float64) * radar.chirp_period_s / radar.wavelength_m
+
+
 def beat_samples(radar: RadarParams, length_m: np.ndarray) -> np.ndarray:
     """Return recorded beats of unit weight over one chirp, complex128 [paths, samples] (conjugate of Eq. (7))."""
     turns_per_sample = beat_frequency_hz(radar, length_m) / radar.sample_rate_hz

@@ -6,13 +6,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
-import msgspec
-import numpy as np
-
 from msgs.values.radar import RadarBeam
 from msgs.values.units import ratio_from_db
-from sim_player.dataset.labelled_scan import Labels, label_points
-from sim_player.dataset.shards import GAIN_DB, scene_seed
+from sim_player.dataset.labelled_scan import Labels, label_points, stronger
+from sim_player.dataset.shards import draw_gain_db, scene_seed
 from sim_player.generate.places import draw_place
 from sim_player.player import ScenePlayer
 from sim_player.trace.truth import hidden_objects
@@ -32,10 +29,7 @@ class LabelledPlace:
     def player(self) -> ScenePlayer:
         """Player of its beams; a scan takes some tenths of a second."""
         scene = draw_place(self.seed, self.index, "xband", None, self.moving).scene
-        gain_db = np.random.default_rng([self.seed, self.index, 7]).uniform(-GAIN_DB, GAIN_DB)
-        power_w = ratio_from_db(gain_db) * scene.setup.radar.transmit_power_w
-        radar = msgspec.structs.replace(scene.setup.radar, transmit_power_w=power_w)
-        setup = msgspec.structs.replace(scene.setup, radar=radar)
+        setup = stronger(scene.setup, ratio_from_db(draw_gain_db(self.seed, self.index)))
         return ScenePlayer(scene, scene_seed(self.seed, self.index), setup, effects=self.effects)
 
     def beams(self) -> Iterator[RadarBeam]:

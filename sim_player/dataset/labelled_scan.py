@@ -139,7 +139,7 @@ class _Scan:
             raise ValueError(f"scene {scene.name!r} must be at rest for the kernel level, got one that moves")
         self.scene, self.seed, self.gain = scene, seed, ratio_from_db(gain_db)
         # the planner needs the level; the basic chain scales its profiles instead
-        self.setup = scene.setup if choice == "basic" else _stronger(scene.setup, self.gain)
+        self.setup = scene.setup if choice == "basic" else stronger(scene.setup, self.gain)
         self.world = prepare(scene, seed, self.setup)
         self.plan = None if choice == "basic" else _plan(self.world, self.setup, choice, budget_db)
         self.paths = trace(self.world) if self.plan is None else self.plan.paths
@@ -188,7 +188,7 @@ def without_converter(plan: Plan, reason: str) -> Plan:
     return replace(plan, effects=tuple(effects))
 
 
-def _stronger(setup: RadarSetup, gain: float) -> RadarSetup:
+def stronger(setup: RadarSetup, gain: float) -> RadarSetup:
     """Return a set-up whose transmitter has so much more power."""
     radar = msgspec.structs.replace(setup.radar, transmit_power_w=gain * setup.radar.transmit_power_w)
     return msgspec.structs.replace(setup, radar=radar)

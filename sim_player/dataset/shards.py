@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,17 @@ from threadpoolctl import threadpool_limits
 
 from msgs.files.array_files import load_arrays
 from msgs.files.whole_files import whole
-from sim_player.dataset.labelled_scan import LABELS, EffectChoice, LabelledScan, Labels, labelled_scan, noise_power_mw
+from msgs.values.units import ratio_from_db
+from sim_player.dataset.labelled_drive import DriveScan, LabelledDrive
+from sim_player.dataset.labelled_scan import (
+    LABELS,
+    EffectChoice,
+    LabelledScan,
+    Labels,
+    labelled_scan,
+    noise_power_mw,
+    stronger,
+)
 from sim_player.effects.table import check_effects
 from sim_player.generate.domain_shift import (
     HARD,
@@ -25,8 +36,9 @@ from sim_player.generate.domain_shift import (
     draw_faults,
     faulty_profiles,
 )
+from sim_player.generate.drives import STREET_MIX, draw_drive
 from sim_player.generate.layouts import PlaceKind
-from sim_player.generate.places import draw_place
+from sim_player.generate.places import PLACE_KINDS, Place, draw_place
 from sim_player.generate.streets import random_street
 from sim_player.generate.wall_kinds import Preset
 from sim_player.scene.description import PRESETS, Scene, scene_to_yaml
@@ -36,6 +48,8 @@ from sim_player.signal.levels import RANGE_BINS
 Places = Literal["any", "street", "parking_lot", "residential_block", "mixed_intersection", "street_v1"]
 PLACES: tuple[Places, ...] = get_args(Places)
 SCENES_PER_SHARD = 50
+#: Half a minute at the default radar: a longer drive hardly fits a place.
+MAX_SCANS = 100
 #: Grows whenever the same series would give other scenes, signals or labels than before.
 FORMAT = 2
 #: Spread of the radar's gain from scene to scene (ageing, temperature, radome), uniform within.
@@ -52,7 +66,8 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     effects: "auto" (planned per scene under `budget_db`), "all", "basic" (the chain of `sim_player.signal.fmcw`), or
     names; None: "basic" for `street_v1`, else "auto". `street_v1` has no 77 GHz scenes. shift: "hard" makes the places
     rougher and fuller, and the board faulty (`sim_player.generate.domain_shift`), whose faults are those of steered
-    beams.
+    beams. scans: a scene is one of so many consecutive scans of a drive (`sim_player.generate.drives`) at its true
+    pace; None: a place at rest. Drives have the effects "all" unless told otherwise.
     """
 
     places: Places = "any"
@@ -60,6 +75,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     effects: str | tuple[str, ...] | None = None
     budget_db: float = -20.0
     shift: Shift = "none"
+    scans: int | None = None
     scenes_per_shard: int = SCENES_PER_SHARD
     format: int = FORMAT
 
@@ -81,6 +97,10 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
             raise ValueError(f"budget_db must be negative and at least -200, got {self.budget_db!r}")
         if self.scenes_per_shard < 1:
             raise ValueError(f"scenes_per_shard must be at least 1, got {self.scenes_per_shard!r}")
+        self._check_effects()
+        self._check_drives()
+
+    def _check_effects(self) -> None:
         if isinstance(self.effects, str) and self.effects not in ("auto", "all", "basic"):
             raise ValueError(f"effects must be auto, all, basic or a list of names, got {self.effects!r}")
         if self.effects == ():
@@ -88,14 +108,35 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         if isinstance(self.effects, tuple):
             check_effects(frozenset(self.effects))
 
+    def _check_drives(self) -> None:
+        if self.scans is None:
+            return
+        if not 1 <= self.scans <= MAX_SCANS:
+            raise ValueError(f"scans must be 1..{MAX_SCANS}, got {self.scans!r}")
+        if self.places == "street_v1":
+            raise ValueError(f"places must not be street_v1 for drives: its streets are at rest, got {self.places!r}")
+        if self.shift != "none":
+            raise ValueError(f"shift must be none for drives, got {self.shift!r}")
+
     @property
     def choice(self) -> EffectChoice:
         """The effects as `labelled_scan` takes them."""
         if self.effects is None:
-            return "basic" if self.places == "street_v1" else "auto"
+            return "basic" if self.places == "street_v1" else "auto" if self.scans is None else "all"
         if isinstance(self.effects, tuple):
             return frozenset(self.effects)
         return self.effects  # type: ignore[return-value]
+
+    @property
+    def kind(self) -> PlaceKind | None:
+        """The type of place, None for any."""
+        return next((kind for kind in PLACE_KINDS if kind == self.places), None)
+
+    @property
+    def shard_scenes(self) -> int:
+        """Scenes of a full shard: whole drives."""
+        scans = self.scans or 1
+        return max(self.scenes_per_shard // scans, 1) * scans
 
     @property
     def scene_bytes(self) -> int:
@@ -112,8 +153,10 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
         plain["effects"] = sorted(choice) if isinstance(choice, frozenset) else choice
         plain["budget_db"] = self.budget_db if choice == "auto" else None
         plain["generator"] = "random_street" if self.places == "street_v1" else "random_place"
-        # series older than the shift have no such field
-        del plain["shift"]
+        # series older than the shift have no such field, nor than drives
+        del plain["shift"], plain["scans"]
+        if self.scans is not None:
+            plain |= {"generator": "random_drive", "motion": True, "scans": self.scans, "class_mix": STREET_MIX}
         if self.shift == "hard":
             # as JSON gives it back: lists, no tuples
             plain["shift"] = {"name": self.shift} | msgspec.json.decode(msgspec.json.encode(HARD))
@@ -121,7 +164,7 @@ class Recipe(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
     def shard_name(self, first: int) -> str:
         """Return the file name of the shard that starts with scene `first`."""
-        return f"shard-{first // self.scenes_per_shard:05d}.npz"
+        return f"shard-{first // self.shard_scenes:05d}.npz"
 
 
 class ShardJob(msgspec.Struct, frozen=True, kw_only=True):
@@ -215,10 +258,12 @@ def write_shard(path: Path, arrays: dict[str, np.ndarray]) -> None:
 
 def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
     """Return the arrays of scenes first..first+count-1 of a series, as listed in `sim_player.dataset.writer`."""
+    if recipe.scans is not None:
+        return _drive_arrays(recipe, recipe.scans, seed, first, count)
     profiles, labels, texts, gains, noise, facts, plans, boards = [], [], [], [], [], [], [], []
     for index in range(first, first + count):
         scene, place = draw_scene(recipe, seed, index)
-        gain_db = float(np.random.default_rng([seed, index, 7]).uniform(-GAIN_DB, GAIN_DB))
+        gain_db = draw_gain_db(seed, index)
         scan_seed = scene_seed(seed, index)
         scan = labelled_scan(scene, scan_seed, recipe.choice, recipe.budget_db, gain_db)
         if recipe.shift == "hard":
@@ -238,10 +283,50 @@ def shard_arrays(recipe: Recipe, seed: int, first: int, count: int) -> dict[str,
         "scene_yaml": np.array(texts),
         "facts": np.array(facts),
         "plan": np.array(plans),
-        "offset": np.concatenate([[0], np.cumsum([len(points.range_m) for points in labels])]).astype(np.int64),
-        **{name: _joined(labels, name) for name in LABELS},
+        **_label_arrays(labels),
         **_board_arrays(boards),
     }
+
+
+def _drive_arrays(recipe: Recipe, scans: int, seed: int, first: int, count: int) -> dict[str, np.ndarray]:
+    """Return the arrays of scenes first..first+count-1 of a series of drives, all scans of a drive together."""
+    columns: dict[str, list[Any]] = {}
+    labels: list[Labels] = []
+    for index in range(first // scans, (first + count) // scans):
+        place, gain_db = _draw_drive(recipe, scans, seed, index), draw_gain_db(seed, index)
+        scene, setup = place.scene, stronger(place.scene.setup, ratio_from_db(gain_db))
+        effects = ",".join(sorted(recipe.choice)) if isinstance(recipe.choice, frozenset) else recipe.choice
+        drive = LabelledDrive(scene, scene_seed(seed, index), setup, effects, recipe.budget_db)
+        for number in range(scans):
+            scan = drive.scan(number)
+            labels.append(scan.labels)
+            facts = {"place": place.kind, "relays": place.relays, "hidden": scan.hidden} | scene_facts(scene)
+            row = {
+                "profiles": scan.profiles,
+                "noise_power_mw": noise_power_mw(setup),
+                "gain_db": gain_db,
+                "scene_yaml": scene_to_yaml(scene),
+                "facts": msgspec.json.encode(facts | {"truth": scan.objects}),
+                "plan": _plan_line(recipe, scan),
+                "velocity_mps": scan.velocity_mps,
+                "elapsed_s": scan.elapsed_s,
+                "sequence": f"drive_{seed}_{index}",
+                "scan": number,
+                "stamp_ns": scan.stamp_ns,
+                "pose": (scan.start_from_radar.x_m, scan.start_from_radar.y_m, scan.start_from_radar.yaw_rad),
+                "motion": (scene.ego.speed_mps, math.radians(scene.ego.yaw_rate_dps)),
+                "odometry": scan.odometry,
+            }
+            for name, value in row.items():
+                columns.setdefault(name, []).append(value)
+    points = {name: np.concatenate(columns.pop(name)) for name in ("velocity_mps", "elapsed_s")}
+    return {name: np.array(values) for name, values in columns.items()} | points | _label_arrays(labels)
+
+
+def _draw_drive(recipe: Recipe, scans: int, seed: int, index: int) -> Place:
+    """Return the drive number `index` of a series."""
+    duration_s = scans * PRESETS[recipe.preset].radar.scan_period_s
+    return draw_drive(seed, index, recipe.preset, duration_s, recipe.kind)
 
 
 def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, Any]]:
@@ -249,8 +334,7 @@ def draw_scene(recipe: Recipe, seed: int, index: int) -> tuple[Scene, dict[str, 
     if recipe.places == "street_v1":
         scene, facts = random_street(seed, index), {"place": "street_v1", "relays": []}
     else:
-        kind: PlaceKind | None = None if recipe.places == "any" else recipe.places
-        place = draw_place(seed, index, recipe.preset, kind)
+        place = draw_place(seed, index, recipe.preset, recipe.kind)
         scene, facts = place.scene, {"place": place.kind, "relays": place.relays}
     if recipe.shift == "hard":
         scene = domain_shifted_scene(scene, _shift_rng(seed, index, 0))
@@ -266,12 +350,17 @@ def scene_facts(scene: Scene) -> dict[str, Any]:
     }
 
 
+def draw_gain_db(seed: int, index: int) -> float:
+    """Return the radar's gain in a scene."""
+    return float(np.random.default_rng([seed, index, 7]).uniform(-GAIN_DB, GAIN_DB))
+
+
 def scene_seed(seed: int, index: int) -> int:
     """Return one integer that names a scene's speckle and noise."""
     return int(np.random.SeedSequence([seed, index]).generate_state(1, np.uint64)[0])
 
 
-def _plan_line(recipe: Recipe, scan: LabelledScan) -> bytes:
+def _plan_line(recipe: Recipe, scan: LabelledScan | DriveScan) -> bytes:
     """Return the effects of a scan and, where they were planned, the reasons."""
     line: dict[str, Any] = {"used": sorted(scan.used), "paths": scan.paths}
     plan = scan.plan
@@ -297,6 +386,8 @@ def _board_arrays(boards: list[BoardFaults]) -> dict[str, np.ndarray]:
     }
 
 
-def _joined(labels: list[Labels], name: str) -> np.ndarray:
-    """Return one array of all scenes' points."""
-    return np.concatenate([getattr(points, name) for points in labels])
+def _label_arrays(labels: list[Labels]) -> dict[str, np.ndarray]:
+    """Return the points of all scenes, in one row, and where each scene's begin."""
+    offset = np.concatenate([[0], np.cumsum([len(points.range_m) for points in labels])]).astype(np.int64)
+    joined = {name: np.concatenate([getattr(points, name) for points in labels]) for name in LABELS}
+    return {"offset": offset, **joined}

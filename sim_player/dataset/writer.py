@@ -13,6 +13,12 @@ A folder holds `series.json` (generator, preset, effects, budget, shift: another
 - plan [n]: JSON with the effects used, the number of paths and, for planned scenes, bound and reason of every effect;
 - offset int64 [n + 1] into the points of all scenes: range_m, azimuth_rad, path_class, hidden_xy_m, power_mw, order,
   range_bin, azimuth_bin, point_m, image_m, object_index, object_class (`sim_player.dataset.labelled_scan.Labels`);
+- of drives alone (`Recipe.scans`): a scene is a scan. sequence names its drive, scan its number there, stamp_ns the
+  time of its first beam; pose [n, 3] is the radar's (x, y, yaw) in its frame at the drive's start, motion [n, 2] speed
+  and yaw rate, both true; odometry [n, 15, 3] the states (time after the stamp, speed, yaw rate) of its noisy bus. The
+  first of them took the vehicle's motion out of the profiles. `truth` in the facts lists all objects at the stamp with
+  their velocities; object_index is their number in every scan. Labels say where the scan's map shows an echo, at the
+  time of the beam that looks at it: elapsed_s after the stamp, velocity_mps [.., 2] over ground in the radar's frame;
 - of a shifted series alone: missing_beams bool [n, beams], whose profiles hold zeros; beam_gain c16 [n, beams], the
   board's errors, which a receiver does not know.
 
@@ -51,7 +57,7 @@ def write_dataset(
     executor: Executor = "local",
     slurm: dict[str, Any] | None = None,
 ) -> Path:
-    """Write the first `count` scenes of a series as npz shards and a manifest; returns the manifest's path.
+    """Write the first `count` scenes or drives of a series as npz shards and a manifest; returns the manifest's path.
 
     Shards already there are kept if they are whole (an interrupted run goes on), made again if not. `on_shard` hears
     of each shard once it is there. Raises ValueError for a bad count or seed, a folder that holds another series or
@@ -68,7 +74,7 @@ def write_dataset(
         part.unlink(missing_ok=True)
     manifest = _Manifest(out_dir / "manifest.jsonl")
     jobs = _jobs(out_dir, count, seed, recipe)
-    _refuse_to_shrink(out_dir, jobs, manifest)
+    _refuse_to_shrink(out_dir, count, jobs, manifest)
     missing = []
     for job in jobs:
         fault = shard_fault(job, manifest.sha256(job))
@@ -120,21 +126,20 @@ def _read_manifest(manifest: Path) -> dict[str, dict[str, Any]]:
 
 def _jobs(out_dir: Path, count: int, seed: int, recipe: Recipe) -> list[ShardJob]:
     """Return all shards of a data set."""
-    size = recipe.scenes_per_shard
+    size, scenes = recipe.shard_scenes, count * (recipe.scans or 1)
     return [
-        ShardJob(folder=out_dir, recipe=recipe, seed=seed, first=first, count=min(size, count - first))
-        for first in range(0, count, size)
+        ShardJob(folder=out_dir, recipe=recipe, seed=seed, first=first, count=min(size, scenes - first))
+        for first in range(0, scenes, size)
     ]
 
 
-def _refuse_to_shrink(out_dir: Path, jobs: list[ShardJob], manifest: _Manifest) -> None:
+def _refuse_to_shrink(out_dir: Path, count: int, jobs: list[ShardJob], manifest: _Manifest) -> None:
     """Raise ValueError where the folder holds scenes beyond those requested, which training would read too."""
     counts = {job.path.name: job.count for job in jobs}
     beyond = {path.name for path in out_dir.glob("shard-*.npz")} - counts.keys()
     beyond |= {shard for shard, line in manifest.lines.items() if line["scenes"] > counts.get(shard, 0)}
     if beyond:
-        asked = sum(counts.values())
-        raise ValueError(f"count must not be below what {out_dir} holds ({max(beyond)}), got {asked}")
+        raise ValueError(f"count must not be below what {out_dir} holds ({max(beyond)}), got {count}")
 
 
 def _claim(out_dir: Path, series: dict[str, Any]) -> None:

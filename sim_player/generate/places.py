@@ -7,6 +7,7 @@ the radar's faults and the weather. Where no road user can hide, a new plan is d
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import get_args
 
@@ -44,6 +45,8 @@ FAULT_SHARE = 0.6
 #: Plans drawn until something hides.
 ATTEMPTS = 4
 CANDIDATES = 160
+#: Sets of candidates tried for a class that is wanted.
+CLASS_ATTEMPTS = 4
 #: Largest number of candidates that are tested in full after the quick tests.
 SHORTLIST = 24
 #: Least distance of the radar from every wall, and from the circle around every road user.
@@ -75,6 +78,8 @@ class Place:
     #: Indices of the objects placed out of sight, and whether two of them were placed for images that overlap.
     hidden: tuple[int, ...]
     overlapping: bool
+    #: The first so many objects are parked.
+    parked: int
 
 
 def random_place(
@@ -99,8 +104,13 @@ def draw_place(
     preset: Preset = "xband",
     kind: PlaceKind | None = None,
     motion: bool = False,
+    class_mix: Mapping[str, float] | None = None,
 ) -> Place:
-    """Return `random_place` with the parts of the scene."""
+    """Return `random_place` with the parts of the scene.
+
+    class_mix: share of each class among all but the parked; None: whatever fits first, so that hidden objects are
+    mostly small.
+    """
     _check(seed, index, preset, kind)
     rng = np.random.default_rng([seed, index])
     drawn: PlaceKind = PLACE_KINDS[rng.integers(len(PLACE_KINDS))]
@@ -109,11 +119,11 @@ def draw_place(
     overlap = hidden_count > 1 and bool(rng.random() < OVERLAP_SHARE)
     for _ in range(ATTEMPTS):
         crowd = _walls_and_parked(rng, kind, preset)
-        _hide(rng, crowd, hidden_count, overlap)
+        _hide(rng, crowd, hidden_count, overlap, class_mix)
         if crowd.hidden or not hidden_count:
             break
     for _ in range(int(rng.integers(0, 4))):
-        crowd.add(rng, hide=False)
+        crowd.add(rng, False, classes=_classes(rng, class_mix))
     scene = Scene(
         name=f"{kind}_{seed}_{index}",
         radar=draw_radar(rng, preset),
@@ -123,7 +133,7 @@ def draw_place(
         weather=draw_weather(rng),
     )
     check_scene(scene)
-    return Place(scene, kind, crowd.relays, tuple(crowd.hidden), crowd.overlapping)
+    return Place(scene, kind, crowd.relays, tuple(crowd.hidden), crowd.overlapping, crowd.parked)
 
 
 def _check(seed: int, index: int, preset: str, kind: str | None) -> None:
@@ -183,9 +193,15 @@ class _Crowd:
     segment_a: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     segment_b: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
-    def add(self, rng: np.random.Generator, hide: bool, beside_m: float | None = None) -> bool:
-        """Add a road user out of sight (with an image at about a range) or in the open; return False where none
-        fits.
+    def add(
+        self,
+        rng: np.random.Generator,
+        hide: bool,
+        beside_m: float | None = None,
+        classes: tuple[str, ...] | None = None,
+    ) -> bool:
+        """Add a road user out of sight (with an image at about a range) or in the open, the first of some classes that
+        fits (None: drawn here); return False where none fits.
         """
         spot, heading = _candidates(rng, self.layout, self.turn, CANDIDATES)
         boxes = Boxes.of(tuple(self.objects))
@@ -199,7 +215,7 @@ class _Crowd:
         else:
             fits = np.flatnonzero(np.abs(np.arctan2(spot[:, 1], spot[:, 0])) < IMAGE_AZIMUTH_RAD)
         share = HIDING_SHARE if hide else CLASS_SHARE
-        for name in rng.choice(list(share), len(share), replace=False, p=list(share.values())):
+        for name in classes or rng.choice(list(share), len(share), replace=False, p=list(share.values())):
             yaw_deg = _yaw_deg(rng, str(name), heading)
             for index in fits[self._stand(str(name), spot[fits], yaw_deg[fits], boxes, hide)][:1]:
                 if hide:
@@ -293,14 +309,23 @@ def _footprint(block: Block) -> np.ndarray:
     return np.array([side.start for side in block.sides().values()])
 
 
-def _hide(rng: np.random.Generator, crowd: _Crowd, count: int, overlap: bool) -> None:
+def _hide(
+    rng: np.random.Generator, crowd: _Crowd, count: int, overlap: bool, class_mix: Mapping[str, float] | None
+) -> None:
     """Add road users out of sight, the second beside the first one's image if overlap is requested."""
     for _ in range(count):
         beside = crowd.image_m[0] if overlap and len(crowd.image_m) == 1 else None
-        if crowd.add(rng, True, beside):
+        classes = _classes(rng, class_mix)
+        if crowd.add(rng, True, beside, classes):
             crowd.overlapping |= beside is not None
-        elif beside is not None:
-            crowd.add(rng, True)
+        elif beside is not None or classes:
+            # a class that is wanted gets more places to be tried
+            any(crowd.add(rng, True, None, classes) for _ in range(CLASS_ATTEMPTS if classes else 1))
+
+
+def _classes(rng: np.random.Generator, class_mix: Mapping[str, float] | None) -> tuple[str, ...] | None:
+    """Return the class of the next road user under a mix; None, and nothing drawn, without one."""
+    return None if class_mix is None else (str(rng.choice(list(class_mix), p=list(class_mix.values()))),)
 
 
 def _candidates(rng: np.random.Generator, layout: Layout, turn: _Turn, count: int) -> tuple[np.ndarray, np.ndarray]:

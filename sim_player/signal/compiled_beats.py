@@ -15,7 +15,7 @@ from numba import njit
 from scipy import fft
 
 from models.physics.antenna import element_field
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
@@ -23,8 +23,7 @@ from sim_player.signal.fmcw import slow_time_table
 from sim_player.signal.swept_echoes import (
     cardinal_functions,
     chebyshev_instants,
-    migration_swing_rad,
-    squint_swing_rad,
+    sweep_swing_rad,
 )
 from sim_player.signal.switches import (
     SignalEffects,
@@ -70,9 +69,7 @@ def compiled_terms(
         raise ValueError(
             f"length_m must leave half of the sampled band free, got a longest of {paths.length_m.max():g} m"
         )
-    swing_rad = squint_swing_rad(setup, paths) if effects.squint else 0.0
-    migrates = effects.motion and effects.range_migration
-    swing_rad += migration_swing_rad(radar, paths.radial_speed_mps) if migrates else 0.0
+    swing_rad = sweep_swing_rad(setup, paths, effects)
     instants = chebyshev_instants(swing_rad, TOLERANCE)
     weigh = _Weights(setup, paths, effects, front_end, beam)
     weights = weigh.at(instants, previous=False)
@@ -116,7 +113,7 @@ class _Weights:
         ]
         radar = setup.radar
         speed = paths.radial_speed_mps if effects.motion else np.zeros(len(paths))
-        self._turn = 4.0 * np.pi * speed * radar.repetition_interval_s / radar.wavelength_m
+        self._turn = doppler_turn_rad(radar, speed)
         # along the sweep a migrating path's Doppler follows the frequency
         margin = 1.0 + radar.bandwidth_hz / radar.carrier_hz * (1.0 if effects.range_migration else 0.0)
         self.carrier, self.basis, self._slow = slow_time_table(radar, self._turn, margin)
@@ -136,7 +133,7 @@ class _Weights:
         if self._effects.motion and self._effects.range_migration:
             turn = turn * (1.0 + radar.chirp_slope_hz_per_s * since_sent_s / radar.carrier_hz)
             # the distance moved since the chirp's start
-            factor *= np.exp(1j * turn * (instants[:, None] * radar.chirp_period_s / radar.repetition_interval_s))
+            factor *= np.exp(1j * turn * instants[:, None])
         return _outer(factor, self._slow(turn))
 
     def _pattern(self, ratio: np.ndarray) -> np.ndarray:

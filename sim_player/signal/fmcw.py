@@ -17,7 +17,7 @@ from numba import njit
 from scipy import fft
 
 from models.physics.antenna import setup_weights, two_way_pattern
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup, amplitude_per_code
 from sim_player.trace.paths import Paths
 
@@ -108,13 +108,11 @@ def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[n
     share complex128 [terms, paths]. A common turn is taken out first, then the band that is left needs only as many
     Slepian sequences as it has turns, and a few.
     """
-    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
-    turn = 4.0 * np.pi * radial_speed_mps * radar.chirp_period_s / radar.wavelength_m
-    middle = 0.5 * (turn.max() + turn.min()) if len(turn) else 0.0
-    widest = 0.5 * (turn.max() - turn.min()) if len(turn) else 0.0
-    basis = _slow_time_basis(radar.chirps_per_beam, _rounded_up(widest))
+    turn = doppler_turn_rad(radar, radial_speed_mps)
+    middle, widest, carrier = _slow_time_band(radar, turn)
+    basis = _slow_time_basis(radar.chirps_per_beam, widest)
     phasors = _phasors(turn - middle, radar.chirps_per_beam)
-    return np.exp(1j * middle * chirp), basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
+    return carrier, basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
 
 
 def slow_time_table(
@@ -125,33 +123,67 @@ def slow_time_table(
     Turns from chirp to chirp [rad], of the paths; those asked for may be `margin` times as large. The function takes
     turns of any shape and returns complex128 [terms, *shape].
     """
-    middle = 0.5 * (turn_rad.max() + turn_rad.min()) if len(turn_rad) else 0.0
-    reach = float(np.abs(turn_rad).max(initial=0.0)) * (margin - 1.0)
-    widest = _rounded_up((0.5 * (turn_rad.max() - turn_rad.min()) if len(turn_rad) else 0.0) + reach)
+    middle, widest, carrier = _slow_time_band(radar, turn_rad, margin)
     basis = _slow_time_basis(radar.chirps_per_beam, widest)
     table = _slow_time_shares(radar.chirps_per_beam, widest)
-    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
 
     def share(turn_rad: np.ndarray) -> np.ndarray:
         place = (turn_rad - middle) / widest if widest else np.zeros_like(turn_rad)
-        powers = np.polynomial.chebyshev.chebvander(place.ravel(), table.shape[1] - 1).T
-        return (table.real @ powers + 1j * (table.imag @ powers)).reshape(len(table), *turn_rad.shape)
+        return np.asarray(_chebyshev_shares(table, place.ravel()).reshape(len(table), *turn_rad.shape))
 
-    return np.exp(1j * middle * chirp), basis, share
+    return carrier, basis, share
+
+
+def _slow_time_band(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> tuple[float, float, np.ndarray]:
+    """Return the middle of a band of turns, half its width rounded up, and the carrier at its middle [chirps]; turns
+    may be `margin` times as large.
+    """
+    least, greatest = (float(turn_rad.min()), float(turn_rad.max())) if len(turn_rad) else (0.0, 0.0)
+    middle = 0.5 * (greatest + least)
+    reach = max(abs(least), abs(greatest)) * (margin - 1.0)
+    chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
+    return middle, _rounded_up(0.5 * (greatest - least) + reach), np.exp(1j * middle * chirp)
 
 
 @lru_cache(maxsize=64)
 def _slow_time_shares(chirps: int, widest_rad: float) -> np.ndarray:
-    """Return the share of each sequence of the basis in exp(j w c), as a Chebyshev series in w / widest.
+    """Return the share of each sequence of the basis in exp(j w c), as a Chebyshev series; float64 [terms, powers].
 
-    Complex128 [terms, powers].
+    Symmetric sequences take the cosine, a series in y = 2 x^2 - 1 with x = w / widest; antisymmetric ones j times the
+    sine, x times such a series.
     """
-    count = int(0.5 * widest_rad * chirps) + 16 if widest_rad else 1
+    basis = _slow_time_basis(chirps, widest_rad)
+    count = int(0.25 * widest_rad * chirps) + 10 if widest_rad else 1
     node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    share = _slow_time_basis(chirps, widest_rad) @ _phasors(widest_rad * node, chirps)
+    x = np.sqrt(0.5 * (1.0 + node))
+    phasors = _phasors(widest_rad * x, chirps)
+    share = basis @ phasors.real
+    share[1::2] = basis[1::2] @ phasors.imag / x
     values = np.polynomial.chebyshev.chebvander(node, count - 1) * (2.0 / count)
     values[:, 0] *= 0.5
     return np.asarray(share @ values)
+
+
+@njit(cache=True, nogil=True)
+def _chebyshev_shares(table, place):  # type: ignore[no-untyped-def]
+    """Evaluate the series of `_slow_time_shares` at shares of the widest turn [N]; complex128 [terms, N]."""
+    terms, count = table.shape
+    out = np.empty((terms, len(place)), np.complex128)
+    powers = np.empty(count)
+    powers[0] = 1.0
+    for i in range(len(place)):
+        x = place[i]
+        y = 2.0 * x * x - 1.0
+        if count > 1:
+            powers[1] = y
+        for m in range(2, count):
+            powers[m] = 2.0 * y * powers[m - 1] - powers[m - 2]
+        for r in range(terms):
+            total = 0.0
+            for m in range(count):
+                total += table[r, m] * powers[m]
+            out[r, i] = complex(0.0, x * total) if r % 2 else complex(total, 0.0)
+    return out
 
 
 def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
@@ -168,7 +200,7 @@ def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:
 @lru_cache(maxsize=64)
 def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
     """Return the orthonormal sequences [terms, chirps] that hold every exp(j w c) with |w| <= widest to the
-    tolerance.
+    tolerance; symmetric and antisymmetric ones in turn.
     """
     # imported here: the import takes half a second, which a restarted player does not need
     from scipy.signal.windows import dpss
@@ -181,7 +213,7 @@ def _slow_time_basis(chirps: int, widest_rad: float) -> np.ndarray:
         basis = basis / np.linalg.norm(basis, axis=1, keepdims=True)
         if np.linalg.norm(edge - basis.T @ (basis @ edge)) <= SLOW_TIME_TOLERANCE * math.sqrt(chirps):
             return basis
-    return np.eye(chirps)
+    return np.asarray(fft.dct(np.eye(chirps), axis=0, norm="ortho"))
 
 
 def _rounded_up(value: float) -> float:

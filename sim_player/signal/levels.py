@@ -1,7 +1,8 @@
 """One signal at three levels with one answer: kernel (profiles), beat (samples, codes), literal (Eq. (6) in time).
 
 - Kernel: echoes are gathered on a grid of half range bins and convolved with the window's spectrum, by FFT: exact to
-  rounding like `sum_tones`, at a cost that hardly grows with the number of paths. For scenes at rest.
+  rounding like `sum_tones`, at a cost that hardly grows with the number of paths. Scenes that move have profiles of
+  slow-time sums in place of one profile a beam (`sim_player.signal.slow_time_profiles`).
 - Beat: sums of tones over the chirp, terms of slow time over the beam, faults of the receiver, int16 codes.
 - Literal (`sim_player.signal.literal`): the reference. Chirps delayed and mixed, pattern at every sample; nothing
   expanded.
@@ -112,7 +113,7 @@ def motion_objection(paths: Paths, effects: SignalEffects) -> str | None:
     if not effects.motion or not np.any(paths.radial_speed_mps):
         return None
     fastest = float(np.abs(paths.radial_speed_mps).max())
-    return f"paths must be at rest for the kernel level, got {fastest:.2f} m/s: use the beat level"
+    return f"paths must be at rest for one profile a beam, got {fastest:.2f} m/s: use the beat level or slow-time sums"
 
 
 def _refuse(reason: str | None) -> None:
@@ -209,12 +210,18 @@ def noise_profiles(
 
     Independent draws per bin, scaled to `noise_density_mw`, then the window's taps.
     """
-    taps = WINDOW_TAPS["hann"]
-    power = noise_density_mw(setup, np.arange(-1, range_bins + 1), effects, front_end)
+    power_mw = noise_density_mw(setup, np.arange(-1, range_bins + 1), effects, front_end)
     rng = np.random.default_rng([seed, 6])
-    draws = rng.standard_normal((2, len(setup.beams), range_bins + len(taps) - 1)) * np.sqrt(0.5 * power)
+    return windowed_noise(rng, np.broadcast_to(power_mw, (len(setup.beams), len(power_mw))))
+
+
+def windowed_noise(rng: np.random.Generator, power_mw: np.ndarray) -> np.ndarray:
+    """Return draws of noise with a power per bin [rows, bins + 2] after the Hann window; complex128 [rows, bins]."""
+    taps = WINDOW_TAPS["hann"]
+    draws = rng.standard_normal((2, *power_mw.shape)) * np.sqrt(0.5 * power_mw)
     white = draws[0] + 1j * draws[1]
-    return sum(tap * white[:, i : i + range_bins] for i, tap in enumerate(taps))
+    bins = power_mw.shape[1] - len(taps) + 1
+    return sum(tap * white[:, i : i + bins] for i, tap in enumerate(taps))
 
 
 def noise_density_mw(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import jv
 
 from models.physics.antenna import two_way_pattern
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad
+from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
@@ -99,6 +99,13 @@ def migration_swing_rad(radar: RadarParams, radial_speed_mps: np.ndarray) -> flo
     return float(np.pi * stretch * turns)
 
 
+def sweep_swing_rad(setup: RadarSetup, paths: Paths, effects: SignalEffects) -> float:
+    """Return the bound of the phase swing of the slow factor over a whole sweep."""
+    squint = squint_swing_rad(setup, paths) if effects.squint else 0.0
+    migrates = effects.motion and effects.range_migration
+    return squint + (migration_swing_rad(setup.radar, paths.radial_speed_mps) if migrates else 0.0)
+
+
 def check_precision(precision: str) -> None:
     """Raise ValueError for a precision that is not known."""
     if precision not in TOLERANCE:
@@ -152,12 +159,6 @@ class _Factors:
         self._delay_s = paths.length_m / SPEED_OF_LIGHT_MPS
         self._out = departure(paths)
 
-    def swing_rad(self) -> float:
-        """Return the bound of the factor's phase swing over a whole sweep."""
-        squint = squint_swing_rad(self.setup, self.paths) if self.effects.squint else 0.0
-        moves = self.effects.motion and self.effects.range_migration
-        return squint + (migration_swing_rad(self.setup.radar, self.paths.radial_speed_mps) if moves else 0.0)
-
     def since_sent_s(self, share: float, previous: bool) -> np.ndarray:
         """Return t - tau at an instant of the chirp, from the start of the chirp that the echo belongs to."""
         return (share + previous) * self.setup.radar.chirp_period_s - self._delay_s
@@ -209,9 +210,8 @@ class _SlowTime:
         if not self._migrates:
             return self._share[index]
         # the distance moved since the chirp's start, as a phase
-        elapsed_s = share_of_chirp * self._radar.chirp_period_s
-        turns = 2.0 * self._doppler(since_sent_s) / self._radar.wavelength_m * elapsed_s
-        return self._share[index] * np.exp(2j * np.pi * turns)
+        turn = doppler_turn_rad(self._radar, self._doppler(since_sent_s))
+        return self._share[index] * np.exp(1j * share_of_chirp * turn)
 
     def _doppler(self, since_sent_s: np.ndarray) -> np.ndarray:
         """Return the speed whose Doppler at f_c is the path's at the frequency of the moment."""
@@ -226,7 +226,7 @@ def _sweep(factors: _Factors, slow: _SlowTime | None, precision: str) -> SweptEc
     overlaps = factors.effects.chirp_overlap
     head_samples = int(overlap_samples(radar, length_m).max(initial=0)) if overlaps else 0
     span = -(-head_samples // CHUNK) * CHUNK / radar.samples_per_chirp
-    swing_rad, tolerance = factors.swing_rad(), TOLERANCE[precision]
+    swing_rad, tolerance = sweep_swing_rad(factors.setup, factors.paths, factors.effects), TOLERANCE[precision]
     instants = chebyshev_instants(swing_rad, tolerance)
     head = chebyshev_instants(swing_rad * span, tolerance, span) if head_samples else np.zeros(0)
     # the chirp's own echo over the chirp and over its start, then the previous chirp's over the start

@@ -49,6 +49,10 @@ def trace_again(drawn: DrawnScene) -> Paths:
 
     Raises `ValueError` where the series is none of the simulator's.
     """
+    if "scans" in drawn.series:
+        raise ValueError(
+            f"series.json must be of places at rest to be traced again, scans is {drawn.series['scans']!r}"
+        )
     missing = [name for name in ("seed", "effects") if name not in drawn.series]
     if missing:
         raise ValueError(f"series.json must say {' and '.join(missing)} so that scenes can be traced again")

@@ -54,15 +54,23 @@ class ExecutorOption(StrEnum):
 
 def dataset(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shards.")],
-    count: Annotated[int, typer.Option(min=1, help="Scenes to simulate.")],
+    count: Annotated[int, typer.Option(min=1, help="Scenes to simulate; with --motion drives.")],
     seed: int = 0,
+    motion: Annotated[
+        bool, typer.Option("--motion", help="Drives: radar and road users move, with odometry; needs --scans.")
+    ] = False,
+    scans: Annotated[
+        int | None, typer.Option(metavar="N", help="Scans of a drive, 1 to 100.", show_default=False)
+    ] = None,
     places: Annotated[
         PlacesOption, typer.Option(help="Type of place; street_v1: the first series of random streets.")
     ] = PlacesOption.ANY,
     preset: Annotated[PresetOption, typer.Option(help="Radar.")] = PresetOption.XBAND,
     effects: Annotated[
         str | None,
-        typer.Option(metavar="auto|all|basic|LIST", help="Default auto; basic for street_v1.", show_default=False),
+        typer.Option(
+            metavar="auto|all|basic|LIST", help="Default auto; basic for street_v1, all for drives.", show_default=False
+        ),
     ] = None,
     budget_db: Annotated[float, typer.Option(help="What planned effects may leave out, in any cell.")] = -20.0,
     shift: Annotated[
@@ -87,8 +95,9 @@ def dataset(
         effects=parse_effects(effects),
         budget_db=budget_db,
         shift=shift.value,
+        scans=scans_of_a_drive(motion, scans),
     )
-    report = _Report(out, count)
+    report = _Report(out, count * (scans or 1))
     with report.progress:
         write_dataset(
             out,
@@ -129,6 +138,15 @@ def statistics(
     _print_statistics(counted_statistics)
     if out is not None:
         print_line(f"{out} and {out.with_suffix('.png').name}: page and contact sheet")
+
+
+def scans_of_a_drive(motion: bool, scans: int | None) -> int | None:
+    """Return the scans of a drive, None for places at rest; both options or none must be given."""
+    if motion and scans is None:
+        raise ValueError("--motion must come with --scans N, the scans of a drive, got none")
+    if scans is not None and not motion:
+        raise ValueError(f"--scans must come with --motion, got {scans} scans of places at rest")
+    return scans
 
 
 def parse_effects(text: str | None) -> str | tuple[str, ...] | None:

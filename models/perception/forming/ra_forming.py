@@ -120,6 +120,8 @@ class EgoCorrection:
     bin_phase: np.ndarray
     #: Azimuth of the beam's axis seen from the map's pose, [range].
     look_azimuth_rad: np.ndarray
+    #: By how much the beam is moved along range.
+    shift_m: float
 
 
 def form_map(scan: ScanProfiles, interpolator: AzimuthInterpolator, mode: str = "coherent") -> RangeAzimuthMap:
@@ -203,6 +205,8 @@ class BeamFolder:
         every = params.mode == "welch" or params.slow_time_sums is None
         self.groups = self.chirps if every else min(params.slow_time_sums or 1, self.chirps)
         edges = group_edges(self.chirps, self.groups)
+        #: First chirp of each group and, last, the number of chirps.
+        self.group_edges = edges
         self._group_chirps = np.diff(edges).astype(np.float32)
         #: Duration of the used part of a beam, and the middle of each group relative to its middle.
         self.duration_s = self.chirps * radar.repetition_interval_s
@@ -223,7 +227,10 @@ class BeamFolder:
         if self.params.mode == "welch":
             profile, noise_power_mw = self._welch(spectra)
         else:
-            profile, noise_power_mw = self._coherent(spectra, None if ego is None else ego.group_phase)
+            noise_power_mw = self._noise_power_mw(spectra)
+            profile = self.strongest_doppler(
+                _windowed(spectra, 0, self.grid.range_bins, self._taps), noise_power_mw, ego
+            )
         if self.params.decimation > 1:
             profile = profile * self._undrooped
         return profile if ego is None else profile * ego.bin_phase, noise_power_mw, saturated
@@ -241,13 +248,20 @@ class BeamFolder:
         """Return the square root of milliwatt per code, over all that was summed."""
         return amplitude_per_code(full_scale_dbm) / (self.setup.radar.samples_per_chirp * self.chirps)
 
-    def _coherent(self, spectra: np.ndarray, group_phase: np.ndarray | None) -> tuple[np.ndarray, float]:
-        """Return the strongest Doppler bin of each range bin, the coherent mean wherever none stands out."""
-        mean = spectra.sum(axis=0)
-        noise_power_mw = _median_power(np.abs(_windowed(mean, *self._noise_bins, self._taps)) ** 2, 1)
-        profiles = _windowed(spectra, 0, self.grid.range_bins, self._taps)
-        transform = self._doppler_matrix if group_phase is None else self._doppler_matrix * group_phase
-        return self._strongest(transform @ profiles, noise_power_mw), noise_power_mw
+    def strongest_doppler(
+        self, profiles: np.ndarray, noise_power_mw: float, ego: EgoCorrection | None = None
+    ) -> np.ndarray:
+        """Return the strongest Doppler bin of each range bin, the coherent mean wherever none stands out; complex64
+        [range].
+
+        `profiles` [groups, range] are those of the slow-time sums, windowed; they add up to the beam's mean.
+        """
+        transform = self._doppler_matrix if ego is None else self._doppler_matrix * ego.group_phase
+        return self._strongest(transform @ profiles, noise_power_mw)
+
+    def _noise_power_mw(self, spectra: np.ndarray) -> float:
+        """Return the noise power per bin of the mean over all chirps."""
+        return _median_power(np.abs(_windowed(spectra.sum(axis=0), *self._noise_bins, self._taps)) ** 2, 1)
 
     def _strongest(self, doppler: np.ndarray, noise_power_mw: float) -> np.ndarray:
         """Return the row 0 of [Doppler, range], or the strongest row where that is clearly another one."""
@@ -338,8 +352,8 @@ def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state:
         _start_from_now(state, time_s, folder.params.vehicle_from_radar)
         for time_s in (elapsed_s, *(elapsed_s + folder.group_time_s))
     ]
-    look_rad = folder.setup.beams.azimuth_rad[beam_index] + poses[0].yaw_rad
-    axis = np.array([np.cos(look_rad), np.sin(look_rad)])
+    look_rad = float(folder.setup.beams.azimuth_rad[beam_index] + poses[0].yaw_rad)
+    axis = _unit(look_rad)
     shift_m, *group_shift_m = (float(np.array([pose.x_m, pose.y_m]) @ axis) for pose in poses)
     delay_s = 2.0 * shift_m / SPEED_OF_LIGHT_MPS
     slope = radar.chirp_slope_hz_per_s
@@ -349,8 +363,30 @@ def ego_correction(folder: BeamFolder, beam_index: int, elapsed_s: float, state:
         group_phase=_turned(2.0 * np.array(group_shift_m) / radar.wavelength_m),
         sample_phase=_turned(sample_turns),
         bin_phase=_turned(bin_turns),
-        look_azimuth_rad=_axis_azimuth(poses[0], axis, np.maximum(grid.range_m - shift_m, 0.0), look_rad),
+        look_azimuth_rad=_axis_azimuth(poses[0], look_rad, grid),
+        shift_m=shift_m,
     )
+
+
+def look_azimuths(setup: RadarSetup, grid: RangeAzimuthGrid, state: VehicleState) -> np.ndarray:
+    """Return the azimuth at which each beam of a whole scan looked, seen from the map's pose; float64 [beams, range].
+
+    As `ego_correction` says it under the nominal timing, for a radar at the vehicle's origin.
+    """
+    looks = []
+    for beam, azimuth_rad in enumerate(setup.beams.azimuth_rad):
+        pose = ego_motion(state.speed_mps, state.yaw_rate_rps, beam_middle_s(setup, beam))
+        looks.append(_axis_azimuth(pose, float(azimuth_rad + pose.yaw_rad), grid))
+    return np.stack(looks)
+
+
+def beam_middle_s(setup: RadarSetup, beam_index: int) -> float:
+    """Return the nominal time of a beam's middle after the map's pose; 0 for a digital array, whose beams have one
+    pose: a phase for each would break their coherence.
+    """
+    if setup.array.digital:
+        return 0.0
+    return s_from_ns(beam_index * setup.beam_interval_ns) + 0.5 * setup.radar.beam_duration_s
 
 
 def _start_from_now(state: VehicleState, elapsed_s: float, vehicle_from_radar: Pose2) -> Pose2:
@@ -364,9 +400,16 @@ def _turned(turns: np.ndarray) -> np.ndarray:
     return np.exp(2j * np.pi * (turns % 1.0)).astype(np.complex64)
 
 
-def _axis_azimuth(pose: Pose2, axis: np.ndarray, along_m: np.ndarray, look_rad: float) -> np.ndarray:
+def _unit(angle_rad: float) -> np.ndarray:
+    """Return the unit vector of a direction, [2]."""
+    return np.array([np.cos(angle_rad), np.sin(angle_rad)])
+
+
+def _axis_azimuth(pose: Pose2, look_rad: float, grid: RangeAzimuthGrid) -> np.ndarray:
     """Return the azimuth at which the start sees the points of a displaced beam's axis; [range]."""
-    points_m = np.array([pose.x_m, pose.y_m]) + along_m[:, None] * axis
+    start_m, axis = np.array([pose.x_m, pose.y_m]), _unit(look_rad)
+    along_m = np.maximum(grid.range_m - start_m @ axis, 0.0)
+    points_m = start_m + along_m[:, None] * axis
     azimuth_rad = np.arctan2(points_m[:, 1], points_m[:, 0])
     # inside the distance driven, the axis may point anywhere: keep the beam's own direction there
     return np.where(along_m > np.hypot(pose.x_m, pose.y_m), azimuth_rad, look_rad)

@@ -17,12 +17,13 @@ import msgspec
 import numpy as np
 
 from models.perception.forming.coarray import AzimuthInterpolator
-from models.perception.forming.ra_forming import ScanProfiles, form_map
+from models.perception.forming.ra_forming import ScanProfiles, form_map, look_azimuths
 from msgs.files.array_files import array_names, load_arrays
 from msgs.files.whole_files import write_whole
 from msgs.values.array_table import ArrayTable
 from msgs.values.perception import PathClass
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
+from msgs.values.vehicle import VehicleState
 
 #: Arrays of every shard beside its profiles or values: noise [scenes], and the truth points of all scenes in one
 #: row, those of scene i at offset[i]..offset[i + 1].
@@ -74,6 +75,8 @@ class Scan:
     sequence: str = ""
     #: True positions [M, 2] of all images together if they do not pair with them; None: those of the labels.
     places_m: np.ndarray | None = None
+    #: State of the vehicle by which its motion was taken out of the profiles; None: it was not.
+    ego: VehicleState | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -190,6 +193,7 @@ ARRAYS = {
     **dict.fromkeys(("offset", "place_offset", "path_class", "order", "object_index"), ("iu", 1)),
     **dict.fromkeys(("scene_yaml", "sequence", "object_class", "facts"), ("SU", 1)),
     "missing_beams": ("b", 2),
+    "odometry": ("f", 3),
 }
 
 
@@ -206,9 +210,16 @@ def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
     """Return the map of a scan, formed from its profiles as on the vehicle or taken unchanged."""
     grid = interpolator.grid
     if scan.profiles is not None:
-        stamps_ns = np.zeros(len(scan.profiles), np.int64)
         return form_map(
-            ScanProfiles(0, scan.index, scan.profiles, scan.noise_power_mw, stamps_ns, scan.missing_beams),
+            ScanProfiles(
+                stamp_ns=0,
+                scan_id=scan.index,
+                profiles=scan.profiles,
+                noise_power_mw=scan.noise_power_mw,
+                beam_stamp_ns=np.zeros(len(scan.profiles), np.int64),
+                missing_beams=scan.missing_beams,
+                look_azimuth_rad=None if scan.ego is None else look_azimuths(interpolator.setup, grid, scan.ego),
+            ),
             interpolator,
         )
     if scan.values is None:
@@ -276,7 +287,8 @@ def _check_arrays(path: Path, arrays: dict[str, np.ndarray]) -> None:
     _check_offset(path, "offset", offset, scenes, points)
     if "places_m" in arrays:
         _check_offset(path, "place_offset", arrays.get("place_offset", np.zeros(0)), scenes, len(arrays["places_m"]))
-    lengths = dict.fromkeys(("profiles", "values", "facts", "scene_yaml", "sequence", "missing_beams"), scenes)
+    per_scene = ("profiles", "values", "facts", "scene_yaml", "sequence", "missing_beams", "odometry")
+    lengths = dict.fromkeys(per_scene, scenes)
     lengths |= {field.name: points for field in fields(FrameLabels)}
     for name, length in lengths.items():
         if name in arrays and len(arrays[name]) != length:
@@ -329,8 +341,20 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         places_m=arrays["places_m"][slice(*arrays["place_offset"][scene : scene + 2])]
         if "places_m" in arrays
         else None,
+        ego=_ego(path, arrays["odometry"][scene], scene) if "odometry" in arrays else None,
         **measured,
     )
+
+
+def _ego(path: Path, odometry: np.ndarray, scene: int) -> VehicleState:
+    """Return the state at a scan's first beam, the first of rows (time, speed, yaw rate)."""
+    if odometry.shape[0] < 1 or odometry.shape[1] != 3:
+        raise ValueError(f"{path}: odometry of a scene must have rows of 3 numbers, got {odometry.shape}")
+    _, speed_mps, yaw_rate_rps = odometry[0].tolist()
+    try:
+        return VehicleState(stamp_ns=0, speed_mps=speed_mps, yaw_rate_rps=yaw_rate_rps)
+    except ValueError as error:
+        raise ValueError(f"{path}: odometry of scene {scene}: {error}") from None
 
 
 def _labels(arrays: dict[str, np.ndarray], points: slice) -> FrameLabels:

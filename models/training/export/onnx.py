@@ -369,7 +369,10 @@ def _command(data_dir: Path) -> str:
         count = sum(msgspec.json.decode(line)["scenes"] for line in shards)
     except (OSError, KeyError, msgspec.DecodeError) as error:
         raise ValueError(f"{data_dir} must hold a whole data set: {error}") from None
-    command = f"mirrorwave sim dataset --out {data_dir} --count {count} --seed {series['seed']}"
+    # of drives, the manifest counts scans
+    scans = series.get("scans")
+    motion = "" if scans is None else f" --motion --scans {scans}"
+    command = f"mirrorwave sim dataset --out {data_dir} --count {count // (scans or 1)} --seed {series['seed']}{motion}"
     # folders from before series stated their recipe hold the first generator's streets
     recipe = {"places": "street_v1"} | {key: series[key] for key in _RECIPE if key in series}
     return command + "".join(f" --{key.replace('_', '-')} {value}" for key, value in recipe.items())

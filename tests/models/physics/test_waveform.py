@@ -14,6 +14,7 @@ from models.physics.waveform import (
     beat_frequency_hz,
     beat_phase_rad,
     beat_samples,
+    doppler_turn_rad,
     range_profile,
     tone_profile,
     window_covariance,
@@ -100,3 +101,12 @@ def test_window_covariance_is_that_of_filtered_noise() -> None:
     """(1.5, -1, 0.25) / 1.5 for Hann, the identity without a window."""
     np.testing.assert_allclose(window_covariance("hann", 4)[0], [1.0, -2.0 / 3.0, 1.0 / 6.0, 0.0])
     np.testing.assert_array_equal(window_covariance("none", 3), np.eye(3))
+
+
+def test_doppler_turns_once_over_a_beam_at_its_speed_bin() -> None:
+    """lambda / (2 T_f) = 21.4 m/s at X-band: one whole turn over the 128 chirps of a beam, backwards if it recedes."""
+    radar = RadarParams()
+    speed_mps = radar.wavelength_m / (2.0 * radar.beam_duration_s)
+    assert speed_mps == pytest.approx(21.4, abs=0.05)
+    turn = doppler_turn_rad(radar, np.array([speed_mps, -speed_mps])) * radar.chirps_per_beam
+    np.testing.assert_allclose(turn, [2.0 * np.pi, -2.0 * np.pi], rtol=1e-12)

@@ -191,3 +191,12 @@ def test_wrong_wishes_are_refused() -> None:
         ExportConfig(precision="fp8")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=r"export\.calibration_maps must be at least 1, got 0"):
         ExportConfig(calibration_maps=0)
+
+
+def test_a_card_names_the_command_of_drives(tmp_path: Path) -> None:
+    """24 scans in the manifest are two drives of 12."""
+    series = {"places": "any", "preset": "xband", "effects": "all", "seed": 7, "motion": True, "scans": 12}
+    (tmp_path / "series.json").write_bytes(msgspec.json.encode(series))
+    (tmp_path / "manifest.jsonl").write_text('{"shard": "shard-00000.npz", "scenes": 24}\n')
+    command = f"mirrorwave sim dataset --out {tmp_path} --count 2 --seed 7 --motion --scans 12 --places any"
+    assert export_onnx._command(tmp_path).startswith(command)

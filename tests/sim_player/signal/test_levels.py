@@ -367,9 +367,9 @@ def test_migration_matters_at_road_speed() -> None:
     assert 0.03 < apart(phase, exact) < 0.3
 
 
-def test_the_kernel_level_refuses_motion() -> None:
+def test_one_profile_a_beam_refuses_motion() -> None:
     path = one_path(3.0, speed_mps=2.0)
-    with pytest.raises(ValueError, match=r"at rest for the kernel level, got 2\.00 m/s"):
+    with pytest.raises(ValueError, match=r"at rest for one profile a beam, got 2\.00 m/s"):
         kernel_profiles(SMALL, path)
     frozen = kernel_profiles(SMALL, path, SignalEffects(motion=False), range_bins=40)
     np.testing.assert_array_equal(frozen, kernel_profiles(SMALL, one_path(3.0), range_bins=40))

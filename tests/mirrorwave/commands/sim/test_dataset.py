@@ -17,6 +17,7 @@ from mirrorwave.commands.sim.dataset import (
     dataset,
     parse_effects,
     parse_slurm,
+    scans_of_a_drive,
     statistics,
 )
 from sim_player.dataset.shards import Recipe
@@ -72,6 +73,25 @@ def test_texts_of_options() -> None:
     assert parse_slurm(["partition=cpu", "timeout_min=30"]) == {"partition": "cpu", "timeout_min": 30}
     with pytest.raises(ValueError, match="--slurm must be KEY=VALUE, got 'partition'"):
         parse_slurm(["partition"])
+
+
+def test_drives_need_both_options() -> None:
+    assert scans_of_a_drive(True, 12) == 12
+    assert scans_of_a_drive(False, None) is None
+    with pytest.raises(ValueError, match="--motion must come with --scans N, the scans of a drive, got none"):
+        scans_of_a_drive(True, None)
+    with pytest.raises(ValueError, match="--scans must come with --motion, got 12 scans of places at rest"):
+        scans_of_a_drive(False, 12)
+
+
+def test_drives_are_counted_in_scans(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two drives of two scans are four scenes; a number of scans beyond the limit leaves no folder behind."""
+    dataset(tmp_path / "drives", 2, seed=1, motion=True, scans=2, effects="los_objects,motion", as_json=True)
+    found = json.loads(capsys.readouterr().out)
+    assert (found["scenes"], found["made"], found["series"]["scans"]) == (4, 4, 2)
+    with pytest.raises(ValueError, match=r"scans must be 1\.\.100, got 101"):
+        dataset(tmp_path / "long", 2, motion=True, scans=101)
+    assert not (tmp_path / "long").exists()
 
 
 def test_both_are_commands() -> None:
