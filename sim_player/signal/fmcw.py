@@ -9,7 +9,7 @@ at 30 m/s), overlap of back-to-back chirps, wideband squint, mutual coupling, fl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -117,27 +117,28 @@ def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[n
     return np.exp(1j * middle * chirp), basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
 
 
-def slow_time_table(
-    radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0
-) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Return carrier and basis as `slow_time_terms` has them, and a function that gives the share of many turns.
+@dataclass(frozen=True)
+class SlowTimeTable:
+    """Terms of a beam's slow time, and the share of each in any turn from chirp to chirp."""
 
-    Turns from chirp to chirp [rad], of the paths; those asked for may be `margin` times as large. The function takes
-    turns of any shape and returns complex128 [terms, *shape].
-    """
+    #: As `slow_time_terms` has them.
+    carrier: np.ndarray
+    basis: np.ndarray
+    #: Chebyshev series of the shares, complex128 [terms, powers], over (turn - middle) / widest in -1..1.
+    series: np.ndarray
+    middle_rad: float
+    widest_rad: float
+
+
+def slow_time_table(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> SlowTimeTable:
+    """Return the terms for turns from chirp to chirp [rad] of paths; turns may be `margin` times as large."""
     middle = 0.5 * (turn_rad.max() + turn_rad.min()) if len(turn_rad) else 0.0
     reach = float(np.abs(turn_rad).max(initial=0.0)) * (margin - 1.0)
     widest = _rounded_up((0.5 * (turn_rad.max() - turn_rad.min()) if len(turn_rad) else 0.0) + reach)
     basis = _slow_time_basis(radar.chirps_per_beam, widest)
-    table = _slow_time_shares(radar.chirps_per_beam, widest)
+    series = _slow_time_shares(radar.chirps_per_beam, widest)
     chirp = np.arange(radar.chirps_per_beam) - 0.5 * (radar.chirps_per_beam - 1)
-
-    def share(turn_rad: np.ndarray) -> np.ndarray:
-        place = (turn_rad - middle) / widest if widest else np.zeros_like(turn_rad)
-        powers = np.polynomial.chebyshev.chebvander(place.ravel(), table.shape[1] - 1).T
-        return (table.real @ powers + 1j * (table.imag @ powers)).reshape(len(table), *turn_rad.shape)
-
-    return np.exp(1j * middle * chirp), basis, share
+    return SlowTimeTable(np.exp(1j * middle * chirp), basis, series, middle, widest)
 
 
 @lru_cache(maxsize=64)
