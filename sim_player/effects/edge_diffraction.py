@@ -35,6 +35,8 @@ _BENT = bit("edge_diffraction")
 class Edges(ArrayTable):
     """E upright edges."""
 
+    #: End of the first face (index into `World.wall_ends`), which names the edge at all times, [E].
+    end: np.ndarray
     #: Place in the plane, [E, 2], and the pieces of wall of the first and the last face (a free end: the same), [E].
     point: np.ndarray
     first: np.ndarray
@@ -50,10 +52,9 @@ class Edges(ArrayTable):
         return len(self.n)
 
     def table(self) -> np.ndarray:
-        """Return the same as numbers, [E, 8], for compiled code."""
-        return np.column_stack(
-            [self.point, self.first, self.last, self.face_rad, self.sense, self.n, self.height_m]
-        ).astype(np.float64)
+        """Return the same as numbers, [E, 9], for compiled code."""
+        columns = self.point, self.first, self.last, self.face_rad, self.sense, self.n, self.height_m, self.end
+        return np.column_stack(columns).astype(np.float64)
 
 
 def absent(world: World) -> str | None:
@@ -85,13 +86,13 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
 @njit(cache=True, nogil=True, error_model="numpy")
 def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untyped-def]
     pieces = scene[2]
-    rows, count, visible = np.empty(len(point), ROUTE), 0, 0
+    rows, count = np.empty(len(point), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
     top = start[2]
     for n in range(len(point)):
         top = max(top, point[n, 2])
     for e in range(len(edges)):
-        x, y, _, _, face_rad, sense, n_half, height = edges[e]
+        x, y, _, _, face_rad, sense, n_half, height, end_index = edges[e]
         # seen at the greatest height at which a ray to any point may meet it
         if not passage(start, (x, y, top), -1, pieces, True)[0]:
             continue
@@ -117,9 +118,8 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
             depart, source_m = direction_of(start, bend)
             arrive, target_m = direction_of(bend, end)
             fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-            row.edge, row.foliage = visible, leaves
+            row.edge, row.foliage = int(end_index), leaves
             row.whole, row.front = _field(edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene)
-        visible += 1
     return rows[:count]
 
 
@@ -165,6 +165,7 @@ def edges_of(view: Snapshot) -> Edges:
     first, last = np.concatenate([alone, end_1[corner]]), np.concatenate([alone, end_2[corner]])
     wall_1, wall_2 = ends.wall[first], ends.wall[last]
     return Edges(
+        end=first,
         point=ends.position[first],
         first=wall_1,
         last=wall_2,
