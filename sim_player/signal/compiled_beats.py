@@ -17,19 +17,12 @@ from scipy import fft
 from models.physics.waveform import beat_frequency_hz
 from msgs.values.radar import RadarParams, RadarSetup
 from sim_player.scene.front_end import FrontEnd
-from sim_player.signal.compiled_starts import StartSums
+from sim_player.signal.compiled_starts import StartSums, chebyshev_nodes, instants_of
 from sim_player.signal.compiled_weights import EchoWeights
-from sim_player.signal.swept_echoes import (
-    cardinal_functions,
-    chebyshev_instants,
-    migration_swing_rad,
-    squint_swing_rad,
-)
+from sim_player.signal.swept_echoes import cardinal_functions, migration_swing_rad, squint_swing_rad
 from sim_player.signal.switches import SignalEffects, overlap_samples
 from sim_player.trace.paths import Paths
 
-#: Largest error of the interpolations, relative to an echo at the array's peak.
-TOLERANCE = 1e-5
 #: Grid steps that a tone is spread over, on a grid of twice the samples; taps of the interpolation. Each to 1e-5 or
 #: less.
 SPREAD, TAPS = 10, 10
@@ -70,15 +63,14 @@ def compiled_terms(
     parts = -(-int(ends.max(initial=0)) // part)
     # the previous chirp's echo at x is this one's at x + 1
     span = 1.0 + parts * part / count
-    instants = chebyshev_instants(swing_rad * span, TOLERANCE, span)
+    instants = instants_of(swing_rad, span)
     weigh = EchoWeights(setup, paths, effects, front_end, beam)
     weights = weigh.at(instants)
     cycles = beat_frequency_hz(radar, paths.length_m) / radar.sample_rate_hz
     beats = _sum_tones(cycles, weights, instants, span, (count, step))
     if parts:
         start_sums = StartSums(radar, (part, parts), swing_rad)
-        at = start_sums.instants
-        slow = np.concatenate([cardinal_functions(instants, x, span).T for x in (at, at + 1.0)]).astype(np.float32)
+        slow = start_sums.slow_factors(len(instants), span)
         start_sums.add(beats, slow, weights, weigh.previous_chirp(), cycles, ends)
     return beats, weigh.carrier, weigh.basis
 
@@ -101,10 +93,20 @@ def _sum_tones(
     flat = weights.reshape(2, weights.shape[1] * weights.shape[2], len(cycles))
     _spread(sums.view(np.float32).reshape(size, -1), flat, centred, (cycles * step % 1.0) * size)
     spectrum = fft.ifft(sums, axis=0, norm="forward", overwrite_x=True)
+    samples = _join(spectrum, _slow_factors(len(instants), span, grid, size))
+    # few bands, so that beams share their taps
+    highest = np.ceil(64.0 * step * float(cycles.max(initial=0.0))) / 64.0
+    return _interpolate(samples, *_taps(step, highest), count)
+
+
+@lru_cache(maxsize=32)
+def _slow_factors(instants: int, span: float, grid: tuple[int, int], size: int) -> np.ndarray:
+    """Return the polynomials of the instants at the low rate over the spreading kernel's transform."""
+    count, step = grid
+    low = count // step + TAPS
     share = (np.arange(low) - TAPS // 2) * (step / count)
-    slow = (cardinal_functions(instants, share, span) / _spreading_transform(low, size)).astype(np.float32)
-    samples = _join(spectrum, slow)
-    return _interpolate(samples, *_taps(step, float(cycles.max(initial=0.0)) * step), count)
+    factors = cardinal_functions(chebyshev_nodes(instants, span), share, span) / _spreading_transform(low, size)
+    return np.asarray(factors, np.float32)
 
 
 @lru_cache(maxsize=8)

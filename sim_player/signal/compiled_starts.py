@@ -7,6 +7,7 @@ stops, sample by sample. Within a part the slow factor is a straight line.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -19,6 +20,24 @@ from sim_player.signal.swept_echoes import cardinal_functions, chebyshev_instant
 TOLERANCE = 1e-5
 #: Grid steps that a tone is spread over, on a grid of twice the samples: to 1e-5.
 SPREAD = 10
+#: Swings of phase are rounded up to multiples of this.
+SWING_STEP_RAD = 0.05
+
+
+def instants_of(swing_rad: float, span: float) -> np.ndarray:
+    """Return the Chebyshev instants of [0, span] for a phase that swings so much over a chirp."""
+    # in steps, so that beams share their tables
+    return _instants(math.ceil(swing_rad / SWING_STEP_RAD), span)
+
+
+@lru_cache(maxsize=128)
+def _instants(steps: int, span: float) -> np.ndarray:
+    return chebyshev_instants(steps * SWING_STEP_RAD * span, TOLERANCE, span)
+
+
+def chebyshev_nodes(count: int, span: float) -> np.ndarray:
+    """Return so many Chebyshev instants of [0, span]."""
+    return np.asarray(span * (0.5 - 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count)))
 
 
 class StartSums:
@@ -28,11 +47,13 @@ class StartSums:
         self._part, self._parts = grid
         self._turn = radar.bandwidth_hz / radar.sample_rate_hz
         self._count = radar.samples_per_chirp
-        span = self._part * self._parts / self._count
-        #: Instants at which the slow factor must be known, as shares of the chirp.
-        self.instants = chebyshev_instants(swing_rad * span, TOLERANCE, span)
-        borders = np.arange(self._parts + 1) * (self._part / self._count)
-        self._slow = cardinal_functions(self.instants, borders, span).T.astype(np.float32)
+        self._span = self._part * self._parts / self._count
+        self._instants = instants_of(swing_rad, self._span)
+        self._slow = _factors_at_borders(len(self._instants), self._parts, self._span)
+
+    def slow_factors(self, instants: int, span: float) -> np.ndarray:
+        """Return what brings weights at Chebyshev instants of [0, span] to those of the start and one chirp later."""
+        return _factors_at_starts(instants, span, len(self._instants), self._span)
 
     def add(
         self,
@@ -48,11 +69,11 @@ class StartSums:
         `slow` [2 instants, K] brings weights float32 [2, K, R, P] to the instants of this chirp and of the one before,
         which `previous` corrects (`EchoWeights.previous_chirp`).
         """
-        instants, (terms, paths) = len(self.instants), weights.shape[2:]
+        instants, (terms, paths) = len(self._instants), weights.shape[2:]
         values = (slow @ weights.reshape(2, slow.shape[1], terms * paths)).reshape(2, 2, instants, terms, paths)
         # both chirps, instants, terms, real and imaginary parts of one path side by side
         tones = np.empty((paths, 2, instants, terms, 2), np.float32)
-        _turned(tones, values, *previous, self.instants)
+        _turned(tones, values, *previous, self._instants)
         steps, table = _grid(self._count, self._part, self._parts, self._turn)
         grid = np.zeros((self._parts + 1, steps, tones[0].size), np.float32)
         length = self._part * self._parts
@@ -68,6 +89,20 @@ class StartSums:
         lower = np.exp(-2j * np.pi * ((self._turn * np.arange(length)) % 1.0)).astype(np.complex64)
         size = min(length, self._count)
         beats[:, :size] += (both[0] + lower * both[1])[:, :size]
+
+
+@lru_cache(maxsize=32)
+def _factors_at_borders(instants: int, parts: int, span: float) -> np.ndarray:
+    """Return the polynomials of the instants at the borders of the parts, float32 [parts + 1, instants]."""
+    borders = np.linspace(0.0, span, parts + 1)
+    return np.asarray(cardinal_functions(chebyshev_nodes(instants, span), borders, span).T, np.float32)
+
+
+@lru_cache(maxsize=32)
+def _factors_at_starts(instants: int, span: float, near: int, near_span: float) -> np.ndarray:
+    """Return the polynomials of all instants at those of the start and one chirp later, float32 [2 near, instants]."""
+    nodes, at = chebyshev_nodes(instants, span), chebyshev_nodes(near, near_span)
+    return np.asarray(cardinal_functions(nodes, np.append(at, at + 1.0), span).T, np.float32)
 
 
 @lru_cache(maxsize=32)
