@@ -3,7 +3,7 @@
 The same sum as `sim_player.signal.swept_echoes`, in the same slow-time terms, for a tolerance. All echoes lie in a
 small part of the sampled band. So each instant of the sweep and each slow-time term is summed at a low rate, by a
 non-uniform FFT; instants are joined there, and one interpolation a term brings the sum to the converter's rate. The
-overlapped start of the chirp is taken off in time.
+overlapped start of the chirp is exchanged in time (`sim_player.signal.compiled_starts`).
 """
 
 from __future__ import annotations
@@ -14,30 +14,15 @@ import numpy as np
 from numba import njit
 from scipy import fft
 
-from models.physics.antenna import element_field
-from models.physics.waveform import beat_frequency_hz, beat_phase_rad, doppler_turn_rad
+from models.physics.waveform import beat_frequency_hz
 from msgs.values.radar import RadarParams, RadarSetup
-from msgs.values.units import SPEED_OF_LIGHT_MPS
 from sim_player.scene.front_end import FrontEnd
-from sim_player.signal.fmcw import slow_time_table
-from sim_player.signal.swept_echoes import (
-    cardinal_functions,
-    chebyshev_instants,
-    sweep_swing_rad,
-)
-from sim_player.signal.switches import (
-    SignalEffects,
-    column_weights,
-    isotropic,
-    overlap_samples,
-    previous_length_m,
-    sampled,
-    sweep_ratio,
-)
+from sim_player.signal.compiled_starts import StartSums, chebyshev_nodes, instants_of
+from sim_player.signal.compiled_weights import EchoWeights
+from sim_player.signal.swept_echoes import cardinal_functions, sweep_swing_rad
+from sim_player.signal.switches import SignalEffects, overlap_samples
 from sim_player.trace.paths import Paths
 
-#: Largest error of the interpolations, relative to an echo at the array's peak.
-TOLERANCE = 1e-5
 #: Grid steps that a tone is spread over, on a grid of twice the samples; taps of the interpolation. Each to 1e-5 or
 #: less.
 SPREAD, TAPS = 10, 10
@@ -70,102 +55,56 @@ def compiled_terms(
             f"length_m must leave half of the sampled band free, got a longest of {paths.length_m.max():g} m"
         )
     swing_rad = sweep_swing_rad(setup, paths, effects)
-    instants = chebyshev_instants(swing_rad, TOLERANCE)
-    weigh = _Weights(setup, paths, effects, front_end, beam)
-    weights = weigh.at(instants, previous=False)
+    overlaps = effects.chirp_overlap and len(paths) > 0
+    ends = overlap_samples(radar, paths.length_m) if overlaps else np.zeros(0, np.int64)
+    part = max(count // PARTS, 1)
+    parts = -(-int(ends.max(initial=0)) // part)
+    # the previous chirp's echo at x is this one's at x + 1
+    span = 1.0 + parts * part / count
+    instants = instants_of(swing_rad, span)
+    weigh = EchoWeights(setup, paths, effects, front_end, beam)
+    weights = weigh.at(instants)
     cycles = beat_frequency_hz(radar, paths.length_m) / radar.sample_rate_hz
-    beats = _sum_tones(cycles, weights, instants, count, step)
-    if effects.chirp_overlap and len(paths):
-        ends = overlap_samples(radar, paths.length_m)
-        # the start is a short stretch of the sweep: few instants
-        part = max(count // PARTS, 1)
-        parts = -(-int(ends.max(initial=0)) // part)
-        span = parts * part / count
-        near = chebyshev_instants(swing_rad * span, TOLERANCE, span)
-        borders = np.arange(parts + 1) * (part / count)
-        slow = np.ascontiguousarray(cardinal_functions(near, borders, span).T, np.float32)
-        _add_starts(beats, -weigh.at(near, previous=False), cycles, ends, slow, part)
-        cycles = beat_frequency_hz(radar, previous_length_m(radar, paths.length_m)) / radar.sample_rate_hz
-        passes = np.flatnonzero(sampled(radar, cycles * radar.sample_rate_hz))
-        if len(passes):
-            _add_starts(beats, weigh.at(near, previous=True)[passes], cycles[passes], ends[passes], slow, part)
+    beats = _sum_tones(cycles, weights, instants, span, (count, step))
+    if parts:
+        start_sums = StartSums(radar, (part, parts), swing_rad)
+        slow = start_sums.slow_factors(len(instants), span)
+        start_sums.add(beats, slow, weights, weigh.previous_chirp(), cycles, ends)
     return beats, weigh.carrier, weigh.basis
 
 
-class _Weights:
-    """Recorded weights of all echoes of a beam: antenna, phase of the beat, Doppler in slow-time terms."""
+def _sum_tones(
+    cycles: np.ndarray, weights: np.ndarray, instants: np.ndarray, span: float, grid: tuple[int, int]
+) -> np.ndarray:
+    """Return sum_k l_k(n) sum_p w_krp exp(2 pi j x_p n) for n = 0..count - 1; complex64 [terms, count].
 
-    def __init__(self, setup: RadarSetup, paths: Paths, effects: SignalEffects, front_end: FrontEnd, beam: int) -> None:
-        self._setup = setup if effects.element_pattern else isotropic(setup)
-        self._paths, self._effects = paths, effects
-        self._columns = column_weights(setup, effects, front_end)[beam] / np.sqrt(setup.array.columns)
-        element = self._setup.element
-        self._ways = [
-            (
-                np.sin(azimuth_rad) * np.cos(elevation_rad),
-                np.sin(elevation_rad),
-                element_field(element, azimuth_rad, elevation_rad),
-            )
-            for azimuth_rad, elevation_rad in (
-                (paths.azimuth_rad, paths.elevation_rad),
-                (paths.departure_azimuth_rad, paths.departure_elevation_rad),
-            )
-        ]
-        radar = setup.radar
-        speed = paths.radial_speed_mps if effects.motion else np.zeros(len(paths))
-        self._turn = doppler_turn_rad(radar, speed)
-        # along the sweep a migrating path's Doppler follows the frequency
-        margin = 1.0 + radar.bandwidth_hz / radar.carrier_hz * (1.0 if effects.range_migration else 0.0)
-        self.carrier, self.basis, self._slow = slow_time_table(radar, self._turn, margin)
-
-    def at(self, instants: np.ndarray, previous: bool) -> np.ndarray:
-        """Return the weights at instants (shares of the chirp) of the own or the previous chirp's echo.
-
-        Complex64 [paths, terms, instants].
-        """
-        radar, paths = self._setup.radar, self._paths
-        since_sent_s = (instants[:, None] + previous) * radar.chirp_period_s - paths.length_m / SPEED_OF_LIGHT_MPS
-        ratio = sweep_ratio(radar, since_sent_s) if self._effects.squint else np.ones_like(since_sent_s)
-        length_m = previous_length_m(radar, paths.length_m) if previous else paths.length_m
-        recorded = np.conj(paths.amplitude) * np.exp(1j * beat_phase_rad(radar, length_m))
-        factor = np.conj(self._pattern(ratio)) * recorded
-        turn = np.broadcast_to(self._turn, since_sent_s.shape)
-        if self._effects.motion and self._effects.range_migration:
-            turn = turn * (1.0 + radar.chirp_slope_hz_per_s * since_sent_s / radar.carrier_hz)
-            # the distance moved since the chirp's start
-            factor *= np.exp(1j * turn * instants[:, None])
-        return _outer(factor, self._slow(turn))
-
-    def _pattern(self, ratio: np.ndarray) -> np.ndarray:
-        """Return the two-way pattern at frequency ratios [instants, P]; complex128."""
-        array, wavelength_m = self._setup.array, self._setup.radar.wavelength_m
-        across = 2.0 * np.pi / wavelength_m * array.column_spacing(wavelength_m)
-        up = 2.0 * np.pi / wavelength_m * array.row_spacing(wavelength_m)
-        rows = np.full(array.rows, 1.0 / np.sqrt(array.rows), np.complex128)
-        (sine, rise, element), (sine_out, rise_out, element_out) = self._ways
-        receive = _array_sum(self._columns, across * sine, ratio) * _array_sum(rows, up * rise, ratio).real
-        if array.steered_ways == 1:
-            return np.asarray(receive * (element * element_out))
-        if np.array_equal(sine, sine_out) and np.array_equal(rise, rise_out):
-            return np.asarray(receive**2 * (element * element_out))
-        transmit = _array_sum(self._columns, across * sine_out, ratio) * _array_sum(rows, up * rise_out, ratio).real
-        return np.asarray(receive * transmit * (element * element_out))
-
-
-def _sum_tones(cycles: np.ndarray, weights: np.ndarray, instants: np.ndarray, count: int, step: int) -> np.ndarray:
-    """Return sum_k l_k(n) sum_p w_prk exp(2 pi j x_p n) for n = 0..count - 1; complex64 [terms, count]."""
+    `weights` float32 [2, instants, terms, paths]; `grid`: samples of the chirp and how many of them make one low-rate
+    sample.
+    """
+    count, step = grid
     low = count // step + TAPS
     size = fft.next_fast_len(2 * low)
     # sample 0 of the low rate stands half the taps before the chirp; centred samples keep the kernel's transform large
     start = step * (low // 2 - TAPS // 2)
     centred = np.exp(2j * np.pi * ((cycles * start) % 1.0)).astype(np.complex64)
-    grid = np.zeros((len(instants), weights.shape[1], size), np.complex64)
-    _spread(grid, weights, centred, (cycles * step % 1.0) * size)
-    spectrum = fft.ifft(grid, axis=2, norm="forward", overwrite_x=True)
+    sums = np.zeros((size, *weights.shape[1:3]), np.complex64)
+    flat = weights.reshape(2, weights.shape[1] * weights.shape[2], len(cycles))
+    _spread(sums.view(np.float32).reshape(size, -1), flat, centred, (cycles * step % 1.0) * size)
+    spectrum = fft.ifft(sums, axis=0, norm="forward", overwrite_x=True)
+    samples = _join(spectrum, _slow_factors(len(instants), span, grid, size))
+    # few bands, so that beams share their taps
+    highest = np.ceil(64.0 * step * float(cycles.max(initial=0.0))) / 64.0
+    return _interpolate(samples, *_taps(step, highest), count)
+
+
+@lru_cache(maxsize=32)
+def _slow_factors(instants: int, span: float, grid: tuple[int, int], size: int) -> np.ndarray:
+    """Return the polynomials of the instants at the low rate over the spreading kernel's transform."""
+    count, step = grid
+    low = count // step + TAPS
     share = (np.arange(low) - TAPS // 2) * (step / count)
-    slow = (cardinal_functions(instants, share) / _spreading_transform(low, size)).astype(np.float32)
-    samples = _join(spectrum, slow)
-    return _interpolate(samples, *_taps(step, float(cycles.max(initial=0.0)) * step), count)
+    factors = cardinal_functions(chebyshev_nodes(instants, span), share, span) / _spreading_transform(low, size)
+    return np.asarray(factors, np.float32)
 
 
 @lru_cache(maxsize=8)
@@ -190,119 +129,57 @@ def _taps(step: int, highest: float) -> tuple[np.ndarray, np.ndarray]:
     return np.ascontiguousarray(taps.real, np.float32), np.ascontiguousarray(taps.imag, np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
-def _array_sum(weights, phase_rad, ratio):  # type: ignore[no-untyped-def]
-    """Sum_m w_m exp(j (m - (M - 1) / 2) phase ratio): elements in a row, centred; [instants, P]."""
-    instants, paths = ratio.shape
-    last = len(weights) - 1
-    out = np.empty((instants, paths), np.complex128)
-    for k in range(instants):
-        for p in range(paths):
-            half_rad = 0.5 * phase_rad[p] * ratio[k, p]
-            half = complex(np.cos(half_rad), np.sin(half_rad))
-            turn = half * half
-            total = weights[last]
-            back = complex(1.0, 0.0)
-            for m in range(last - 1, -1, -1):
-                total = total * turn + weights[m]
-                back *= half
-            out[k, p] = total * back.conjugate()
-    return out
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _outer(factor, share):  # type: ignore[no-untyped-def]
-    """Factor [instants, P] times the share of each slow-time term [terms, instants, P]; [P, terms, instants]."""
-    terms, instants, paths = share.shape
-    out = np.empty((paths, terms, instants), np.complex64)
-    for k in range(instants):
-        for p in range(paths):
-            for r in range(terms):
-                out[p, r, k] = factor[k, p] * share[r, k, p]
-    return out
-
-
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _spread(grid, weights, centred, position):  # type: ignore[no-untyped-def]
-    """Add each tone to the grid steps next to it, by exp(beta (sqrt(1 - z^2) - 1))."""
-    instants, terms, size = grid.shape
-    kernel = np.empty(SPREAD, np.float32)
+    """Add each tone to the grid steps next to it, by exp(beta (sqrt(1 - z^2) - 1)); grid [size, 2 sums]."""
+    size, columns = grid.shape
+    tones = np.empty(columns, np.float32)
     for p in range(len(position)):
         first = int(np.floor(position[p])) - SPREAD // 2 + 1
+        c, s = centred[p].real, centred[p].imag
+        for i in range(columns // 2):
+            re, im = weights[0, i, p], weights[1, i, p]
+            tones[2 * i], tones[2 * i + 1] = re * c - im * s, re * s + im * c
         for j in range(SPREAD):
             z = 2.0 * (position[p] - (first + j)) / SPREAD
-            kernel[j] = np.exp(2.3 * SPREAD * (np.sqrt(max(1.0 - z * z, 0.0)) - 1.0))
-        for k in range(instants):
-            for r in range(terms):
-                tone = weights[p, r, k] * centred[p]
-                for j in range(SPREAD):
-                    grid[k, r, (first + j) % size] += tone * kernel[j]
+            kernel = np.float32(np.exp(2.3 * SPREAD * (np.sqrt(max(1.0 - z * z, 0.0)) - 1.0)))
+            row = grid[(first + j) % size]
+            for i in range(columns):
+                row[i] += kernel * tones[i]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _join(spectrum, slow):  # type: ignore[no-untyped-def]
-    """Instants joined by their polynomials; samples from the middle outwards put in order; [terms, low]."""
-    instants, terms, size = spectrum.shape
+    """Instants joined by their polynomials, samples from the middle outwards put in order; float32 [2, terms, low]."""
+    size, instants, terms = spectrum.shape
     low = slow.shape[1]
     half = low // 2
-    out = np.zeros((terms, low), np.complex64)
-    for k in range(instants):
-        for r in range(terms):
-            for i in range(half):
-                out[r, i] += slow[k, i] * spectrum[k, r, size - half + i]
-            for i in range(half, low):
-                out[r, i] += slow[k, i] * spectrum[k, r, i - half]
+    out = np.zeros((2, terms, low), np.float32)
+    for i in range(low):
+        row = spectrum[size - half + i if i < half else i - half]
+        for k in range(instants):
+            for r in range(terms):
+                out[0, r, i] += slow[k, i] * row[k, r].real
+                out[1, r, i] += slow[k, i] * row[k, r].imag
     return out
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
 def _interpolate(samples, taps_re, taps_im, count):  # type: ignore[no-untyped-def]
-    """The same at the full rate: sample step * m + q from the taps of phase q; [terms, count]."""
-    terms, (step, taps) = len(samples), taps_re.shape
+    """The same at the full rate: sample step * m + q from the taps of phase q; complex64 [terms, count]."""
+    terms, (step, taps) = samples.shape[1], taps_re.shape
     out = np.empty((terms, count), np.complex64)
+    size = count // step
+    re, im = np.empty(size, np.float32), np.empty(size, np.float32)
     for r in range(terms):
-        for m in range(count // step):
-            for q in range(step):
-                re, im = np.float32(0.0), np.float32(0.0)
-                for j in range(taps):
-                    value = samples[r, m + 1 + j]
-                    re += taps_re[q, j] * value.real - taps_im[q, j] * value.imag
-                    im += taps_re[q, j] * value.imag + taps_im[q, j] * value.real
-                out[r, step * m + q] = complex(re, im)
+        for q in range(step):
+            re[:], im[:] = np.float32(0.0), np.float32(0.0)
+            for j in range(taps):
+                a, b = taps_re[q, j], taps_im[q, j]
+                near_re, near_im = samples[0, r, 1 + j : 1 + j + size], samples[1, r, 1 + j : 1 + j + size]
+                for m in range(size):
+                    re[m] += a * near_re[m] - b * near_im[m]
+                    im[m] += a * near_im[m] + b * near_re[m]
+            for m in range(size):
+                out[r, step * m + q] = complex(re[m], im[m])
     return out
-
-
-@njit(cache=True, nogil=True, fastmath=True)
-def _add_starts(beats, weights, cycles, ends, slow, part):  # type: ignore[no-untyped-def]
-    """Add tones that stop at their own sample; weights [P, terms, instants], slow [borders of parts, instants]."""
-    paths, terms, instants = weights.shape
-    fine_re, fine_im = np.empty(part, np.float32), np.empty(part, np.float32)
-    re, im = np.zeros((terms, len(slow) * part), np.float32), np.zeros((terms, len(slow) * part), np.float32)
-    for p in range(paths):
-        turn = 2.0 * np.pi * cycles[p]
-        step, on = complex(np.cos(turn), np.sin(turn)), complex(1.0, 0.0)
-        for i in range(part):
-            fine_re[i], fine_im[i] = on.real, on.imag
-            on *= step
-        for r in range(terms):
-            start, after = complex(1.0, 0.0), complex(0.0, 0.0)
-            for k in range(instants):
-                after += slow[0, k] * weights[p, r, k]
-            for border in range(1, -(-ends[p] // part) + 1):
-                before, after = after, complex(0.0, 0.0)
-                for k in range(instants):
-                    after += slow[border, k] * weights[p, r, k]
-                first = (border - 1) * part
-                size = min(part, ends[p] - first)
-                value, slope = before * start, (after - before) * start / part
-                a, b = np.float32(value.real), np.float32(value.imag)
-                c, d = np.float32(slope.real), np.float32(slope.imag)
-                row_re, row_im = re[r, first : first + size], im[r, first : first + size]
-                for i in range(size):
-                    u, v = a + c * np.float32(i), b + d * np.float32(i)
-                    row_re[i] += u * fine_re[i] - v * fine_im[i]
-                    row_im[i] += u * fine_im[i] + v * fine_re[i]
-                start *= on
-    for r in range(terms):
-        for n in range(min(re.shape[1], beats.shape[1])):
-            beats[r, n] += complex(re[r, n], im[r, n])

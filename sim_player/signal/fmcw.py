@@ -9,7 +9,7 @@ at 30 m/s), overlap of back-to-back chirps, wideband squint, mutual coupling, fl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -115,23 +115,24 @@ def slow_time_terms(radar: RadarParams, radial_speed_mps: np.ndarray) -> tuple[n
     return carrier, basis, basis @ phasors.real + 1j * (basis @ phasors.imag)
 
 
-def slow_time_table(
-    radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0
-) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Return carrier and basis as `slow_time_terms` has them, and a function that gives the share of many turns.
+@dataclass(frozen=True)
+class SlowTimeTable:
+    """Terms of a beam's slow time, and the share of each in any turn from chirp to chirp."""
 
-    Turns from chirp to chirp [rad], of the paths; those asked for may be `margin` times as large. The function takes
-    turns of any shape and returns complex128 [terms, *shape].
-    """
+    #: As `slow_time_terms` has them.
+    carrier: np.ndarray
+    basis: np.ndarray
+    #: Chebyshev series of the shares, complex128 [terms, powers], over (turn - middle) / widest in -1..1.
+    series: np.ndarray
+    middle_rad: float
+    widest_rad: float
+
+
+def slow_time_table(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> SlowTimeTable:
+    """Return the terms for turns from chirp to chirp [rad] of paths; turns may be `margin` times as large."""
     middle, widest, carrier = _slow_time_band(radar, turn_rad, margin)
     basis = _slow_time_basis(radar.chirps_per_beam, widest)
-    table = _slow_time_shares(radar.chirps_per_beam, widest)
-
-    def share(turn_rad: np.ndarray) -> np.ndarray:
-        place = (turn_rad - middle) / widest if widest else np.zeros_like(turn_rad)
-        return np.asarray(_chebyshev_shares(table, place.ravel()).reshape(len(table), *turn_rad.shape))
-
-    return carrier, basis, share
+    return SlowTimeTable(carrier, basis, _slow_time_shares(radar.chirps_per_beam, widest), middle, widest)
 
 
 def _slow_time_band(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.0) -> tuple[float, float, np.ndarray]:
@@ -147,43 +148,16 @@ def _slow_time_band(radar: RadarParams, turn_rad: np.ndarray, margin: float = 1.
 
 @lru_cache(maxsize=64)
 def _slow_time_shares(chirps: int, widest_rad: float) -> np.ndarray:
-    """Return the share of each sequence of the basis in exp(j w c), as a Chebyshev series; float64 [terms, powers].
+    """Return the share of each sequence of the basis in exp(j w c), as a Chebyshev series in w / widest.
 
-    Symmetric sequences take the cosine, a series in y = 2 x^2 - 1 with x = w / widest; antisymmetric ones j times the
-    sine, x times such a series.
+    Complex128 [terms, powers].
     """
-    basis = _slow_time_basis(chirps, widest_rad)
-    count = int(0.25 * widest_rad * chirps) + 10 if widest_rad else 1
+    count = int(0.5 * widest_rad * chirps) + 16 if widest_rad else 1
     node = np.cos(np.pi * (np.arange(count) + 0.5) / count)
-    x = np.sqrt(0.5 * (1.0 + node))
-    phasors = _phasors(widest_rad * x, chirps)
-    share = basis @ phasors.real
-    share[1::2] = basis[1::2] @ phasors.imag / x
+    share = _slow_time_basis(chirps, widest_rad) @ _phasors(widest_rad * node, chirps)
     values = np.polynomial.chebyshev.chebvander(node, count - 1) * (2.0 / count)
     values[:, 0] *= 0.5
     return np.asarray(share @ values)
-
-
-@njit(cache=True, nogil=True)
-def _chebyshev_shares(table, place):  # type: ignore[no-untyped-def]
-    """Evaluate the series of `_slow_time_shares` at shares of the widest turn [N]; complex128 [terms, N]."""
-    terms, count = table.shape
-    out = np.empty((terms, len(place)), np.complex128)
-    powers = np.empty(count)
-    powers[0] = 1.0
-    for i in range(len(place)):
-        x = place[i]
-        y = 2.0 * x * x - 1.0
-        if count > 1:
-            powers[1] = y
-        for m in range(2, count):
-            powers[m] = 2.0 * y * powers[m - 1] - powers[m - 2]
-        for r in range(terms):
-            total = 0.0
-            for m in range(count):
-                total += table[r, m] * powers[m]
-            out[r, i] = complex(0.0, x * total) if r % 2 else complex(total, 0.0)
-    return out
 
 
 def _phasors(turn: np.ndarray, chirps: int) -> np.ndarray:

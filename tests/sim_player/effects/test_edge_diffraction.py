@@ -10,6 +10,7 @@ import pytest
 from scipy.special import fresnel
 
 from sim_player.effects.edge_diffraction import edges_of
+from sim_player.scene.description import Ego
 from sim_player.scene.world import World, snapshot
 from sim_player.trace.snapshot import TraceContext
 from tests.sim_player.effects.point_scenes import (
@@ -211,3 +212,17 @@ def test_bent_ways_mix_with_all_clear_ways() -> None:
     assert all(map(len, fields.values()))
     field, bent = sum(fields[name].sum() for name in clear), fields[NAME]
     assert total == pytest.approx(field**2 + 2.0 * field * bent.sum() + (bent**2).sum(), rel=1e-9)
+
+
+def test_an_edge_keeps_its_name_while_others_come_into_sight() -> None:
+    """A sheet hides the first end of the far wall at the start and no more 4 m on: three edges, then four.
+
+    The point's echoes by the other three are the same chains at both times.
+    """
+    far, sheet = wall((15.0, 8.0), (15.0, -10.0)), wall((5.0, 2.0), (5.0, 3.0))
+    world = points_world([(11.0, -4.0, 1.0)], far, sheet, ego=Ego(speed_mps=4.0))
+    then, now = (traced(world, "los_objects", NAME, time_s=time_s) for time_s in (0.0, 1.0))
+    hidden, ends = 0, [1, 2, 3]
+    assert sorted(then.routes[NAME].edge.tolist()) == ends
+    assert sorted(now.routes[NAME].edge.tolist()) == [hidden, *ends]
+    assert set(then.echoes[NAME].chain.tolist()) < set(now.echoes[NAME].chain.tolist())
