@@ -34,7 +34,7 @@ def apply(tracing: TraceContext) -> Echoes:
     point = np.column_stack([world.speck_m[patches], np.full(len(patches), view.antenna[2])])
     routes, occlusion = straight_routes(view, point)
     patches, routes, point = patches[occlusion.free], routes.take(occlusion.free), point[occlusion.free]
-    wall = wall[patches]
+    routes, wall = replace(routes, target=world.speck_id[patches]), wall[patches]
     cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
     whole, front, rough = world.reflection(wall, cosine)
     lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * routes.length_m)

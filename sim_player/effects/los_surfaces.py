@@ -7,6 +7,7 @@ scatterers every 1-3 m and at every end; their level is an engineering choice, n
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -41,7 +42,7 @@ def structure(view: Snapshot) -> Echoes:
     point = _level(view, world.speck_m[specks])
     routes, occlusion = straight_routes(view, point)
     visible_specks = specks[occlusion.free]
-    routes = routes.take(occlusion.free)
+    routes = replace(routes.take(occlusion.free), target=world.speck_id[visible_specks])
     weight = (
         echo_amplitude(world.radar, world.speck_rcs_m2[visible_specks], routes.length_m)
         * world.speck_phasor[visible_specks]
@@ -67,7 +68,7 @@ def _flashes(view: Snapshot) -> Echoes:
     # one bounce on a round trip: half of it each way
     routes = make_routes(
         # a number that is no scatterer's
-        NONE - wall,
+        NONE - world.wall_id[wall],
         distance[wall],
         direction,
         direction,

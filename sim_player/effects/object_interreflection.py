@@ -13,7 +13,15 @@ import numpy as np
 from msgs.values.perception import PathClass
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import Echoes, both_orders, centre_rcs_m2, chain_of
+from sim_player.trace.echoes import (
+    Echoes,
+    both_orders,
+    centre_numbers,
+    centre_rcs_m2,
+    chain_of,
+    object_number,
+    wall_number,
+)
 from sim_player.trace.routes import NEAREST_M, Routes, dot, norm
 from sim_player.trace.segments import segment_occlusion
 from sim_player.trace.snapshot import TraceContext
@@ -58,9 +66,11 @@ def apply(tracing: TraceContext) -> Echoes:
         kind=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
         order=mirrored.astype(np.uint8),
         needs=route_1.needs | route_2.needs | np.uint32(bit("object_interreflection")),
-        surface=route_1.wall,
-        object_index=world.centre_object[route_1.target].astype(np.int32),
-        chain=chain_of(route_1, route_2, bit("object_interreflection")),
+        surface=wall_number(world, route_1.wall),
+        object_index=object_number(world, route_1.target),
+        chain=chain_of(
+            world, centre_numbers(world, route_1), centre_numbers(world, route_2), bit("object_interreflection")
+        ),
         point=start,
     )
     return echoes.take(occlusion.free & (rcs_one > 0.0) & (rcs_two > 0.0))

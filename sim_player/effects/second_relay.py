@@ -188,7 +188,8 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     speck = specks[routes.target]
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
     needs = bit("second_relay") | bit("los_surfaces")
-    return surface_echoes(view, routes, weight, point[routes.target], routes.wall, needs)
+    numbered = replace(routes, target=world.speck_id[speck])
+    return surface_echoes(view, numbered, weight, point[routes.target], routes.wall, needs)
 
 
 def _cut(start: np.ndarray, end: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:

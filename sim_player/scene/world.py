@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -75,6 +76,13 @@ class World:
     speck_length_m: np.ndarray
     speck_rcs_m2: np.ndarray
     speck_phasor: np.ndarray
+    #: Numbers in the whole world of the pieces of wall, wall scatterers, objects and centres of a part of it.
+    wall_id: np.ndarray
+    speck_id: np.ndarray
+    object_id: np.ndarray
+    centre_id: np.ndarray
+    #: Half round trip up to which a part of a world has all paths of the whole (`sim_player.scene.reach`).
+    reach_m: float = math.inf
 
     @property
     def is_mirror(self) -> np.ndarray:
@@ -104,6 +112,11 @@ class World:
     def ground(self) -> Surface | None:
         """The scene's ground, if it names one."""
         return next((surface for surface in self.scene.surfaces if surface.role == "ground"), None)
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What others have derived from this world and keep with it."""
+        return {}
 
     @cached_property
     def transmission(self) -> np.ndarray:
@@ -160,6 +173,7 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
     curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
+    objects, specks = _object_arrays(scene, setup.radar.wavelength_m, seed), _wall_specks(wall_a, wall_b, curvature, seed)
     return World(
         scene=scene,
         setup=setup,
@@ -173,8 +187,12 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         wall_surface=owner,
         wall_stack=wall_stack,
         stacks=stacks,
-        **_object_arrays(scene, setup.radar.wavelength_m, seed),
-        **_wall_specks(wall_a, wall_b, curvature, seed),
+        **objects,
+        **specks,
+        wall_id=np.arange(len(wall_a)),
+        speck_id=np.arange(len(specks["speck_m"])),
+        object_id=np.arange(len(scene.objects)),
+        centre_id=np.arange(len(objects["centre_m"])),
     )
 
 
@@ -205,40 +223,75 @@ class Snapshot:
         return self.antenna[:2]
 
 
-def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
-    """Move objects and radar to a time."""
-    pose = radar_pose(world.scene, time_s)
+@dataclass(frozen=True)
+class RadarState:
+    """The radar's pose in the scene's frame, and its velocity there, [2]."""
+
+    pose: Pose2
+    velocity: np.ndarray
+
+
+def scene_radar(scene: Scene, time_s: float) -> RadarState:
+    """Return the state of a radar that moves as the scene says."""
+    pose = radar_pose(scene, time_s)
+    return RadarState(pose, scene.ego.speed_mps * np.array([math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)]))
+
+
+def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None) -> Snapshot:
+    """Move objects and radar to a time; `radar` where it does not move as the scene says."""
+    radar = scene_radar(world.scene, time_s) if radar is None else radar
+    pose = radar.pose
     shift = world.velocity_mps * time_s
     face_shift = np.repeat(shift, 4, axis=0)
-    speed = world.scene.ego.speed_mps
     centre = world.centre_m.copy()
     centre[:, :2] += shift[world.centre_object]
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
-    walls, faces = len(world.wall_a), len(world.face_a)
+    faces = len(world.face_a)
     meshes = np.array([scene_object.class_ is None for scene_object in world.scene.objects], bool)
     object_index = np.repeat(np.arange(len(meshes)), 4)
     return Snapshot(
         world=world,
         pose=pose,
         antenna=np.array([pose.x_m, pose.y_m, world.radar_height_m]),
-        radar_velocity=speed * np.array([math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)]),
+        radar_velocity=radar.velocity,
         centre=centre,
         velocity=world.velocity_mps[world.centre_object],
-        blockers=Blockers(
-            a=np.concatenate([world.wall_a, world.face_a + face_shift]),
-            b=np.concatenate([world.wall_b, world.face_b + face_shift]),
-            height_m=np.concatenate([world.wall_height_m, world.face_height_m]),
-            curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(faces)]),
-            kind=np.concatenate([np.where(world.is_mirror, WALL, VOLUME), np.full(faces, BODY)]).astype(np.int8),
-            # the patches of a mesh lie inside its box
-            owner=np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)]).astype(
-                np.int32
+        blockers=join_blockers(
+            wall_blockers(world),
+            Blockers(
+                a=world.face_a + face_shift,
+                b=world.face_b + face_shift,
+                height_m=world.face_height_m,
+                curvature_per_m=np.zeros(faces),
+                kind=np.full(faces, BODY, np.int8),
+                # the patches of a mesh lie inside its box
+                owner=np.where(meshes[object_index], object_index, -1).astype(np.int32),
+                transmission=np.zeros((faces, TABLE_STEPS + 1)),
             ),
-            transmission=np.concatenate([world.transmission, np.zeros((faces, TABLE_STEPS + 1))]),
         ),
         normal=normal,
         offset=offset,
+    )
+
+
+def wall_blockers(world: World) -> Blockers:
+    """Return all pieces of wall as they stand in the way of rays."""
+    return Blockers(
+        a=world.wall_a,
+        b=world.wall_b,
+        height_m=world.wall_height_m,
+        curvature_per_m=world.wall_curvature_per_m,
+        kind=np.where(world.is_mirror, WALL, VOLUME).astype(np.int8),
+        owner=np.full(len(world.wall_a), -1, np.int32),
+        transmission=world.transmission,
+    )
+
+
+def join_blockers(*parts: Blockers) -> Blockers:
+    """Return all blockers of several sets, in order."""
+    return Blockers(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Blockers)}
     )
 
 

@@ -6,7 +6,7 @@ over both lengths: 1/R^2 for the same route there and back (Eq. (5)); two bounce
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -84,9 +84,9 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
         kind=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
         order=np.maximum(_order(out), _order(back)),
         needs=out.needs | back.needs | np.uint32(needs),
-        surface=np.where(out.wall >= 0, out.wall, back.wall),
-        object_index=world.centre_object[centre].astype(np.int32),
-        chain=chain_of(out, back, needs),
+        surface=wall_number(world, np.where(out.wall >= 0, out.wall, back.wall)),
+        object_index=object_number(world, centre),
+        chain=chain_of(world, centre_numbers(world, out), centre_numbers(world, back), needs),
         point=view.centre[centre],
     )
     return echoes.take(rcs > 0.0)
@@ -105,11 +105,30 @@ def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tup
     return swapped, np.ones(len(swapped[0]))
 
 
-def chain_of(out: Routes, back: Routes, needs: int) -> np.ndarray:
-    """Return a number for each echo by its scatterer, its two routes and its effects; uint64 [E], a hash."""
+def wall_number(world: World, wall: np.ndarray) -> np.ndarray:
+    """Return the numbers that pieces of wall have in the whole world, int32 [N]; -1 for none."""
+    return np.asarray(np.append(world.wall_id, NONE)[wall], np.int32)
+
+
+def object_number(world: World, centre: np.ndarray) -> np.ndarray:
+    """Return the numbers that the objects of some centres have in the whole world, int32 [N]."""
+    return np.asarray(world.object_id[world.centre_object[centre]], np.int32)
+
+
+def centre_numbers(world: World, routes: Routes) -> Routes:
+    """Return routes to centres with the numbers that these have in the whole world as targets."""
+    return replace(routes, target=world.centre_id[routes.target])
+
+
+def chain_of(world: World, out: Routes, back: Routes, needs: int) -> np.ndarray:
+    """Return a number for each echo by its scatterer, its two routes and its effects; uint64 [E], a hash.
+
+    Targets have numbers of the whole world, so that it stays while other parts of that world are traced.
+    """
     chain = np.full(len(out), needs, np.uint64)
     for routes in (out, back):
-        for part in (routes.target, routes.wall, routes.wall2, routes.edge, routes.ground, routes.needs):
+        walls = wall_number(world, routes.wall), wall_number(world, routes.wall2)
+        for part in (routes.target, *walls, routes.edge, routes.ground, routes.needs):
             # wraps: the odd factor of a linear congruential generator
             chain = (chain + (part.astype(np.int64) + 2).astype(np.uint64)) * np.uint64(6364136223846793005)
     return chain
@@ -134,7 +153,10 @@ def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def surface_echoes(
     view: Snapshot, routes: Routes, weight: np.ndarray, point: np.ndarray, wall: np.ndarray, needs: int
 ) -> Echoes:
-    """Return the echoes of points on walls, out and back by the same route; `weight` already divided by the lengths."""
+    """Return the echoes of points on walls, out and back by the same route; `weight` already divided by the lengths.
+
+    The routes' targets are the points' numbers in the whole world.
+    """
     count = len(routes)
     return Echoes(
         weight=weight * routes.other**2,
@@ -150,9 +172,9 @@ def surface_echoes(
         kind=np.where(routes.wall >= 0, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
         order=_order(routes),
         needs=routes.needs | np.uint32(needs),
-        surface=np.asarray(wall, np.int32),
+        surface=wall_number(view.world, wall),
         object_index=np.full(count, NONE, np.int32),
-        chain=chain_of(routes, routes, needs),
+        chain=chain_of(view.world, routes, routes, needs),
         point=point,
     )
 
