@@ -41,6 +41,8 @@ WHOLE_WALLS = 64
 REACH_SHARE = 1.5
 #: The radar's surroundings are kept while it stays in a square of this side.
 SQUARE_M = 16.0
+#: Shares of a wall are told apart to so much.
+ROUNDING = 1e-7
 #: Level under the noise, in any bin, of all that the walls within reach hide together.
 HIDDEN_DB = -40.0
 
@@ -61,11 +63,12 @@ def reachable_snapshot(world: World, time_s: float = 0.0, radar: RadarState | No
     origin = np.array([radar.pose.x_m, radar.pose.y_m])
     near = _surroundings(world, origin)
     around = _with_objects(near.world, _objects_within(near.world, origin, time_s))
-    seen = _seen(near, around, origin)
-    view = snapshot(_with_walls(around, seen), time_s, radar)
-    hidden = np.setdiff1d(np.arange(len(near.world.wall_a)), seen)
+    direct, lit = _lit(near, around, origin)
+    seen = np.flatnonzero(_any(lit))
+    view = snapshot(_with_walls(around, seen, _lit_specks(near, direct, lit)), time_s, radar)
+    hidden = np.flatnonzero(~_any(lit))
     in_the_way = Blockers(**{field.name: getattr(near.blockers, field.name)[hidden] for field in fields(Blockers)})
-    return replace(view, blockers=join_blockers(view.blockers, in_the_way))
+    return replace(view, blockers=join_blockers(view.blockers, in_the_way), lit=direct[seen])
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,8 @@ class _Surroundings:
     #: most transparent incidence lets through.
     beside: np.ndarray
     through: np.ndarray
+    #: Where on its wall each scatterer lies, 0..1, [Q].
+    speck_share: np.ndarray
 
 
 def _surroundings(world: World, origin: np.ndarray) -> _Surroundings:
@@ -109,7 +114,9 @@ def _walls_within(world: World, middle: np.ndarray, far_m: float) -> np.ndarray:
 def _surroundings_of(world: World, walls: np.ndarray) -> _Surroundings:
     """Return pieces of wall with what stays while the radar moves among them."""
     part = replace(_with_walls(world, walls), reach_m=reach_m(world.setup))
-    straight = np.flatnonzero(~part.is_curved)
+    straight, wall = np.flatnonzero(~part.is_curved), part.speck_wall
+    along = part.wall_b[wall] - part.wall_a[wall]
+    share = dot(part.speck_m - part.wall_a[wall], along) / dot(along, along)
     # rays rise no higher than the antenna and the scattering centres
     top_m = max(world.radar_height_m, float(world.centre_m[:, 2].max(initial=0.0)))
     passed = ~part.is_mirror | part.is_curved | (part.wall_height_m < top_m)
@@ -119,6 +126,7 @@ def _surroundings_of(world: World, walls: np.ndarray) -> _Surroundings:
         plan=split_walls(part.wall_a[straight], part.wall_b[straight], straight),
         beside=passed.astype(np.float64),
         through=np.where(passed, 1.0, np.abs(part.transmission).max(axis=1)),
+        speck_share=np.where(part.is_curved[wall], 0.5, share),
     )
 
 
@@ -129,21 +137,40 @@ def _objects_within(world: World, origin: np.ndarray, time_s: float) -> np.ndarr
     return np.flatnonzero(norm(corners).min(axis=1) <= world.reach_m + size_m)
 
 
-def _seen(near: _Surroundings, around: World, origin: np.ndarray) -> np.ndarray:
-    """Return the pieces of wall that the radar sees, also through walls, or sees in a wall that it sees."""
+def _lit(near: _Surroundings, around: World, origin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the share of each piece of wall that the radar sees, also through walls, and the share that it sees so or
+    in a wall that it sees, [W, 2] each; (inf, -inf) for none.
+    """
     world = near.world
     direct = lit_walls(origin, near.plan, near.beside)
-    seen = (direct[:, 1] >= direct[:, 0]) | world.is_curved
+    mirrors = np.flatnonzero((direct[:, 1] > direct[:, 0]) & world.is_flat)
+    lit, clear = direct, direct
     if (near.through > near.beside).any():
-        behind = lit_walls(origin, near.plan, near.through, _least_through(around, origin))
-        seen |= behind[:, 1] >= behind[:, 0]
+        direct = _hull(direct, lit_walls(origin, near.plan, near.through, _least_through(around, origin)))
+    direct = _hull(direct, np.where(world.is_curved[:, None], [0.0, 1.0], [np.inf, -np.inf]))
+    lit = direct
     normal, offset = wall_lines(world, origin)
-    for mirror in np.flatnonzero((direct[:, 1] > direct[:, 0]) & world.is_flat):
-        image = reflect(origin[None], normal[mirror], offset[mirror])[0]
-        ends = [world.wall_a[mirror] + share * (world.wall_b[mirror] - world.wall_a[mirror]) for share in direct[mirror]]
-        mirrored = lit_walls(image, near.plan, near.beside, window=(ends[0], ends[1]))
-        seen |= mirrored[:, 1] >= mirrored[:, 0]
-    return np.flatnonzero(seen)
+    for mirror in mirrors:
+        image = reflect(origin, normal[mirror], offset[mirror])
+        start, end = (world.wall_a[mirror] + share * (world.wall_b - world.wall_a)[mirror] for share in clear[mirror])
+        lit = _hull(lit, lit_walls(image, near.plan, near.beside, window=(start, end)))
+    return direct, lit
+
+
+def _hull(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the least share of each wall that holds two, [W, 2]."""
+    return np.column_stack([np.minimum(first[:, 0], second[:, 0]), np.maximum(first[:, 1], second[:, 1])])
+
+
+def _any(lit: np.ndarray) -> np.ndarray:
+    return np.asarray(lit[:, 1] >= lit[:, 0])
+
+
+def _lit_specks(near: _Surroundings, direct: np.ndarray, lit: np.ndarray) -> np.ndarray:
+    """Return which wall scatterers the radar may see: patches directly, structure in a wall too; bool [Q]."""
+    world, wall = near.world, near.world.speck_wall
+    low, high = np.where((world.speck_length_m > 0.0)[:, None], direct[wall], lit[wall]).T
+    return np.asarray((near.speck_share >= low - ROUNDING) & (near.speck_share <= high + ROUNDING))
 
 
 def _least_through(world: World, origin: np.ndarray) -> float:
@@ -160,16 +187,21 @@ def _least_through(world: World, origin: np.ndarray) -> float:
     return math.sqrt(min(math.sqrt(noise_mw * ratio_from_db(HIDDEN_DB)) / max(gain * largest, 1e-300), 1.0))
 
 
-def _with_walls(world: World, walls: np.ndarray) -> World:
-    """Return the part of a world that has these pieces of wall, in order, with their scatterers."""
+def _with_walls(world: World, walls: np.ndarray, wanted: np.ndarray | None = None) -> World:
+    """Return the part of a world that has these pieces of wall, in order, with their scatterers, or the wanted of
+    these, bool [Q].
+    """
     specks, count = _runs(world.speck_wall, len(world.wall_a), walls)
+    owner = np.repeat(np.arange(len(walls)), count)
+    if wanted is not None:
+        specks, owner = specks[wanted[specks]], owner[wanted[specks]]
     fields_of_walls = [name for name in _names(world) if name.startswith("wall_")]
     fields_of_specks = [name for name in _names(world) if name.startswith("speck_") and name != "speck_wall"]
     return replace(
         world,
         **{name: getattr(world, name)[walls] for name in fields_of_walls},
         **{name: getattr(world, name)[specks] for name in fields_of_specks},
-        speck_wall=np.repeat(np.arange(len(walls)), count),
+        speck_wall=owner,
     )
 
 

@@ -216,6 +216,8 @@ class Snapshot:
     #: Unit normals [W, 2] of all pieces of wall (of an arc: its chord) towards the radar, and their offsets [W].
     normal: np.ndarray
     offset: np.ndarray
+    #: Share of each piece of wall that may be in direct sight, [W, 2]: on the rest of it no path has its first mirror.
+    lit: np.ndarray
 
     @property
     def origin(self) -> np.ndarray:
@@ -272,6 +274,7 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
         ),
         normal=normal,
         offset=offset,
+        lit=np.tile([0.0, 1.0], (len(world.wall_a), 1)),
     )
 
 

@@ -19,6 +19,8 @@ from sim_player.trace.segments import Occlusion, in_series, segment_occlusion, w
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
+#: Rounding of the share of a wall that is in direct sight.
+LIT_MARGIN = 1e-7
 NONE = -1
 
 
@@ -148,7 +150,8 @@ def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirro
     total = np.where(same_side, height + source_height, 1.0)
     # similar triangles: the feet of both, weighted by the other's height
     share = (source_share * height + target_share * source_height) / total
-    index, target = np.nonzero(same_side & (share >= 0.0) & (share <= 1.0))
+    low, high = np.clip(view.lit[walls] + [-LIT_MARGIN, LIT_MARGIN], 0.0, 1.0).T[:, :, None]
+    index, target = np.nonzero(same_side & (share >= low) & (share <= high))
     wall = walls[index]
     image = reflect(point_m[target], view.normal[wall], view.offset[wall])
     reach = np.abs(source_height[index, 0])
