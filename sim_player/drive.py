@@ -6,7 +6,7 @@ and yaw rate change over time and the radar sits somewhere on it, turned. Each b
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np

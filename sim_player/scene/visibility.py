@@ -35,9 +35,7 @@ def split_walls(a: np.ndarray, b: np.ndarray, wall: np.ndarray) -> PlanWalls:
     """Return walls [W, 2] cut where they cross each other; `wall` [W] are their numbers."""
     owner, begin, end = _cut(np.ascontiguousarray(a), np.ascontiguousarray(b))
     along = b[owner] - a[owner]
-    return PlanWalls(
-        a[owner] + begin[:, None] * along, a[owner] + end[:, None] * along, wall[owner], begin, end
-    )
+    return PlanWalls(a[owner] + begin[:, None] * along, a[owner] + end[:, None] * along, wall[owner], begin, end)
 
 
 def lit_walls(
@@ -103,7 +101,7 @@ def _cut(a, b):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-untyped-def]
-    a, b, begin, end, wall = walls
+    a, b = walls[0], walls[1]
     lit = np.empty((len(passing), 2))
     lit[:, 0], lit[:, 1] = np.inf, -np.inf
     # begins in a direction in which nobody draws a wall's end
@@ -167,20 +165,24 @@ def _meet(source, walls, passing, least, window, narrow, between, piece, inside,
     along = 0.5 * (between[0] + between[1])
     after, left = _start(source, window, narrow, along), 1.0
     while left > least:
-        nearest, distance = -1, np.inf
+        distance = np.inf
         for span in inside:
             here = _distance(source, along, a[piece[span]], b[piece[span]])
             if after < here < distance:
-                nearest, distance = piece[span], here
-        if nearest < 0:
+                distance = here
+        if distance == np.inf:
             return
-        for angle in between:
-            share = _share(source, angle, a[nearest], b[nearest])
-            place = begin[nearest] + share * (end[nearest] - begin[nearest])
-            lit[wall[nearest], 0] = min(lit[wall[nearest], 0], place)
-            lit[wall[nearest], 1] = max(lit[wall[nearest], 1], place)
-        left *= passing[wall[nearest]]
-        after = distance
+        # walls that stand in one another are met together
+        for span in inside:
+            m = piece[span]
+            if not after < _distance(source, along, a[m], b[m]) <= distance + GRAZE_M:
+                continue
+            for angle in between:
+                place = begin[m] + _share(source, angle, a[m], b[m]) * (end[m] - begin[m])
+                lit[wall[m], 0] = min(lit[wall[m], 0], place)
+                lit[wall[m], 1] = max(lit[wall[m], 1], place)
+            left *= passing[wall[m]]
+        after = distance + GRAZE_M
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -173,7 +173,10 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
     curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
-    objects, specks = _object_arrays(scene, setup.radar.wavelength_m, seed), _wall_specks(wall_a, wall_b, curvature, seed)
+    objects, specks = (
+        _object_arrays(scene, setup.radar.wavelength_m, seed),
+        _wall_specks(wall_a, wall_b, curvature, seed),
+    )
     return World(
         scene=scene,
         setup=setup,
