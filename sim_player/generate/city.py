@@ -97,12 +97,12 @@ def _terraced(square: tuple[int, int], rng: np.random.Generator) -> np.ndarray:
 
 def _traffic(count: int, apart_m: float, seed: int) -> list[SceneObject]:
     """Return road users beside the middles of the crossing streets, and of the next ones, which are so far apart."""
-    rng, placed = np.random.default_rng([seed, 1]), []
+    rng, users = np.random.default_rng([seed, 1]), []
     for index in range(count):
         along, street = rng.uniform(8.0, TRAFFIC_M) * rng.choice([-1.0, 1.0]), apart_m * rng.integers(-1, 2)
         across = street + rng.uniform(1.2, 1.8) * rng.choice([-1.0, 1.0]) * (1.0 if street == 0.0 else 0.0)
         is_x = bool(rng.integers(2))
-        placed.append(
+        users.append(
             SceneObject(
                 class_=CLASSES[index % len(CLASSES)],  # type: ignore[arg-type]
                 x_m=round(float(along if is_x else across), 2),
@@ -110,4 +110,4 @@ def _traffic(count: int, apart_m: float, seed: int) -> list[SceneObject]:
                 yaw_deg=0.0 if is_x else 90.0,
             )
         )
-    return placed
+    return users

@@ -64,11 +64,11 @@ def reachable_snapshot(world: World, time_s: float = 0.0, radar: RadarState | No
     near = _surroundings(world, origin)
     around = _with_objects(near.world, _objects_within(near.world, origin, time_s))
     direct, lit = _lit(near, around, origin)
-    seen = np.flatnonzero(_any(lit))
-    view = snapshot(_with_walls(around, seen, _lit_specks(near, direct, lit)), time_s, radar)
+    visible = np.flatnonzero(_any(lit))
+    view = snapshot(_with_walls(around, visible, _lit_specks(near, direct, lit)), time_s, radar)
     hidden = np.flatnonzero(~_any(lit))
     in_the_way = Blockers(**{field.name: getattr(near.blockers, field.name)[hidden] for field in fields(Blockers)})
-    return replace(view, blockers=join_blockers(view.blockers, in_the_way), lit=direct[seen])
+    return replace(view, blockers=join_blockers(view.blockers, in_the_way), lit=direct[visible])
 
 
 @dataclass(frozen=True)

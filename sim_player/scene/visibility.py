@@ -66,7 +66,8 @@ def lit_walls(
 def _cut(a, b):  # type: ignore[no-untyped-def]
     """Shares at which walls are met by others, as stretches: owner, begin, end."""
     count = len(a)
-    owner, share = [np.int64(0) for _ in range(0)], [0.0 for _ in range(0)]
+    # typed by what they will hold: empty lists have no type
+    owner, share = [0 for _ in range(0)], [0.0 for _ in range(0)]
     for m in range(count):
         owner.append(m)
         share.append(0.0)

@@ -347,7 +347,7 @@ def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndar
     return np.asarray(10.0 ** (-vegetation_db(carrier_hz, depth_m) / 20.0))
 
 
-def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np.ndarray]:
+def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, Any]:
     """Return the object fields of `World`."""
     objects = list(scene.objects)
     centres = [_centres(scene_object, wavelength_m, seed, index) for index, scene_object in enumerate(objects)]
@@ -400,9 +400,7 @@ def _centres(scene_object: SceneObject, wavelength_m: float, seed: int, index: i
     )
 
 
-def _wall_specks(
-    wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int
-) -> dict[str, np.ndarray]:
+def _wall_specks(wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int) -> dict[str, Any]:
     """Return the wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
     position, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
     normal = [np.zeros((0, 2))]
