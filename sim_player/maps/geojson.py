@@ -116,6 +116,7 @@ class _Reader:
                 self.footprints.append(self._footprint(place, polygon, tags))
             except ValueError as error:
                 self.broken.append(str(error))
+            check_count(self.points)
 
     def _footprint(self, field: str, polygon: Any, tags: dict[str, str]) -> Footprint:
         if not isinstance(polygon, list) or not polygon:
@@ -124,8 +125,6 @@ class _Reader:
         for index, ring in enumerate(polygon):
             positions = _positions(f"{field}[{index}]", ring)
             self.points += len(positions)
-            if self.points:
-                check_count(self.points)
             rings.append(ring_of(f"{field}[{index}]", positions, self.metric))
         return Footprint(field=field, outer=rings[0], holes=tuple(rings[1:]), tags=tags)
 

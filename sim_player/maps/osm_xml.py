@@ -56,6 +56,7 @@ class _Reader:
                 self.left_out["buildings without outline"] += 1
         except ValueError as error:
             self.broken.append(str(error))
+        check_count(self.points)
 
     def _way(self, closed: Any, tags: dict[str, str]) -> None:
         self._add(f"way {closed.id}", closed.nodes, (), tags)
@@ -78,5 +79,4 @@ class _Reader:
                 raise ValueError(f"{field}: must have all its nodes in the file, node {node.ref} is missing")
             positions.append((float(node.lon), float(node.lat)))
         self.points += len(positions)
-        check_count(self.points)
         return positions
