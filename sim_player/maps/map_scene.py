@@ -17,6 +17,7 @@ try:
 except ImportError:
     raise ImportError("shapely, which maps need: pip install 'mirrorwave[maps]'") from None
 
+from models.physics.materials import material_name
 from models.physics.mirror import SHORTEST_WALL_M
 from sim_player.maps.footprints import Footprint, FootprintFile
 from sim_player.maps.geojson import read_geojson
@@ -119,7 +120,7 @@ def map_scene(
         )
         raise ValueError(f"--position: must have a building within {radius_m:g} m on the map, {nearest}")
     walls = sum(builder.materials.values())
-    grounds = (Surface(role="ground", material=ground),) if ground else ()
+    grounds = (Surface(role="ground", material=_ground(ground)),) if ground else ()
     scene = Scene(name=name, radar=radar or SceneRadar(), surfaces=(*surfaces, *grounds))
     if walls > MAX_WALLS:
         raise ValueError(f"--radius: must hold at most {MAX_WALLS} walls, got {walls} within {radius_m:g} m")
@@ -137,6 +138,13 @@ def map_scene(
     if (size := len(made.yaml.encode())) > MAX_BYTES:
         raise ValueError(f"--radius: a scene holds at most {MAX_BYTES} bytes, got {size} within {radius_m:g} m")
     return made
+
+
+def _ground(material: str) -> str:
+    try:
+        return material_name(material)
+    except ValueError as error:
+        raise ValueError(f"--ground: {error}") from None
 
 
 def _without_defaults(surface: Surface) -> dict[str, Any]:
