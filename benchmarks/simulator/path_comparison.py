@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -99,7 +99,7 @@ def _own_images(view: Snapshot) -> Routes:
     once, occlusion = mirror_routes(view, point, view.world.is_flat, nobody)
     parts = [once.take(occlusion.free), arc_routes(view, point, nobody), two_wall_routes(view, point, nobody)]
     routes = join_routes(parts)
-    return replace(routes, target=np.full(len(routes), len(view.centre), np.int32))
+    return routes.with_columns(target=len(view.centre))
 
 
 def compare(place: Place, trace_again: TraceAgain) -> Comparison:

@@ -7,10 +7,13 @@ it is the default everywhere. The sign of TM is that of Eq. (13): opposite to TE
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
+from numba import njit
 
 Polarisation = Literal["te", "tm"]
 
@@ -216,3 +219,58 @@ def _checked(permittivity: np.ndarray, cos_theta: np.ndarray) -> tuple[np.ndarra
     if not np.all((cos_theta >= 0.0) & (cos_theta <= 1.0 + 1e-12)):
         raise ValueError(f"cos_theta must lie in 0..1, got {cos_theta!r}")
     return permittivity, np.minimum(cos_theta, 1.0)
+
+
+# --- one wave at one wall, for callers that are compiled themselves: the same laws without their checks
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def half_space_at(permittivity, cos_theta, is_tm):  # type: ignore[no-untyped-def]
+    """Return `half_space_reflection` of one wave, and 1 - r^2."""
+    q = _inner_cosine_at(permittivity, cos_theta)
+    outer = permittivity * cos_theta if is_tm else complex(cos_theta)
+    total = outer + q
+    if total == 0.0:
+        return 0.0j, 1.0 + 0.0j
+    return (outer - q) / total, 4.0 * (outer / total) * (q / total)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def slab_at(permittivity, cos_theta, thickness_m, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return `slab_reflection` of one wave (TE), and that of the slab's front face alone."""
+    r, kept = half_space_at(permittivity, cos_theta, False)
+    if math.isinf(thickness_m):
+        return r, r
+    exponent = -2j * (2.0 * np.pi / wavelength_m * thickness_m) * _inner_cosine_at(permittivity, cos_theta)
+    # 1 - e^x to all digits
+    grown, half = math.exp(exponent.real), math.sin(0.5 * exponent.imag)
+    lost = -complex(
+        math.expm1(exponent.real) * math.cos(exponent.imag) - 2.0 * half * half, grown * math.sin(exponent.imag)
+    )
+    denominator = kept + r * r * lost
+    return (r if denominator == 0.0 else r * lost / denominator), r
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stack_at(permittivities, thicknesses_m, cos_theta, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return `stack_reflection` of one wave (TE), and that of the front face alone."""
+    reflected, behind = 0.0j, 1.0 + 0.0j
+    for layer in range(len(permittivities) - 1, -2, -1):
+        front = permittivities[layer] if layer >= 0 else 1.0 + 0.0j
+        outer, inner = _inner_cosine_at(front, cos_theta), _inner_cosine_at(behind, cos_theta)
+        rho = (outer - inner) / (outer + inner) if outer + inner != 0.0 else 0.0j
+        denominator = 1.0 + rho * reflected
+        reflected = (rho + reflected) / denominator if denominator != 0.0 else rho
+        if layer >= 0:
+            once = 0.0j
+            if not math.isinf(thicknesses_m[layer]):
+                once = cmath.exp(-1j * (2.0 * np.pi / wavelength_m * thicknesses_m[layer]) * outer)
+            reflected *= once * once
+        behind = front
+    return reflected, half_space_at(permittivities[0], cos_theta, False)[0]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _inner_cosine_at(permittivity, cos_theta):  # type: ignore[no-untyped-def]
+    q = cmath.sqrt(permittivity - 1.0 + cos_theta * cos_theta)
+    return -q if q.imag > 0.0 else q

@@ -5,8 +5,6 @@ Skipped, a curved piece of wall mirrors like its chord. Also the radar's own ima
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from models.physics.curved_mirror import bounces
@@ -94,8 +92,7 @@ def _flashes(view: Snapshot) -> Echoes:
     point = view.antenna + routes.depart * 0.5 * routes.length_m[:, None]
     echoes = surface_echoes(view, routes, flash_weight(view, routes.length_m), point, routes.wall, bit("los_surfaces"))
     half, towards = 0.5 * routes.length_m, -routes.arrive
-    return replace(
-        echoes,
+    return echoes.with_columns(
         weight=flash_weight(view, routes.length_m) * routes.other,
         whole=routes.whole,
         front=routes.front,

@@ -5,8 +5,6 @@ RCS per area 4 |r|^2 (1 - rho) cos^2 over the height that the antenna lights; pa
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from sim_player.effects.names import bit
@@ -28,22 +26,17 @@ def absent(world: World) -> str | None:
 def apply(tracing: TraceContext) -> Echoes:
     """Patches of all rough walls in direct sight."""
     view, world = tracing.view, tracing.view.world
-    wall = world.speck_wall
-    lit = (world.speck_length_m > 0.0) & (world.wall_roughness_m[wall] > 0.0)
-    patches = np.flatnonzero(lit & (world.wall_height_m[wall] > view.antenna[2]) & world.is_mirror[wall])
-    point = np.column_stack([world.speck_m[patches], np.full(len(patches), view.antenna[2])])
+    patches, point = world.rough_patches
     routes, occlusion = straight_routes(view, point)
-    patches, routes, point = patches[occlusion.free], routes.take(occlusion.free), point[occlusion.free]
-    routes, wall = replace(routes, target=world.speck_id[patches]), wall[patches]
+    visible = np.flatnonzero(occlusion.free)
+    patches = patches[visible]
+    routes = routes.take(visible).with_columns(target=world.speck_id[patches])
+    wall = world.speck_wall[patches]
     cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
     whole, front, rough = world.reflection(wall, cosine)
     lit_height = np.minimum(world.wall_height_m[wall], LIT_ELEVATION_RAD * routes.length_m)
     rcs = 4.0 * (1.0 - rough**2) * cosine**2 * lit_height * world.speck_length_m[patches]
     weight = echo_amplitude(world.radar, rcs, routes.length_m) * world.speck_phasor[patches]
-    echoes = surface_echoes(view, routes, weight, point, wall, bit("diffuse_scattering"))
-    return _with_reflection(echoes, np.abs(whole), np.abs(front))
-
-
-def _with_reflection(echoes: Echoes, whole: np.ndarray, front: np.ndarray) -> Echoes:
-    """The share that the wall reflects at all belongs to the patch, not to its route."""
-    return replace(echoes, whole=echoes.whole * whole, front=echoes.front * front)
+    echoes = surface_echoes(view, routes, weight, point[visible], wall, bit("diffuse_scattering"))
+    # the share that the wall reflects at all belongs to the patch, not to its route
+    return echoes.with_columns(whole=echoes.whole * np.abs(whole), front=echoes.front * np.abs(front))

@@ -8,25 +8,27 @@ more than two walls meet, bends before or after a mirror, the faces' roughness, 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
-from models.physics.diffraction import edge_field, wedge_terms
+from models.physics.diffraction import wedge_terms_at
 from msgs.values.array_table import ArrayTable
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
+from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
-from sim_player.trace.routes import Routes, join_routes, make_routes, norm
-from sim_player.trace.segments import Occlusion, free_segments, transmission_factor
+from sim_player.trace.routes import ROUTE, Routes, direction_of, fill_route, grown, join_routes, owners
+from sim_player.trace.segments import clear_series, crossing_factor, passage
 from sim_player.trace.snapshot import TraceContext
 
 #: Corners whose walls turn by less than this are no edge (window panes in one plane).
 LEAST_TURN_RAD = 0.05
 #: Points nearer than this to an edge's faces or to the edge itself are on the wall, not beside it.
 NEAREST_EDGE_M = 0.05
-#: Ends of walls nearer than this are one edge.
-SAME_END_M = 1e-6
+_BENT = bit("edge_diffraction")
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,12 @@ class Edges(ArrayTable):
 
     def __len__(self) -> int:
         return len(self.n)
+
+    def table(self) -> np.ndarray:
+        """Return the same as numbers, [E, 8], for compiled code."""
+        return np.column_stack(
+            [self.point, self.first, self.last, self.face_rad, self.sense, self.n, self.height_m]
+        ).astype(np.float64)
 
 
 def absent(world: World) -> str | None:
@@ -69,110 +77,99 @@ def apply(tracing: TraceContext) -> Echoes:
 
 def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Routes antenna -> edge -> points [N, 3] whose legs are free and on the edge's open side."""
-    edges = _in_sight(view, edges_of(view), point_m)
-    edge, target = (grid.ravel() for grid in np.meshgrid(np.arange(len(edges)), np.arange(len(point_m)), indexing="ij"))
-    source_plan = norm(edges.point - view.origin)[edge]
-    target_plan = norm(point_m[target, :2] - edges.point[edge])
-    # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
-    share = source_plan / (source_plan + target_plan)
-    height = view.antenna[2] + share * (point_m[target, 2] - view.antenna[2])
-    wide = edges.n[edge] * np.pi
-    to_source, to_target = _angle(edges, view.origin[None])[edge], _angle(edges.take(edge), point_m[target, :2])
-    open_side = (to_source < wide) & (to_target < wide) & (height < edges.height_m[edge])
-    keep = np.flatnonzero(open_side & (source_plan > NEAREST_EDGE_M) & (target_plan > NEAREST_EDGE_M))
-    edge, target = edge[keep], target[keep]
-    bend = np.column_stack([edges.point[edge], height[keep]])
-    occlusion = free_segments((view.antenna, bend, point_m[target]), view.blockers, owner[target])
-    free = np.flatnonzero(occlusion.free)
-    keep, edge, target = keep[free], edge[free], target[free]
-    angles = to_source[keep], to_target[keep]
-    return _bent(view, edges.take(edge), edge, target, (bend[free], point_m[target]), angles, occlusion.take(free))
+    edges = edges_of(view)
+    scene = view.walls, view.world.builds, view.blockers.pieces, view.world.radar.wavelength_m
+    return Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
 
 
-def _in_sight(view: Snapshot, edges: Edges, point_m: np.ndarray) -> Edges:
-    """The edges that the antenna sees at the greatest height at which a ray to any point may meet them."""
-    top = np.full(len(edges), max(view.antenna[2], point_m[:, 2].max(initial=0.0)))
-    return edges.take(free_segments((view.antenna, np.column_stack([edges.point, top])), view.blockers).free)
+@njit(cache=True, nogil=True, error_model="numpy")
+def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untyped-def]
+    pieces = scene[2]
+    rows, count, visible = np.empty(len(point), ROUTE), 0, 0
+    start = antenna[0], antenna[1], antenna[2]
+    top = start[2]
+    for n in range(len(point)):
+        top = max(top, point[n, 2])
+    for e in range(len(edges)):
+        x, y, _, _, face_rad, sense, n_half, height = edges[e]
+        # seen at the greatest height at which a ray to any point may meet it
+        if not passage(start, (x, y, top), -1, pieces, True)[0]:
+            continue
+        source_plan = math.hypot(x - start[0], y - start[1])
+        to_source = _turn(start[0] - x, start[1] - y, face_rad, sense)
+        for n in range(len(point)):
+            end = point[n, 0], point[n, 1], point[n, 2]
+            target_plan = math.hypot(end[0] - x, end[1] - y)
+            if to_source >= n_half * np.pi or source_plan <= NEAREST_EDGE_M or target_plan <= NEAREST_EDGE_M:
+                continue
+            # the ray meets the edge where heights are in proportion to the plan lengths (Keller's cone)
+            bend = x, y, start[2] + source_plan / (source_plan + target_plan) * (end[2] - start[2])
+            to_target = _turn(end[0] - x, end[1] - y, face_rad, sense)
+            if to_target >= n_half * np.pi or bend[2] >= height:
+                continue
+            leaves = clear_series((start, bend, end), owner[n], pieces)
+            if leaves < 0.0:
+                continue
+            if count == len(rows):
+                rows = grown(rows)
+            row = rows[count]
+            count += 1
+            depart, source_m = direction_of(start, bend)
+            arrive, target_m = direction_of(bend, end)
+            fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
+            row.edge, row.foliage = visible, leaves
+            row.whole, row.front = _field(edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene)
+        visible += 1
+    return rows[:count]
 
 
-def _bent(
-    view: Snapshot,
-    edges: Edges,
-    edge: np.ndarray,
-    target: np.ndarray,
-    points: tuple[np.ndarray, np.ndarray],
-    angles: tuple[np.ndarray, np.ndarray],
-    occlusion: Occlusion,
-) -> Routes:
-    """Routes by known points of edges (one a route) with their uniform field."""
-    (bend, end), (to_source, to_target) = points, angles
-    out, on = bend - view.antenna, end - bend
-    source_m, target_m = norm(out), norm(on)
-    skew = norm(out[:, :2]) / source_m
-    distance = source_m * target_m * skew**2 / (source_m + target_m)
-    incident, *faces = wedge_terms(edges.n, to_source, to_target, distance, view.world.radar.wavelength_m, skew)
-    wide = edges.n * np.pi
+@njit(cache=True, nogil=True, error_model="numpy")
+def _field(edge, angles, lengths, source_plan, scene):  # type: ignore[no-untyped-def]
+    """Return the uniform field of a bend over that of a free ray as long, with whole walls and their front faces."""
+    _, builds, (_, passing), wavelength_m = scene
+    first, last, n = int(edge[2]), int(edge[3]), edge[6]
+    (to_source, to_target), (source_m, target_m) = angles, lengths
+    skew = source_plan / source_m
+    distance = source_m * target_m * skew * skew / (source_m + target_m)
+    terms = wedge_terms_at(n, to_source, to_target, distance, wavelength_m, skew)
     # the more grazing of both rays: the mirror's own angle at its border, no field along a face, alike both ways
-    cosine = [np.minimum(*np.abs(np.sin([turn - to_source, turn - to_target]))) * skew for turn in (0.0, wide)]
-    passed = np.where(
-        edges.first == edges.last, transmission_factor(view.world.transmission, edges.first, cosine[0]), 0.0
+    cosines = (
+        min(abs(math.sin(to_source)), abs(math.sin(to_target))) * skew,
+        min(abs(math.sin(n * np.pi - to_source)), abs(math.sin(n * np.pi - to_target))) * skew,
     )
-    built, front = ((1.0 - passed) * incident for _ in range(2))
-    for wall, angle, face in zip((edges.first, edges.last), cosine, faces, strict=True):
-        of_wall, of_front, _ = view.world.reflection(wall, angle)
-        built, front = built + of_wall * face, front + of_front * face
-    return make_routes(
-        target,
-        source_m + target_m,
-        out / source_m[:, None],
-        on / target_m[:, None],
-        occlusion,
-        bit("edge_diffraction"),
-        edge=edge,
-        whole=edge_field(built, source_m, target_m),
-        front=edge_field(front, source_m, target_m),
-    )
+    passed = crossing_factor(passing, first, cosines[0]) if first == last else 0.0j
+    built = front = (1.0 - passed) * terms[0]
+    for face in range(2):
+        of_wall, of_front, _ = bounce(builds, last if face else first, cosines[face])
+        built, front = built + of_wall * terms[1 + face], front + of_front * terms[1 + face]
+    spread = math.sqrt((source_m + target_m) / (source_m * target_m))
+    return built * spread, front * spread
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _turn(x, y, face_rad, sense):  # type: ignore[no-untyped-def]
+    """Return the angle of a direction around an edge from the first face through the air, 0..2 pi."""
+    return (sense * (math.atan2(y, x) - face_rad)) % (2.0 * np.pi)
 
 
 def edges_of(view: Snapshot) -> Edges:
     """Free ends of walls, and corners of two walls whose open side is wider than a half turn and faces the radar."""
-    world = view.world
-    wall = np.tile(np.flatnonzero(world.is_mirror), 2)
-    point, face = _ends(world)
-    same = norm(point[:, None] - point[None]) < SAME_END_M
-    alone = np.flatnonzero(same.sum(axis=1) == 1)
-    end_1, end_2 = np.nonzero(np.triu(same, 1) & (same.sum(axis=1) == 2)[:, None])
-    towards = np.arctan2(*(view.origin - point[end_1]).T[::-1])
-    left = (face[end_2] - face[end_1]) % (2.0 * np.pi)
+    world, ends = view.world, view.world.wall_ends
+    alone, end_1, end_2 = ends.alone, ends.first, ends.second
+    towards = np.arctan2(*(view.origin - ends.position[end_1]).T[::-1])
+    left = (ends.face_rad[end_2] - ends.face_rad[end_1]) % (2.0 * np.pi)
     # the radar stands on one side of the corner: the air is the turn that holds it
-    is_left = (towards - face[end_1]) % (2.0 * np.pi) < left
+    is_left = (towards - ends.face_rad[end_1]) % (2.0 * np.pi) < left
     turn = np.where(is_left, left, 2.0 * np.pi - left)
-    corner = turn > np.pi + LEAST_TURN_RAD
-    end_1, end_2, turn, is_left = end_1[corner], end_2[corner], turn[corner], is_left[corner]
-    first, last = np.concatenate([alone, end_1]), np.concatenate([alone, end_2])
+    corner = np.flatnonzero(turn > np.pi + LEAST_TURN_RAD)
+    first, last = np.concatenate([alone, end_1[corner]]), np.concatenate([alone, end_2[corner]])
+    wall_1, wall_2 = ends.wall[first], ends.wall[last]
     return Edges(
-        point=point[first],
-        first=wall[first],
-        last=wall[last],
-        face_rad=face[first],
-        sense=np.concatenate([np.ones(len(alone)), np.where(is_left, 1.0, -1.0)]),
-        n=np.concatenate([np.full(len(alone), 2.0), turn / np.pi]),
-        height_m=np.minimum(world.wall_height_m[wall[first]], world.wall_height_m[wall[last]]),
+        point=ends.position[first],
+        first=wall_1,
+        last=wall_2,
+        face_rad=ends.face_rad[first],
+        sense=np.concatenate([np.ones(len(alone)), np.where(is_left[corner], 1.0, -1.0)]),
+        n=np.concatenate([np.full(len(alone), 2.0), turn[corner] / np.pi]),
+        height_m=np.minimum(world.wall_height_m[wall_1], world.wall_height_m[wall_2]),
     )
-
-
-def _ends(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Both ends of all walls, starts first: places [2 W, 2] and the direction [rad] in which the wall leaves them."""
-    a, b = world.wall_a[world.is_mirror], world.wall_b[world.is_mirror]
-    chord = b - a
-    along = np.arctan2(chord[:, 1], chord[:, 0])
-    # an arc leaves its chord by half its turn
-    bend = np.arcsin(0.5 * world.wall_curvature_per_m[world.is_mirror] * np.hypot(*chord.T))
-    return np.concatenate([a, b]), np.concatenate([along - bend, along + np.pi + bend])
-
-
-def _angle(edges: Edges, point: np.ndarray) -> np.ndarray:
-    """Angle of points around edges (one each) from the first face through the air, 0..2 pi."""
-    offset = point - edges.point
-    turn = edges.sense * (np.arctan2(offset[:, 1], offset[:, 0]) - edges.face_rad)
-    return np.asarray(turn % (2.0 * np.pi))

@@ -6,17 +6,31 @@ change the plan of a way, only its heights. Of each chain of walls: ground on on
 
 from __future__ import annotations
 
-import numpy as np
+import math
 
-from models.physics.fresnel import coherent_power, half_space_reflection
-from models.physics.materials import permittivity
+import numpy as np
+from numba import njit
+
+from models.physics.fresnel import half_space_at
+from models.physics.mirror import mirrored
 from sim_player.effects.names import bit
-from sim_player.scene.description import Surface
-from sim_player.scene.world import Snapshot, World
+from sim_player.scene.world import World
+from sim_player.trace.bounce import bounce, coherent_field
 from sim_player.trace.echoes import Echoes, cofocal, join_echoes, object_echoes, same_target
-from sim_player.trace.routes import Routes, dot, join_routes, make_routes, norm, plane_bounces
-from sim_player.trace.segments import Occlusion, free_segments
+from sim_player.trace.routes import (
+    ROUTE,
+    Routes,
+    direction_of,
+    fill_bounce,
+    fill_route,
+    join_routes,
+    plane_bounces,
+)
+from sim_player.trace.segments import clear_series
 from sim_player.trace.snapshot import TraceContext
+
+_GROUND = bit("ground_bounce")
+_MIRRORED = _GROUND | bit("specular_relay")
 
 
 def absent(world: World) -> str | None:
@@ -29,7 +43,12 @@ def absent(world: World) -> str | None:
 def apply(tracing: TraceContext) -> Echoes:
     """Straight and once mirrored ways with the ground on one of the two legs, or on both."""
     view = tracing.view
-    ground = join_routes([_straight(view, tracing.owner), _mirrored(view, tracing.owner)])
+    low = view.centre * [1.0, 1.0, -1.0]
+    bounces = plane_bounces(view, view.antenna, low, view.world.is_flat)
+    face, pieces = view.world.ground_face, view.blockers.pieces
+    straight = _straight(view.antenna, view.centre, tracing.owner, face, pieces)
+    mirrored = _mirrored(view.antenna, view.centre, tracing.owner, bounces, view.walls, view.world.builds, face, pieces)
+    ground = join_routes([Routes(straight), Routes(mirrored)])
     tracing.routes["ground_bounce"] = ground
     clear = tracing.clear_routes("los_objects", "specular_relay")
     # the same chain of walls: target and wall agree
@@ -41,87 +60,70 @@ def apply(tracing: TraceContext) -> Echoes:
     return join_echoes([object_echoes(view, ground, cofocal(ground), bit("ground_bounce")), mixed])
 
 
-def _straight(view: Snapshot, owner: np.ndarray) -> Routes:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _straight(antenna, centre, owner, face, pieces):  # type: ignore[no-untyped-def]
     """Antenna -> ground -> centre."""
-    end = view.centre
-    share = view.antenna[2] / (view.antenna[2] + end[:, 2])
-    plan = view.origin + share[:, None] * (end[:, :2] - view.origin)
-    bounce = np.column_stack([plan, np.zeros(len(end))])
-    occlusion = free_segments((view.antenna, bounce, end), view.blockers, owner)
-    ray = end * [1.0, 1.0, -1.0] - view.antenna
-    return _finish(view, np.arange(len(end)), ray, ray, occlusion, 0).take(occlusion.free)
-
-
-def _mirrored(view: Snapshot, owner: np.ndarray) -> Routes:
-    """Antenna -> wall and ground, in the order that heights decide -> centre."""
-    world, centre = view.world, view.centre
-    low = centre * [1.0, 1.0, -1.0]
-    wall_bounces = plane_bounces(view, view.antenna, low, world.is_flat)
-    end, image = centre[wall_bounces.target], wall_bounces.image
-    reach = norm(wall_bounces.specular[:, :2] - view.origin)
-    total = norm(image[:, :2] - view.origin)
-    at_wall = reach / total
-    at_ground = view.antenna[2] / (view.antenna[2] + end[:, 2])
-    wall_point = np.column_stack([wall_bounces.specular[:, :2], np.abs(wall_bounces.specular[:, 2])])
-    unfolded = view.antenna + at_ground[:, None] * (image - view.antenna)
-    # beyond the wall the unfolded plan is folded back to the real one
-    real = np.where((at_ground < at_wall)[:, None], unfolded[:, :2], _fold(view, wall_bounces.wall, unfolded[:, :2]))
-    ground_point = np.column_stack([real, np.zeros(len(real))])
-    early = (at_ground < at_wall)[:, None]
-    bounce_1, bounce_2 = np.where(early, ground_point, wall_point), np.where(early, wall_point, ground_point)
-    occlusion = free_segments((view.antenna, bounce_1, bounce_2, end), view.blockers, owner[wall_bounces.target])
-    below_top = wall_point[:, 2] < world.wall_height_m[wall_bounces.wall]
-    ray = image - view.antenna
-    arrive = ray.copy()
-    arrive[:, :2] -= 2.0 * dot(ray[:, :2], wall_bounces.normal)[:, None] * wall_bounces.normal
-    cosine = np.abs(dot(ray[:, :2], wall_bounces.normal)) / norm(ray)
-    routes = _finish(
-        view, wall_bounces.target, ray, arrive, occlusion, bit("specular_relay"), wall_bounces.wall, cosine
-    )
-    return routes.take(occlusion.free & below_top)
-
-
-def _finish(
-    view: Snapshot,
-    target: np.ndarray,
-    ray: np.ndarray,
-    arrive: np.ndarray,
-    occlusion: Occlusion,
-    needs: int,
-    wall: np.ndarray | None = None,
-    cosine: np.ndarray | None = None,
-) -> Routes:
-    """Routes of unfolded rays [N, 3] that meet the ground once, and perhaps one wall."""
-    length = norm(ray)
-    whole, front, rough = (1.0, 1.0, 1.0) if wall is None or cosine is None else view.world.reflection(wall, cosine)
-    at_ground, left = _ground_reflection(view.world, np.abs(ray[:, 2]) / length)
-    return make_routes(
-        target,
-        length,
-        ray / length[:, None],
+    rows, count = np.empty(len(centre), ROUTE), 0
+    start = antenna[0], antenna[1], antenna[2]
+    for n in range(len(centre)):
+        end = centre[n, 0], centre[n, 1], centre[n, 2]
+        share = start[2] / (start[2] + end[2])
+        bounce_point = start[0] + share * (end[0] - start[0]), start[1] + share * (end[1] - start[1]), 0.0
+        leaves = clear_series((start, bounce_point, end), owner[n], pieces)
+        if leaves < 0.0:
+            continue
+        depart, length = direction_of(start, (end[0], end[1], -end[2]))
         # it rises to its target after the bounce
-        arrive * [1.0, 1.0, -1.0] / length[:, None],
-        occlusion,
-        needs | bit("ground_bounce"),
-        wall=-1 if wall is None else wall,
-        ground=True,
-        whole=whole * at_ground,
-        front=front * at_ground,
-        rough=rough * left,
-    )
+        fill_route(rows[count], n, length, depart, (depart[0], depart[1], -depart[2]), _GROUND)
+        at_ground, left = _reflection(face, abs(depart[2]))
+        rows[count].whole, rows[count].front, rows[count].rough = at_ground, at_ground, left
+        rows[count].ground, rows[count].foliage = True, leaves
+        count += 1
+    return rows[:count]
 
 
-def _ground_reflection(world: World, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mirrored(antenna, centre, owner, bounces, walls, builds, face, pieces):  # type: ignore[no-untyped-def]
+    """Antenna -> wall and ground, in the order that heights decide -> centre."""
+    wall, target, points = bounces
+    normal, offset, top = walls[2], walls[3], walls[4]
+    rows, count = np.empty(len(wall), ROUTE), 0
+    start = antenna[0], antenna[1], antenna[2]
+    for m in range(len(wall)):
+        n, w = target[m], wall[m]
+        nx, ny = normal[w, 0], normal[w, 1]
+        end, image = (centre[n, 0], centre[n, 1], centre[n, 2]), (points[m, 1, 0], points[m, 1, 1], -centre[n, 2])
+        at_wall = points[m, 0, 0], points[m, 0, 1], abs(points[m, 0, 2])
+        if at_wall[2] >= top[w]:
+            continue
+        share = start[2] / (start[2] + end[2])
+        x, y = start[0] + share * (image[0] - start[0]), start[1] + share * (image[1] - start[1])
+        reach = math.hypot(at_wall[0] - start[0], at_wall[1] - start[1])
+        early = share < reach / math.hypot(image[0] - start[0], image[1] - start[1])
+        if not early:
+            # beyond the wall the unfolded plan is folded back to the real one
+            x, y = mirrored(x, y, nx, ny, offset[w])
+        at_ground = x, y, 0.0
+        first, second = (at_ground, at_wall) if early else (at_wall, at_ground)
+        leaves = clear_series((start, first, second, end), owner[n], pieces)
+        if leaves < 0.0:
+            continue
+        depart, length = direction_of(start, image)
+        towards = depart[0] * nx + depart[1] * ny
+        arrive = (depart[0] - 2.0 * towards * nx, depart[1] - 2.0 * towards * ny, -depart[2])
+        row = rows[count]
+        count += 1
+        fill_route(row, n, length, depart, arrive, _MIRRORED)
+        whole, front, rough = bounce(builds, w, abs(towards))
+        by_ground, left = _reflection(face, abs(depart[2]))
+        fill_bounce(row, w, (whole * by_ground, front * by_ground, rough * left))
+        row.ground, row.foliage = True, leaves
+    return rows[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _reflection(face, cosine):  # type: ignore[no-untyped-def]
     """TM reflection of the ground, and the field that its roughness leaves."""
-    ground = world.ground
-    assert isinstance(ground, Surface)
+    permittivity, roughness_m, wavelength_m = face
     # Eq. (13) gives TM the sign of the magnetic field; the upright electric field above the ground follows it
-    reflection = half_space_reflection(np.asarray(permittivity(ground.material, world.radar.carrier_hz)), cosine, "tm")
-    left = np.sqrt(coherent_power(np.array(1e-3 * ground.roughness_mm), cosine, world.radar.wavelength_m))
-    return reflection, left
-
-
-def _fold(view: Snapshot, wall: np.ndarray, plan: np.ndarray) -> np.ndarray:
-    """Plan points mirrored in their walls."""
-    normal = view.normal[wall]
-    return np.asarray(plan - 2.0 * (dot(plan, normal) + view.offset[wall])[:, None] * normal)
+    return half_space_at(permittivity, cosine, True)[0], coherent_field(roughness_m, cosine, wavelength_m)

@@ -6,16 +6,18 @@ scatterers every 1-3 m and at every end; their level is an engineering choice, n
 
 from __future__ import annotations
 
+import cmath
 import math
-from dataclasses import replace
 
 import numpy as np
+from numba import njit
 
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
+from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, echo_amplitude, join_echoes, surface_echoes
-from sim_player.trace.routes import NEAREST_M, NONE, dot, make_routes, straight_routes
-from sim_player.trace.segments import segment_occlusion
+from sim_player.trace.routes import NEAREST_M, NONE, ROUTE, Routes, fill_route, straight_routes
+from sim_player.trace.segments import passage
 from sim_player.trace.snapshot import TraceContext
 
 
@@ -38,50 +40,52 @@ def flash_weight(view: Snapshot, length_m: np.ndarray) -> np.ndarray:
 def structure(view: Snapshot) -> Echoes:
     """Small scatterers of all walls in direct sight."""
     world = view.world
-    specks = np.flatnonzero((world.speck_length_m == 0.0) & (world.wall_height_m[world.speck_wall] > view.antenna[2]))
-    point = _level(view, world.speck_m[specks])
+    specks, point = world.structure
     routes, occlusion = straight_routes(view, point)
-    visible_specks = specks[occlusion.free]
-    routes = replace(routes.take(occlusion.free), target=world.speck_id[visible_specks])
+    visible = np.flatnonzero(occlusion.free)
+    visible_specks = specks[visible]
+    routes = routes.take(visible).with_columns(target=world.speck_id[visible_specks])
     weight = (
         echo_amplitude(world.radar, world.speck_rcs_m2[visible_specks], routes.length_m)
         * world.speck_phasor[visible_specks]
     )
-    return surface_echoes(
-        view, routes, weight, point[occlusion.free], world.speck_wall[visible_specks], bit("los_surfaces")
-    )
+    return surface_echoes(view, routes, weight, point[visible], world.speck_wall[visible_specks], bit("los_surfaces"))
 
 
 def _flashes(view: Snapshot) -> Echoes:
     """The foot of the perpendicular on every straight piece of wall, where it lies on the piece and is seen."""
     world = view.world
-    distance = view.normal @ view.origin + view.offset
-    foot = view.origin - distance[:, None] * view.normal
-    along = world.wall_b - world.wall_a
-    share = dot(foot - world.wall_a, along) / dot(along, along)
-    met = (share >= 0.0) & (share <= 1.0) & (world.wall_height_m > view.antenna[2]) & (distance > NEAREST_M)
-    wall = np.flatnonzero(met & world.is_flat)
-    point = _level(view, foot[wall])
-    occlusion = segment_occlusion(view.antenna, point, view.blockers)
-    direction = np.column_stack([-view.normal[wall], np.zeros(len(wall))])
-    whole, front, rough = world.reflection(wall, np.ones(len(wall)))
-    # one bounce on a round trip: half of it each way
-    routes = make_routes(
-        # a number that is no scatterer's
-        NONE - world.wall_id[wall],
-        distance[wall],
-        direction,
-        direction,
-        occlusion,
-        0,
-        whole=np.sqrt(whole + 0j),
-        front=np.sqrt(front + 0j),
-        rough=np.sqrt(rough),
+    wall, point, rows = _feet(
+        view.antenna, np.flatnonzero(world.is_flat), view.walls, world.builds, view.blockers.pieces
     )
-    weight = flash_weight(view, 2.0 * distance[wall])
-    return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces")).take(occlusion.free)
+    # a number that is no scatterer's
+    routes = Routes(rows).with_columns(target=NONE - world.wall_id[wall])
+    weight = flash_weight(view, 2.0 * routes.length_m)
+    return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces"))
 
 
-def _level(view: Snapshot, plan: np.ndarray) -> np.ndarray:
-    """Points of the plane at the antenna's height."""
-    return np.column_stack([plan, np.full(len(plan), view.antenna[2])])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _feet(antenna, flat, walls, builds, pieces):  # type: ignore[no-untyped-def]
+    """Walls, their points and the routes there; one bounce on a round trip is half of it each way."""
+    a, b, normal, offset, top = walls
+    wall, point, rows, count = np.empty(len(flat), np.int64), np.empty((len(flat), 3)), np.empty(len(flat), ROUTE), 0
+    start = antenna[0], antenna[1], antenna[2]
+    for w in flat:
+        nx, ny = normal[w, 0], normal[w, 1]
+        distance = nx * start[0] + ny * start[1] + offset[w]
+        foot = start[0] - distance * nx, start[1] - distance * ny, start[2]
+        wx, wy = b[w, 0] - a[w, 0], b[w, 1] - a[w, 1]
+        share = ((foot[0] - a[w, 0]) * wx + (foot[1] - a[w, 1]) * wy) / (wx * wx + wy * wy)
+        if not (0.0 <= share <= 1.0 and top[w] > start[2] and distance > NEAREST_M):
+            continue
+        free, _, foliage = passage(start, foot, -1, pieces, True)
+        if not free:
+            continue
+        fill_route(rows[count], NONE, distance, (-nx, -ny, 0.0), (-nx, -ny, 0.0), 0)
+        whole, front, rough = bounce(builds, w, 1.0)
+        rows[count].whole, rows[count].front = cmath.sqrt(whole), cmath.sqrt(front)
+        rows[count].rough, rows[count].foliage = math.sqrt(rough), foliage
+        wall[count] = w
+        point[count, 0], point[count, 1], point[count, 2] = foot
+        count += 1
+    return wall[:count], point[:count], rows[:count]

@@ -9,22 +9,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numba import njit
 
-from msgs.values.perception import PathClass
 from sim_player.effects.names import bit
-from sim_player.scene.world import Snapshot, World
-from sim_player.trace.echoes import (
-    Echoes,
-    both_orders,
-    centre_numbers,
-    centre_rcs_m2,
-    chain_of,
-    object_number,
-    wall_number,
-)
-from sim_player.trace.routes import NEAREST_M, Routes, dot, norm
-from sim_player.trace.segments import segment_occlusion
+from sim_player.scene.world import World
+from sim_player.trace.echoes import ECHO, Echoes, fill_echo, rate_of, rcs_towards
+from sim_player.trace.routes import NEAREST_M, direction_of, grown
+from sim_player.trace.segments import passage
 from sim_player.trace.snapshot import TraceContext
+
+_LIT = bit("object_interreflection")
 
 
 def absent(world: World) -> str | None:
@@ -38,63 +32,62 @@ def apply(tracing: TraceContext) -> Echoes:
     view, world = tracing.view, tracing.view.world
     routes = tracing.clear_routes("los_objects", "specular_relay")
     routes = routes.take(world.centre_exponent[routes.target] == 0)
-    (first, second), times = both_orders(world, _pairs(routes, world))
-    route_1, route_2 = routes.take(first), routes.take(second)
-    start, end = view.centre[route_1.target], view.centre[route_2.target]
-    occlusion = segment_occlusion(start, end, view.blockers, world.centre_object[route_2.target])
-    between = np.maximum(norm(end - start), NEAREST_M)
-    onward = (end - start) / between[:, None]
-    rcs_one = _bistatic(view, route_1, onward)
-    rcs_two = _bistatic(view, route_2, -onward)
     # power P lambda^2 s1 s2 / ((4 pi)^4 R1^2 d^2 R2^2)
-    power_mw = 1e3 * world.radar.transmit_power_w * world.radar.wavelength_m**2 / (4.0 * math.pi) ** 4
-    phase = world.centre_phase_rad[route_1.target] + world.centre_phase_rad[route_2.target]
-    spread_m3 = route_1.length_m * between * route_2.length_m
-    weight = times * np.sqrt(power_mw * rcs_one * rcs_two) / spread_m3 * np.exp(1j * phase)
-    mirrored = route_1.wall >= 0
-    echoes = Echoes(
-        weight=weight * route_1.other * route_2.other,
-        whole=route_1.whole * route_2.whole,
-        front=route_1.front * route_2.front,
-        rough=route_1.rough * route_2.rough,
-        foliage=route_1.foliage * route_2.foliage * occlusion.foliage,
-        out_m=route_1.length_m + 0.5 * between,
-        back_m=route_2.length_m + 0.5 * between,
-        depart=route_1.depart,
-        arrive=route_2.depart,
-        rate_mps=_rate(view, route_1, route_2, onward),
-        kind=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
-        order=mirrored.astype(np.uint8),
-        needs=route_1.needs | route_2.needs | np.uint32(bit("object_interreflection")),
-        surface=wall_number(world, route_1.wall),
-        object_index=object_number(world, route_1.target),
-        chain=chain_of(
-            world, centre_numbers(world, route_1), centre_numbers(world, route_2), bit("object_interreflection")
-        ),
-        point=start,
-    )
-    return echoes.take(occlusion.free & (rcs_one > 0.0) & (rcs_two > 0.0))
+    unit = math.sqrt(1e3 * world.radar.transmit_power_w / (4.0 * math.pi) ** 4) * world.radar.wavelength_m
+    centres = *world.centres, view.centre, view.velocity
+    pieces, numbers = view.blockers.pieces, world.numbers
+    return Echoes(_lit(routes.rows, unit, world.orders_alike, centres, view.radar_velocity, pieces, numbers))
 
 
-def _pairs(routes: Routes, world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Index pairs of routes by the same wall (or straight) to centres of different objects, each pair once."""
-    object_of_route = world.centre_object[routes.target]
-    same = (routes.wall[:, None] == routes.wall[None]) & (object_of_route[:, None] < object_of_route[None])
-    first, second = np.nonzero(same)
-    return first, second
+@njit(cache=True, nogil=True, error_model="numpy")
+def _lit(routes, unit, alike, centres, radar_velocity, pieces, numbers):  # type: ignore[no-untyped-def]
+    owner = centres[4]
+    rows, count = np.empty(64, ECHO), 0
+    for swapped in range(1 if alike else 2):
+        for i in range(len(routes)):
+            for j in range(len(routes)):
+                route_1, route_2 = routes[i], routes[j]
+                if route_1.wall != route_2.wall or owner[route_1.target] >= owner[route_2.target]:
+                    continue
+                if count == len(rows):
+                    rows = grown(rows)
+                if swapped:
+                    route_1, route_2 = route_2, route_1
+                weight = unit * (2.0 if alike else 1.0)
+                scene = centres, radar_velocity, pieces, numbers
+                count += _one_by_another(rows[count], route_1, route_2, weight, scene)
+    return rows[:count]
 
 
-def _bistatic(view: Snapshot, routes: Routes, onward: np.ndarray) -> np.ndarray:
-    """RCS of centres between where their route comes from and a direction they send on to."""
-    rcs_m2 = [centre_rcs_m2(view.world, routes.target, direction) for direction in (-routes.arrive, onward)]
-    return np.asarray(np.sqrt(rcs_m2[0] * rcs_m2[1]))
-
-
-def _rate(view: Snapshot, route_1: Routes, route_2: Routes, onward: np.ndarray) -> np.ndarray:
-    """Half the rate of change of the whole length."""
-    towards = [
-        dot(route.arrive[:, :2], view.velocity[route.target]) - dot(route.depart[:, :2], view.radar_velocity)
-        for route in (route_1, route_2)
-    ]
-    apart = dot(onward[:, :2], view.velocity[route_2.target] - view.velocity[route_1.target])
-    return np.asarray(0.5 * (towards[0] + towards[1] + apart))
+@njit(cache=True, nogil=True, error_model="numpy")
+def _one_by_another(row, route_1, route_2, unit, scene):  # type: ignore[no-untyped-def]
+    """Write the echo antenna -> first -> second -> antenna; return how many there are, 0 or 1."""
+    centres, radar_velocity, pieces, (wall_id, centre_id, object_id) = scene
+    peak_m2, normals, exponent, floor, owner, phasor, position, velocity = centres
+    c, d = route_1.target, route_2.target
+    start = position[c, 0], position[c, 1], position[c, 2]
+    end = position[d, 0], position[d, 1], position[d, 2]
+    onward, between = direction_of(start, end)
+    if between < NEAREST_M:
+        onward = onward[0] * between / NEAREST_M, onward[1] * between / NEAREST_M, onward[2] * between / NEAREST_M
+        between = NEAREST_M
+    first, second = (peak_m2[c], exponent[c], floor[c]), (peak_m2[d], exponent[d], floor[d])
+    rcs_1 = rcs_towards(first, normals, c, route_1.arrive, -1.0) * rcs_towards(first, normals, c, onward, 1.0)
+    rcs_2 = rcs_towards(second, normals, d, route_2.arrive, -1.0) * rcs_towards(second, normals, d, onward, -1.0)
+    if not (rcs_1 > 0.0 and rcs_2 > 0.0):
+        return 0
+    free, _, foliage = passage(start, end, owner[d], pieces, True)
+    if not free:
+        return 0
+    fill_echo(row, route_1, route_2, _LIT, wall_id, (centre_id[c], centre_id[d]))
+    field = unit * math.sqrt(math.sqrt(rcs_1) * math.sqrt(rcs_2)) / (route_1.length_m * between * route_2.length_m)
+    row.weight = field * phasor[c] * phasor[d] * route_1.other * route_2.other
+    row.foliage *= foliage
+    row.out_m, row.back_m = route_1.length_m + 0.5 * between, route_2.length_m + 0.5 * between
+    apart = onward[0] * (velocity[d, 0] - velocity[c, 0]) + onward[1] * (velocity[d, 1] - velocity[c, 1])
+    there = rate_of(route_1, velocity[c, 0], velocity[c, 1], radar_velocity)
+    back = rate_of(route_2, velocity[d, 0], velocity[d, 1], radar_velocity)
+    row.rate_mps = 0.5 * (there + back + apart)
+    row.object_index = object_id[owner[c]]
+    row.point[:] = position[c]
+    return 1

@@ -7,25 +7,37 @@ out. In a right-angled corner the way to the radar's own image meets the apex: e
 
 from __future__ import annotations
 
-from dataclasses import replace
+import cmath
+import math
 
 import numpy as np
 from numba import njit
-from scipy.special import fresnel
 
-from models.physics.mirror import reflect
+from models.physics.diffraction import passed_share_at
+from models.physics.mirror import mirrored
 from sim_player.effects.los_surfaces import flash_weight
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot, World
+from sim_player.trace.bounce import bounce
 from sim_player.trace.echoes import Echoes, cofocal, echo_amplitude, join_echoes, object_echoes, surface_echoes
-from sim_player.trace.routes import Routes, dot, join_routes, make_routes, mirror_routes, norm, unit
-from sim_player.trace.segments import free_segments
+from sim_player.trace.routes import (
+    ROUTE,
+    Routes,
+    direction_of,
+    dot,
+    fill_bounce,
+    fill_route,
+    in_sight,
+    join_routes,
+    mirror_routes,
+    owners,
+)
+from sim_player.trace.segments import clear_series
 from sim_player.trace.snapshot import TraceContext
 
-#: Ends of walls nearer than this are one corner.
-SAME_END_M = 1e-6
 #: Least share of the wave for which a loop by a corner's apex is followed.
 DARKEST = 0.02
+_TWICE = bit("specular_relay") | bit("second_relay")
 
 
 def absent(world: World) -> str | None:
@@ -45,59 +57,34 @@ def apply(tracing: TraceContext) -> Echoes:
 
 def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Routes:
     """Free routes by two straight walls to points [N, 3]."""
-    first, second, target = _candidates(view, point_m)
-    end = point_m[target]
-    image_1 = reflect(np.broadcast_to(view.antenna, end.shape), view.normal[first], view.offset[first])
-    image_2 = reflect(end, view.normal[second], view.offset[second])
-    # one straight line from image to image, cut by both walls
-    at_second = _cut(image_1, image_2, view.normal[second], view.offset[second])
-    at_first = _cut(image_1, at_second, view.normal[first], view.offset[first])
-    return _routes(view, (first, second), target, (at_first, at_second, end), owner[target])
+    walls = np.flatnonzero(view.world.is_flat)
+    pairs = _search(view.origin, point_m, walls, view.walls)
+    vertices = _two_bounces(view.antenna, point_m, pairs, view.walls)
+    lit = in_sight(view, pairs[:, 0], vertices[:, 0])
+    pairs, vertices = pairs[lit], vertices[lit]
+    who = owners(owner, len(point_m))[pairs[:, 2]]
+    return _routes(view, pairs, vertices, who, np.ones(len(pairs), np.complex128))
 
 
-def _routes(
-    view: Snapshot,
-    walls: tuple[np.ndarray, np.ndarray],
-    target: np.ndarray,
-    points: tuple[np.ndarray, np.ndarray, np.ndarray],
-    owner: np.ndarray | int,
-    other: np.ndarray | float = 1.0,
-) -> Routes:
-    """Routes by points of two walls to their targets, as far as the walls are high enough and three legs are free."""
-    (first, second), (at_first, at_second, end), height = walls, points, view.world.wall_height_m
-    occlusion = free_segments((view.antenna, *points), view.blockers, owner)
-    keep = occlusion.free & (at_first[:, 2] < height[first]) & (at_second[:, 2] < height[second])
-    first, second, at_first, at_second, end = (row[keep] for row in (first, second, at_first, at_second, end))
-    depart, arrive = unit(at_first - view.antenna), unit(end - at_second)
-    coefficients_1 = view.world.reflection(first, np.abs(dot(depart[:, :2], view.normal[first])))
-    coefficients_2 = view.world.reflection(second, np.abs(dot(arrive[:, :2], view.normal[second])))
-    return make_routes(
-        target[keep],
-        norm(at_first - view.antenna) + norm(at_second - at_first) + norm(end - at_second),
-        depart,
-        arrive,
-        occlusion.take(keep),
-        bit("specular_relay") | bit("second_relay"),
-        wall=first,
-        wall2=second,
-        whole=coefficients_1[0] * coefficients_2[0],
-        front=coefficients_1[1] * coefficients_2[1],
-        rough=coefficients_1[2] * coefficients_2[2],
-        other=np.broadcast_to(other, len(keep))[keep],
-    )
+def _routes(view: Snapshot, pairs: np.ndarray, vertices: np.ndarray, owner: np.ndarray, other: np.ndarray) -> Routes:
+    """Routes by points of two walls to their targets, as far as the walls are high enough and three legs are free.
+
+    `pairs` [M, 3]: first wall, second wall, target; `vertices` [M, 3, 3]: points of both walls and the end.
+    """
+    blockers, builds = view.blockers.pieces, view.world.builds
+    return Routes(_free_routes(view.antenna, pairs, vertices, owner, other, view.walls, builds, blockers))
 
 
 def _loops(view: Snapshot) -> Echoes:
     """The radar's own image in two walls: out by one, back by the other, both ways round."""
     routes = two_wall_routes(view, view.antenna[None], np.array([-1], np.int32))
-    joined = _meeting(view.world, routes.wall, routes.wall2)[0]
+    joined = view.world.share_an_end[routes.wall, routes.wall2]
     routes = join_routes([routes.take(~joined), _corners(view)])
     weight = flash_weight(view, routes.length_m)
     point = np.broadcast_to(view.antenna, (len(routes), 3)).copy()
     echoes = surface_echoes(view, routes, weight, point, routes.wall, bit("second_relay"))
     # the loop is one round trip: what is on it is met once
-    return replace(
-        echoes,
+    return echoes.with_columns(
         weight=weight * routes.other,
         whole=routes.whole,
         front=routes.front,
@@ -117,111 +104,138 @@ def _corners(view: Snapshot) -> Routes:
     goes by the apex (two halves of one image, which is exact), above that the apex throws back what is left. The share
     is Fresnel's, its argument from the detour over the apex, cos(a) sqrt(8 d / (lambda (1 + sin a))).
     """
-    first, second = _neighbours(view.world)
-    _, apex, face_1, face_2 = _meeting(view.world, first, second)
-    towards = unit(view.origin - apex)
-    sine, cosine = _cross(face_1, face_2), dot(face_1, face_2)
-    inside = (_cross(towards, face_2) * sine > 0.0) & (_cross(face_1, towards) * sine > 0.0)
-    inside_walls = np.flatnonzero(inside)
-    first, second, apex, cosine, sine = (
-        first[inside_walls],
-        second[inside_walls],
-        apex[inside_walls],
-        cosine[inside_walls],
-        np.abs(sine[inside_walls]),
-    )
-    distance = norm(apex - view.origin)
-    wavelength_m = view.world.radar.wavelength_m
-    share = _share(cosine * np.sqrt(8.0 * distance / (wavelength_m * (1.0 + sine))))
-    # beyond 90 deg the way is by the apex, longer than the line that the share is told for
-    detour_m = 2.0 * distance * cosine**2 / (1.0 + sine)
-    share = share * np.exp(np.where(cosine < 0.0, 2j * np.pi / wavelength_m * detour_m, 0.0))
-    points, on = [], np.abs(share) > DARKEST
-    for wall, face, other in (
-        (first, face_1[inside_walls], face_2[inside_walls]),
-        (second, face_2[inside_walls], face_1[inside_walls]),
-    ):
-        along = distance * np.maximum(cosine, 0.0) / np.maximum(dot(towards[inside_walls], other), 1e-9)
-        on &= along <= norm(view.world.wall_b[wall] - view.world.wall_a[wall])
-        points.append(np.column_stack([apex + along[:, None] * face, np.full(len(wall), view.antenna[2])]))
-    on_both = np.flatnonzero(on)
-    end = np.broadcast_to(view.antenna, (len(on_both), 3))
-    vertices = (points[0][on_both], points[1][on_both], end)
-    return _routes(view, (first[on_both], second[on_both]), np.zeros(len(on_both), int), vertices, -1, share[on_both])
-
-
-def _neighbours(world: World) -> tuple[np.ndarray, np.ndarray]:
-    """All ordered pairs of straight walls that share an end."""
-    walls = np.flatnonzero(world.is_flat)
-    ends = np.concatenate([world.wall_a[walls], world.wall_b[walls]])
-    end_1, end_2 = np.nonzero(norm(ends[:, None] - ends[None]) <= SAME_END_M)
-    first, second = np.tile(walls, 2)[end_1], np.tile(walls, 2)[end_2]
-    return first[first != second], second[first != second]
-
-
-def _meeting(
-    world: World, first: np.ndarray, second: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Find the pairs of walls [N] that share an end, the nearest of their ends [N, 2], unit vectors along both."""
-    ends = np.stack([world.wall_a, world.wall_b], axis=1)
-    apart = norm(ends[first][:, :, None] - ends[second][:, None]).reshape(-1, 4)
-    nearest = np.argmin(apart, axis=1)
-    every = np.arange(len(first))
-    apex = ends[first, nearest // 2]
-    faces = unit(ends[first, 1 - nearest // 2] - apex), unit(ends[second, 1 - nearest % 2] - apex)
-    return apart[every, nearest] <= SAME_END_M, apex, *faces
-
-
-def _share(v: np.ndarray) -> np.ndarray:
-    """Share of a wave that passes an edge at Fresnel's argument v: 0 in the dark, 1/2 at the border, 1 in the clear."""
-    sine, cosine = fresnel(v)
-    return np.asarray(0.5 + 0.5 * (1.0 + 1j) * (cosine - 1j * sine))
+    corners = view.world.corners
+    pairs, vertices, share = _apex_loops(view.antenna, corners.pairs, corners.geometry, view.world.radar.wavelength_m)
+    return _routes(view, pairs, vertices, owners(-1, len(pairs)), share)
 
 
 def _mirrored_structure(view: Snapshot) -> Echoes:
     """Small scatterers of one wall seen in another."""
     world = view.world
-    specks = np.flatnonzero((world.speck_length_m == 0.0) & (world.wall_height_m[world.speck_wall] > view.antenna[2]))
-    point = np.column_stack([world.speck_m[specks], np.full(len(specks), view.antenna[2])])
-    routes, occlusion = mirror_routes(view, point, world.is_flat, np.full(len(specks), -1, np.int32))
+    specks, point = world.structure
+    routes, occlusion = mirror_routes(view, point, world.is_flat, owners(-1, len(specks)))
     routes = routes.take(occlusion.free & (world.speck_wall[specks[routes.target]] != routes.wall))
     speck = specks[routes.target]
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
     needs = bit("second_relay") | bit("los_surfaces")
-    numbered = replace(routes, target=world.speck_id[speck])
+    numbered = routes.with_columns(target=world.speck_id[speck])
     return surface_echoes(view, numbered, weight, point[routes.target], routes.wall, needs)
 
 
-def _cut(start: np.ndarray, end: np.ndarray, normal: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Return where straight lines [N, 3] from one side of a wall's line to the other cut it: by the heights over it."""
-    over = dot(start[:, :2], normal) + offset
-    under = dot(end[:, :2], normal) + offset
-    return start + (over / (over - under))[:, None] * (end - start)
-
-
-def _cross(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    return np.asarray(left[:, 0] * right[:, 1] - left[:, 1] * right[:, 0])
-
-
-def _candidates(view: Snapshot, point_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First wall, second wall and target of all routes that the law of reflection allows, ends included."""
-    world = view.world
-    walls = np.flatnonzero(world.is_flat)
-    a, b = world.wall_a[walls], world.wall_b[walls]
-    plan = np.ascontiguousarray(point_m[:, :2])
-    wall_pairs = _search(view.origin, plan, a, b, view.normal[walls], view.offset[walls])
-    return walls[wall_pairs[:, 0]], walls[wall_pairs[:, 1]], wall_pairs[:, 2]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _two_bounces(antenna, point, pairs, walls):  # type: ignore[no-untyped-def]
+    """Points of both walls and the end: one straight line from image to image, cut by both; [M, 3, 3]."""
+    normal, offset = walls[2], walls[3]
+    vertices = np.empty((len(pairs), 3, 3))
+    for m in range(len(pairs)):
+        first, second, target = pairs[m]
+        source, end = (antenna[0], antenna[1], antenna[2]), (point[target, 0], point[target, 1], point[target, 2])
+        line_1 = (normal[first, 0], normal[first, 1], offset[first])
+        line_2 = (normal[second, 0], normal[second, 1], offset[second])
+        image_1 = _image(source, line_1)
+        at_second = _cut(image_1, _image(end, line_2), line_2)
+        at_first = _cut(image_1, at_second, line_1)
+        for axis in range(3):
+            vertices[m, 0, axis], vertices[m, 1, axis] = at_first[axis], at_second[axis]
+            vertices[m, 2, axis] = end[axis]
+    return vertices
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _search(origin, point, a, b, normal, offset):  # type: ignore[no-untyped-def]
+def _free_routes(antenna, pairs, vertices, owner, other, walls, builds, pieces):  # type: ignore[no-untyped-def]
+    normal, top = walls[2], walls[4]
+    rows, count = np.empty(len(pairs), ROUTE), 0
+    start = antenna[0], antenna[1], antenna[2]
+    for m in range(len(pairs)):
+        first, second, target = pairs[m]
+        at_first = vertices[m, 0, 0], vertices[m, 0, 1], vertices[m, 0, 2]
+        at_second = vertices[m, 1, 0], vertices[m, 1, 1], vertices[m, 1, 2]
+        end = vertices[m, 2, 0], vertices[m, 2, 1], vertices[m, 2, 2]
+        if at_first[2] >= top[first] or at_second[2] >= top[second]:
+            continue
+        foliage = clear_series((start, at_first, at_second, end), owner[m], pieces)
+        if foliage < 0.0:
+            continue
+        row = rows[count]
+        count += 1
+        depart, length_1 = direction_of(start, at_first)
+        _, length_2 = direction_of(at_first, at_second)
+        arrive, length_3 = direction_of(at_second, end)
+        fill_route(row, target, length_1 + length_2 + length_3, depart, arrive, _TWICE)
+        by_first = bounce(builds, first, abs(depart[0] * normal[first, 0] + depart[1] * normal[first, 1]))
+        by_second = bounce(builds, second, abs(arrive[0] * normal[second, 0] + arrive[1] * normal[second, 1]))
+        fill_bounce(row, first, (by_first[0] * by_second[0], by_first[1] * by_second[1], by_first[2] * by_second[2]))
+        row.wall2, row.foliage, row.other = second, foliage, other[m]
+    return rows[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _apex_loops(antenna, pairs, geometry, wavelength_m):  # type: ignore[no-untyped-def]
+    """Walls, vertices and share of the wave of all loops by corners [C] that the radar is in.
+
+    `geometry` [C, 8]: apex, unit vectors along both walls from there, lengths of both walls.
+    """
+    kept, vertices = np.empty((len(pairs), 3), np.int64), np.empty((len(pairs), 3, 3))
+    other, count = np.empty(len(pairs), np.complex128), 0
+    for corner in range(len(pairs)):
+        ax, ay, x1, y1, x2, y2, long_1, long_2 = geometry[corner]
+        tx, ty = antenna[0] - ax, antenna[1] - ay
+        distance = math.hypot(tx, ty)
+        tx, ty = tx / max(distance, 1e-9), ty / max(distance, 1e-9)
+        sine, cosine = x1 * y2 - y1 * x2, x1 * x2 + y1 * y2
+        if not ((tx * y2 - ty * x2) * sine > 0.0 and (x1 * ty - y1 * tx) * sine > 0.0):
+            continue
+        sine = abs(sine)
+        share = passed_share_at(cosine * math.sqrt(8.0 * distance / (wavelength_m * (1.0 + sine))))
+        if cosine < 0.0:
+            # beyond 90 deg the way is by the apex, longer than the line that the share is told for
+            share *= cmath.exp(2j * np.pi / wavelength_m * (2.0 * distance * cosine * cosine / (1.0 + sine)))
+        along_1 = distance * max(cosine, 0.0) / max(tx * x2 + ty * y2, 1e-9)
+        along_2 = distance * max(cosine, 0.0) / max(tx * x1 + ty * y1, 1e-9)
+        if abs(share) <= DARKEST or along_1 > long_1 or along_2 > long_2:
+            continue
+        kept[count, 0], kept[count, 1], kept[count, 2] = pairs[corner, 0], pairs[corner, 1], 0
+        vertices[count, 0, 0], vertices[count, 0, 1] = ax + along_1 * x1, ay + along_1 * y1
+        vertices[count, 1, 0], vertices[count, 1, 1] = ax + along_2 * x2, ay + along_2 * y2
+        vertices[count, 2, 0], vertices[count, 2, 1] = antenna[0], antenna[1]
+        vertices[count, :, 2] = antenna[2]
+        other[count] = share
+        count += 1
+    return kept[:count], vertices[:count], other[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _image(point, line):  # type: ignore[no-untyped-def]
+    """Return a point mirrored in a line (normal and offset)."""
+    nx, ny, offset = line
+    x, y = mirrored(point[0], point[1], nx, ny, offset)
+    return x, y, point[2]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cut(start, end, line):  # type: ignore[no-untyped-def]
+    """Return where a straight line from one side of a wall's line to the other cuts it: by the heights over it."""
+    nx, ny, offset = line
+    over = start[0] * nx + start[1] * ny + offset
+    share = over / (over - (end[0] * nx + end[1] * ny + offset))
+    return (
+        start[0] + share * (end[0] - start[0]),
+        start[1] + share * (end[1] - start[1]),
+        start[2] + share * (end[2] - start[2]),
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _search(origin, point, flat, walls):  # type: ignore[no-untyped-def]
+    """First wall, second wall and target of all routes that the law of reflection allows, ends included; [M, 3]."""
+    a, b, normal, offset, _ = walls
     pairs = np.empty((64, 3), np.int64)
     count = 0
-    for first in range(len(a)):
+    for first in flat:
         nx, ny, d = normal[first, 0], normal[first, 1], offset[first]
         reach = origin[0] * nx + origin[1] * ny + d
         ix, iy = origin[0] - 2.0 * reach * nx, origin[1] - 2.0 * reach * ny
-        for second in range(len(a)):
+        for second in flat:
             if second == first or not _seen(ix, iy, reach, a, b, nx, ny, d, first, second):
                 continue
             mx, my, e = normal[second, 0], normal[second, 1], offset[second]

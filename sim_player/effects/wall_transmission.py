@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from sim_player.effects.names import bit
@@ -38,5 +36,6 @@ def apply(tracing: TraceContext) -> Echoes:
 
 def _behind(routes: Routes, occlusion: Occlusion) -> Routes:
     """The routes that walls stand in, weakened by them."""
-    weakened = replace(routes, other=routes.other * occlusion.through)
-    return weakened.take(~occlusion.free & (occlusion.through != 0.0))
+    behind = np.flatnonzero(~occlusion.free & (occlusion.through != 0.0))
+    routes = routes.take(behind)
+    return routes.with_columns(other=routes.other * occlusion.through[behind])

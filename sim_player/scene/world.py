@@ -11,19 +11,15 @@ import numpy as np
 
 from models.physics.attenuation import vegetation_db
 from models.physics.curved_mirror import arc_normals, arc_points
-from models.physics.fresnel import (
-    coherent_power,
-    half_space_reflection,
-    slab_reflection,
-    stack_reflection,
-    stack_transmission,
-)
-from models.physics.materials import is_volume, wall_layers
+from models.physics.fresnel import stack_transmission
+from models.physics.materials import is_volume, permittivity, wall_layers
 from msgs.values.frames import Pose2
 from msgs.values.radar import RadarParams, RadarSetup
 from msgs.values.vehicle import ego_motion
 from sim_player.scene.description import Scene, SceneObject, Surface, check_scene
 from sim_player.scene.road_users import ScatteringCentres, scattering_centres
+from sim_player.scene.wall_ends import Corners, WallEnds, corners_of, share_an_end, wall_ends
+from sim_player.trace.bounce import Builds, Layers, all_bounces, builds_of
 from sim_player.trace.mesh_rcs import mesh_centres
 from sim_player.trace.segments import BODY, STRAIGHT, TABLE_STEPS, VOLUME, WALL, Blockers
 
@@ -32,8 +28,6 @@ PATCH_M = 0.13
 #: Median and spread of the wall's own small scatterers (metal parts of a hand's size), every 1-3 m and at all ends.
 STRUCTURE_RCS_DBSM, STRUCTURE_SPREAD_DB = -12.0, 4.0
 STRUCTURE_SPACING_M = (1.0, 3.0)
-
-Layers = tuple[tuple[complex, float], ...]
 
 
 @dataclass(frozen=True)
@@ -84,18 +78,18 @@ class World:
     #: Half round trip up to which a part of a world has all paths of the whole (`sim_player.scene.reach`).
     reach_m: float = math.inf
 
-    @property
+    @cached_property
     def is_mirror(self) -> np.ndarray:
         """Mask of the pieces that are walls, not foliage; bool [W]."""
         return self.wall_stack >= 0
 
-    @property
+    @cached_property
     def is_curved(self) -> np.ndarray:
         """Mask of the pieces with a relevant curvature; bool [W]."""
         chord = np.hypot(*(self.wall_b - self.wall_a).T)
         return self.is_mirror & (np.abs(self.wall_curvature_per_m) * chord >= STRAIGHT)
 
-    @property
+    @cached_property
     def is_flat(self) -> np.ndarray:
         """Mask of the straight mirrors; bool [W]."""
         return self.is_mirror & ~self.is_curved
@@ -114,9 +108,23 @@ class World:
         return next((surface for surface in self.scene.surfaces if surface.role == "ground"), None)
 
     @cached_property
+    def ground_face(self) -> tuple[complex, float, float]:
+        """Permittivity, rms roughness [m] and the wavelength at the ground; ValueError where there is none."""
+        if self.ground is None:
+            raise ValueError(f"scene {self.scene.name!r} must name a ground, got none")
+        epsilon = permittivity(self.ground.material, self.radar.carrier_hz)
+        return epsilon, 1e-3 * self.ground.roughness_mm, self.radar.wavelength_m
+
+    @cached_property
     def kept(self) -> dict[str, Any]:
         """What others have derived from this world and keep with it."""
         return {}
+
+    @cached_property
+    def numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers in the whole world of pieces of wall (the last row: -1, none), centres and objects, int32."""
+        walls = np.append(self.wall_id, -1)
+        return walls.astype(np.int32), self.centre_id.astype(np.int32), self.object_id.astype(np.int32)
 
     @cached_property
     def transmission(self) -> np.ndarray:
@@ -133,26 +141,65 @@ class World:
         """Return one bounce of pieces of wall [N]: (the wall as built, its front face alone, field left by
         roughness).
         """
-        cosine, stack = np.minimum(cosine, 1.0), self.wall_stack[wall]
-        whole, front = np.zeros(len(wall), np.complex128), np.zeros(len(wall), np.complex128)
-        permittivity, thickness_m, layers = self._faces
-        solid = stack >= 0
-        front[solid] = half_space_reflection(permittivity[stack[solid]], cosine[solid])
-        is_slab = solid & (layers[stack] == 1)
-        slab = permittivity[stack[is_slab]], cosine[is_slab], thickness_m[stack[is_slab]]
-        whole[is_slab] = slab_reflection(*slab, self.radar.wavelength_m)
-        for build in np.unique(stack[solid & ~is_slab]):
-            here = stack == build
-            whole[here] = _reflection(self.stacks[build], cosine[here], self.radar.wavelength_m)
-        rough = np.sqrt(coherent_power(self.wall_roughness_m[wall], cosine, self.radar.wavelength_m))
-        return whole, front, rough
+        return all_bounces(self.builds, np.asarray(wall, np.int64), np.asarray(cosine, np.float64))
 
     @cached_property
-    def _faces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Permittivity and thickness of each build's front layer, how many layers it has; a last row for no build."""
-        permittivity = np.array([layers[0][0] for layers in self.stacks] + [1.0], np.complex128)
-        thickness_m = np.array([layers[0][1] for layers in self.stacks] + [0.0], np.float64)
-        return permittivity, thickness_m, np.array([len(layers) for layers in self.stacks] + [0])
+    def builds(self) -> Builds:
+        """The walls' builds as compiled code takes them."""
+        return builds_of(self.stacks, self.wall_stack, self.wall_roughness_m, self.radar.wavelength_m)
+
+    @cached_property
+    def corners(self) -> Corners:
+        """Pairs of straight walls that share an end."""
+        return corners_of(self.wall_a, self.wall_b, self.is_flat)
+
+    @cached_property
+    def share_an_end(self) -> np.ndarray:
+        """Which pieces of wall share an end; bool [W, W]."""
+        return share_an_end(self.wall_a, self.wall_b)
+
+    @cached_property
+    def wall_ends(self) -> WallEnds:
+        """Ends of all mirrors and which of them meet."""
+        return wall_ends(self.wall_a, self.wall_b, self.wall_curvature_per_m, self.is_mirror)
+
+    @cached_property
+    def structure(self) -> tuple[np.ndarray, np.ndarray]:
+        """Index of the scatterers that are structure of walls higher than the radar; their points at its height."""
+        return self._level(np.flatnonzero(self.speck_length_m == 0.0))
+
+    @cached_property
+    def rough_patches(self) -> tuple[np.ndarray, np.ndarray]:
+        """Index of the patches of rough mirrors higher than the radar; their points at its height."""
+        rough = self.is_mirror & (self.wall_roughness_m > 0.0)
+        return self._level(np.flatnonzero((self.speck_length_m > 0.0) & rough[self.speck_wall]))
+
+    def _level(self, specks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        specks = specks[self.wall_height_m[self.speck_wall[specks]] > self.radar_height_m]
+        return specks, np.column_stack([self.speck_m[specks], np.full(len(specks), self.radar_height_m)])
+
+    @cached_property
+    def blocker_transmission(self) -> np.ndarray:
+        """The same as `transmission` for all pieces that may block: walls, then faces, which let nothing pass."""
+        return np.concatenate([self.transmission, np.zeros((len(self.face_a), TABLE_STEPS + 1))])
+
+    @cached_property
+    def centres(self) -> tuple[np.ndarray, ...]:
+        """RCS, normals, exponent, floor, object and unit phasor of all centres as compiled code takes them."""
+        numbers = self.centre_rcs_m2, self.centre_normals, self.centre_exponent, self.centre_floor
+        plain = tuple(np.ascontiguousarray(values, np.float64) for values in numbers)
+        return *plain, self.centre_object.astype(np.int32), np.exp(1j * self.centre_phase_rad)
+
+    @cached_property
+    def blocker_kinds(self) -> tuple[np.ndarray, np.ndarray]:
+        """Kind int8 and owner int32 of all pieces that may block: walls, then faces."""
+        faces, walls = len(self.face_a), len(self.wall_a)
+        meshes = np.array([scene_object.class_ is None for scene_object in self.scene.objects], bool)
+        object_index = np.repeat(np.arange(len(meshes)), 4)
+        kind = np.concatenate([np.where(self.is_mirror, WALL, VOLUME), np.full(faces, BODY)])
+        # the patches of a mesh lie inside its box
+        owner = np.concatenate([np.full(walls, -1), np.where(meshes[object_index], object_index, -1)])
+        return kind.astype(np.int8), owner.astype(np.int32)
 
 
 def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> World:
@@ -173,10 +220,8 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
     curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
-    objects, specks = (
-        _object_arrays(scene, setup.radar.wavelength_m, seed),
-        _wall_specks(wall_a, wall_b, curvature, seed),
-    )
+    objects = _object_arrays(scene, setup.radar.wavelength_m, seed)
+    specks = _wall_specks(wall_a, wall_b, curvature, seed)
     return World(
         scene=scene,
         setup=setup,
@@ -227,6 +272,11 @@ class Snapshot:
         """The antenna's position in the plane, [2]."""
         return self.antenna[:2]
 
+    @cached_property
+    def walls(self) -> tuple[np.ndarray, ...]:
+        """Ends, normals, offsets and heights of all pieces of wall as compiled code takes them."""
+        return self.world.wall_a, self.world.wall_b, self.normal, self.offset, self.world.wall_height_m
+
 
 @dataclass(frozen=True)
 class RadarState:
@@ -252,9 +302,7 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
     centre[:, :2] += shift[world.centre_object]
     origin = np.array([pose.x_m, pose.y_m])
     normal, offset = wall_lines(world, origin)
-    faces = len(world.face_a)
-    meshes = np.array([scene_object.class_ is None for scene_object in world.scene.objects], bool)
-    object_index = np.repeat(np.arange(len(meshes)), 4)
+    kind, owner = world.blocker_kinds
     return Snapshot(
         world=world,
         pose=pose,
@@ -262,18 +310,14 @@ def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None)
         radar_velocity=radar.velocity,
         centre=centre,
         velocity=world.velocity_mps[world.centre_object],
-        blockers=join_blockers(
-            wall_blockers(world),
-            Blockers(
-                a=world.face_a + face_shift,
-                b=world.face_b + face_shift,
-                height_m=world.face_height_m,
-                curvature_per_m=np.zeros(faces),
-                kind=np.full(faces, BODY, np.int8),
-                # the patches of a mesh lie inside its box
-                owner=np.where(meshes[object_index], object_index, -1).astype(np.int32),
-                transmission=np.zeros((faces, TABLE_STEPS + 1)),
-            ),
+        blockers=Blockers(
+            a=np.concatenate([world.wall_a, world.face_a + face_shift]),
+            b=np.concatenate([world.wall_b, world.face_b + face_shift]),
+            height_m=np.concatenate([world.wall_height_m, world.face_height_m]),
+            curvature_per_m=np.concatenate([world.wall_curvature_per_m, np.zeros(len(face_shift))]),
+            kind=kind,
+            owner=owner,
+            transmission=world.blocker_transmission,
         ),
         normal=normal,
         offset=offset,
@@ -323,12 +367,6 @@ def _stacks(surfaces: list[Surface], carrier_hz: float) -> tuple[tuple[Layers, .
         layers = wall_layers(surface.material, thickness_m, carrier_hz)
         index.append(stack_index.setdefault(layers, len(stack_index)))
     return tuple(stack_index), np.array(index, np.int32)
-
-
-def _reflection(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:
-    """Return the field reflection of a build of wall, vertical polarisation (TE)."""
-    permittivities, thicknesses = np.array([e for e, _ in layers]), np.array([d for _, d in layers])
-    return np.asarray(stack_reflection(permittivities, thicknesses, cosine, wavelength_m))
 
 
 def _transmission(layers: Layers, cosine: np.ndarray, wavelength_m: float) -> np.ndarray:

@@ -6,47 +6,45 @@ over both lengths: 1/R^2 for the same route there and back (Eq. (5)); two bounce
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
+from numba import njit
 
-from msgs.values.array_table import ArrayTable
 from msgs.values.perception import PathClass
 from msgs.values.radar import RadarParams
-from sim_player.scene.road_users import seen_rcs_m2
 from sim_player.scene.world import Snapshot, World
-from sim_player.trace.routes import NONE, Routes, dot
+from sim_player.trace.routes import NONE, Routes
+from sim_player.trace.row_table import Column, RowTable
 
 
-@dataclass(frozen=True)
-class Echoes(ArrayTable):
+class Echoes(RowTable):
     """E echoes in the scene's frame."""
 
     #: Weight with none of the factors below.
-    weight: np.ndarray
+    weight = Column("c16")
     #: Field factors of out and back together, as in `Routes`.
-    whole: np.ndarray
-    front: np.ndarray
-    rough: np.ndarray
-    foliage: np.ndarray
+    whole = Column("c16")
+    front = Column("c16")
+    rough = Column("f8")
+    foliage = Column("f8")
     #: Lengths of both routes, and unit vectors of travel at departure and (reversed) at arrival, [E, 3].
-    out_m: np.ndarray
-    back_m: np.ndarray
-    depart: np.ndarray
-    arrive: np.ndarray
+    out_m = Column("f8")
+    back_m = Column("f8")
+    depart = Column("f8", 3)
+    arrive = Column("f8", 3)
     #: Half the rate of change of the length.
-    rate_mps: np.ndarray
-    kind: np.ndarray
-    order: np.ndarray
-    needs: np.ndarray
-    surface: np.ndarray
-    object_index: np.ndarray
-    #: The same number for the same scatterer by the same routes at another time, uint64.
-    chain: np.ndarray
-    point: np.ndarray
+    rate_mps = Column("f8")
+    #: The same number for the same scatterer by the same routes at another time.
+    chain = Column("u8")
+    point = Column("f8", 3)
+    needs = Column("u4")
+    surface = Column("i4")
+    object_index = Column("i4")
+    kind = Column("u1")
+    order = Column("u1")
 
-    def __len__(self) -> int:
-        return len(self.weight)
+
+ECHO = Echoes.dtype
+_LOS, _MIRRORED = int(PathClass.LOS), int(PathClass.MIRRORED)
 
 
 def join_echoes(parts: list[Echoes]) -> Echoes:
@@ -64,32 +62,11 @@ def echo_amplitude(radar: RadarParams, rcs_m2: np.ndarray, range_m: np.ndarray) 
 
 def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.ndarray], needs: int = 0) -> Echoes:
     """Return the echoes of centres: out by route `pairs[0]`, back by `pairs[1]`; different routes in both orders."""
-    pairs, times = both_orders(view.world, pairs)
-    out, back = routes.take(pairs[0]), routes.take(pairs[1])
-    world, centre = view.world, out.target
-    rcs = np.sqrt(centre_rcs_m2(world, centre, -out.arrive) * centre_rcs_m2(world, centre, -back.arrive))
-    constant = echo_amplitude(world.radar, rcs, np.ones(len(centre))) * np.exp(1j * world.centre_phase_rad[centre])
-    mirrored = (out.wall >= 0) | (back.wall >= 0)
-    echoes = Echoes(
-        weight=times * constant * out.other * back.other / (out.length_m * back.length_m),
-        whole=out.whole * back.whole,
-        front=out.front * back.front,
-        rough=out.rough * back.rough,
-        foliage=out.foliage * back.foliage,
-        out_m=out.length_m,
-        back_m=back.length_m,
-        depart=out.depart,
-        arrive=back.depart,
-        rate_mps=0.5 * (_rate(view, out) + _rate(view, back)),
-        kind=np.where(mirrored, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
-        order=np.maximum(_order(out), _order(back)),
-        needs=out.needs | back.needs | np.uint32(needs),
-        surface=wall_number(world, np.where(out.wall >= 0, out.wall, back.wall)),
-        object_index=object_number(world, centre),
-        chain=chain_of(world, centre_numbers(world, out), centre_numbers(world, back), needs),
-        point=view.centre[centre],
-    )
-    return echoes.take(rcs > 0.0)
+    (out, back), times = both_orders(view.world, pairs)
+    centres = *view.world.centres, view.centre, view.velocity
+    unit = float(echo_amplitude(view.world.radar, np.ones(1), np.ones(1))[0])
+    numbers = view.world.numbers
+    return Echoes(_of_centres(routes.rows, out, back, times * unit, needs, centres, view.radar_velocity, numbers))
 
 
 def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -98,40 +75,13 @@ def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tup
     Either route of a mixed pair may come first. Where the arrays cannot tell, one pair counts twice in field.
     """
     out, back = pairs
+    if out is back:
+        return pairs, np.ones(len(out))
     mixed = out != back
     if world.orders_alike:
         return pairs, np.where(mixed, 2.0, 1.0)
     swapped = np.append(out, back[mixed]), np.append(back, out[mixed])
     return swapped, np.ones(len(swapped[0]))
-
-
-def wall_number(world: World, wall: np.ndarray) -> np.ndarray:
-    """Return the numbers that pieces of wall have in the whole world, int32 [N]; -1 for none."""
-    return np.asarray(np.append(world.wall_id, NONE)[wall], np.int32)
-
-
-def object_number(world: World, centre: np.ndarray) -> np.ndarray:
-    """Return the numbers that the objects of some centres have in the whole world, int32 [N]."""
-    return np.asarray(world.object_id[world.centre_object[centre]], np.int32)
-
-
-def centre_numbers(world: World, routes: Routes) -> Routes:
-    """Return routes to centres with the numbers that these have in the whole world as targets."""
-    return replace(routes, target=world.centre_id[routes.target])
-
-
-def chain_of(world: World, out: Routes, back: Routes, needs: int) -> np.ndarray:
-    """Return a number for each echo by its scatterer, its two routes and its effects; uint64 [E], a hash.
-
-    Targets have numbers of the whole world, so that it stays while other parts of that world are traced.
-    """
-    chain = np.full(len(out), needs, np.uint64)
-    for routes in (out, back):
-        walls = wall_number(world, routes.wall), wall_number(world, routes.wall2)
-        for part in (routes.target, *walls, routes.edge, routes.ground, routes.needs):
-            # wraps: the odd factor of a linear congruential generator
-            chain = (chain + (part.astype(np.int64) + 2).astype(np.uint64)) * np.uint64(6364136223846793005)
-    return chain
 
 
 def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
@@ -141,13 +91,8 @@ def cofocal(routes: Routes) -> tuple[np.ndarray, np.ndarray]:
 
 
 def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return all index pairs (i, j) with first[i] == second[j]."""
-    order = np.argsort(second, kind="stable")
-    low = np.searchsorted(second[order], first, "left")
-    count = np.searchsorted(second[order], first, "right") - low
-    left = np.repeat(np.arange(len(first)), count)
-    step = np.arange(len(left)) - np.repeat(np.cumsum(count) - count, count)
-    return left, order[np.repeat(low, count) + step]
+    """Return all index pairs (i, j) with first[i] == second[j]; targets are integers and not negative."""
+    return _same_target(np.asarray(first, np.int64), np.asarray(second, np.int64))
 
 
 def surface_echoes(
@@ -157,46 +102,129 @@ def surface_echoes(
 
     The routes' targets are the points' numbers in the whole world.
     """
-    count = len(routes)
-    return Echoes(
-        weight=weight * routes.other**2,
-        whole=routes.whole**2,
-        front=routes.front**2,
-        rough=routes.rough**2,
-        foliage=routes.foliage**2,
-        out_m=routes.length_m,
-        back_m=routes.length_m,
-        depart=routes.depart,
-        arrive=routes.depart,
-        rate_mps=_rate(view, routes, still=True),
-        kind=np.where(routes.wall >= 0, PathClass.MIRRORED, PathClass.LOS).astype(np.uint8),
-        order=_order(routes),
-        needs=routes.needs | np.uint32(needs),
-        surface=wall_number(view.world, wall),
-        object_index=np.full(count, NONE, np.int32),
-        chain=chain_of(view.world, routes, routes, needs),
-        point=point,
-    )
+    weight, wall = np.asarray(weight, np.complex128), np.asarray(wall, np.int64)
+    return Echoes(_of_walls(routes.rows, weight, point, wall, needs, view.radar_velocity, view.world.numbers[0]))
 
 
-def _rate(view: Snapshot, routes: Routes, still: bool = False) -> np.ndarray:
+@njit(cache=True, nogil=True, error_model="numpy")
+def _same_target(first, second):  # type: ignore[no-untyped-def]
+    targets = 0
+    for target in second:
+        targets = max(targets, target + 1)
+    # of each target the first route, of each route the next one of its target
+    start, following = np.full(targets, -1), np.empty(len(second), np.int64)
+    for j in range(len(second) - 1, -1, -1):
+        following[j] = start[second[j]]
+        start[second[j]] = j
+    count = 0
+    left, right = np.empty(len(first) + 64, np.int64), np.empty(len(first) + 64, np.int64)
+    for i in range(len(first)):
+        j = start[first[i]] if first[i] < targets else -1
+        while j >= 0:
+            if count == len(left):
+                left, right = np.append(left, left), np.append(right, right)
+            left[count], right[count] = i, j
+            count += 1
+            j = following[j]
+    return left[:count], right[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _of_centres(routes, out, back, times, needs, centres, radar_velocity, numbers):  # type: ignore[no-untyped-def]
+    peak_m2, normals, exponent, floor, owner, phasor, position, velocity = centres
+    wall_id, centre_id, object_id = numbers
+    rows, count = np.empty(len(out), ECHO), 0
+    for pair in range(len(out)):
+        there, here = routes[out[pair]], routes[back[pair]]
+        c = there.target
+        lobe = (peak_m2[c], exponent[c], floor[c])
+        rcs = rcs_towards(lobe, normals, c, there.arrive, -1.0)
+        if out[pair] != back[pair]:
+            rcs = np.sqrt(rcs * rcs_towards(lobe, normals, c, here.arrive, -1.0))
+        if not rcs > 0.0:
+            continue
+        row = rows[count]
+        count += 1
+        constant = times[pair] * np.sqrt(rcs) * phasor[c]
+        row.weight = constant * there.other * here.other / (there.length_m * here.length_m)
+        fill_echo(row, there, here, needs, wall_id, (centre_id[c], centre_id[c]))
+        row.rate_mps = 0.5 * (
+            rate_of(there, velocity[c, 0], velocity[c, 1], radar_velocity)
+            + rate_of(here, velocity[c, 0], velocity[c, 1], radar_velocity)
+        )
+        row.object_index = object_id[owner[c]]
+        row.point[:] = position[c]
+    return rows[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _of_walls(routes, weight, point, wall, needs, radar_velocity, wall_id):  # type: ignore[no-untyped-def]
+    rows = np.empty(len(routes), ECHO)
+    for n in range(len(routes)):
+        row, route = rows[n], routes[n]
+        row.weight = weight[n] * route.other * route.other
+        fill_echo(row, route, route, needs, wall_id, (route.target, route.target))
+        row.rate_mps = rate_of(route, 0.0, 0.0, radar_velocity)
+        row.surface, row.object_index = wall_id[wall[n]], NONE
+        row.point[:] = point[n]
+    return rows
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_echo(row, there, here, needs, wall_id, targets):  # type: ignore[no-untyped-def]
+    """Write what an echo has from its routes alone, out by `there` and back by `here`.
+
+    `wall_id`: numbers of the walls in the whole world, -1 last; `targets`: those of both routes' targets.
+    """
+    row.whole, row.front = there.whole * here.whole, there.front * here.front
+    row.rough, row.foliage = there.rough * here.rough, there.foliage * here.foliage
+    row.out_m, row.back_m = there.length_m, here.length_m
+    row.depart[:] = there.depart
+    row.arrive[:] = here.depart
+    row.kind = _MIRRORED if there.wall >= 0 or here.wall >= 0 else _LOS
+    row.order = max((there.wall >= 0) + (there.wall2 >= 0), (here.wall >= 0) + (here.wall2 >= 0))
+    row.needs = there.needs | here.needs | np.uint32(needs)
+    row.surface = wall_id[there.wall if there.wall >= 0 else here.wall]
+    row.chain = chain_of((there, here), targets, needs, wall_id)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def chain_of(routes, targets, needs, wall_id):  # type: ignore[no-untyped-def]
+    """Return a number for an echo by its scatterer, its two routes and its effects; uint64, a hash.
+
+    By numbers of the whole world, so that it stays while other parts of that world are traced.
+    """
+    chain = np.uint64(needs)
+    for route, target in ((routes[0], targets[0]), (routes[1], targets[1])):
+        for part in (target, wall_id[route.wall], wall_id[route.wall2], route.edge):
+            chain = _chained(chain, np.int64(part))
+        chain = _chained(_chained(chain, np.int64(route.ground)), np.int64(route.needs))
+    return chain
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _chained(chain, part):  # type: ignore[no-untyped-def]
+    # wraps: the odd factor of a linear congruential generator
+    return (chain + np.uint64(part + 2)) * np.uint64(6364136223846793005)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def rate_of(route, x_mps, y_mps, radar_velocity):  # type: ignore[no-untyped-def]
     """Return the rate of change of a route's length: by Fermat's principle only the motion of its ends matters."""
-    own = dot(routes.depart[:, :2], view.radar_velocity)
-    if still:
-        return np.asarray(-own)
-    return np.asarray(dot(routes.arrive[:, :2], view.velocity[routes.target]) - own)
+    depart, arrive = route.depart, route.arrive
+    own = depart[0] * radar_velocity[0] + depart[1] * radar_velocity[1]
+    return arrive[0] * x_mps + arrive[1] * y_mps - own
 
 
-def _order(routes: Routes) -> np.ndarray:
-    return ((routes.wall >= 0).astype(np.uint8) + (routes.wall2 >= 0)).astype(np.uint8)
-
-
-def centre_rcs_m2(world: World, centre: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Return the RCS of some centres of a world towards unit vectors [N, 3]."""
-    return seen_rcs_m2(
-        world.centre_rcs_m2[centre],
-        world.centre_normals[centre],
-        world.centre_exponent[centre],
-        direction,
-        world.centre_floor[centre],
-    )
+@njit(cache=True, nogil=True, error_model="numpy")
+def rcs_towards(lobe, normals, centre, direction, sense):  # type: ignore[no-untyped-def]
+    """Return `seen_rcs_m2` of one centre towards `sense` times a direction; `lobe` is its peak, exponent and floor."""
+    peak_m2, exponent, floor = lobe
+    first, second = 0.0, 0.0
+    for axis in range(3):
+        first += normals[centre, 0, axis] * direction[axis]
+        second += normals[centre, 1, axis] * direction[axis]
+    cosine = max(sense * first, sense * second)
+    if cosine <= 0.0:
+        return 0.0
+    return peak_m2 * (floor + (1.0 - floor) * (cosine**exponent if exponent != 0.0 else 1.0))

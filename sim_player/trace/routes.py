@@ -7,15 +7,17 @@ kept apart, so that an echo's weight can be computed with and without them ("geo
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from typing import Any
 
 import numpy as np
+from numba import njit
 
-from models.physics.mirror import reflect
-from msgs.values.array_table import ArrayTable
 from sim_player.effects.names import bit
 from sim_player.scene.world import Snapshot
-from sim_player.trace.segments import Occlusion, in_series, segment_occlusion, without
+from sim_player.trace.bounce import bounce
+from sim_player.trace.row_table import Column, RowTable
+from sim_player.trace.segments import Occlusion, passage, without
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
@@ -24,34 +26,34 @@ LIT_MARGIN = 1e-7
 NONE = -1
 
 
-@dataclass(frozen=True)
-class Routes(ArrayTable):
+class Routes(RowTable):
     """N one-way routes, in the scene's frame (heights over the ground)."""
 
-    #: Index of the target it arrives at, int32.
-    target: np.ndarray
-    length_m: np.ndarray
-    #: Unit vectors of travel at the antenna and at the target, [N, 3].
-    depart: np.ndarray
-    arrive: np.ndarray
-    #: First and second mirror from the antenna, -1 for none; int32.
-    wall: np.ndarray
-    wall2: np.ndarray
-    #: Edge that bends it, -1 for none; int32.
-    edge: np.ndarray
+    #: Index of the target it arrives at.
+    target = Column("i4")
+    #: First and second mirror from the antenna, -1 for none.
+    wall = Column("i4")
+    wall2 = Column("i4")
+    #: Edge that bends it, -1 for none.
+    edge = Column("i4")
+    #: Bits of all effects that it needs.
+    needs = Column("u4")
     #: Met the ground.
-    ground: np.ndarray
+    ground = Column("?")
+    length_m = Column("f8")
+    #: Unit vectors of travel at the antenna and at the target, [N, 3].
+    depart = Column("f8", 3)
+    arrive = Column("f8", 3)
     #: Field factors: all bounces at walls as built and at their front faces alone, roughness, foliage, all else.
-    whole: np.ndarray
-    front: np.ndarray
-    rough: np.ndarray
-    foliage: np.ndarray
-    other: np.ndarray
-    #: Bits of all effects that it needs, uint32.
-    needs: np.ndarray
+    whole = Column("c16")
+    front = Column("c16")
+    rough = Column("f8")
+    foliage = Column("f8")
+    other = Column("c16")
 
-    def __len__(self) -> int:
-        return len(self.length_m)
+
+ROUTE = Routes.dtype
+_MIRROR = bit("specular_relay")
 
 
 def join_routes(parts: list[Routes]) -> Routes:
@@ -66,100 +68,51 @@ def make_routes(
     arrive: np.ndarray,
     occlusion: Occlusion,
     needs: int,
-    *,
-    wall: np.ndarray | int = NONE,
-    wall2: np.ndarray | int = NONE,
-    edge: np.ndarray | int = NONE,
-    ground: bool = False,
-    whole: np.ndarray | complex = 1.0,
-    front: np.ndarray | complex = 1.0,
-    rough: np.ndarray | float = 1.0,
-    other: np.ndarray | complex = 1.0,
+    **further: Any,
 ) -> Routes:
     """Return the routes from their geometry and the occlusion of their segments; factors not given are one."""
-    count = len(target)
-
-    def spread(value: object, dtype: type) -> np.ndarray:
-        filled: np.ndarray = np.empty(count, dtype)
-        filled[:] = value
-        return filled
-
-    return Routes(
-        target=np.asarray(target, np.int32),
-        length_m=np.maximum(length_m, NEAREST_M),
-        depart=depart,
-        arrive=arrive,
-        wall=spread(wall, np.int32),
-        wall2=spread(wall2, np.int32),
-        edge=spread(edge, np.int32),
-        ground=spread(ground, np.bool_),
-        whole=spread(whole, np.complex128),
-        front=spread(front, np.complex128),
-        rough=spread(rough, np.float64),
-        foliage=occlusion.foliage,
-        other=spread(other, np.complex128),
-        needs=spread(needs, np.uint32),
-    )
+    defaults = {"wall": NONE, "wall2": NONE, "edge": NONE, "ground": False}
+    factors = {"whole": 1.0, "front": 1.0, "rough": 1.0, "other": 1.0}
+    geometry = {"target": target, "length_m": np.maximum(length_m, NEAREST_M), "depart": depart, "arrive": arrive}
+    columns = defaults | factors | geometry | {"foliage": occlusion.foliage, "needs": needs} | further
+    return Routes.of(len(target), **columns)
 
 
 def no_routes() -> Routes:
     """Return no routes."""
-    none, vectors = np.zeros(0), np.zeros((0, 3))
-    return make_routes(np.zeros(0, int), none, vectors, vectors, Occlusion(none > 0.0, none + 0j, none), 0)
+    return Routes(np.empty(0, ROUTE))
 
 
 def straight_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray | int = -1) -> tuple[Routes, Occlusion]:
     """Return the straight routes from the antenna to points [N, 3], blocked ones too, and their occlusion."""
-    occlusion = segment_occlusion(view.antenna, point_m, view.blockers, owner)
-    ray = point_m - view.antenna
-    length = norm(ray)
-    direction = ray / np.maximum(length, 1e-9)[:, None]
-    routes = make_routes(np.arange(len(point_m)), length, direction, direction, occlusion, 0)
-    return routes, occlusion
+    rows, *occlusion = _straight(view.antenna, point_m, owners(owner, len(point_m)), view.blockers.pieces)
+    return Routes(rows), Occlusion(*occlusion)
 
 
-@dataclass(frozen=True)
-class Bounces(ArrayTable):
-    """M candidate bounces at straight walls between a source and targets: by the law of reflection, inside the ends."""
-
-    wall: np.ndarray
-    target: np.ndarray
-    #: Specular points [M, 3] and images of the targets [M, 3].
-    specular: np.ndarray
-    image: np.ndarray
-    normal: np.ndarray
-
-
-def plane_bounces(view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray) -> Bounces:
+def plane_bounces(
+    view: Snapshot, source: np.ndarray, point_m: np.ndarray, mirrors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return all (piece of wall, point) pairs where the piece mirrors the point to a source [3], without occlusion.
 
+    Pieces [M] and points [M] of the pairs, and their specular points and images, [M, 2, 3].
     The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
     `mirrors` [W]: the pieces to test.
     """
-    world = view.world
-    walls = np.flatnonzero(mirrors)
-    normal, offset = view.normal[walls], view.offset[walls]
-    height = normal @ point_m[:, :2].T + offset[:, None]  # [W, N]
-    source_height = (normal @ source[:2] + offset)[:, None]
-    along = world.wall_b[walls] - world.wall_a[walls]
-    squared = dot(along, along)[:, None]
-    start = dot(along, world.wall_a[walls])[:, None]
-    target_share = (along @ point_m[:, :2].T - start) / squared
-    source_share = (along @ source[:2])[:, None] / squared - start / squared
-    same_side = (height * source_height > 0.0) & (np.abs(height) > 1e-9) & (np.abs(source_height) > 1e-9)
-    total = np.where(same_side, height + source_height, 1.0)
-    # similar triangles: the feet of both, weighted by the other's height
-    share = (source_share * height + target_share * source_height) / total
-    low, high = np.clip(view.lit[walls] + [-LIT_MARGIN, LIT_MARGIN], 0.0, 1.0).T[:, :, None]
-    index, target = np.nonzero(same_side & (share >= low) & (share <= high))
-    wall = walls[index]
-    image = reflect(point_m[target], view.normal[wall], view.offset[wall])
-    reach = np.abs(source_height[index, 0])
-    portion = reach / (reach + np.abs(height[index, target]))
-    specular = source + portion[:, None] * (image - source)
-    below_top = specular[:, 2] < world.wall_height_m[wall]
-    bounces = Bounces(wall, target, specular, image, view.normal[wall])
-    return bounces.take(below_top)
+    return _plane_bounces(source, point_m, np.flatnonzero(mirrors), view.walls, lit_shares(view))
+
+
+def lit_shares(view: Snapshot) -> np.ndarray:
+    """Return the share of each wall on which a path may have its first mirror, [W, 2]: in direct sight, or rounded."""
+    return np.clip(view.lit + np.array([-LIT_MARGIN, LIT_MARGIN]), 0.0, 1.0)
+
+
+def in_sight(view: Snapshot, wall: np.ndarray, point_m: np.ndarray) -> np.ndarray:
+    """Return which points [N, 3] of pieces of wall [N] may be in direct sight, bool [N]."""
+    start, lit = view.world.wall_a[wall], lit_shares(view)[wall]
+    along = view.world.wall_b[wall] - start
+    share = dot(point_m[:, :2] - start, along) / dot(along, along)
+    # a point at an end may lie beyond it by rounding
+    return np.asarray((share >= lit[:, 0] - LIT_MARGIN) & (share <= lit[:, 1] + LIT_MARGIN))
 
 
 def mirror_routes(
@@ -170,30 +123,135 @@ def mirror_routes(
     `ignore_wall` is a piece of wall that blocks no segment.
     """
     bounces = plane_bounces(view, view.antenna, point_m, mirrors)
-    target_m = point_m[bounces.target]
     blockers = view.blockers if ignore_wall is None else without(view.blockers, ignore_wall)
-    occlusion = in_series(
-        segment_occlusion(view.antenna, bounces.specular, blockers),
-        segment_occlusion(bounces.specular, target_m, blockers, owner[bounces.target]),
-    )
-    ray = bounces.image - view.antenna
-    length = norm(ray)
-    direction = ray / np.maximum(length, 1e-9)[:, None]
-    arrive = reflect(direction, bounces.normal, 0.0)
-    whole, front, rough = view.world.reflection(bounces.wall, np.abs(dot(direction[:, :2], bounces.normal)))
-    routes = make_routes(
-        bounces.target,
-        length,
-        direction,
-        arrive,
-        occlusion,
-        bit("specular_relay"),
-        wall=bounces.wall,
-        whole=whole,
-        front=front,
-        rough=rough,
-    )
-    return routes, occlusion
+    builds, who = view.world.builds, owners(owner, len(point_m))
+    rows, *occlusion = _mirrored(view.antenna, point_m, who, bounces, view.walls, builds, blockers.pieces)
+    return Routes(rows), Occlusion(*occlusion)
+
+
+def owners(owner: np.ndarray | int, count: int) -> np.ndarray:
+    """Return the object of each of some points, int32 [count]."""
+    return np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_route(row, target, length_m, depart, arrive, needs):  # type: ignore[no-untyped-def]
+    """Write a route that meets nothing; `depart` and `arrive` are three numbers each."""
+    row.target, row.wall, row.wall2, row.edge = target, NONE, NONE, NONE
+    row.needs, row.ground = needs, False
+    row.length_m = max(length_m, NEAREST_M)
+    there, here = row.depart, row.arrive
+    there[0], there[1], there[2] = depart
+    here[0], here[1], here[2] = arrive
+    row.whole, row.front, row.rough, row.foliage, row.other = 1.0, 1.0, 1.0, 1.0, 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_bounce(row, wall, factors):  # type: ignore[no-untyped-def]
+    """Write the wall of a route's only bounce and its field factors."""
+    row.wall = wall
+    row.whole, row.front, row.rough = factors
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _straight(antenna, point, owner, pieces):  # type: ignore[no-untyped-def]
+    count = len(point)
+    rows, free, through = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count, np.complex128)
+    foliage = np.empty(count)
+    start = antenna[0], antenna[1], antenna[2]
+    for n in range(count):
+        end = point[n, 0], point[n, 1], point[n, 2]
+        free[n], through[n], foliage[n] = passage(start, end, owner[n], pieces, False)
+        direction, length = direction_of(start, end)
+        fill_route(rows[n], n, length, direction, direction, 0)
+        rows[n].foliage = foliage[n]
+    return rows, free, through, foliage
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def direction_of(start, end):  # type: ignore[no-untyped-def]
+    """Return the unit vector from one point to another, three numbers each, and their distance."""
+    x, y, z = end[0] - start[0], end[1] - start[1], end[2] - start[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    safe = max(length, 1e-9)
+    return (x / safe, y / safe, z / safe), length
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def grown(rows):  # type: ignore[no-untyped-def]
+    """Return the same rows with room for as many again."""
+    more = np.empty(2 * len(rows) + 16, rows.dtype)
+    more[: len(rows)] = rows
+    return more
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _plane_bounces(source, point, mirrors, walls, lit):  # type: ignore[no-untyped-def]
+    a, b, normal, offset, top = walls
+    wall, target, points = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2, 3))
+    count = 0
+    for w in mirrors:
+        nx, ny = normal[w, 0], normal[w, 1]
+        source_height = nx * source[0] + ny * source[1] + offset[w]
+        if abs(source_height) <= 1e-9:
+            continue
+        wx, wy = b[w, 0] - a[w, 0], b[w, 1] - a[w, 1]
+        squared = wx * wx + wy * wy
+        start = wx * a[w, 0] + wy * a[w, 1]
+        source_share = (wx * source[0] + wy * source[1]) / squared - start / squared
+        reach = abs(source_height)
+        for n in range(len(point)):
+            height = nx * point[n, 0] + ny * point[n, 1] + offset[w]
+            if height * source_height <= 0.0 or abs(height) <= 1e-9:
+                continue
+            target_share = (wx * point[n, 0] + wy * point[n, 1] - start) / squared
+            # similar triangles: the feet of both, weighted by the other's height
+            share = (source_share * height + target_share * source_height) / (height + source_height)
+            if not lit[w, 0] <= share <= lit[w, 1]:
+                continue
+            portion = reach / (reach + abs(height))
+            rise = source[2] + portion * (point[n, 2] - source[2])
+            if rise >= top[w]:
+                continue
+            if count == len(wall):
+                wall, target = grown(wall), grown(target)
+                more = np.empty((len(wall), 2, 3))
+                more[:count] = points
+                points = more
+            distance = height / (nx * nx + ny * ny)
+            ix, iy = point[n, 0] - 2.0 * distance * nx, point[n, 1] - 2.0 * distance * ny
+            wall[count], target[count] = w, n
+            points[count, 0, 0] = source[0] + portion * (ix - source[0])
+            points[count, 0, 1] = source[1] + portion * (iy - source[1])
+            points[count, 0, 2] = rise
+            points[count, 1, 0], points[count, 1, 1], points[count, 1, 2] = ix, iy, point[n, 2]
+            count += 1
+    return wall[:count], target[:count], points[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _mirrored(antenna, point, owner, bounces, walls, builds, pieces):  # type: ignore[no-untyped-def]
+    wall, target, points = bounces
+    normal, count = walls[2], len(wall)
+    rows, free, through = np.empty(count, ROUTE), np.empty(count, np.bool_), np.empty(count, np.complex128)
+    foliage = np.empty(count)
+    start = antenna[0], antenna[1], antenna[2]
+    for m in range(count):
+        n, w = target[m], wall[m]
+        specular = points[m, 0, 0], points[m, 0, 1], points[m, 0, 2]
+        image = points[m, 1, 0], points[m, 1, 1], points[m, 1, 2]
+        end = point[n, 0], point[n, 1], point[n, 2]
+        there = passage(start, specular, -1, pieces, False)
+        on = passage(specular, end, owner[n], pieces, False)
+        free[m], through[m], foliage[m] = there[0] and on[0], there[1] * on[1], there[2] * on[2]
+        depart, length = direction_of(start, image)
+        nx, ny = normal[w, 0], normal[w, 1]
+        towards = depart[0] * nx + depart[1] * ny
+        arrive = (depart[0] - 2.0 * towards * nx, depart[1] - 2.0 * towards * ny, depart[2])
+        fill_route(rows[m], n, length, depart, arrive, _MIRROR)
+        fill_bounce(rows[m], w, bounce(builds, w, abs(towards)))
+        rows[m].foliage = foliage[m]
+    return rows, free, through, foliage
 
 
 def norm(vectors: np.ndarray) -> np.ndarray:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -39,6 +40,12 @@ class Blockers:
     #: Field factor of one crossing over the cosine of incidence, complex128 [M, TABLE_STEPS + 1].
     transmission: np.ndarray
 
+    @cached_property
+    def pieces(self) -> tuple[np.ndarray, ...]:
+        """The same pieces as compiled code takes them."""
+        columns = self.a, self.b, self.height_m, self.curvature_per_m, self.kind, self.owner
+        return _pieces(*columns), self.transmission
+
 
 @dataclass(frozen=True)
 class Occlusion:
@@ -54,16 +61,6 @@ class Occlusion:
     def take(self, selection: np.ndarray) -> Occlusion:
         """Return the segments of an index or mask."""
         return Occlusion(self.free[selection], self.through[selection], self.foliage[selection])
-
-
-def transmission_factor(passing: np.ndarray, piece: np.ndarray, cosine: np.ndarray) -> np.ndarray:
-    """Return the field factor of one crossing of some pieces [N] at cosines of incidence [N], from the table of all
-    pieces.
-    """
-    position = np.clip(cosine, 0.0, 1.0) * TABLE_STEPS
-    step = np.minimum(position.astype(np.int64), TABLE_STEPS - 1)
-    share = position - step
-    return np.asarray((1.0 - share) * passing[piece, step] + share * passing[piece, step + 1])
 
 
 def segment_occlusion(
@@ -90,19 +87,8 @@ def _passage(points: tuple[np.ndarray, ...], blockers: Blockers, owner: np.ndarr
     vertices_m = np.empty((len(points), count, 3))
     for index, point in enumerate(points):
         vertices_m[index] = point
-    free, through, foliage = _follow(
-        vertices_m,
-        np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count)),
-        blockers.a,
-        blockers.b,
-        blockers.height_m,
-        blockers.curvature_per_m,
-        blockers.kind,
-        blockers.owner,
-        blockers.transmission,
-        give_up,
-    )
-    return Occlusion(free, through, foliage)
+    owners = np.ascontiguousarray(np.broadcast_to(np.asarray(owner, np.int32), count))
+    return Occlusion(*_follow(vertices_m, owners, blockers.pieces, give_up))
 
 
 def without(blockers: Blockers, index: int | np.ndarray) -> Blockers:
@@ -112,56 +98,108 @@ def without(blockers: Blockers, index: int | np.ndarray) -> Blockers:
     )
 
 
-def in_series(*segments: Occlusion) -> Occlusion:
-    """Combine segments travelled one after the other."""
-    free, through, foliage = segments[0].free, segments[0].through, segments[0].foliage
-    for segment in segments[1:]:
-        free, through, foliage = free & segment.free, through * segment.through, foliage * segment.foliage
-    return Occlusion(free, through, foliage)
+#: Columns of a piece in compiled code: start, vector to the end, length, share of it that `CLEARANCE_M` is, height,
+#: end, curvature (0: straight), kind, owner. One array: each further one would be reference-counted per segment.
+_COLUMNS = 12
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(vertices_m, owners, a, b, height, curvature, kind, owner, passing, give_up):  # type: ignore[no-untyped-def]
-    vertices, count, pieces = vertices_m.shape[0], vertices_m.shape[1], len(a)
+def _pieces(a, b, height, curvature, kind, owner):  # type: ignore[no-untyped-def]
+    piece = np.empty((len(a), _COLUMNS))
+    for m in range(len(a)):
+        wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
+        wall = math.hypot(wx, wy)
+        bent = curvature[m] if abs(curvature[m]) * wall >= STRAIGHT else 0.0
+        wider = CLEARANCE_M / max(wall, CLEARANCE_M)
+        piece[m, :7] = (a[m, 0], a[m, 1], wx, wy, wall, wider, height[m])
+        piece[m, 7:] = (b[m, 0], b[m, 1], bent, float(kind[m]), float(owner[m]))
+    return piece
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _follow(vertices_m, owners, pieces, give_up):  # type: ignore[no-untyped-def]
+    vertices, count = vertices_m.shape[0], vertices_m.shape[1]
     free = np.ones(count, np.bool_)
     through = np.ones(count, np.complex128)
     foliage = np.ones(count, np.float64)
-    # per piece: start, vector to its end, length, share of it that `CLEARANCE_M` is
-    line = np.empty((pieces, 6))
-    bent = np.empty(pieces, np.bool_)
-    for m in range(pieces):
-        wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
-        wall = math.hypot(wx, wy)
-        bent[m] = abs(curvature[m]) * wall >= STRAIGHT
-        line[m] = a[m, 0], a[m, 1], wx, wy, wall, CLEARANCE_M / max(wall, CLEARANCE_M)
     for n in range(count):
         for segment in range(vertices - 1):
-            # tuples: array views would be reference-counted in the inner loop
-            sx, sy, sz = vertices_m[segment, n, 0], vertices_m[segment, n, 1], vertices_m[segment, n, 2]
-            rx, ry, rise = (
-                vertices_m[segment + 1, n, 0] - sx,
-                vertices_m[segment + 1, n, 1] - sy,
-                vertices_m[segment + 1, n, 2] - sz,
-            )
-            ray = (sx, sy, sz, rx, ry, rise, math.hypot(rx, ry))
-            lowest = sz + min(rise, 0.0)
+            start = vertices_m[segment, n, 0], vertices_m[segment, n, 1], vertices_m[segment, n, 2]
+            end = vertices_m[segment + 1, n, 0], vertices_m[segment + 1, n, 1], vertices_m[segment + 1, n, 2]
             own = owners[n] if segment == vertices - 2 else -1
-            for m in range(pieces):
-                if lowest >= height[m] or (owner[m] >= 0 and owner[m] == own):
-                    continue
-                if bent[m]:
-                    _arc(n, m, ray, a, b, height, curvature, kind, passing, free, through, foliage)
-                else:
-                    piece = (line[m, 0], line[m, 1], line[m, 2], line[m, 3], line[m, 4], line[m, 5], height[m])
-                    cosine = _straight(ray, piece)
-                    if cosine >= 0.0:
-                        _meet(n, m, cosine, kind, passing, free, through, foliage)
-                if give_up and not free[n]:
-                    break
-            if give_up and not free[n]:
+            clear, factor, leaves = passage(start, end, own, pieces, give_up)
+            free[n] &= clear
+            through[n] *= factor
+            foliage[n] *= leaves
+            if give_up and not clear:
                 through[n] = 0.0
                 break
     return free, through, foliage
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def passage(start, end, own, pieces, give_up):  # type: ignore[no-untyped-def]
+    """Return of one segment whether it is free, the factor of all walls crossed, and that of all foliage.
+
+    `start` and `end` are three numbers each, `pieces` those of `Blockers`; `own` is the owner whose pieces do not
+    block. With `give_up` the first piece that blocks ends the search. For callers that are compiled themselves.
+    """
+    piece, passing = pieces
+    sx, sy, sz = start
+    rx, ry, rise = end[0] - sx, end[1] - sy, end[2] - sz
+    # tuples: array views would be reference-counted in the inner loop
+    ray = (sx, sy, sz, rx, ry, rise, math.hypot(rx, ry))
+    lowest = sz + min(rise, 0.0)
+    free, through, foliage = True, 1.0 + 0.0j, 1.0
+    for m in range(len(piece)):
+        height, bend, owner = piece[m, 6], piece[m, 9], piece[m, 11]
+        if lowest >= height or (owner >= 0.0 and owner == own):
+            continue
+        second = -1.0
+        if bend == 0.0:
+            line = (piece[m, 0], piece[m, 1], piece[m, 2], piece[m, 3], piece[m, 4], piece[m, 5], height)
+            first = _straight(ray, line)
+        else:
+            first, second = _arc(ray, (piece[m, 0], piece[m, 1], piece[m, 7], piece[m, 8], height, bend))
+        for cosine in (first, second):
+            if cosine < 0.0:
+                continue
+            factor = crossing_factor(passing, m, cosine)
+            if piece[m, 10] == VOLUME:
+                foliage *= abs(factor)
+            else:
+                free = False
+                through *= factor
+        if give_up and not free:
+            break
+    return free, through, foliage
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def clear_series(points, own, pieces):  # type: ignore[no-untyped-def]
+    """Return what foliage leaves of a series of segments from point to point, -1 where one of them is blocked.
+
+    `points` are three numbers each; `own` belongs to the last segment. Two equal points have no segment.
+    """
+    leaves = 1.0
+    for index in range(len(points) - 1):
+        start, end = points[index], points[index + 1]
+        if start == end:
+            continue
+        free, _, foliage = passage(start, end, own if index == len(points) - 2 else -1, pieces, True)
+        if not free:
+            return -1.0
+        leaves *= foliage
+    return leaves
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def crossing_factor(passing, m, cosine):  # type: ignore[no-untyped-def]
+    """Return the field factor of one crossing of piece `m` at a cosine of incidence, from the table of all pieces."""
+    position = min(max(cosine, 0.0), 1.0) * TABLE_STEPS
+    step = min(int(position), TABLE_STEPS - 1)
+    share = position - step
+    return (1.0 - share) * passing[m, step] + share * passing[m, step + 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -189,56 +227,49 @@ def _straight(segment, piece):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _meet(n, m, cosine, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
-    """Apply one crossing at a cosine of incidence."""
-    position = min(max(cosine, 0.0), 1.0) * TABLE_STEPS
-    step = min(int(position), TABLE_STEPS - 1)
-    share = position - step
-    factor = (1.0 - share) * passing[m, step] + share * passing[m, step + 1]
-    if kind[m] == VOLUME:
-        foliage[n] *= abs(factor)
-    else:
-        free[n] = False
-        through[n] *= factor
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _arc(n, m, segment, a, b, height, curvature, kind, passing, free, through, foliage):  # type: ignore[no-untyped-def]
+def _arc(segment, arc):  # type: ignore[no-untyped-def]
+    """Return the cosines of incidence where a segment meets an arc, at most two; -1 for none."""
     sx, sy, sz, rx, ry, rise, _ = segment
-    wx, wy = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1]
+    ax, ay, bx, by, height, curvature = arc
+    wx, wy = bx - ax, by - ay
     chord = math.hypot(wx, wy)
     # an arc less than a half circle stays within half its chord of it: most segments miss it
     reach = 0.5 * chord + ARC_CLEARANCE_M
     if (
-        max(sx, sx + rx) < min(a[m, 0], b[m, 0]) - reach
-        or min(sx, sx + rx) > max(a[m, 0], b[m, 0]) + reach
-        or max(sy, sy + ry) < min(a[m, 1], b[m, 1]) - reach
-        or min(sy, sy + ry) > max(a[m, 1], b[m, 1]) + reach
+        max(sx, sx + rx) < min(ax, bx) - reach
+        or min(sx, sx + rx) > max(ax, bx) + reach
+        or max(sy, sy + ry) < min(ay, by) - reach
+        or min(sy, sy + ry) > max(ay, by) + reach
     ):
-        return
-    radius = 1.0 / curvature[m]
+        return -1.0, -1.0
+    radius = 1.0 / curvature
     # centre to the left of a -> b for positive curvature
     apothem = math.copysign(math.sqrt(max(radius * radius - 0.25 * chord * chord, 0.0)), radius)
-    cx = 0.5 * (a[m, 0] + b[m, 0]) - apothem * wy / chord
-    cy = 0.5 * (a[m, 1] + b[m, 1]) + apothem * wx / chord
+    cx = 0.5 * (ax + bx) - apothem * wy / chord
+    cy = 0.5 * (ay + by) + apothem * wx / chord
     fx, fy = sx - cx, sy - cy
     square = rx * rx + ry * ry
     half = fx * rx + fy * ry
     rest = half * half - square * (fx * fx + fy * fy - radius * radius)
     if rest <= 0.0 or square == 0.0:
-        return
+        return -1.0, -1.0
     margin = ARC_CLEARANCE_M / math.sqrt(square)
+    first, last = -1.0, -1.0
     for sign in (-1.0, 1.0):
         along = (-half + sign * math.sqrt(rest)) / square
         if not margin < along < 1.0 - margin:
             continue
         px, py = sx + along * rx, sy + along * ry
         # the arc is the part of the circle beside its chord, on the far side from the centre
-        along_chord = (px - a[m, 0]) * wx + (py - a[m, 1]) * wy
-        side = (px - a[m, 0]) * wy - (py - a[m, 1]) * wx
+        along_chord = (px - ax) * wx + (py - ay) * wy
+        side = (px - ax) * wy - (py - ay) * wx
         wider = ARC_CLEARANCE_M * chord
         if not -wider <= along_chord <= chord * chord + wider or side * radius < -wider * abs(radius):
             continue
-        if sz + rise * along < height[m]:
+        if sz + rise * along < height:
             cosine = abs((px - cx) * rx + (py - cy) * ry) / (abs(radius) * math.sqrt(square + rise * rise))
-            _meet(n, m, cosine, kind, passing, free, through, foliage)
+            if sign < 0.0:
+                first = cosine
+            else:
+                last = cosine
+    return first, last

@@ -34,7 +34,7 @@ class TraceContext:
         """Routes to all centres by every straight piece of wall, blocked ones too, and their occlusion."""
         return mirror_routes(self.view, self.view.centre, self.view.world.is_flat, self.owner)
 
-    @property
+    @cached_property
     def owner(self) -> np.ndarray:
         """The object of every centre, int32 [K]."""
-        return self.view.world.centre_object.astype(np.int32)
+        return self.view.world.centres[4]

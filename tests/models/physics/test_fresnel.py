@@ -7,9 +7,12 @@ import pytest
 
 from models.physics.fresnel import (
     coherent_power,
+    half_space_at,
     half_space_reflection,
+    slab_at,
     slab_reflection,
     slab_transmission,
+    stack_at,
     stack_reflection,
     stack_transmission,
 )
@@ -211,3 +214,26 @@ def test_double_glazing_resonates(polarisation: str) -> None:
 def test_impossible_stacks_are_refused(media: list[complex], thicknesses: list[float], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         stack_reflection(media, thicknesses, np.array(1.0), WAVELENGTH_M)
+
+
+def test_one_compiled_wave_is_one_of_many() -> None:
+    """Random media, lossless ones too, films to walls and endless ones, grazing included: 1e-12 of r."""
+    rng = np.random.default_rng(6)
+    for _ in range(2000):
+        count = int(rng.integers(1, 5))
+        media = rng.uniform(1.0, 10.0, count) - 1j * 10.0 ** rng.uniform(-6.0, 3.0, count) * rng.integers(0, 2, count)
+        depth_m = 10.0 ** rng.uniform(-4.0, 0.0, count)
+        if rng.random() < 0.3:
+            depth_m[-1] = np.inf
+        cosine = float(rng.uniform() if rng.random() < 0.9 else 0.0)
+        front = half_space_reflection(media[0], np.array(cosine))
+        for is_tm, polarisation in ((False, "te"), (True, "tm")):
+            r, kept = half_space_at(media[0], cosine, is_tm)
+            np.testing.assert_allclose(r, half_space_reflection(media[0], np.array(cosine), polarisation), rtol=1e-12)
+            np.testing.assert_allclose(kept, 1.0 - r**2, atol=1e-12)
+        slab = slab_reflection(media[0], np.array(cosine), depth_m[0], WAVELENGTH_M)
+        np.testing.assert_allclose(slab_at(media[0], cosine, depth_m[0], WAVELENGTH_M), [slab, front], rtol=1e-12)
+        stack = stack_reflection(media, depth_m, np.array(cosine), WAVELENGTH_M)
+        np.testing.assert_allclose(
+            stack_at(media, depth_m, cosine, WAVELENGTH_M), [stack, front], rtol=1e-12, atol=1e-13
+        )

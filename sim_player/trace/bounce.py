@@ -1,0 +1,67 @@
+"""One bounce at a wall, compiled: reflection by its whole build and by its front face, what roughness leaves.
+
+The laws are those of `models.physics.fresnel`, vertical polarisation (TE).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from models.physics.fresnel import slab_at, stack_at
+
+Layers = tuple[tuple[complex, float], ...]
+#: Of every wall the first of its layers, how many they are (0: foliage) and its roughness [m], [W, 3]; permittivity
+#: and thickness of all layers, [L] each; wavelength.
+Builds = tuple[np.ndarray, np.ndarray, np.ndarray, float]
+
+
+def builds_of(
+    stacks: tuple[Layers, ...], wall_stack: np.ndarray, roughness_m: np.ndarray, wavelength_m: float
+) -> Builds:
+    """Return the builds of walls as compiled code takes them; `wall_stack` [W] is -1 for foliage."""
+    count = np.array([len(layers) for layers in stacks] + [0])
+    first = np.append(0, np.cumsum(count))[:-1]
+    layers = [layer for stack in stacks for layer in stack]
+    return (
+        np.column_stack([first[wall_stack], count[wall_stack], roughness_m]).astype(np.float64),
+        np.array([permittivity for permittivity, _ in layers], np.complex128),
+        np.array([thickness_m for _, thickness_m in layers], np.float64),
+        wavelength_m,
+    )
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def bounce(builds, wall, cosine):  # type: ignore[no-untyped-def]
+    """Return the field factors of one bounce: the wall as built, its front face alone, what roughness leaves."""
+    table, permittivity, thickness_m, wavelength_m = builds
+    first, count = int(table[wall, 0]), int(table[wall, 1])
+    cosine = min(cosine, 1.0)
+    rough = coherent_field(table[wall, 2], cosine, wavelength_m)
+    if count == 0:
+        return 0.0j, 0.0j, rough
+    if count == 1:
+        whole, front = slab_at(permittivity[first], cosine, thickness_m[first], wavelength_m)
+    else:
+        last = first + count
+        whole, front = stack_at(permittivity[first:last], thickness_m[first:last], cosine, wavelength_m)
+    return whole, front, rough
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def coherent_field(roughness_m, cosine, wavelength_m):  # type: ignore[no-untyped-def]
+    """Return what roughness leaves of a mirrored field: the root of `models.physics.fresnel.coherent_power`."""
+    phase_rad = 4.0 * np.pi * roughness_m * cosine / wavelength_m
+    return math.exp(-0.5 * phase_rad * phase_rad)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def all_bounces(builds, walls, cosines):  # type: ignore[no-untyped-def]
+    """Return `bounce` of walls [N] at cosines [N]."""
+    whole, front = np.empty(len(walls), np.complex128), np.empty(len(walls), np.complex128)
+    rough = np.empty(len(walls))
+    for n in range(len(walls)):
+        whole[n], front[n], rough[n] = bounce(builds, walls[n], cosines[n])
+    return whole, front, rough
