@@ -388,3 +388,23 @@ def can_logs() -> list[list[bytes]]:
                     )
             found.append([suffix.encode(), path.read_bytes()])
     return found
+
+
+#: A house as a way and one with a courtyard as a relation, around (10 N, 30 W).
+OSM = b"""<?xml version="1.0"?>
+<osm version="0.6">
+ <node id="1" lat="10.0001" lon="-30.0001"/><node id="2" lat="10.0001" lon="-29.9999"/>
+ <node id="3" lat="10.0003" lon="-29.9999"/><node id="4" lat="10.0003" lon="-30.0001"/>
+ <node id="5" lat="10.0005" lon="-30.0001"/><node id="6" lat="10.0005" lon="-29.9999"/>
+ <node id="7" lat="10.0009" lon="-29.9999"/><node id="8" lat="10.0009" lon="-30.0001"/>
+ <node id="9" lat="10.0006" lon="-30.00005"/><node id="10" lat="10.0006" lon="-29.99995"/>
+ <node id="11" lat="10.0008" lon="-29.99995"/>
+ <way id="1"><nd ref="1"/><nd ref="2"/><nd ref="3"/><nd ref="4"/><nd ref="1"/><tag k="building" v="house"/></way>
+ <way id="2"><nd ref="5"/><nd ref="6"/><nd ref="7"/></way>
+ <way id="3"><nd ref="7"/><nd ref="8"/><nd ref="5"/></way>
+ <way id="4"><nd ref="9"/><nd ref="10"/><nd ref="11"/><nd ref="9"/></way>
+ <relation id="1"><member type="way" ref="2" role="outer"/><member type="way" ref="3" role="outer"/>
+  <member type="way" ref="4" role="inner"/><tag k="type" v="multipolygon"/><tag k="building" v="yes"/></relation>
+</osm>
+"""
+WALL_RULES = b"- {key: building, value: house, material: wood, thickness_mm: 20, roughness_mm: 0.5}\n"

@@ -271,6 +271,18 @@ def _plan(parts: Parts, box: Box) -> None:
         plan_world(prepare(scene, 0, scene.setup), scene.setup)
 
 
+def _map(parts: Parts, box: Box) -> None:
+    from sim_player.maps.local_frame import MapPose
+    from sim_player.maps.map_scene import map_scene, read_map
+    from sim_player.maps.wall_rules import read_rules
+    from sim_player.scene.description import scene_from_yaml
+
+    path = box.put(("a.geojson", "a.osm")[number(parts, 0, 2)], part(parts, 1))
+    rules = read_rules([str(box.put("rules.yaml", part(parts, 2)))] if part(parts, 2) else [])
+    made = map_scene(read_map(path), MapPose(10.0, -30.0, 0.0), 165.0, rules, "a")
+    assert scene_from_yaml(made.yaml) == made.scene
+
+
 def _mesh(parts: Parts, box: Box) -> None:
     import numpy as np
 
@@ -645,6 +657,13 @@ def _recordings() -> list[Parts]:
     return [[one, bytes([choice])] for one in seeds.recordings() for choice in (0, 1, 2, 3)]
 
 
+def _map_seeds() -> list[Parts]:
+    from fuzz import seeds
+
+    (example,) = seeds.files("launch/maps/*.geojson")
+    return [[b"\0", example, b""], [b"\0", example, seeds.WALL_RULES], [b"\1", seeds.OSM, b""]]
+
+
 def _inline_seeds() -> list[Parts]:
     from fuzz import seeds
     from msgs.bus import codec
@@ -824,6 +843,7 @@ TARGETS: dict[str, Target] = {
     "sigmf": Target(_sigmf, ("json", "bytes", "npy"), _seeds("sigmf"), modules=("sigmf",)),
     "scene": Target(_scene, ("yaml",), _each("SCENE", "launch/scenes/*.yaml"), modules=("yaml",)),
     "plan": Target(_plan, ("yaml",), _each("SCENE", "launch/scenes/*.yaml")),
+    "map": Target(_map, ("bytes", "text", "yaml"), _map_seeds, modules=("msgspec", "shapely", "osmium")),
     "mesh": Target(_mesh, ("bytes", "text"), _mesh_seeds, modules=("trimesh",)),
     "launch": Target(_launch, ("yaml", "yaml", "text"), _launch_seeds, modules=("yaml",)),
     "settings": Target(_settings, ("yaml",), _each("SETTINGS"), modules=("yaml",)),

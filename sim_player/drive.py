@@ -6,7 +6,7 @@ and yaw rate change over time and the radar sits somewhere on it, turned. Each b
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import msgspec
 import numpy as np
@@ -18,7 +18,8 @@ from msgs.values.units import ns_from_s, s_from_ns
 from msgs.values.vehicle import VehicleState
 from sim_player.planner.plan import resolve_plan
 from sim_player.scene.description import Ego, Scene
-from sim_player.scene.world import prepare, snapshot, wall_lines
+from sim_player.scene.reach import reachable_snapshot
+from sim_player.scene.world import RadarState, prepare
 from sim_player.signal.fmcw import beam_weights, chirp_beats, noise_bank, slow_time_terms
 from sim_player.signal.levels import Terms, echo_terms, record_beam, with_electronics
 from sim_player.signal.swept_echoes import check_precision
@@ -170,18 +171,7 @@ class DrivePlayer:
         return self._traced[1]
 
     def _trace(self, time_s: float) -> Paths:
-        start_from_radar = self._pose(time_s)
-        view = snapshot(self._world, time_s)
-        origin = np.array([start_from_radar.x_m, start_from_radar.y_m])
-        normal, offset = wall_lines(self._world, origin)
-        view = replace(
-            view,
-            pose=start_from_radar,
-            antenna=np.append(origin, view.antenna[2]),
-            radar_velocity=self._velocity(time_s),
-            normal=normal,
-            offset=offset,
-        )
+        view = reachable_snapshot(self._world, time_s, RadarState(self._pose(time_s), self._velocity(time_s)))
         return as_paths(view, trace_echoes(view, self._used), self._used)
 
     def _pose(self, time_s: float) -> Pose2:

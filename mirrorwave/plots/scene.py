@@ -69,6 +69,16 @@ def draw_scene(axes: Axes, scene: Scene) -> None:
     axes.invert_xaxis()
 
 
+def write_scene(out: Path, scene: Scene) -> None:
+    """Write the picture of a scene."""
+    figure = new_figure(8.0, 9.0)
+    axes = figure.subplots()
+    draw_scene(axes, scene)
+    axes.set(xlabel="y, left [m]", ylabel="x, forward [m]", title=scene.name)
+    legend_of_figure(figure, handles_of(axes), columns=2)
+    save(figure, out, dpi=130)
+
+
 def _first(words: str, labels: set[str]) -> str:
     """A label for the first of its kind; one with an underscore stays out of the legend."""
     shown = f"_{words}" if words in labels else words

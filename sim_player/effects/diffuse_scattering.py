@@ -29,7 +29,8 @@ def apply(tracing: TraceContext) -> Echoes:
     patches, point = world.rough_patches
     routes, occlusion = straight_routes(view, point)
     visible = np.flatnonzero(occlusion.free)
-    patches, routes = patches[visible], routes.take(visible)
+    patches = patches[visible]
+    routes = routes.take(visible).with_columns(target=world.speck_id[patches])
     wall = world.speck_wall[patches]
     cosine = np.minimum(np.abs(dot(routes.depart[:, :2], world.speck_normal[patches])), 1.0)
     whole, front, rough = world.reflection(wall, cosine)

@@ -43,7 +43,8 @@ def structure(view: Snapshot) -> Echoes:
     specks, point = world.structure
     routes, occlusion = straight_routes(view, point)
     visible = np.flatnonzero(occlusion.free)
-    visible_specks, routes = specks[visible], routes.take(visible)
+    visible_specks = specks[visible]
+    routes = routes.take(visible).with_columns(target=world.speck_id[visible_specks])
     weight = (
         echo_amplitude(world.radar, world.speck_rcs_m2[visible_specks], routes.length_m)
         * world.speck_phasor[visible_specks]
@@ -57,7 +58,8 @@ def _flashes(view: Snapshot) -> Echoes:
     wall, point, rows = _feet(
         view.antenna, np.flatnonzero(world.is_flat), view.walls, world.builds, view.blockers.pieces
     )
-    routes = Routes(rows)
+    # a number that is no scatterer's
+    routes = Routes(rows).with_columns(target=NONE - world.wall_id[wall])
     weight = flash_weight(view, 2.0 * routes.length_m)
     return surface_echoes(view, routes, weight, point, wall, bit("los_surfaces"))
 
@@ -79,8 +81,7 @@ def _feet(antenna, flat, walls, builds, pieces):  # type: ignore[no-untyped-def]
         free, _, foliage = passage(start, foot, -1, pieces, True)
         if not free:
             continue
-        # a number that is no scatterer's
-        fill_route(rows[count], NONE - w, distance, (-nx, -ny, 0.0), (-nx, -ny, 0.0), 0)
+        fill_route(rows[count], NONE, distance, (-nx, -ny, 0.0), (-nx, -ny, 0.0), 0)
         whole, front, rough = bounce(builds, w, 1.0)
         rows[count].whole, rows[count].front = cmath.sqrt(whole), cmath.sqrt(front)
         rows[count].rough, rows[count].foliage = math.sqrt(rough), foliage

@@ -35,11 +35,12 @@ def apply(tracing: TraceContext) -> Echoes:
     # power P lambda^2 s1 s2 / ((4 pi)^4 R1^2 d^2 R2^2)
     unit = math.sqrt(1e3 * world.radar.transmit_power_w / (4.0 * math.pi) ** 4) * world.radar.wavelength_m
     centres = *world.centres, view.centre, view.velocity
-    return Echoes(_lit(routes.rows, unit, world.orders_alike, centres, view.radar_velocity, view.blockers.pieces))
+    pieces, numbers = view.blockers.pieces, world.numbers
+    return Echoes(_lit(routes.rows, unit, world.orders_alike, centres, view.radar_velocity, pieces, numbers))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _lit(routes, unit, alike, centres, radar_velocity, pieces):  # type: ignore[no-untyped-def]
+def _lit(routes, unit, alike, centres, radar_velocity, pieces, numbers):  # type: ignore[no-untyped-def]
     owner = centres[4]
     rows, count = np.empty(64, ECHO), 0
     for swapped in range(1 if alike else 2):
@@ -53,13 +54,15 @@ def _lit(routes, unit, alike, centres, radar_velocity, pieces):  # type: ignore[
                 if swapped:
                     route_1, route_2 = route_2, route_1
                 weight = unit * (2.0 if alike else 1.0)
-                count += _one_by_another(rows[count], route_1, route_2, weight, centres, radar_velocity, pieces)
+                scene = centres, radar_velocity, pieces, numbers
+                count += _one_by_another(rows[count], route_1, route_2, weight, scene)
     return rows[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _one_by_another(row, route_1, route_2, unit, centres, radar_velocity, pieces):  # type: ignore[no-untyped-def]
+def _one_by_another(row, route_1, route_2, unit, scene):  # type: ignore[no-untyped-def]
     """Write the echo antenna -> first -> second -> antenna; return how many there are, 0 or 1."""
+    centres, radar_velocity, pieces, (wall_id, centre_id, object_id) = scene
     peak_m2, normals, exponent, floor, owner, phasor, position, velocity = centres
     c, d = route_1.target, route_2.target
     start = position[c, 0], position[c, 1], position[c, 2]
@@ -76,7 +79,7 @@ def _one_by_another(row, route_1, route_2, unit, centres, radar_velocity, pieces
     free, _, foliage = passage(start, end, owner[d], pieces, True)
     if not free:
         return 0
-    fill_echo(row, route_1, route_2, _LIT)
+    fill_echo(row, route_1, route_2, _LIT, wall_id, (centre_id[c], centre_id[d]))
     field = unit * math.sqrt(math.sqrt(rcs_1) * math.sqrt(rcs_2)) / (route_1.length_m * between * route_2.length_m)
     row.weight = field * phasor[c] * phasor[d] * route_1.other * route_2.other
     row.foliage *= foliage
@@ -85,6 +88,6 @@ def _one_by_another(row, route_1, route_2, unit, centres, radar_velocity, pieces
     there = rate_of(route_1, velocity[c, 0], velocity[c, 1], radar_velocity)
     back = rate_of(route_2, velocity[d, 0], velocity[d, 1], radar_velocity)
     row.rate_mps = 0.5 * (there + back + apart)
-    row.object_index = owner[c]
+    row.object_index = object_id[owner[c]]
     row.point[:] = position[c]
     return 1

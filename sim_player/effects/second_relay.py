@@ -27,6 +27,7 @@ from sim_player.trace.routes import (
     dot,
     fill_bounce,
     fill_route,
+    in_sight,
     join_routes,
     mirror_routes,
     owners,
@@ -59,6 +60,8 @@ def two_wall_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> R
     walls = np.flatnonzero(view.world.is_flat)
     pairs = _search(view.origin, point_m, walls, view.walls)
     vertices = _two_bounces(view.antenna, point_m, pairs, view.walls)
+    lit = in_sight(view, pairs[:, 0], vertices[:, 0])
+    pairs, vertices = pairs[lit], vertices[lit]
     who = owners(owner, len(point_m))[pairs[:, 2]]
     return _routes(view, pairs, vertices, who, np.ones(len(pairs), np.complex128))
 
@@ -115,7 +118,8 @@ def _mirrored_structure(view: Snapshot) -> Echoes:
     speck = specks[routes.target]
     weight = echo_amplitude(world.radar, world.speck_rcs_m2[speck], routes.length_m) * world.speck_phasor[speck]
     needs = bit("second_relay") | bit("los_surfaces")
-    return surface_echoes(view, routes, weight, point[routes.target], routes.wall, needs)
+    numbered = routes.with_columns(target=world.speck_id[speck])
+    return surface_echoes(view, numbered, weight, point[routes.target], routes.wall, needs)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

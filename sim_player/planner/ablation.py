@@ -14,7 +14,8 @@ from sim_player.effects.names import bit
 from sim_player.effects.table import ALL_EFFECTS, SIGNAL
 from sim_player.planner.bounds import STEPS, Envelope, swept_pattern
 from sim_player.planner.cells import cells_of
-from sim_player.scene.world import World, snapshot
+from sim_player.scene.reach import reachable_snapshot
+from sim_player.scene.world import World
 from sim_player.signal.levels import RANGE_BINS, kernel_profiles, noise_rms
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths, weights
@@ -39,7 +40,7 @@ class EffectAblation:
     def __init__(self, world: World, setup: RadarSetup, time_s: float) -> None:
         self.world, self.setup = world, setup
         self.front_end = world.scene.radar.front_end
-        self.view = snapshot(world, time_s)
+        self.view = reachable_snapshot(world, time_s)
         self.used = set(ALL_EFFECTS)
         self.shape = (len(setup.beams), RANGE_BINS)
         #: Bound of everything that was dropped, [beams, bins].

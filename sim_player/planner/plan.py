@@ -30,7 +30,8 @@ from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import ALL_EFFECTS, EFFECTS, PATHS, check_effects
 from sim_player.planner.ablation import EffectAblation, signal_effects
 from sim_player.planner.changes import change_bound
-from sim_player.scene.world import Snapshot, World, snapshot
+from sim_player.scene.reach import reachable_snapshot
+from sim_player.scene.world import Snapshot, World
 from sim_player.signal.levels import kernel_profiles, noise_profiles
 from sim_player.signal.switches import SignalEffects
 from sim_player.trace.conversion import as_paths
@@ -127,7 +128,7 @@ def manual_plan(world: World, setup: RadarSetup, names: Iterable[str] = ALL_EFFE
 
     Effects that the scene has nothing of stay unused, whatever is asked.
     """
-    wanted, view = check_effects(frozenset(names)), snapshot(world, time_s)
+    wanted, view = check_effects(frozenset(names)), reachable_snapshot(world, time_s)
     start = time.perf_counter()
     echoes = trace_echoes(view, wanted)
     effects = tuple(_by_hand(name, wanted, world) for name in EFFECTS)

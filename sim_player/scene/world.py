@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -69,6 +70,13 @@ class World:
     speck_length_m: np.ndarray
     speck_rcs_m2: np.ndarray
     speck_phasor: np.ndarray
+    #: Numbers in the whole world of the pieces of wall, wall scatterers, objects and centres of a part of it.
+    wall_id: np.ndarray
+    speck_id: np.ndarray
+    object_id: np.ndarray
+    centre_id: np.ndarray
+    #: Half round trip up to which a part of a world has all paths of the whole (`sim_player.scene.reach`).
+    reach_m: float = math.inf
 
     @cached_property
     def is_mirror(self) -> np.ndarray:
@@ -106,6 +114,17 @@ class World:
             raise ValueError(f"scene {self.scene.name!r} must name a ground, got none")
         epsilon = permittivity(self.ground.material, self.radar.carrier_hz)
         return epsilon, 1e-3 * self.ground.roughness_mm, self.radar.wavelength_m
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What others have derived from this world and keep with it."""
+        return {}
+
+    @cached_property
+    def numbers(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Numbers in the whole world of pieces of wall (the last row: -1, none), centres and objects, int32."""
+        walls = np.append(self.wall_id, -1)
+        return walls.astype(np.int32), self.centre_id.astype(np.int32), self.object_id.astype(np.int32)
 
     @cached_property
     def transmission(self) -> np.ndarray:
@@ -201,6 +220,8 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
     wall_b = np.array([b for _, b, _ in pieces], np.float64).reshape(-1, 2)
     curvature = np.array([surface.curvature_per_m for surface in surfaces], np.float64)
     stacks, wall_stack = _stacks(surfaces, setup.radar.carrier_hz)
+    objects = _object_arrays(scene, setup.radar.wavelength_m, seed)
+    specks = _wall_specks(wall_a, wall_b, curvature, seed)
     return World(
         scene=scene,
         setup=setup,
@@ -214,8 +235,12 @@ def prepare(scene: Scene, seed: int = 0, setup: RadarSetup | None = None) -> Wor
         wall_surface=owner,
         wall_stack=wall_stack,
         stacks=stacks,
-        **_object_arrays(scene, setup.radar.wavelength_m, seed),
-        **_wall_specks(wall_a, wall_b, curvature, seed),
+        **objects,
+        **specks,
+        wall_id=np.arange(len(wall_a)),
+        speck_id=np.arange(len(specks["speck_m"])),
+        object_id=np.arange(len(scene.objects)),
+        centre_id=np.arange(len(objects["centre_m"])),
     )
 
 
@@ -239,6 +264,8 @@ class Snapshot:
     #: Unit normals [W, 2] of all pieces of wall (of an arc: its chord) towards the radar, and their offsets [W].
     normal: np.ndarray
     offset: np.ndarray
+    #: Share of each piece of wall that may be in direct sight, [W, 2]: on the rest of it no path has its first mirror.
+    lit: np.ndarray
 
     @property
     def origin(self) -> np.ndarray:
@@ -251,12 +278,26 @@ class Snapshot:
         return self.world.wall_a, self.world.wall_b, self.normal, self.offset, self.world.wall_height_m
 
 
-def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
-    """Move objects and radar to a time."""
-    pose = radar_pose(world.scene, time_s)
+@dataclass(frozen=True)
+class RadarState:
+    """The radar's pose in the scene's frame, and its velocity there, [2]."""
+
+    pose: Pose2
+    velocity: np.ndarray
+
+
+def scene_radar(scene: Scene, time_s: float) -> RadarState:
+    """Return the state of a radar that moves as the scene says."""
+    pose = radar_pose(scene, time_s)
+    return RadarState(pose, scene.ego.speed_mps * np.array([math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)]))
+
+
+def snapshot(world: World, time_s: float = 0.0, radar: RadarState | None = None) -> Snapshot:
+    """Move objects and radar to a time; `radar` where it does not move as the scene says."""
+    radar = scene_radar(world.scene, time_s) if radar is None else radar
+    pose = radar.pose
     shift = world.velocity_mps * time_s
     face_shift = np.repeat(shift, 4, axis=0)
-    speed = world.scene.ego.speed_mps
     centre = world.centre_m.copy()
     centre[:, :2] += shift[world.centre_object]
     origin = np.array([pose.x_m, pose.y_m])
@@ -266,7 +307,7 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
         world=world,
         pose=pose,
         antenna=np.array([pose.x_m, pose.y_m, world.radar_height_m]),
-        radar_velocity=speed * np.array([math.cos(pose.yaw_rad), math.sin(pose.yaw_rad)]),
+        radar_velocity=radar.velocity,
         centre=centre,
         velocity=world.velocity_mps[world.centre_object],
         blockers=Blockers(
@@ -280,6 +321,27 @@ def snapshot(world: World, time_s: float = 0.0) -> Snapshot:
         ),
         normal=normal,
         offset=offset,
+        lit=np.tile([0.0, 1.0], (len(world.wall_a), 1)),
+    )
+
+
+def wall_blockers(world: World) -> Blockers:
+    """Return all pieces of wall as they stand in the way of rays."""
+    return Blockers(
+        a=world.wall_a,
+        b=world.wall_b,
+        height_m=world.wall_height_m,
+        curvature_per_m=world.wall_curvature_per_m,
+        kind=np.where(world.is_mirror, WALL, VOLUME).astype(np.int8),
+        owner=np.full(len(world.wall_a), -1, np.int32),
+        transmission=world.transmission,
+    )
+
+
+def join_blockers(*parts: Blockers) -> Blockers:
+    """Return all blockers of several sets, in order."""
+    return Blockers(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Blockers)}
     )
 
 
@@ -323,7 +385,7 @@ def _foliage(surface: Surface, cosine: np.ndarray, carrier_hz: float) -> np.ndar
     return np.asarray(10.0 ** (-vegetation_db(carrier_hz, depth_m) / 20.0))
 
 
-def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, np.ndarray]:
+def _object_arrays(scene: Scene, wavelength_m: float, seed: int) -> dict[str, Any]:
     """Return the object fields of `World`."""
     objects = list(scene.objects)
     centres = [_centres(scene_object, wavelength_m, seed, index) for index, scene_object in enumerate(objects)]
@@ -376,9 +438,7 @@ def _centres(scene_object: SceneObject, wavelength_m: float, seed: int, index: i
     )
 
 
-def _wall_specks(
-    wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int
-) -> dict[str, np.ndarray]:
+def _wall_specks(wall_a: np.ndarray, wall_b: np.ndarray, curvature_per_m: np.ndarray, seed: int) -> dict[str, Any]:
     """Return the wall scatterer fields of `World`: diffuse patches, then structure, piece by piece."""
     position, owner, length, rcs = [np.zeros((0, 2))], [np.zeros(0, int)], [np.zeros(0)], [np.zeros(0)]
     normal = [np.zeros((0, 2))]

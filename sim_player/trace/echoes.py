@@ -65,7 +65,8 @@ def object_echoes(view: Snapshot, routes: Routes, pairs: tuple[np.ndarray, np.nd
     (out, back), times = both_orders(view.world, pairs)
     centres = *view.world.centres, view.centre, view.velocity
     unit = float(echo_amplitude(view.world.radar, np.ones(1), np.ones(1))[0])
-    return Echoes(_of_centres(routes.rows, out, back, times * unit, needs, centres, view.radar_velocity))
+    numbers = view.world.numbers
+    return Echoes(_of_centres(routes.rows, out, back, times * unit, needs, centres, view.radar_velocity, numbers))
 
 
 def both_orders(world: World, pairs: tuple[np.ndarray, np.ndarray]) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
@@ -97,9 +98,12 @@ def same_target(first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.n
 def surface_echoes(
     view: Snapshot, routes: Routes, weight: np.ndarray, point: np.ndarray, wall: np.ndarray, needs: int
 ) -> Echoes:
-    """Return the echoes of points on walls, out and back by the same route; `weight` already divided by the lengths."""
+    """Return the echoes of points on walls, out and back by the same route; `weight` already divided by the lengths.
+
+    The routes' targets are the points' numbers in the whole world.
+    """
     weight, wall = np.asarray(weight, np.complex128), np.asarray(wall, np.int64)
-    return Echoes(_of_walls(routes.rows, weight, point, wall, needs, view.radar_velocity))
+    return Echoes(_of_walls(routes.rows, weight, point, wall, needs, view.radar_velocity, view.world.numbers[0]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -126,8 +130,9 @@ def _same_target(first, second):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _of_centres(routes, out, back, times, needs, centres, radar_velocity):  # type: ignore[no-untyped-def]
+def _of_centres(routes, out, back, times, needs, centres, radar_velocity, numbers):  # type: ignore[no-untyped-def]
     peak_m2, normals, exponent, floor, owner, phasor, position, velocity = centres
+    wall_id, centre_id, object_id = numbers
     rows, count = np.empty(len(out), ECHO), 0
     for pair in range(len(out)):
         there, here = routes[out[pair]], routes[back[pair]]
@@ -142,32 +147,35 @@ def _of_centres(routes, out, back, times, needs, centres, radar_velocity):  # ty
         count += 1
         constant = times[pair] * np.sqrt(rcs) * phasor[c]
         row.weight = constant * there.other * here.other / (there.length_m * here.length_m)
-        fill_echo(row, there, here, needs)
+        fill_echo(row, there, here, needs, wall_id, (centre_id[c], centre_id[c]))
         row.rate_mps = 0.5 * (
             rate_of(there, velocity[c, 0], velocity[c, 1], radar_velocity)
             + rate_of(here, velocity[c, 0], velocity[c, 1], radar_velocity)
         )
-        row.object_index = owner[c]
+        row.object_index = object_id[owner[c]]
         row.point[:] = position[c]
     return rows[:count]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _of_walls(routes, weight, point, wall, needs, radar_velocity):  # type: ignore[no-untyped-def]
+def _of_walls(routes, weight, point, wall, needs, radar_velocity, wall_id):  # type: ignore[no-untyped-def]
     rows = np.empty(len(routes), ECHO)
     for n in range(len(routes)):
         row, route = rows[n], routes[n]
         row.weight = weight[n] * route.other * route.other
-        fill_echo(row, route, route, needs)
+        fill_echo(row, route, route, needs, wall_id, (route.target, route.target))
         row.rate_mps = rate_of(route, 0.0, 0.0, radar_velocity)
-        row.surface, row.object_index = wall[n], NONE
+        row.surface, row.object_index = wall_id[wall[n]], NONE
         row.point[:] = point[n]
     return rows
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def fill_echo(row, there, here, needs):  # type: ignore[no-untyped-def]
-    """Write what an echo has from its routes alone, out by `there` and back by `here`."""
+def fill_echo(row, there, here, needs, wall_id, targets):  # type: ignore[no-untyped-def]
+    """Write what an echo has from its routes alone, out by `there` and back by `here`.
+
+    `wall_id`: numbers of the walls in the whole world, -1 last; `targets`: those of both routes' targets.
+    """
     row.whole, row.front = there.whole * here.whole, there.front * here.front
     row.rough, row.foliage = there.rough * here.rough, there.foliage * here.foliage
     row.out_m, row.back_m = there.length_m, here.length_m
@@ -176,16 +184,19 @@ def fill_echo(row, there, here, needs):  # type: ignore[no-untyped-def]
     row.kind = _MIRRORED if there.wall >= 0 or here.wall >= 0 else _LOS
     row.order = max((there.wall >= 0) + (there.wall2 >= 0), (here.wall >= 0) + (here.wall2 >= 0))
     row.needs = there.needs | here.needs | np.uint32(needs)
-    row.surface = there.wall if there.wall >= 0 else here.wall
-    row.chain = chain_of(there, here, needs)
+    row.surface = wall_id[there.wall if there.wall >= 0 else here.wall]
+    row.chain = chain_of((there, here), targets, needs, wall_id)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def chain_of(there, here, needs):  # type: ignore[no-untyped-def]
-    """Return a number for an echo by its scatterer, its two routes and its effects; uint64, a hash."""
+def chain_of(routes, targets, needs, wall_id):  # type: ignore[no-untyped-def]
+    """Return a number for an echo by its scatterer, its two routes and its effects; uint64, a hash.
+
+    By numbers of the whole world, so that it stays while other parts of that world are traced.
+    """
     chain = np.uint64(needs)
-    for route in (there, here):
-        for part in (route.target, route.wall, route.wall2, route.edge):
+    for route, target in ((routes[0], targets[0]), (routes[1], targets[1])):
+        for part in (target, wall_id[route.wall], wall_id[route.wall2], route.edge):
             chain = _chained(chain, np.int64(part))
         chain = _chained(_chained(chain, np.int64(route.ground)), np.int64(route.needs))
     return chain

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 from sim_player.effects.curved_wall import as_chords
 from sim_player.effects.table import PATHS
-from sim_player.scene.world import Snapshot, World, snapshot
+from sim_player.scene.reach import reachable_snapshot
+from sim_player.scene.world import Snapshot, World
 from sim_player.trace.conversion import as_paths
 from sim_player.trace.echoes import Echoes, join_echoes
 from sim_player.trace.paths import Paths
@@ -26,7 +29,7 @@ BASIC_EFFECTS = frozenset(
 
 def trace(world: World, time_s: float = 0.0, effects: frozenset[str] = BASIC_EFFECTS) -> Paths:
     """Return all paths at a time after start, of the given effects."""
-    view = snapshot(world, time_s)
+    view = reachable_snapshot(world, time_s)
     return as_paths(view, trace_echoes(view, effects), effects)
 
 
@@ -43,4 +46,11 @@ def trace_each(view: Snapshot, effects: frozenset[str]) -> dict[str, Echoes]:
             echoes[name] = effect.apply(tracing)
         elif name == "curved_wall" and "specular_relay" in effects:
             echoes[name] = as_chords(tracing)
+    if math.isfinite(view.world.reach_m):
+        echoes = {name: within_reach(view.world, made) for name, made in echoes.items()}
     return echoes or {"los_objects": PATHS["los_objects"].apply(tracing)}
+
+
+def within_reach(world: World, echoes: Echoes) -> Echoes:
+    """Return the echoes up to a world's reach: what stands in the way of longer ones is not in it."""
+    return echoes.take(echoes.out_m + echoes.back_m <= 2.0 * world.reach_m)

@@ -21,6 +21,8 @@ from sim_player.trace.segments import Occlusion, passage, without
 
 #: Least length of a route: spherical spreading does not hold nearer than this.
 NEAREST_M = 0.1
+#: Rounding of the share of a wall that is in direct sight.
+LIT_MARGIN = 1e-7
 NONE = -1
 
 
@@ -96,7 +98,21 @@ def plane_bounces(
     The specular point comes from the heights over the wall of both ends: exact, and no line intersection is needed.
     `mirrors` [W]: the pieces to test.
     """
-    return _plane_bounces(source, point_m, np.flatnonzero(mirrors), view.walls)
+    return _plane_bounces(source, point_m, np.flatnonzero(mirrors), view.walls, lit_shares(view))
+
+
+def lit_shares(view: Snapshot) -> np.ndarray:
+    """Return the share of each wall on which a path may have its first mirror, [W, 2]: in direct sight, or rounded."""
+    return np.clip(view.lit + np.array([-LIT_MARGIN, LIT_MARGIN]), 0.0, 1.0)
+
+
+def in_sight(view: Snapshot, wall: np.ndarray, point_m: np.ndarray) -> np.ndarray:
+    """Return which points [N, 3] of pieces of wall [N] may be in direct sight, bool [N]."""
+    start, lit = view.world.wall_a[wall], lit_shares(view)[wall]
+    along = view.world.wall_b[wall] - start
+    share = dot(point_m[:, :2] - start, along) / dot(along, along)
+    # a point at an end may lie beyond it by rounding
+    return np.asarray((share >= lit[:, 0] - LIT_MARGIN) & (share <= lit[:, 1] + LIT_MARGIN))
 
 
 def mirror_routes(
@@ -170,7 +186,7 @@ def grown(rows):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _plane_bounces(source, point, mirrors, walls):  # type: ignore[no-untyped-def]
+def _plane_bounces(source, point, mirrors, walls, lit):  # type: ignore[no-untyped-def]
     a, b, normal, offset, top = walls
     wall, target, points = np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 2, 3))
     count = 0
@@ -191,7 +207,7 @@ def _plane_bounces(source, point, mirrors, walls):  # type: ignore[no-untyped-de
             target_share = (wx * point[n, 0] + wy * point[n, 1] - start) / squared
             # similar triangles: the feet of both, weighted by the other's height
             share = (source_share * height + target_share * source_height) / (height + source_height)
-            if not 0.0 <= share <= 1.0:
+            if not lit[w, 0] <= share <= lit[w, 1]:
                 continue
             portion = reach / (reach + abs(height))
             rise = source[2] + portion * (point[n, 2] - source[2])

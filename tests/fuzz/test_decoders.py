@@ -32,6 +32,7 @@ SLOW = {
     "plan": 8,
     "can_frames": 10,
     "launch": 12,
+    "map": 60,
     "scene": 12,
     "settings": 20,
     "mapping": 20,

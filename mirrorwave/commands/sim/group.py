@@ -13,6 +13,7 @@ from mirrorwave.commands.sim.dataset import dataset, statistics
 from mirrorwave.commands.sim.effects import Budget, Effects, effects, paths
 from mirrorwave.commands.sim.fdtd import reflectance, wall
 from mirrorwave.commands.sim.lidar import lidar
+from mirrorwave.commands.sim.map_import import app as import_app
 from mirrorwave.commands.sim.material import material
 from mirrorwave.completion import complete_scenes
 from mirrorwave.console import compile_line, print_line, require_new_file
@@ -27,6 +28,7 @@ app = typer.Typer(no_args_is_help=True, help="Simulated scenes: raw captures, la
 _CAPTURES = (".mcap", ".sigmf-meta", ".sigmf-data")
 for verb in (effects, paths, material, reflectance, wall, dataset, statistics, lidar):
     app.command()(verb)
+app.add_typer(import_app, name="import")
 
 
 @app.command()

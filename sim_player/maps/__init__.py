@@ -1,0 +1,1 @@
+"""Building footprints of maps as scenes."""

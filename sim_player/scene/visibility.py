@@ -1,0 +1,247 @@
+"""Visibility of upright walls from a point, in the plane: every wall that some ray from there may meet.
+
+A sweep over the directions of all ends: between two of them the same walls lie one behind the other. Nothing that a
+ray can meet is left out: rays that graze an end pass it, and a wall that is seen edge-on counts as seen.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+#: Ends nearer than this to a ray stop it no more than they are met by it.
+GRAZE_M = 2e-6
+#: The same in angle, for far ends.
+GRAZE_RAD = 1e-9
+
+
+@dataclass(frozen=True)
+class PlanWalls:
+    """S straight stretches of wall that cross each other nowhere but at their ends."""
+
+    #: Ends [S, 2].
+    a: np.ndarray
+    b: np.ndarray
+    #: Piece of wall that each is a stretch of, and where on it the stretch begins and ends (shares of it), [S].
+    wall: np.ndarray
+    begin: np.ndarray
+    end: np.ndarray
+
+
+def split_walls(a: np.ndarray, b: np.ndarray, wall: np.ndarray) -> PlanWalls:
+    """Return walls [W, 2] cut where they cross each other; `wall` [W] are their numbers."""
+    owner, begin, end = _cut(np.ascontiguousarray(a), np.ascontiguousarray(b))
+    along = b[owner] - a[owner]
+    return PlanWalls(a[owner] + begin[:, None] * along, a[owner] + end[:, None] * along, wall[owner], begin, end)
+
+
+def lit_walls(
+    source: np.ndarray,
+    walls: PlanWalls,
+    passing: np.ndarray,
+    least: float = 0.0,
+    window: tuple[np.ndarray, np.ndarray] | None = None,
+) -> np.ndarray:
+    """Return which share of each piece of wall [W] rays from a point may meet, [W, 2]; (inf, -inf): none of it.
+
+    `passing` [W]: factor that is left of a ray behind each piece of wall; a ray ends where its product is `least` or
+    less. `window`: two ends of a line that all rays come through; they begin there.
+    """
+    through = np.zeros((2, 2)) if window is None else np.stack(window)
+    lit: np.ndarray = _sweep(
+        np.asarray(source, np.float64),
+        (walls.a, walls.b, walls.begin, walls.end, walls.wall),
+        passing,
+        least,
+        through,
+        window is not None,
+    )
+    return lit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _cut(a, b):  # type: ignore[no-untyped-def]
+    """Shares at which walls are met by others, as stretches: owner, begin, end."""
+    count = len(a)
+    # typed by what they will hold: empty lists have no type
+    owner, share = [0 for _ in range(0)], [0.0 for _ in range(0)]
+    for m in range(count):
+        owner.append(m)
+        share.append(0.0)
+        owner.append(m)
+        share.append(1.0)
+        low_x, high_x = min(a[m, 0], b[m, 0]) - GRAZE_M, max(a[m, 0], b[m, 0]) + GRAZE_M
+        low_y, high_y = min(a[m, 1], b[m, 1]) - GRAZE_M, max(a[m, 1], b[m, 1]) + GRAZE_M
+        for n in range(m):
+            if max(a[n, 0], b[n, 0]) < low_x or min(a[n, 0], b[n, 0]) > high_x:
+                continue
+            if max(a[n, 1], b[n, 1]) < low_y or min(a[n, 1], b[n, 1]) > high_y:
+                continue
+            mx, my, nx, ny = b[m, 0] - a[m, 0], b[m, 1] - a[m, 1], b[n, 0] - a[n, 0], b[n, 1] - a[n, 1]
+            turn = mx * ny - my * nx
+            if abs(turn) <= 1e-12 * math.hypot(mx, my) * math.hypot(nx, ny):
+                continue
+            ox, oy = a[n, 0] - a[m, 0], a[n, 1] - a[m, 1]
+            on_m, on_n = (ox * ny - oy * nx) / turn, (ox * my - oy * mx) / turn
+            if -1e-9 <= on_m <= 1.0 + 1e-9 and -1e-9 <= on_n <= 1.0 + 1e-9:
+                if 1e-9 < on_m < 1.0 - 1e-9:
+                    owner.append(m)
+                    share.append(on_m)
+                if 1e-9 < on_n < 1.0 - 1e-9:
+                    owner.append(n)
+                    share.append(on_n)
+    owners, shares = np.array(owner), np.array(share)
+    order = np.argsort(owners + 0.5 * shares)
+    owners, shares = owners[order], shares[order]
+    stretch = owners[1:] == owners[:-1]
+    return owners[1:][stretch], shares[:-1][stretch], shares[1:][stretch]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sweep(source, walls, passing, least, window, narrow):  # type: ignore[no-untyped-def]
+    a, b = walls[0], walls[1]
+    lit = np.empty((len(passing), 2))
+    lit[:, 0], lit[:, 1] = np.inf, -np.inf
+    # begins in a direction in which nobody draws a wall's end
+    middle, half = 0.1234, math.pi
+    if narrow:
+        first = math.atan2(window[0, 1] - source[1], window[0, 0] - source[0])
+        turn = _wrapped(math.atan2(window[1, 1] - source[1], window[1, 0] - source[0]) - first)
+        middle, half = first + 0.5 * turn, 0.5 * abs(turn) + GRAZE_RAD
+    low, high, piece = _spans(source, a, b, middle, half)
+    order = np.argsort(np.concatenate((low, high)))
+    inside = np.empty(len(piece), np.int64)
+    count = 0
+    for index in range(len(order)):
+        # the span that begins or ends here
+        span = order[index] % len(piece)
+        starts = order[index] < len(piece)
+        angle = low[span] if starts else high[span]
+        # where the window cuts a span it has no end
+        if abs(angle) < half:
+            # the end itself, by rays that pass all other ends
+            _look(source, walls, passing, least, window, narrow, middle + angle, angle, span, (low, high, piece),
+                  inside[:count], lit)  # fmt: skip
+        if starts and high[span] > low[span]:
+            inside[count] = span
+            count += 1
+        elif not starts:
+            for place in range(count):
+                if inside[place] == span:
+                    count -= 1
+                    inside[place] = inside[count]
+                    break
+        if index + 1 < len(order):
+            following = order[index + 1]
+            until = low[following] if following < len(piece) else high[following - len(piece)]
+            if until > angle:
+                _meet(source, walls, passing, least, window, narrow, (middle + angle, middle + until), piece,
+                      inside[:count], lit)  # fmt: skip
+    return lit
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _spans(source, a, b, middle, half):  # type: ignore[no-untyped-def]
+    """Directions from the middle between which each wall stands, within half a window; wall of each span."""
+    low, high, piece = np.empty(2 * len(a)), np.empty(2 * len(a)), np.empty(2 * len(a), np.int64)
+    count = 0
+    for m in range(len(a)):
+        first = _wrapped(math.atan2(a[m, 1] - source[1], a[m, 0] - source[0]) - middle)
+        turn = _wrapped(math.atan2(b[m, 1] - source[1], b[m, 0] - source[0]) - middle - first)
+        start, stop = min(first, first + turn), max(first, first + turn)
+        for whole in (-2.0 * math.pi, 0.0, 2.0 * math.pi):
+            if start + whole <= half and stop + whole >= -half and count < len(low):
+                low[count], high[count], piece[count] = max(start + whole, -half), min(stop + whole, half), m
+                count += 1
+    return low[:count], high[:count], piece[:count]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _meet(source, walls, passing, least, window, narrow, between, piece, inside, lit):  # type: ignore[no-untyped-def]
+    """Light the walls that the rays between two directions meet, nearest first."""
+    a, b, begin, end, wall = walls
+    along = 0.5 * (between[0] + between[1])
+    after, left = _start(source, window, narrow, along), 1.0
+    while left > least:
+        distance = np.inf
+        for span in inside:
+            here = _distance(source, along, a[piece[span]], b[piece[span]])
+            if after < here < distance:
+                distance = here
+        if distance == np.inf:
+            return
+        # walls that stand in one another are met together
+        for span in inside:
+            m = piece[span]
+            if not after < _distance(source, along, a[m], b[m]) <= distance + GRAZE_M:
+                continue
+            for angle in between:
+                place = begin[m] + _share(source, angle, a[m], b[m]) * (end[m] - begin[m])
+                lit[wall[m], 0] = min(lit[wall[m], 0], place)
+                lit[wall[m], 1] = max(lit[wall[m], 1], place)
+            left *= passing[wall[m]]
+        after = distance + GRAZE_M
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _look(source, walls, passing, least, window, narrow, along, angle, span, spans, inside, lit):  # type: ignore[no-untyped-def]
+    """Light the wall of a span whose end lies in a direction, unless others stand before that end on both sides."""
+    a, b, begin, end, wall = walls
+    low, high, piece = spans
+    m = piece[span]
+    ax, ay, bx, by = a[m, 0] - source[0], a[m, 1] - source[1], b[m, 0] - source[0], b[m, 1] - source[1]
+    at_a, at_b = math.hypot(ax, ay), math.hypot(bx, by)
+    turn_a, turn_b = abs(_wrapped(math.atan2(ay, ax) - along)), abs(_wrapped(math.atan2(by, bx) - along))
+    edge_on = high[span] - low[span] < GRAZE_RAD
+    reach = min(at_a, at_b) if edge_on else at_a if turn_a < turn_b else at_b
+    graze = GRAZE_RAD + GRAZE_M / max(reach, GRAZE_M)
+    left, start = 1.0, _start(source, window, narrow, along)
+    if reach <= start - GRAZE_M:
+        return
+    for other in inside:
+        if low[other] < angle - graze and high[other] > angle + graze:
+            here = _distance(source, along, a[piece[other]], b[piece[other]])
+            if start < here < reach - GRAZE_M:
+                left *= passing[wall[piece[other]]]
+    if left > least:
+        place = end[m] if turn_b < turn_a else begin[m]
+        lit[wall[m], 0] = min(lit[wall[m], 0], begin[m] if edge_on else place)
+        lit[wall[m], 1] = max(lit[wall[m], 1], end[m] if edge_on else place)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _start(source, window, narrow, along):  # type: ignore[no-untyped-def]
+    """Distance at which a ray passes the window."""
+    return _distance(source, along, window[0], window[1]) + GRAZE_M if narrow else 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _distance(source, along, a, b):  # type: ignore[no-untyped-def]
+    """Distance at which a ray cuts the line through two points; that of the nearer one where it runs along them."""
+    wx, wy = b[0] - a[0], b[1] - a[1]
+    turn = math.cos(along) * wy - math.sin(along) * wx
+    ox, oy = a[0] - source[0], a[1] - source[1]
+    if abs(turn) <= 1e-12 * math.hypot(wx, wy):
+        return min(math.hypot(ox, oy), math.hypot(b[0] - source[0], b[1] - source[1]))
+    return (ox * wy - oy * wx) / turn
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _share(source, along, a, b):  # type: ignore[no-untyped-def]
+    """Where on a wall, 0..1, a ray meets it."""
+    wx, wy = b[0] - a[0], b[1] - a[1]
+    cx, cy = math.cos(along), math.sin(along)
+    turn = cx * wy - cy * wx
+    if abs(turn) <= 1e-12 * math.hypot(wx, wy):
+        return 0.5
+    ox, oy = a[0] - source[0], a[1] - source[1]
+    return min(max((ox * cy - oy * cx) / turn, 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _wrapped(angle):  # type: ignore[no-untyped-def]
+    """Angle in -pi..pi."""
+    return angle - 2.0 * math.pi * math.floor(angle / (2.0 * math.pi) + 0.5)

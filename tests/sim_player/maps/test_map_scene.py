@@ -1,0 +1,157 @@
+"""Scenes of maps: walls in the radar's frame, and what becomes of footprints that are none."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+pytest.importorskip("shapely", reason="maps need shapely")
+
+from msgs.files.shipped import LAUNCH
+from sim_player.maps.footprints import Footprint, FootprintFile
+from sim_player.maps.local_frame import MapPose
+from sim_player.maps.map_scene import MapScene, map_scene, read_map
+from sim_player.maps.wall_rules import DEFAULT_RULES, read_rules
+from sim_player.scene.description import scene_from_yaml
+from sim_player.scene.world import prepare
+from sim_player.trace.ray_tracing import trace
+
+EXAMPLE = LAUNCH / "maps" / "invented_street.geojson"
+Ring = list[tuple[float, float]]
+
+
+def box(x: float, y: float, width: float = 10.0, depth: float = 10.0) -> Ring:
+    return [(x, y), (x + width, y), (x + width, y + depth), (x, y + depth)]
+
+
+def scene_of(*rings: Ring, heading: float = 0.0, holes: tuple[Ring, ...] = (), radius_m: float = 165.0) -> MapScene:
+    """Scene of outlines in metres around a radar at (0, 0)."""
+    footprints = tuple(
+        Footprint(f"way {index}", tuple(ring), tuple(map(tuple, holes)), {}) for index, ring in enumerate(rings)
+    )
+    pose = MapPose(0.0, 0.0, heading, metric=True)
+    return map_scene(FootprintFile(footprints, (), True, {}), pose, radius_m, DEFAULT_RULES, "a")
+
+
+def pieces(made: MapScene) -> set[frozenset[tuple[float, float]]]:
+    return {
+        frozenset(pair)
+        for surface in made.scene.surfaces
+        for pair in zip(surface.polyline_m[:-1], surface.polyline_m[1:], strict=True)
+    }
+
+
+def test_a_house_in_the_north_stands_ahead() -> None:
+    """East of the map is right of a radar that looks north: y = -east."""
+    made = scene_of(box(-5.0, 20.0))
+    assert pieces(made) == {
+        frozenset(pair)
+        for pair in (
+            ((20.0, 5.0), (20.0, -5.0)), ((20.0, -5.0), (30.0, -5.0)), ((30.0, -5.0), (30.0, 5.0)),
+            ((30.0, 5.0), (20.0, 5.0)),
+        )
+    }  # fmt: skip
+    assert (made.buildings, made.walls, made.default_heights) == (1, 4, 1)
+    # a radar that looks east has the same house on its left
+    assert all(
+        y > 0.0 for surface in scene_of(box(-5.0, 20.0), heading=90.0).scene.surfaces for _, y in surface.polyline_m
+    )
+
+
+def test_walls_between_two_houses_are_left_out() -> None:
+    made = scene_of(box(-10.0, 20.0), box(0.0, 20.0))
+    assert made.walls == 6
+    assert made.left_out["walls between two buildings"] == 2
+    assert frozenset(((20.0, 0.0), (30.0, 0.0))) not in pieces(made)
+
+
+def test_a_house_that_the_map_has_twice_stands_once() -> None:
+    made = scene_of(box(-5.0, 20.0), box(-5.0, 20.0)[2:] + box(-5.0, 20.0)[:2])
+    assert made.walls == 4
+    assert made.left_out["buildings given twice"] == 1
+
+
+def test_courtyards_have_walls() -> None:
+    made = scene_of(box(-20.0, 20.0, 40.0, 40.0), holes=(box(-5.0, 30.0),))
+    assert (made.buildings, made.walls) == (1, 8)
+
+
+def test_houses_beyond_the_radius_are_counted() -> None:
+    made = scene_of(box(-5.0, 20.0), box(-5.0, 60.0), radius_m=50.0)
+    assert (made.buildings, made.left_out["buildings beyond the radius"]) == (1, 1)
+
+
+def test_corners_that_lie_on_one_another_are_one() -> None:
+    ring = [(-5.0, 20.0), (-5.0 + 1e-9, 20.0), (5.0, 20.0), (5.0, 20.004), (5.0, 30.0), (-5.0, 30.0)]
+    assert scene_of(ring).walls == 4
+
+
+@pytest.mark.parametrize(
+    ("ring", "line"),
+    [
+        (
+            [(0, 20), (10, 30), (10, 20), (0, 30)],
+            "way 0: must be rings whose edges do not cross, got Self-intersection",
+        ),
+        ([(0, 20), (10, 20), (20, 20)], r"way 0: must enclose 0.01 m\^2 at least, got 0 m\^2"),
+        ([(0, 20)] * 4, "way 0: must enclose"),
+        (box(0, 20, 1e-3, 1e-3), "way 0: must enclose"),
+    ],
+)
+def test_a_footprint_that_is_none_is_named(ring: Ring, line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        scene_of(ring)
+    made = scene_of(ring, box(-40.0, 20.0))
+    assert (made.buildings, len(made.broken)) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("ring", "line"),
+    [
+        (box(-5.0, -5.0), "--position: must stand outside all buildings, got a place in way 0"),
+        (box(0.05, -5.0), "--position: must stand 0.1 m off every wall, got 0.050 m to way 0"),
+        (box(4000.0, 0.0), "--position: must have a building within 165 m on the map, the nearest is 4000 m away"),
+    ],
+)
+def test_a_place_where_no_radar_stands_is_refused(ring: Ring, line: str) -> None:
+    with pytest.raises(ValueError, match=line):
+        scene_of(ring)
+
+
+def test_an_empty_map_and_a_radius_that_is_none_are_refused() -> None:
+    with pytest.raises(ValueError, match="must have a building within 165 m on the map, it has none"):
+        scene_of()
+    for radius_m in (1.0, 1e5, float("nan")):
+        with pytest.raises(ValueError, match="--radius must be"):
+            scene_of(box(0.0, 20.0), radius_m=radius_m)
+
+
+def test_more_walls_than_a_scene_may_have_are_refused() -> None:
+    turn = np.linspace(0.0, 2.0 * np.pi, 10_002)[:-1]
+    circle = [(float(x), float(y)) for x, y in zip(400.0 * np.cos(turn), 900.0 + 400.0 * np.sin(turn), strict=True)]
+    with pytest.raises(ValueError, match="--radius: must hold at most 10000 walls, got 10001 within 600 m"):
+        scene_of(circle, radius_m=600.0)
+
+
+def test_the_example_becomes_a_scene_that_can_be_read_and_traced() -> None:
+    """11 of 12 buildings within 165 m; three houses share two walls, which both have: four pieces are left out."""
+    made = map_scene(read_map(EXAMPLE), MapPose(10.0, -30.0, 0.0), 165.0, read_rules([]), "example", ground="asphalt")
+    assert (made.buildings, made.walls, made.default_heights) == (11, 47, 2)
+    assert made.materials == {"brick": 16, "concrete": 11, "glass": 4, "metal": 12, "wood": 4}
+    assert made.left_out == {
+        "features that are no building": 2,
+        "buildings beyond the radius": 1,
+        "walls between two buildings": 4,
+    }
+    assert scene_from_yaml(made.yaml) == made.scene
+    paths = trace(prepare(made.scene))
+    ahead = paths.take(np.abs(paths.azimuth_rad) < 0.01)
+    # the facade across the street, 26 m ahead, is met square on
+    assert ahead.length_m[np.argmax(np.abs(ahead.amplitude))] == pytest.approx(52.0, abs=0.02)
+
+
+def test_only_maps_are_read() -> None:
+    with pytest.raises(ValueError, match=r"a\.txt: a map's name must end in .geojson, .json, .osm, .xml"):
+        read_map(LAUNCH / "a.txt")
+    with pytest.raises(ValueError, match=r"a\.osm: OpenStreetMap is in degrees"):
+        read_map(LAUNCH / "a.osm", metric=True)

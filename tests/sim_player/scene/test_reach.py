@@ -1,0 +1,157 @@
+"""The part of a world that echoes reach: its paths are those of the whole world."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from msgs.values.frames import Pose2
+from sim_player.effects.names import bit
+from sim_player.effects.table import ALL_EFFECTS
+from sim_player.generate.city import CityKind, made_city
+from sim_player.generate.places import random_place
+from sim_player.scene import reach
+from sim_player.scene.description import Scene, SceneObject, Surface
+from sim_player.scene.reach import reach_m, reachable_snapshot
+from sim_player.scene.world import RadarState, World, prepare, scene_radar, snapshot
+from sim_player.trace.echoes import Echoes
+from sim_player.trace.path_tracks import PathTrack
+from sim_player.trace.ray_tracing import trace, trace_echoes
+
+
+def of_whole(world: World, time_s: float, radar: RadarState) -> Echoes:
+    """Echoes of the whole world up to the reach."""
+    echoes = trace_echoes(snapshot(world, time_s, radar), ALL_EFFECTS)
+    return echoes.take(echoes.out_m + echoes.back_m <= 2.0 * reach_m(world.setup))
+
+
+def of_part(world: World, time_s: float, radar: RadarState) -> Echoes:
+    return trace_echoes(reachable_snapshot(world, time_s, radar), ALL_EFFECTS)
+
+
+def assert_same_paths(part: Echoes, whole: Echoes) -> None:
+    """Same paths in the same order; only what walls hide may be missing, under the noise (1e-13 sqrt(mW) before the
+    array's gain of 1e3; the noise has 2e-7). Factors of several walls are multiplied in another order.
+    """
+    missing = whole.take(~np.isin(whole.chain, part.chain))
+    assert ((missing.needs & np.uint32(bit("wall_transmission"))) > 0).all()
+    assert np.abs(missing.weight).sum() < 1e-13
+    whole = whole.take(np.isin(whole.chain, part.chain))
+    assert np.array_equal(part.chain, whole.chain)
+    for name in ("out_m", "back_m", "surface", "object_index", "needs", "order", "point", "depart", "arrive"):
+        assert np.array_equal(getattr(part, name), getattr(whole, name)), name
+    for name in ("weight", "whole", "front", "rough", "foliage"):
+        assert getattr(part, name) == pytest.approx(getattr(whole, name), rel=1e-12, abs=1e-25), name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", range(12))
+def test_drawn_places_keep_all_paths(index: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Arcs, hedges, low walls, glass and grounds are among them; the radar stands where the scene says, then beside."""
+    monkeypatch.setattr(reach, "WHOLE_WALLS", 0)
+    world = prepare(random_place(3, index), index)
+    beside = RadarState(Pose2(1.0 - 0.2 * index, 0.1 * index, 0.05 * index), np.array([3.0, 0.5]))
+    for time_s, radar in ((0.3, scene_radar(world.scene, 0.3)), (0.0, beside)):
+        assert_same_paths(of_part(world, time_s, radar), of_whole(world, time_s, radar))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["terraced", "detached"])
+@pytest.mark.parametrize("seed", range(3))
+def test_cities_keep_all_paths_and_trace_less(kind: CityKind, seed: int) -> None:
+    world = prepare(made_city(200, kind, seed=seed), seed)
+    for x_m in (0.0, 31.7):
+        radar = RadarState(Pose2(x_m, 0.4, 0.1), np.array([5.0, 0.0]))
+        part = reachable_snapshot(world, 0.0, radar)
+        assert len(part.world.wall_a) < 0.8 * len(world.wall_a)
+        assert len(part.world.speck_m) < 0.6 * len(world.speck_m)
+        assert_same_paths(trace_echoes(part, ALL_EFFECTS), of_whole(world, 0.0, radar))
+
+
+def test_a_city_ten_times_as_large_has_the_same_paths() -> None:
+    """Of the detached houses' city what lies beyond the reach of 164 m adds nothing: neither paths nor walls. The
+    walls' own scatterers are drawn for all walls of a scene together: their phases are other ones.
+    """
+    echoes, walls = [], []
+    for count in (1200, 12_000):
+        view = reachable_snapshot(prepare(made_city(count, "detached", objects=4)))
+        echoes.append(trace_echoes(view, ALL_EFFECTS))
+        walls.append(view.world.wall_id)
+        assert len(view.blockers.a) < 1200
+    assert np.array_equal(walls[0], walls[1])
+    assert np.array_equal(echoes[0].chain, echoes[1].chain)
+    assert np.array_equal(echoes[0].out_m, echoes[1].out_m)
+
+
+def test_a_small_world_is_traced_whole() -> None:
+    world = prepare(random_place(3, 0), 0)
+    whole, view = snapshot(world, 0.2), reachable_snapshot(world, 0.2)
+    assert view.world is world
+    assert math.isinf(view.world.reach_m)
+    assert np.array_equal(view.blockers.a, whole.blockers.a)
+    assert np.array_equal(view.lit, np.tile([0.0, 1.0], (len(world.wall_a), 1)))
+
+
+def test_what_walls_hide_stays_under_the_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A car in a metal wall behind rows of brick walls, 0.24 m each: 4 rows let its image through, and all paths stay.
+    Behind 40 rows it is left out; with a bound 800 dB lower it is there again.
+    """
+    monkeypatch.setattr(reach, "WHOLE_WALLS", 0)
+    mirror = Surface(role="relay", material="metal", polyline_m=((5.0, 18.0), (40.0, 18.0)))
+    car = SceneObject(class_="car", x_m=20.0, y_m=0.5)
+
+    def lost(rows: int) -> int:
+        walls = tuple(
+            Surface(role="occluder", material="brick", polyline_m=((x_m, -40.0), (x_m, 17.9)), thickness_mm=240.0)
+            for x_m in np.linspace(3.0, 9.0, rows).tolist()
+        )
+        world = prepare(Scene(name="rows", surfaces=(*walls, mirror), objects=(car,)))
+        radar = scene_radar(world.scene, 0.0)
+        part, whole = of_part(world, 0.0, radar), of_whole(world, 0.0, radar)
+        assert_same_paths(part, whole)
+        return len(whole) - len(part)
+
+    assert lost(4) == 0
+    assert lost(40) > 0
+    monkeypatch.setattr(reach, "HIDDEN_DB", reach.HIDDEN_DB - 800.0)
+    assert lost(40) == 0
+
+
+def test_paths_keep_their_numbers_while_the_radar_goes_from_square_to_square() -> None:
+    """Between two instants half a second apart the radar drives 5 m into the next square: paths are carried on, not
+    faded out and in. Of the echoes of walls at least half stay.
+    """
+    scene = made_city(600, "terraced", objects=3)
+    world = prepare(msgspec.structs.replace(scene, ego=msgspec.structs.replace(scene.ego, speed_mps=1.0)))
+    border_s = reach.SQUARE_M - 0.1
+    before, after = trace(world, border_s), trace(world, border_s + 0.2)
+    shared = np.intersect1d(before.chain, after.chain)
+    assert len(shared) > 0.9 * len(before)
+    track = PathTrack(lambda time_s: trace(world, time_s), 0.2)
+    there = track.at(border_s)
+    assert len(there) < 1.2 * len(before)
+
+
+def test_an_object_beyond_reach_is_left_out_and_the_others_keep_their_numbers() -> None:
+    scene = made_city(400, "detached", objects=6)
+    far = SceneObject(class_="car", x_m=-900.0, y_m=0.0, speed_mps=10.0)
+    world = prepare(msgspec.structs.replace(scene, objects=(far, *scene.objects)))
+    view = reachable_snapshot(world)
+    assert view.world.object_id.tolist() == [1, 2, 3, 4, 5, 6]
+    assert 0 not in trace_echoes(view, ALL_EFFECTS).object_index
+    # 80 s later it has come within reach
+    assert 0 in reachable_snapshot(world, 80.0).world.object_id
+    assert 0 in trace_echoes(reachable_snapshot(world, 85.0), ALL_EFFECTS).object_index
+
+
+def test_a_part_holds_no_more_than_its_world() -> None:
+    world = prepare(made_city(400, "detached"))
+    view = reachable_snapshot(world)
+    part = view.world
+    assert np.array_equal(part.wall_a, world.wall_a[part.wall_id])
+    assert np.array_equal(part.speck_m, world.speck_m[part.speck_id])
+    assert np.array_equal(part.wall_id[part.speck_wall], world.speck_wall[part.speck_id])
+    assert np.array_equal(part.centre_m, world.centre_m[part.centre_id])
