@@ -116,11 +116,9 @@ def cell_hypotheses(
         walls.angle_std_rad,
         walls.length_m > VEHICLE_LENGTH_M,
     )
-    step_m, step_rad = float(np.diff(grid.range_m[:2])[0]), float(np.diff(grid.azimuth_rad[:2])[0])
-    first_m, first_rad = float(grid.range_m[0]), float(grid.azimuth_rad[0])
-    seen = _Map(
-        *(np.ascontiguousarray(field, np.float64) for field in (level, *scores)), first_m, step_m, first_rad, step_rad
-    )
+    shown, direct, mirrored = np.array([level, *scores], np.float64)
+    (first_m, next_m), (first_rad, next_rad) = grid.range_m[:2].tolist(), grid.azimuth_rad[:2].tolist()
+    seen = _Map(shown, direct, mirrored, first_m, next_m - first_m, first_rad, next_rad - first_rad)
     wall, second, features = _all_cells(grid.range_m, _rays(direction, walls, returns), arrays, seen)
     return CellHypotheses(wall, second, features)
 

@@ -64,8 +64,7 @@ class ObjectSample:
         targets, across = self.targets, np.array([1.0, -1.0], np.float32)
         at = targets.at.copy()
         at[:, 2] = cells.shape[-1] - 1 - at[:, 2]
-        values = (getattr(targets, name) * across for name in ("place_m", "heading", "centre_m"))
-        place_m, heading, centre_m = values
+        place_m, heading, centre_m = targets.place_m * across, targets.heading * across, targets.centre_m * across
         mirrored = ObjectTargets(at, targets.number, targets.object_class, place_m, targets.log_size, heading, centre_m)
         return ObjectSample(cells, self.wall[..., ::-1], self.second[..., ::-1], mirrored)
 

@@ -1,4 +1,4 @@
-"""A corner worked out by hand: a wall across the road at x = 12 m, another along it at y = 10 m, an object at (6, 4)."""
+"""A corner worked out by hand: a wall across the road at x = 12 m, another along it at y = 10 m."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def returns() -> DirectReturns:
     return DirectReturns(np.array([[12.0, 0.0]]), np.array([40.0]), np.zeros(1, int), np.zeros(1, int))
 
 
-def hypotheses(
-    of: WallArrays, level: np.ndarray | None = None, scores: np.ndarray | None = None
-) -> CellHypotheses:
+def hypotheses(of: WallArrays, level: np.ndarray | None = None, scores: np.ndarray | None = None) -> CellHypotheses:
     shape = len(GRID.range_m), len(GRID.azimuth_rad)
     level = np.zeros(shape) if level is None else level
     return cell_hypotheses(GRID, of, returns(), level, np.zeros((2, *shape)) if scores is None else scores)

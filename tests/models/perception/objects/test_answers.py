@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from scipy.special import logit
 
-from models.perception.objects.answers import ANSWERS, CENTRE, CLASS, HEADING, LOG_SIZE, LOG_STD, OBJECT, PLACE, detections
+from models.perception.objects.answers import (
+    ANSWERS,
+    CENTRE,
+    CLASS,
+    HEADING,
+    LOG_SIZE,
+    LOG_STD,
+    OBJECT,
+    PLACE,
+    detections,
+)
 from models.perception.objects.hypotheses import HYPOTHESES, SINGLES
 from models.training.data.frames import FrameLabels
 from models.training.data.object_samples import ObjectTargets, true_hypotheses
@@ -16,7 +26,9 @@ from msgs.values.perception import PathClass, TruthObject
 from tests.models.perception.objects.object_scenes import ACROSS, GRID, cell, hypotheses, walls
 
 
-def labels(object_index: list[int], true_m: list[tuple[float, float]], image_m: list[tuple[float, float]]) -> FrameLabels:
+def labels(
+    object_index: list[int], true_m: list[tuple[float, float]], image_m: list[tuple[float, float]]
+) -> FrameLabels:
     x, y = np.array(image_m).T
     count = len(object_index)
     return FrameLabels(
