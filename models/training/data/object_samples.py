@@ -73,8 +73,8 @@ class ObjectSample:
         with the same walls.
         """
         heat = np.zeros(self.wall.shape, np.float32)
-        rows, columns = heat.shape[1:]
-        for which, row, column in self.targets.at:
+        _, rows, columns = heat.shape
+        for which, row, column in self.targets.at.tolist():
             near = (
                 slice(max(row - REACH_CELLS[0], 0), min(row + REACH_CELLS[0] + 1, rows)),
                 slice(max(column - REACH_CELLS[1], 0), min(column + REACH_CELLS[1] + 1, columns)),
