@@ -139,7 +139,7 @@ class CompactUNet(nn.Module):
             nn.ReLU(inplace=True),
         )
         self.encode = nn.ModuleList(ResidualBlock(width) for width in widths[:-1])
-        self.down = nn.ModuleList(_down(fine, coarse) for fine, coarse in steps)
+        self.down = nn.ModuleList(halved(fine, coarse) for fine, coarse in steps)
         self.context = GlobalContext(config)
         self.up = nn.ModuleList(nn.ConvTranspose2d(coarse, fine, 2, stride=2) for fine, coarse in reversed(steps))
         self.decode = nn.ModuleList(ResidualBlock(width) for width in reversed(widths[:-1]))
@@ -174,7 +174,8 @@ class CompactUNet(nn.Module):
         return _shuffle(self.head(x), self.config.classes, self.config.azimuth_factor)
 
 
-def _down(fine: int, coarse: int) -> nn.Sequential:
+def halved(fine: int, coarse: int) -> nn.Sequential:
+    """Return a convolution that halves range and azimuth."""
     return nn.Sequential(
         nn.Conv2d(fine, coarse, 3, stride=2, padding=1, bias=False), nn.BatchNorm2d(coarse), nn.ReLU(inplace=True)
     )

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_args
 import typer
 
 from mirrorwave.commands.learn.train_confidence import confidence
+from mirrorwave.commands.learn.train_objects import objects
 from mirrorwave.commands.learn.train_residual import residual
 from mirrorwave.console import print_json, print_line
 
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="Train the networks on a data set.")
 app.command()(residual)
 app.command()(confidence)
+app.command()(objects)
 
 
 @app.command()

@@ -21,7 +21,7 @@ from models.perception.forming.ra_forming import ScanProfiles, form_map, look_az
 from msgs.files.array_files import array_names, load_arrays
 from msgs.files.whole_files import write_whole
 from msgs.values.array_table import ArrayTable
-from msgs.values.perception import PathClass
+from msgs.values.perception import PathClass, TruthObject
 from msgs.values.radar import PRESETS, RadarSetup, RangeAzimuthGrid, RangeAzimuthMap
 from msgs.values.vehicle import VehicleState
 
@@ -73,6 +73,8 @@ class Scan:
     scene_yaml: str = ""
     #: Captures of one drive share it: a split never divides a sequence.
     sequence: str = ""
+    #: All objects in the radar's frame; None: the data set does not say.
+    truth: tuple[TruthObject, ...] | None = None
     #: True positions [M, 2] of all images together if they do not pair with them; None: those of the labels.
     places_m: np.ndarray | None = None
     #: State of the vehicle by which its motion was taken out of the profiles; None: it was not.
@@ -93,6 +95,9 @@ class Frame:
     scene_yaml: str
     sequence: str
     places_m: np.ndarray | None = None
+    truth: tuple[TruthObject, ...] | None = None
+    #: Of a beam for profiles, of a cell for values; per bin.
+    noise_power_mw: float = 0.0
 
 
 #: A finite number of an array.
@@ -158,7 +163,19 @@ class DataSet:
     def frame(self, index: int, transform: Callable[[Scan], Scan] = lambda scan: scan) -> Frame:
         """Return one scene as a map with its truth; `transform` may replace its radar by another."""
         scan = transform(self.scan(index))
-        names = ("index", "labels", "place", "relays", "objects", "hidden", "scene_yaml", "sequence", "places_m")
+        names = (
+            "index",
+            "labels",
+            "place",
+            "relays",
+            "objects",
+            "hidden",
+            "scene_yaml",
+            "sequence",
+            "places_m",
+            "truth",
+            "noise_power_mw",
+        )
         return Frame(ra_map=scan_map(scan, self._interpolator), **{name: getattr(scan, name) for name in names})
 
     def frames(self, indices: Iterable[int], transform: Callable[[Scan], Scan] = lambda scan: scan) -> Iterator[Frame]:
@@ -204,6 +221,7 @@ class _Facts(msgspec.Struct):
     relays: tuple[Any, ...] = ()
     objects: tuple[Any, ...] = ()
     hidden: tuple[Any, ...] = ()
+    truth: tuple[TruthObject, ...] | None = None
 
 
 def scan_map(scan: Scan, interpolator: AzimuthInterpolator) -> RangeAzimuthMap:
@@ -336,6 +354,7 @@ def _scan(path: Path, arrays: dict[str, np.ndarray], scene: int, index: int) -> 
         relays=facts.relays,
         objects=facts.objects,
         hidden=facts.hidden,
+        truth=facts.truth,
         scene_yaml=str(arrays["scene_yaml"][scene]) if "scene_yaml" in arrays else "",
         sequence=str(arrays["sequence"][scene]) if "sequence" in arrays else "",
         places_m=arrays["places_m"][slice(*arrays["place_offset"][scene : scene + 2])]

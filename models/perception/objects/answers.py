@@ -1,0 +1,156 @@
+"""Answers of the object network: their layout, and the objects that they say.
+
+Each hypothesis of each cell has `ANSWERS` numbers. Positions are told within the image, along and across the ray of the
+cell's centre, in metres: what the walls' errors do to an image is then in the map itself, where the network sees it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import expit
+
+from models.perception.geometry.mirrors import RADAR, WallArrays, hits
+from models.perception.objects.hypotheses import HYPOTHESES, CellGrid, CellHypotheses
+from msgs.values.array_table import ArrayTable
+from msgs.values.perception import HiddenObject
+
+#: Classes in the order of their logits.
+CLASSES = ("pedestrian", "bicycle", "car", "van", "truck", "bus")
+#: Numbers of a hypothesis, in order: logit of an object, of its class; position of what the radar sees of it and the
+#: logarithms of its errors [m]; logarithms of length and width [m]; cosine and sine of twice the heading against the
+#: ray; from that position to the centre of its box [m].
+OBJECT, CLASS, PLACE, LOG_STD, LOG_SIZE, HEADING, CENTRE = (
+    slice(0, 1), slice(1, 7), slice(7, 9), slice(9, 11), slice(11, 13), slice(13, 15), slice(15, 17),
+)  # fmt: skip
+ANSWERS = 17
+#: Bounds of the logarithms of errors and sizes.
+LOG_STD_LIMITS, LOG_SIZE_LIMITS = (-4.0, 2.0), (-1.5, 3.0)
+#: Reports nearer than this, or than a share of the longer one, are one object.
+SAME_OBJECT_M, SAME_OBJECT_SHARE = 1.5, 0.45
+
+
+@dataclass(frozen=True)
+class Detections(ArrayTable):
+    """Objects that a network sees, N of them, best first; the plane is the radar's."""
+
+    score: np.ndarray
+    #: Position of what is seen of it [N, 2], covariance [N, 2, 2], centre of its box [N, 2].
+    place_m: np.ndarray
+    covariance_m2: np.ndarray
+    centre_m: np.ndarray
+    #: Length and width [N, 2]; axis of its length.
+    size_m: np.ndarray
+    yaw_rad: np.ndarray
+    #: Index into `CLASSES`.
+    object_class: np.ndarray
+    #: Azimuth of the image.
+    azimuth_rad: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+
+def detections(
+    answer: np.ndarray, hypotheses: CellHypotheses, grid: CellGrid, walls: WallArrays, threshold: float
+) -> Detections:
+    """Return the objects of an answer [K * answers, R, C] whose probability reaches a threshold, one report each."""
+    said = answer.reshape(HYPOTHESES, ANSWERS, *answer.shape[1:]).astype(np.float64)
+    found = _folded(said, np.argwhere(_is_peak(said, hypotheses, threshold)), hypotheses, grid, walls)
+    return found.take(_distinct(found))
+
+
+def _is_peak(said: np.ndarray, hypotheses: CellHypotheses, threshold: float) -> np.ndarray:
+    """Return which hypotheses are the likeliest among their neighbours, bool [K, R, C]."""
+    probability = np.where(hypotheses.wall >= 0, expit(said[:, 0]), 0.0)
+    padded = np.pad(probability, ((0, 0), (1, 1), (1, 1)))
+    windows = np.lib.stride_tricks.sliding_window_view(padded, (3, 3), axis=(1, 2))
+    return np.asarray((probability >= threshold) & (probability >= windows.max(axis=(-2, -1))))
+
+
+def _folded(
+    said: np.ndarray, at: np.ndarray, hypotheses: CellHypotheses, grid: CellGrid, walls: WallArrays
+) -> Detections:
+    """Return what is said at hypotheses [N, 3] (which, row, column), folded back by their walls."""
+    which, row, column = at.T
+    values = said[which, :, row, column]
+    along, across = values[:, PLACE].T
+    range_m = np.maximum(grid.range_m[row] + along, 0.1)
+    azimuth_rad = grid.azimuth_rad[column] + across / np.maximum(grid.range_m[row], 1.0)
+    ray = np.stack([np.cos(azimuth_rad), np.sin(azimuth_rad)], axis=1)
+    # columns: along the ray and across it, turned by the mirrors like the image itself
+    axes = np.stack([ray, np.stack([-ray[:, 1], ray[:, 0]], axis=1)], axis=2)
+    place_m = range_m[:, None] * ray
+    wall, second = hypotheses.wall[which, row, column], hypotheses.second[which, row, column]
+    place_m, axes = _by_first(place_m, axes, wall, walls)
+    twice = np.flatnonzero(second >= 0)
+    normal, offset_m = walls.normal[second[twice]], walls.offset_m[second[twice]]
+    place_m[twice], axes[twice] = _mirrored(place_m[twice], axes[twice], normal, offset_m)
+    std_m = np.exp(np.clip(values[:, LOG_STD], *LOG_STD_LIMITS))
+    heading = axes @ _half_angle(values[:, HEADING])[..., None]
+    return Detections(
+        score=expit(values[:, 0]),
+        place_m=place_m,
+        covariance_m2=(axes * std_m[:, None] ** 2) @ axes.transpose(0, 2, 1),
+        centre_m=place_m + (axes @ values[:, CENTRE, None])[..., 0],
+        size_m=np.exp(np.clip(values[:, LOG_SIZE], *LOG_SIZE_LIMITS)),
+        yaw_rad=np.arctan2(heading[:, 1, 0], heading[:, 0, 0]),
+        object_class=values[:, CLASS].argmax(axis=1),
+        azimuth_rad=azimuth_rad,
+    )
+
+
+def _by_first(
+    image_m: np.ndarray, axes: np.ndarray, wall: np.ndarray, walls: WallArrays
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return images [N, 2] and axes [N, 2, 2] mirrored by the first wall, an arc by its tangent where the ray meets."""
+    met, own = hits(RADAR, image_m, walls), np.arange(len(image_m))
+    never = np.isnan(met.along_ray[own, wall])
+    normal = np.where(never[:, None], walls.normal[wall], met.normal[own, wall])
+    offset_m = np.where(never, walls.offset_m[wall], met.offset_m[own, wall])
+    return _mirrored(image_m, axes, normal, offset_m)
+
+
+def _mirrored(
+    place_m: np.ndarray, axes: np.ndarray, normal: np.ndarray, offset_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return places [N, 2] and the axes at them [N, 2, 2] in mirrors [N, 2], [N]."""
+    height_m = np.sum(place_m * normal, axis=1) + offset_m
+    turned = np.einsum("ni,nij->nj", normal, axes)
+    return place_m - 2.0 * height_m[:, None] * normal, axes - 2.0 * normal[:, :, None] * turned[:, None, :]
+
+
+def _half_angle(doubled: np.ndarray) -> np.ndarray:
+    """Return unit vectors [N, 2] at half the angle of vectors [N, 2]."""
+    half_rad = 0.5 * np.arctan2(doubled[:, 1], doubled[:, 0])
+    return np.stack([np.cos(half_rad), np.sin(half_rad)], axis=1)
+
+
+def _distinct(found: Detections) -> np.ndarray:
+    """Return the indices of reports of different objects, best first: a nearby better one says the same object."""
+    kept: list[int] = []
+    reach_m = np.maximum(SAME_OBJECT_M, SAME_OBJECT_SHARE * found.size_m[:, 0])
+    for index in np.argsort(-found.score, kind="stable"):
+        away_m = np.linalg.norm(found.place_m[kept] - found.place_m[index], axis=1)
+        if (away_m > np.maximum(reach_m[kept], reach_m[index])).all():
+            kept.append(int(index))
+    return np.array(kept, int)
+
+
+def hidden_objects(found: Detections, stamp_ns: int) -> tuple[HiddenObject, ...]:
+    """Return detections as a view reports them, all measured at one time."""
+    return tuple(
+        HiddenObject(
+            id=index,
+            x_m=float(found.place_m[index, 0]),
+            y_m=float(found.place_m[index, 1]),
+            length_m=float(found.size_m[index, 0]),
+            width_m=float(found.size_m[index, 1]),
+            yaw_rad=float(found.yaw_rad[index]),
+            score=float(found.score[index]),
+            cov_m2=tuple(map(tuple, found.covariance_m2[index].tolist())),  # type: ignore[arg-type]
+            stamp_ns=stamp_ns,
+        )
+        for index in range(len(found))
+    )

@@ -1,0 +1,111 @@
+"""Input of the object network: a map, its peaks, and what each cell would be if a wall had mirrored it."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from models.perception.detection.encoding import Encoding, encode_map
+from models.perception.geometry.association import DirectReturns
+from models.perception.geometry.mirrors import wall_arrays
+from models.perception.objects.hypotheses import (
+    FEATURES,
+    HYPOTHESES,
+    Y_FEATURE,
+    CellGrid,
+    CellHypotheses,
+    cell_hypotheses,
+)
+from msgs.values.perception import PathClass, Peaks, Wall
+from msgs.values.radar import RangeAzimuthGrid, RangeAzimuthMap
+
+#: Channels of the peaks of one class in each cell: score of the strongest, its place along and across, in cells.
+PEAK_CHANNELS = ("score", "along", "across")
+#: Range bins of the map in one row of cells.
+BINS = 2
+
+
+class ObjectEncoding(msgspec.Struct, frozen=True, kw_only=True):
+    """Parameters of the network's input; travels in the model card."""
+
+    #: Channels of the map itself, its range bins and columns.
+    levels: Encoding = Encoding()
+    grid: RangeAzimuthGrid = RangeAzimuthGrid()
+
+    def __post_init__(self) -> None:
+        self.levels.check_grid(self.grid)
+        if self.levels.range_bins % BINS or self.levels.pad_columns or self.levels.crop_bins is not None:
+            raise ValueError(
+                f"objects.levels must have a multiple of {BINS} range bins, no padding and no crop, "
+                f"got {self.levels.range_bins}, {self.levels.pad_columns} and {self.levels.crop_bins}"
+            )
+
+    @property
+    def map_channels(self) -> int:
+        """Channels of the map and its peaks, of each range bin."""
+        return len(self.levels.channels) + len(PathClass) * len(PEAK_CHANNELS)
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(channels, rows, columns) of one input."""
+        channels = BINS * self.map_channels + HYPOTHESES * len(FEATURES)
+        return channels, self.levels.range_bins // BINS, self.levels.columns
+
+    @property
+    def cells(self) -> CellGrid:
+        """Centres of the cells: a row is two range bins, a column the middle of its azimuths."""
+        rows, width = self.shape[1], self.grid.azimuth_bins // self.levels.columns
+        range_m = self.grid.range_at(BINS * np.arange(rows) + 0.5 * (BINS - 1))
+        azimuth_rad = self.grid.azimuth_at(width * np.arange(self.levels.columns) + 0.5 * (width - 1))
+        return CellGrid(range_m, azimuth_rad)
+
+    @property
+    def odd_channels(self) -> list[int]:
+        """Channels that change sign when left and right are exchanged."""
+        count = len(self.levels.channels)
+        across = PEAK_CHANNELS.index("across")
+        of_map = [count + len(PEAK_CHANNELS) * k + across for k in range(len(PathClass))]
+        of_map += [index for index, name in enumerate(self.levels.channels) if name == "azimuth"]
+        first = BINS * self.map_channels + Y_FEATURE
+        of_hypotheses = [first + len(FEATURES) * k for k in range(HYPOTHESES)]
+        return sorted(BINS * index + half for index in of_map for half in range(BINS)) + of_hypotheses
+
+
+def encode_objects(
+    encoding: ObjectEncoding, ra_map: RangeAzimuthMap, peaks: Peaks, walls: list[Wall], returns: DirectReturns
+) -> tuple[np.ndarray, CellHypotheses]:
+    """Return the network's input, float32 [channels, rows, columns], and the hypotheses of its cells."""
+    levels = encode_map(encoding.levels, ra_map)
+    drawn = drawn_peaks(encoding, peaks)
+    scores = _strongest_of_row(drawn[:: len(PEAK_CHANNELS)])
+    arrays = wall_arrays(walls)
+    hypotheses = cell_hypotheses(encoding.cells, arrays, returns, _strongest_of_row(levels[0]), scores)
+    _, rows, columns = encoding.shape
+    of_map = np.concatenate([levels, drawn]).reshape(-1, rows, BINS, columns).transpose(0, 2, 1, 3)
+    return np.concatenate(
+        [of_map.reshape(-1, rows, columns), hypotheses.features.reshape(-1, rows, columns)]
+    ), hypotheses
+
+
+def drawn_peaks(encoding: ObjectEncoding, peaks: Peaks) -> np.ndarray:
+    """Return the peaks as channels on range bins and columns, float32 [classes * 3, range, columns]; those of a cell
+    with a stronger one are not drawn.
+    """
+    bins, columns = encoding.levels.range_bins, encoding.levels.columns
+    channels = np.zeros((len(PathClass), len(PEAK_CHANNELS), bins, columns), np.float32)
+    step_rad = float(np.diff(encoding.cells.azimuth_rad[:2])[0])
+    order = np.argsort(peaks.score, kind="stable")
+    row = encoding.grid.range_index(peaks.range_m[order])
+    column = (peaks.azimuth_rad[order] - encoding.cells.azimuth_rad[0]) / step_rad
+    at_row, at_column = np.rint(row).astype(int), np.clip(np.rint(column), 0, columns - 1).astype(int)
+    inside = np.flatnonzero(at_row < bins)
+    at = peaks.path_class[order][inside], slice(None), at_row[inside], at_column[inside]
+    drawn = np.stack([peaks.score[order], row - at_row, column - at_column], axis=1)
+    # in order of their scores: the last one written to a cell is the strongest
+    channels[at] = drawn[inside]
+    return channels.reshape(-1, bins, columns)
+
+
+def _strongest_of_row(values: np.ndarray) -> np.ndarray:
+    """Return the larger of the two range bins of each row [..., rows, columns]."""
+    return values.reshape(*values.shape[:-2], -1, BINS, values.shape[-1]).max(axis=-2)

@@ -1,0 +1,126 @@
+"""Object samples on disk: made once, read every epoch in another order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+import numpy as np
+
+from models.perception.geometry.mirrors import WallArrays
+from models.training.data.frames import DataSet, FrameLabels
+from models.training.data.object_samples import ObjectSample, ObjectTargets, SampleMaker
+from models.training.data.samples import Perturbation, perturb_scan
+from msgs.files.array_files import load_arrays
+from msgs.files.whole_files import whole
+from msgs.values.array_table import ArrayTable
+from msgs.values.perception import TruthObject
+
+SAMPLES_PER_FILE = 50
+#: Files whose samples are mixed before they are drawn.
+MIXED_FILES = 8
+
+Table = TypeVar("Table", bound=ArrayTable)
+
+
+@dataclass(frozen=True)
+class StoredSample:
+    """A sample with what its evaluation needs: the walls that were found, labels and true objects."""
+
+    sample: ObjectSample
+    walls: WallArrays
+    labels: FrameLabels
+    truth: tuple[TruthObject, ...]
+    #: Of a beam, per range bin, as the data set says it.
+    noise_power_mw: float
+
+
+def make_samples(
+    data: DataSet,
+    indices: Sequence[int],
+    maker: SampleMaker,
+    folder: Path,
+    seed: int | None,
+    on_scan: Callable[[], None] = lambda: None,
+) -> list[Path]:
+    """Return files of the samples of some scans, making those that are missing; with a seed, half of the scans are
+    recorded by an imperfect radar.
+
+    Raises `ValueError` where a scan does not say its objects.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for first in range(0, len(indices), SAMPLES_PER_FILE):
+        own = indices[first : first + SAMPLES_PER_FILE]
+        paths.append(folder / f"samples-{first // SAMPLES_PER_FILE:05d}.npz")
+        if not paths[-1].exists():
+            save_samples(paths[-1], [_made(data, int(index), maker, seed) for index in own])
+        for _ in own:
+            on_scan()
+    return paths
+
+
+def _made(data: DataSet, index: int, maker: SampleMaker, seed: int | None) -> StoredSample:
+    rng = np.random.default_rng((seed or 0, index))
+    imperfect = seed is not None and rng.random() < 0.5
+    frame = data.frame(index, lambda scan: perturb_scan(scan, Perturbation(), rng) if imperfect else scan)
+    if frame.truth is None:
+        raise ValueError(f"{data.directory}: scan {index} must say its objects, as drives of sim dataset do")
+    sample, walls = maker.sample(frame.ra_map, frame.labels, frame.truth)
+    return StoredSample(sample, walls, frame.labels, frame.truth, frame.noise_power_mw)
+
+
+def save_samples(path: Path, samples: Sequence[StoredSample]) -> None:
+    """Write samples to one file, whole or not at all."""
+    arrays = {
+        name: np.stack([getattr(stored.sample, name) for stored in samples]) for name in ("cells", "wall", "second")
+    }
+    arrays |= _columns("targets", [stored.sample.targets for stored in samples])
+    arrays |= _columns("walls", [stored.walls for stored in samples])
+    arrays |= _columns("labels", [stored.labels for stored in samples])
+    arrays["truth"] = np.array([msgspec.json.encode(stored.truth) for stored in samples])
+    arrays["noise_power_mw"] = np.array([stored.noise_power_mw for stored in samples])
+    with whole(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
+
+
+def load_samples(path: Path) -> list[StoredSample]:
+    """Return the samples of one file; raises `ValueError` naming it."""
+    try:
+        arrays = load_arrays(path)
+        targets, walls, labels = (
+            _tables(kind, name, arrays)
+            for kind, name in ((ObjectTargets, "targets"), (WallArrays, "walls"), (FrameLabels, "labels"))
+        )
+        truth = [msgspec.json.decode(text, type=tuple[TruthObject, ...]) for text in arrays["truth"].tolist()]
+        noise = arrays["noise_power_mw"].tolist()
+        cells = zip(arrays["cells"], arrays["wall"], arrays["second"], targets, strict=True)
+        samples = [ObjectSample(*parts) for parts in cells]  # type: ignore[arg-type]
+        return [StoredSample(*parts) for parts in zip(samples, walls, labels, truth, noise, strict=True)]  # type: ignore[arg-type]
+    except (KeyError, ValueError, msgspec.DecodeError) as error:
+        raise ValueError(f"{path} must hold object samples: {error}") from None
+
+
+def _columns(name: str, tables: Sequence[ArrayTable]) -> dict[str, np.ndarray]:
+    """Return the columns of tables in one row, and where each table ends."""
+    joined = type(tables[0]).joined(tables)
+    columns = {f"{name}.{field.name}": getattr(joined, field.name) for field in fields(joined)}
+    return columns | {f"{name}.end": np.cumsum([len(getattr(table, fields(table)[0].name)) for table in tables])}
+
+
+def _tables(kind: type[Table], name: str, arrays: dict[str, np.ndarray]) -> list[Table]:
+    """Return the tables that `_columns` joined."""
+    joined = kind(**{field.name: arrays[f"{name}.{field.name}"] for field in fields(kind)})
+    ends = arrays[f"{name}.end"].tolist()
+    return [joined.take(np.arange(first, last)) for first, last in zip([0, *ends[:-1]], ends, strict=True)]
+
+
+def shuffled(paths: Sequence[Path], rng: np.random.Generator) -> Iterator[ObjectSample]:
+    """Yield the samples of all files once, mixed within a few files at a time."""
+    order = rng.permutation(len(paths))
+    for first in range(0, len(order), MIXED_FILES):
+        pool = [stored.sample for index in order[first : first + MIXED_FILES] for stored in load_samples(paths[index])]
+        yield from (pool[index] for index in rng.permutation(len(pool)))

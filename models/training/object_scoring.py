@@ -1,0 +1,84 @@
+"""Scores of the object network on stored samples: objects found one to one, and reports where none is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from models.evaluation.object_metrics import ImageTruth, ObjectReport, ObjectScores, ScanRow, object_report, scan_row
+from models.perception.objects.answers import detections, hidden_objects
+from models.perception.objects.encoding import ObjectEncoding
+from models.perception.objects.hypotheses import CellHypotheses
+from models.training.data.frames import FrameLabels
+from models.training.data.object_store import StoredSample
+from msgs.values.perception import PathClass, SceneTruth
+
+#: Thresholds watched; the loss of the best one selects the checkpoint.
+WATCHED_THRESHOLDS = (0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6)
+
+
+class ObjectTally:
+    """Rows of all scans at some thresholds."""
+
+    def __init__(self, encoding: ObjectEncoding, thresholds: Sequence[float]) -> None:
+        self._encoding = encoding
+        self.rows: dict[float, list[ScanRow]] = {threshold: [] for threshold in thresholds}
+
+    def add(self, stored: StoredSample, answer: np.ndarray) -> None:
+        """Score the answer to one sample."""
+        sample = stored.sample
+        hypotheses = CellHypotheses(sample.wall, sample.second, np.zeros(0, np.float32))
+        found = detections(answer, hypotheses, self._encoding.cells, stored.walls, min(self.rows))
+        for threshold, rows in self.rows.items():
+            reports = hidden_objects(found.take(found.score >= threshold), 0)
+            rows.append(scan_row(len(rows), reports, _truth(len(rows), stored), _images(stored)))
+
+    def report(self, threshold: float, false_cost: float = 1.0) -> ObjectReport:
+        """Return all measures at a threshold, without intervals worth the name."""
+        scores = ObjectScores(self.rows[threshold])
+        return object_report(scores, np.ones((1, len(scores.places))), false_cost)
+
+    def best(self, false_cost: float) -> tuple[float, ObjectReport]:
+        """Return the threshold of the least loss and the measures there."""
+        reports = {threshold: self.report(threshold, false_cost) for threshold in self.rows}
+        threshold = min(reports, key=lambda value: reports[value].loss.value or 0.0)
+        return threshold, reports[threshold]
+
+
+def _truth(scan: int, stored: StoredSample) -> SceneTruth:
+    """Return the truth of a scan as far as the labels tell it."""
+    labels = stored.labels
+    images = np.flatnonzero((labels.path_class == PathClass.MIRRORED) & (labels.object_index >= 0))
+    polar = labels.range_m[images], labels.azimuth_rad[images]
+    image_m = np.stack([polar[0] * np.cos(polar[1]), polar[0] * np.sin(polar[1]), np.zeros(len(images))], axis=1)
+    true_m = np.column_stack([labels.hidden_xy_m[images], np.zeros(len(images))])
+    return SceneTruth(
+        stamp_ns=0,
+        scan_id=scan,
+        los_points_m=np.zeros((0, 3), np.float32),
+        mirrored_points_m=image_m.astype(np.float32),
+        hidden_points_m=true_m.astype(np.float32),
+        hidden_object=labels.object_index[images].astype(np.int32),
+        objects=stored.truth,
+    )
+
+
+def _images(stored: StoredSample) -> list[ImageTruth]:
+    """Return what the labels tell of each object's images; those under 10 dB have no label."""
+    labels, snr_db = stored.labels, 10.0 * np.log10(stored.labels.power_mw / stored.noise_power_mw)
+    return [_image(labels, snr_db, labels.object_index == number) for number in range(len(stored.truth))]
+
+
+def _image(labels: FrameLabels, snr_db: np.ndarray, own: np.ndarray) -> ImageTruth:
+    mirrored = own & (labels.path_class == PathClass.MIRRORED)
+    return ImageTruth(
+        direct=bool((own & (labels.path_class == PathClass.LOS)).any()),
+        mirrored=bool(mirrored.any()),
+        snr_db=_strongest(snr_db[mirrored]),
+        single_snr_db=_strongest(snr_db[mirrored & (labels.order == 1)]),
+    )
+
+
+def _strongest(snr_db: np.ndarray) -> float | None:
+    return float(snr_db.max()) if len(snr_db) else None

@@ -1,0 +1,245 @@
+"""Training of the object network: epochs, checkpoints, scores on validation scans, resumption after a kill."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from models.networks.object_unet import ObjectUNet, ObjectUNetConfig
+from models.perception.objects.answers import ANSWERS
+from models.perception.objects.encoding import ObjectEncoding
+from models.perception.objects.hypotheses import HYPOTHESES
+from models.training.data.object_samples import ObjectSample
+from models.training.data.object_store import load_samples, shuffled
+from models.training.files import json_lines
+from models.training.object_scoring import WATCHED_THRESHOLDS, ObjectTally
+from models.training.objectives.objects import ObjectLossConfig, TrueHypotheses, object_loss
+from models.training.ranks import Ranks
+from models.training.run_folder import BEST, CURVES, LAST, adopt_config, load_config, load_state, save_state
+from models.training.schedules import ScheduleConfig, optimiser_of
+from msgs.files.whole_files import write_whole
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainObjectsConfig:
+    """Configuration of a training."""
+
+    widths: tuple[int, ...] = (40, 64, 96, 128)
+    loss: ObjectLossConfig = field(default_factory=ObjectLossConfig)
+    schedule: ScheduleConfig = field(default_factory=lambda: ScheduleConfig(weight_decay=1e-2, clip_norm=5.0))
+    seed: int = 0
+    threads: int = 1
+    #: A false report costs so many missed objects in the score that selects the checkpoint.
+    false_cost: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.threads < 1:
+            raise ValueError(f"train.threads must be at least 1, got {self.threads}")
+        if self.seed < 0:
+            raise ValueError(f"train.seed must not be negative, got {self.seed}")
+        if not self.false_cost > 0.0:
+            raise ValueError(f"train.false_cost must be positive, got {self.false_cost}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectRunConfig:
+    """Complete configuration of a run; its JSON lies in the run folder."""
+
+    training: TrainObjectsConfig
+    encoding: ObjectEncoding
+    #: Data sets with the hashes of their scenes; detector and its SHA-256.
+    data: dict[str, str]
+
+    @property
+    def network(self) -> ObjectUNetConfig:
+        """Shape of the network."""
+        channels, rows, columns = self.encoding.shape
+        return ObjectUNetConfig(
+            in_channels=channels,
+            rows=rows,
+            columns=columns,
+            hypotheses=HYPOTHESES,
+            answers=ANSWERS,
+            widths=self.training.widths,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectEpoch:
+    """Result of one epoch; scores are on the validation scans at the threshold of the least loss."""
+
+    epoch: int
+    train_loss: float
+    validation_loss: float
+    threshold: float
+    recall: float
+    #: Of objects that one mirror shows at 25 dB or more.
+    recall_single_25_db: float
+    false_per_scan: float
+    #: Missed objects and false reports a scan.
+    loss_per_scan: float
+    is_best: bool
+
+
+class ObjectTraining:
+    """One run: network, optimiser and schedule, resumable after every epoch.
+
+    `train` and `validation` are files of samples (`object_store.make_samples`). A run that was killed resumes and ends
+    with the same weights as an uninterrupted one.
+    """
+
+    def __init__(
+        self,
+        config: ObjectRunConfig,
+        train: Sequence[Path],
+        validation: Sequence[Path],
+        run_dir: Path,
+        ranks: Ranks | None = None,
+    ) -> None:
+        self.run_config, self.config, self.run_dir = config, config.training, run_dir
+        self.ranks = ranks or Ranks()
+        self._train, self._validation = list(train), list(validation)
+        torch.set_num_threads(self.config.threads)
+        torch.manual_seed(self.config.seed)
+        self.network = ObjectUNet(config.network).to(self.ranks.device, memory_format=torch.channels_last)
+        scans = sum(len(load_samples(path)) for path in self._train)
+        self.steps_per_epoch = scans // self.config.schedule.batch_size
+        if not self.steps_per_epoch:
+            raise ValueError(
+                f"schedule.batch_size must be at most the {scans} scans, got {self.config.schedule.batch_size}"
+            )
+        self.optimiser, self.schedule = optimiser_of(
+            self.network, self.config.schedule, ("head",), self.steps_per_epoch
+        )
+        self.reports: list[ObjectEpoch] = []
+        run_dir.mkdir(parents=True, exist_ok=True)
+        adopt_config(run_dir, config)
+        if (run_dir / LAST).exists():
+            self._resume()
+
+    def run(
+        self,
+        report: Callable[[ObjectEpoch], None] = lambda _: None,
+        on_step: Callable[[], None] = lambda: None,
+    ) -> ObjectEpoch:
+        """Train the remaining epochs, reporting each, and return the best; `on_step` is called for every batch.
+
+        Raises `ValueError` naming epoch and batch if a loss is not finite.
+        """
+        for epoch in range(len(self.reports), self.config.schedule.epochs):
+            train_loss = self._train_epoch(epoch, on_step)
+            self.reports.append(self._validate(epoch, train_loss))
+            self._save()
+            report(self.reports[-1])
+        return min(self.reports, key=lambda entry: entry.loss_per_scan)
+
+    def _train_epoch(self, epoch: int, on_step: Callable[[], None]) -> float:
+        self.network.train()
+        # the epoch's own seed: a resumed run draws the same numbers
+        rng = np.random.default_rng((self.config.seed, epoch))
+        samples = self._augmented(shuffled(self._train, rng), rng)
+        losses = []
+        for step in range(self.steps_per_epoch):
+            batch = list(islice(samples, self.config.schedule.batch_size))
+            self.optimiser.zero_grad()
+            loss = self._loss(batch)[0]
+            if not torch.isfinite(loss):
+                raise ValueError(f"loss must be finite, got {loss.item()} in epoch {epoch}, batch {step}")
+            loss.backward()
+            nn.utils.clip_grad_norm_(self.network.parameters(), self.config.schedule.clip_norm)
+            self.optimiser.step()
+            self.schedule.step()
+            losses.append(loss.item())
+            on_step()
+        return float(np.mean(losses))
+
+    def _augmented(self, samples: Iterator[ObjectSample], rng: np.random.Generator) -> Iterator[ObjectSample]:
+        """Yield samples, half of them with left and right exchanged."""
+        odd = self.run_config.encoding.odd_channels
+        return (sample.flipped(odd) if rng.random() < 0.5 else sample for sample in samples)
+
+    def _loss(self, batch: Sequence[ObjectSample]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the loss of a batch and the answers to it."""
+        device = self.ranks.device
+        cells = torch.from_numpy(np.stack([sample.cells for sample in batch])).float().to(device)
+        with torch.autocast(device.type, torch.bfloat16, enabled=self.network.training):
+            answer = self.network(cells.contiguous(memory_format=torch.channels_last))
+        heat = torch.from_numpy(np.stack([sample.heat() for sample in batch])).to(device)
+        return object_loss(answer, heat, true_hypotheses(batch, device), self.config.loss), answer
+
+    def _validate(self, epoch: int, train_loss: float) -> ObjectEpoch:
+        self.network.eval()
+        tally, losses = ObjectTally(self.run_config.encoding, WATCHED_THRESHOLDS), []
+        with torch.no_grad():
+            for path in self._validation:
+                stored = load_samples(path)
+                for first in range(0, len(stored), self.config.schedule.batch_size):
+                    batch = stored[first : first + self.config.schedule.batch_size]
+                    loss, answer = self._loss([one.sample for one in batch])
+                    losses.append(loss.item())
+                    for one, said in zip(batch, answer.float().cpu().numpy(), strict=True):
+                        tally.add(one, said)
+        threshold, report = tally.best(self.config.false_cost)
+        loss_per_scan = report.loss.value or 0.0
+        return ObjectEpoch(
+            epoch=epoch,
+            train_loss=train_loss,
+            validation_loss=float(np.mean(losses)),
+            threshold=threshold,
+            recall=report.recall.value or 0.0,
+            recall_single_25_db=report.recall_single_25_db.value or 0.0,
+            false_per_scan=report.false_per_scan.value or 0.0,
+            loss_per_scan=loss_per_scan,
+            is_best=loss_per_scan < min((entry.loss_per_scan for entry in self.reports), default=np.inf),
+        )
+
+    def _save(self) -> None:
+        state = {
+            "network": self.network.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+            "schedule": self.schedule.state_dict(),
+            "reports": [asdict(report) for report in self.reports],
+        }
+        if self.reports[-1].is_best:
+            save_state(self.run_dir / BEST, {"network": state["network"], "epoch": self.reports[-1].epoch})
+        write_whole(self.run_dir / CURVES, json_lines(self.reports))
+        # last of all: a run killed before this line repeats the epoch
+        save_state(self.run_dir / LAST, state)
+
+    def _resume(self) -> None:
+        state = load_state(self.run_dir / LAST, self.ranks.device)
+        self.network.load_state_dict(state["network"])
+        self.optimiser.load_state_dict(state["optimiser"])
+        self.schedule.load_state_dict(state["schedule"])
+        self.reports = [ObjectEpoch(**report) for report in state["reports"]]
+
+
+def true_hypotheses(batch: Sequence[ObjectSample], device: torch.device) -> TrueHypotheses:
+    """Return the true hypotheses of a batch as tensors."""
+    targets = [sample.targets for sample in batch]
+
+    def tensor(name: str) -> torch.Tensor:
+        return torch.from_numpy(np.concatenate([getattr(one, name) for one in targets])).to(device)
+
+    sample = np.repeat(np.arange(len(targets)), [len(one.at) for one in targets])
+    at = torch.cat([torch.from_numpy(sample).to(device)[:, None], tensor("at")], dim=1)
+    values = (tensor(name) for name in ("object_class", "place_m", "log_size", "heading", "centre_m"))
+    return TrueHypotheses(at, *values)
+
+
+def load_best_objects(run_dir: Path) -> tuple[ObjectUNet, ObjectRunConfig, int]:
+    """Return the best network of a run in evaluation mode, the run's configuration, and the network's epoch.
+
+    Raises `ValueError` if the folder holds none, naming the file.
+    """
+    config = load_config(run_dir, ObjectRunConfig)
+    network = ObjectUNet(config.network)
+    state = load_state(run_dir / BEST)
+    network.load_state_dict(state["network"])
+    return network.eval(), config, int(state["epoch"])

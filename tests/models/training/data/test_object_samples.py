@@ -1,0 +1,107 @@
+"""Samples of the object network: a street made for it, encoded by the vehicle's own stages, kept and read again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from models.perception.detection.cfar import CfarParams
+from models.perception.detection.detectors import CfarDetector
+from models.perception.objects.encoding import ObjectEncoding
+from models.training.data.frames import DataSet
+from models.training.data.object_samples import ObjectSample, SampleMaker
+from models.training.data.object_store import load_samples, make_samples, shuffled
+from msgs.values.radar import RadarSetup
+from sim_player.dataset.shards import Recipe
+from sim_player.dataset.writer import write_dataset
+
+ENCODING = ObjectEncoding()
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six scans of two drives with their true objects."""
+    folder = tmp_path_factory.mktemp("drives")
+    write_dataset(folder, 6, 3, Recipe(scans=3, effects="basic"))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def files(drives: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
+    return make_samples(DataSet(drives), range(6), maker, tmp_path_factory.mktemp("samples"), seed=5)
+
+
+def test_samples_are_made_once_and_read_back_as_they_were(drives: Path, files: list[Path]) -> None:
+    maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
+    before = files[0].read_bytes()
+    assert make_samples(DataSet(drives), range(6), maker, files[0].parent, seed=5) == files
+    assert files[0].read_bytes() == before
+    stored = load_samples(files[0])
+    assert len(stored) == 6
+    assert stored[0].sample.cells.shape == ENCODING.shape
+    assert all(one.truth == DataSet(drives).scan(index).truth for index, one in enumerate(stored))
+    assert {name for one in stored for name in one.labels.object_class} > {"wall"}
+
+
+def test_half_of_the_scans_have_an_imperfect_radar(drives: Path, files: list[Path], tmp_path: Path) -> None:
+    maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
+    perfect = load_samples(make_samples(DataSet(drives), range(6), maker, tmp_path, seed=None)[0])
+    same = [
+        np.array_equal(one.sample.cells, other.sample.cells)
+        for one, other in zip(perfect, load_samples(files[0]), strict=True)
+    ]
+    wanted = [np.random.default_rng((5, index)).random() >= 0.5 for index in range(6)]
+    assert same == wanted
+    assert 0 < sum(wanted) < 6
+
+
+def test_every_sample_is_drawn_once_an_epoch_in_an_order_of_its_own(files: list[Path]) -> None:
+    def drawn(seed: int) -> list[float]:
+        return [float(sample.cells.sum(dtype=np.float64)) for sample in shuffled(files, np.random.default_rng(seed))]
+
+    assert sorted(drawn(0)) == sorted(drawn(1))
+    assert drawn(0) == drawn(0)
+    assert drawn(0) != drawn(1)
+
+
+def test_flipped_twice_is_the_sample_and_its_targets_follow(files: list[Path]) -> None:
+    """A true hypothesis stays on its object: same walls, same row, the column from the other side."""
+    sample = next(one.sample for one in load_samples(files[0]) if len(one.sample.targets.at))
+    odd = ENCODING.odd_channels
+    once, twice = sample.flipped(odd), sample.flipped(odd).flipped(odd)
+    np.testing.assert_array_equal(twice.cells, sample.cells)
+    for name in ("at", "place_m", "heading", "centre_m"):
+        np.testing.assert_array_equal(getattr(twice.targets, name), getattr(sample.targets, name))
+    np.testing.assert_array_equal(once.heat(), sample.heat()[..., ::-1])
+    np.testing.assert_array_equal(once.targets.place_m, sample.targets.place_m * [1.0, -1.0])
+
+
+def test_the_target_is_one_at_true_hypotheses_alone(files: list[Path]) -> None:
+    samples: list[ObjectSample] = [one.sample for one in load_samples(files[0])]
+    assert sum(len(sample.targets.at) for sample in samples) > 0
+    for sample in samples:
+        heat = sample.heat()
+        assert set(map(tuple, np.argwhere(heat == 1.0).tolist())) == set(map(tuple, sample.targets.at.tolist()))
+        # nothing is asked where there is no wall
+        assert not heat[sample.wall < 0].any()
+
+
+@pytest.mark.parametrize("harm", ["cut", "foreign", "empty"])
+def test_a_file_that_is_none_is_named(files: list[Path], tmp_path: Path, harm: str) -> None:
+    path = tmp_path / "samples-00000.npz"
+    if harm == "foreign":
+        np.savez(path, cells=np.zeros(3))
+    else:
+        path.write_bytes(files[0].read_bytes()[: 1000 if harm == "cut" else 0])
+    with pytest.raises(ValueError, match=r"samples-00000\.npz must hold object samples"):
+        load_samples(path)
+
+
+def test_scans_that_do_not_say_their_objects_are_refused(tmp_path: Path) -> None:
+    write_dataset(tmp_path, 1, 3, Recipe(places="street_v1"))
+    maker = SampleMaker(ENCODING, CfarDetector(RadarSetup(), CfarParams()))
+    with pytest.raises(ValueError, match="scan 0 must say its objects"):
+        make_samples(DataSet(tmp_path), range(1), maker, tmp_path / "samples", seed=None)

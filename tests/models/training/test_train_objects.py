@@ -1,0 +1,155 @@
+"""Training of the object network on made cells: an object wherever one channel is loud."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from models.perception.detection.encoding import Encoding
+from models.perception.geometry.mirrors import WallArrays
+from models.perception.objects.answers import ANSWERS
+from models.perception.objects.encoding import ObjectEncoding
+from models.perception.objects.hypotheses import HYPOTHESES
+from models.training.data.frames import FrameLabels
+from models.training.data.object_samples import ObjectSample, ObjectTargets
+from models.training.data.object_store import StoredSample, save_samples
+from models.training.objectives.objects import (
+    ObjectLossConfig,
+    TrueHypotheses,
+    existence_loss,
+    laplace_loss,
+    object_loss,
+)
+from models.training.run_folder import LAST
+from models.training.schedules import ScheduleConfig
+from models.training.train_objects import ObjectRunConfig, ObjectTraining, TrainObjectsConfig, load_best_objects
+from msgs.values.perception import PathClass, TruthObject
+from msgs.values.radar import RangeAzimuthGrid
+
+#: A small map: 16 rows of two bins, 8 columns.
+ENCODING = ObjectEncoding(
+    levels=Encoding(range_bins=32, columns=8), grid=RangeAzimuthGrid(range_bins=32, azimuth_bins=64)
+)
+WALL = WallArrays(
+    normal=np.array([[-1.0, 0.0]]), offset_m=np.array([1.0]), a=np.array([[1.0, -9.0]]), b=np.array([[1.0, 9.0]]),
+    angle_std_rad=np.zeros(1), offset_std_m=np.zeros(1), curvature_per_m=np.zeros(1),
+)  # fmt: skip
+
+
+def stored(rng: np.random.Generator) -> StoredSample:
+    """One object behind the wall x = 1 m, at a random cell that the first channel says; its image is a point."""
+    _, rows, columns = ENCODING.shape
+    row, column = int(rng.integers(8, rows - 2)), int(rng.integers(2, columns - 2))
+    cells = rng.normal(0.0, 0.1, ENCODING.shape).astype(np.float16)
+    cells[0, row, column] = 3.0
+    range_m, azimuth_rad = ENCODING.cells.range_m[row], ENCODING.cells.azimuth_rad[column]
+    image_m = range_m * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad)])
+    true_m = np.array([2.0 - image_m[0], image_m[1]])
+    wall = np.full((HYPOTHESES, rows, columns), -1, np.int16)
+    wall[0] = 0
+    pair = np.zeros((1, 2), np.float32)
+    targets = ObjectTargets(
+        np.array([[0, row, column]]), np.zeros(1, int), np.full(1, 2), pair, pair + np.float32(0.5), pair, pair
+    )
+    labels = FrameLabels(
+        range_m=np.array([range_m]), azimuth_rad=np.array([azimuth_rad]),
+        path_class=np.array([PathClass.MIRRORED], np.uint8), order=np.ones(1, int), hidden_xy_m=true_m[None],
+        power_mw=np.ones(1), object_index=np.zeros(1, int), object_class=np.array(["car"]),
+    )  # fmt: skip
+    car = TruthObject(
+        id=0, object_class="car", x_m=float(true_m[0]), y_m=float(true_m[1]), length_m=1.6, width_m=1.6, yaw_rad=0.0,
+        hidden=True,
+    )  # fmt: skip
+    return StoredSample(ObjectSample(cells, wall, np.full_like(wall, -1), targets), WALL, labels, (car,), 1e-3)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> list[Path]:
+    rng = np.random.default_rng(0)
+    paths = [tmp_path / f"samples-{index:05d}.npz" for index in range(2)]
+    for path in paths:
+        save_samples(path, [stored(rng) for _ in range(16)])
+    return paths
+
+
+def config(epochs: int) -> ObjectRunConfig:
+    schedule = ScheduleConfig(epochs=epochs, batch_size=8, learning_rate=1e-2, weight_decay=0.0, clip_norm=5.0)
+    training = TrainObjectsConfig(widths=(8, 8, 16, 16), schedule=schedule)
+    return ObjectRunConfig(training=training, encoding=ENCODING, data={})
+
+
+@pytest.mark.slow
+def test_it_learns_where_objects_are(files: list[Path], tmp_path: Path) -> None:
+    """Of 16 validation scans nearly all objects are found, within the cell that says them, with few false reports."""
+    best = ObjectTraining(config(40), files[:1], files[1:], tmp_path / "run").run()
+    assert best.recall >= 0.8
+    assert best.false_per_scan <= 0.2
+    network, run, epoch = load_best_objects(tmp_path / "run")
+    assert (run, epoch) == (config(40), best.epoch)
+    with torch.no_grad():
+        answer = network(torch.zeros(1, *ENCODING.shape))
+    assert answer.shape == (1, HYPOTHESES * ANSWERS, *ENCODING.shape[1:])
+
+
+@pytest.mark.slow
+def test_a_run_that_was_killed_ends_with_the_same_weights(files: list[Path], tmp_path: Path) -> None:
+    whole = ObjectTraining(config(3), files[:1], files[1:], tmp_path / "whole")
+    whole.run()
+    stopped = ObjectTraining(config(3), files[:1], files[1:], tmp_path / "stopped")
+
+    def stop(report: object) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped.run(stop)
+    assert (tmp_path / "stopped" / LAST).exists()
+    resumed = ObjectTraining(config(3), files[:1], files[1:], tmp_path / "stopped")
+    assert len(resumed.reports) == 1
+    resumed.run()
+    assert resumed.reports == whole.reports
+    for name, tensor in whole.network.state_dict().items():
+        assert torch.equal(tensor, resumed.network.state_dict()[name]), name
+
+
+def test_existence_is_a_focal_loss_worked_out_by_hand() -> None:
+    """At an object p = 0.8: (0.2)^2 ln 0.8; beside it, target 0.5 and p = 0.3: 0.5^4 0.3^2 ln 0.7."""
+    logits = torch.logit(torch.tensor([0.8, 0.3]))
+    wanted = -(0.2**2 * np.log(0.8) + 0.5**4 * 0.3**2 * np.log(0.7))
+    assert existence_loss(logits, torch.tensor([1.0, 0.5])).item() == pytest.approx(wanted, rel=1e-5)
+
+
+def test_laplace_loss_is_least_at_the_true_deviation() -> None:
+    """Errors of mean magnitude m have a standard deviation of sqrt(2) m under Laplace's law."""
+    error_m = torch.tensor([[0.1], [-0.3]])
+    at = [
+        laplace_loss(error_m, torch.full((2, 1), np.log(std)), torch.zeros(2, 1)).item() for std in (0.2, 0.2828, 0.4)
+    ]
+    assert at[1] == min(at)
+
+
+def test_without_an_object_only_existence_counts() -> None:
+    answer = torch.zeros(1, HYPOTHESES * ANSWERS, 4, 4)
+    heat = torch.zeros(1, HYPOTHESES, 4, 4)
+    nothing = TrueHypotheses(
+        torch.zeros((0, 4), dtype=torch.int64), torch.zeros(0, dtype=torch.int64), *[torch.zeros(0, 2)] * 4
+    )
+    loss = object_loss(answer, heat, nothing, ObjectLossConfig())
+    assert loss.item() == pytest.approx(HYPOTHESES * 16 * 0.25 * np.log(2.0), rel=1e-5)
+
+
+def test_numbers_that_are_not_finite_end_the_run_by_name(files: list[Path], tmp_path: Path) -> None:
+    bad = stored(np.random.default_rng(1))
+    bad.sample.cells[0, 0, 0] = np.nan
+    save_samples(tmp_path / "bad.npz", [bad] * 8)
+    training = ObjectTraining(config(1), [tmp_path / "bad.npz"], files[1:], tmp_path / "run")
+    with pytest.raises(ValueError, match="loss must be finite, got nan in epoch 0, batch 0"):
+        training.run()
+
+
+def test_a_batch_larger_than_the_data_is_refused(files: list[Path], tmp_path: Path) -> None:
+    save_samples(tmp_path / "few.npz", [stored(np.random.default_rng(1))] * 3)
+    with pytest.raises(ValueError, match="batch_size must be at most the 3 scans, got 8"):
+        ObjectTraining(config(1), [tmp_path / "few.npz"], files[1:], tmp_path / "run")
