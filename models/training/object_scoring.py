@@ -29,9 +29,9 @@ class ObjectTally:
         """Score the answer to one sample."""
         sample = stored.sample
         hypotheses = CellHypotheses(sample.wall, sample.second, np.zeros(0, np.float32))
-        found = detections(answer, hypotheses, self._encoding.cells, stored.walls, min(self.rows))
+        likely = detections(answer, hypotheses, self._encoding.cells, stored.walls, min(self.rows))
         for threshold, rows in self.rows.items():
-            reports = hidden_objects(found.take(found.score >= threshold), 0)
+            reports = hidden_objects(likely.take(likely.score >= threshold), 0)
             rows.append(scan_row(len(rows), reports, _truth(len(rows), stored), _images(stored)))
 
     def report(self, threshold: float, false_cost: float = 1.0) -> ObjectReport:

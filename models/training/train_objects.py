@@ -178,13 +178,13 @@ class ObjectTraining:
         tally, losses = ObjectTally(self.run_config.encoding, WATCHED_THRESHOLDS), []
         with torch.no_grad():
             for path in self._validation:
-                stored = load_samples(path)
-                for first in range(0, len(stored), self.config.schedule.batch_size):
-                    batch = stored[first : first + self.config.schedule.batch_size]
-                    loss, answer = self._loss([one.sample for one in batch])
+                samples = load_samples(path)
+                for first in range(0, len(samples), self.config.schedule.batch_size):
+                    batch = samples[first : first + self.config.schedule.batch_size]
+                    loss, answer = self._loss([stored.sample for stored in batch])
                     losses.append(loss.item())
-                    for one, said in zip(batch, answer.float().cpu().numpy(), strict=True):
-                        tally.add(one, said)
+                    for stored, said in zip(batch, answer.float().cpu().numpy(), strict=True):
+                        tally.add(stored, said)
         threshold, report = tally.best(self.config.false_cost)
         loss_per_scan = report.loss.value or 0.0
         return ObjectEpoch(
@@ -225,9 +225,9 @@ def true_hypotheses(batch: Sequence[ObjectSample], device: torch.device) -> True
     targets = [sample.targets for sample in batch]
 
     def tensor(name: str) -> torch.Tensor:
-        return torch.from_numpy(np.concatenate([getattr(one, name) for one in targets])).to(device)
+        return torch.from_numpy(np.concatenate([getattr(table, name) for table in targets])).to(device)
 
-    sample = np.repeat(np.arange(len(targets)), [len(one.at) for one in targets])
+    sample = np.repeat(np.arange(len(targets)), [len(table.at) for table in targets])
     at = torch.cat([torch.from_numpy(sample).to(device)[:, None], tensor("at")], dim=1)
     values = (tensor(name) for name in ("object_class", "place_m", "log_size", "heading", "centre_m"))
     return TrueHypotheses(at, *values)

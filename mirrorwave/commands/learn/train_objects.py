@@ -70,7 +70,7 @@ def objects(
     if json:
         print_json(msgspec.to_builtins(best))
         return
-    print_line(f"{out}: best in epoch {best.epoch}: {_told(best)}")
+    print_line(f"{out}: best in epoch {best.epoch}: {_summary_line(best)}")
 
 
 def _samples(data: Path, maker: SampleMaker, folder: Path, seed: int | None, progress: Progress) -> list[Path]:
@@ -92,13 +92,13 @@ def _run(training: ObjectTraining, progress: Progress) -> ObjectEpoch:
     def show(report: ObjectEpoch) -> None:
         progress.console.print(
             f"epoch {report.epoch}: loss {report.train_loss:.3f}, validation {report.validation_loss:.3f}, "
-            f"{_told(report)}"
+            f"{_summary_line(report)}"
         )
 
     return training.run(show, partial(progress.advance, task))
 
 
-def _told(report: ObjectEpoch) -> str:
+def _summary_line(report: ObjectEpoch) -> str:
     return (
         f"{report.recall:.1%} found ({report.recall_single_25_db:.1%} of those that one mirror shows at 25 dB), "
         f"{report.false_per_scan:.2f} false a scan at {report.threshold}"

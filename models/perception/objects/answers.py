@@ -57,8 +57,8 @@ def detections(
 ) -> Detections:
     """Return the objects of an answer [K * answers, R, C] whose probability reaches a threshold, one report each."""
     said = answer.reshape(HYPOTHESES, ANSWERS, *answer.shape[1:]).astype(np.float64)
-    found = _folded(said, np.argwhere(_is_peak(said, hypotheses, threshold)), hypotheses, grid, walls)
-    return found.take(_distinct(found))
+    reports = _folded(said, np.argwhere(_is_peak(said, hypotheses, threshold)), hypotheses, grid, walls)
+    return reports.take(_distinct(reports))
 
 
 def _is_peak(said: np.ndarray, hypotheses: CellHypotheses, threshold: float) -> np.ndarray:
@@ -127,30 +127,30 @@ def _half_angle(doubled: np.ndarray) -> np.ndarray:
     return np.stack([np.cos(half_rad), np.sin(half_rad)], axis=1)
 
 
-def _distinct(found: Detections) -> np.ndarray:
+def _distinct(reports: Detections) -> np.ndarray:
     """Return the indices of reports of different objects, best first: a nearby better one says the same object."""
     kept: list[int] = []
-    reach_m = np.maximum(SAME_OBJECT_M, SAME_OBJECT_SHARE * found.size_m[:, 0])
-    for index in np.argsort(-found.score, kind="stable"):
-        away_m = np.linalg.norm(found.place_m[kept] - found.place_m[index], axis=1)
+    reach_m = np.maximum(SAME_OBJECT_M, SAME_OBJECT_SHARE * reports.size_m[:, 0])
+    for index in np.argsort(-reports.score, kind="stable"):
+        away_m = np.linalg.norm(reports.place_m[kept] - reports.place_m[index], axis=1)
         if (away_m > np.maximum(reach_m[kept], reach_m[index])).all():
             kept.append(int(index))
     return np.array(kept, int)
 
 
-def hidden_objects(found: Detections, stamp_ns: int) -> tuple[HiddenObject, ...]:
+def hidden_objects(reports: Detections, stamp_ns: int) -> tuple[HiddenObject, ...]:
     """Return detections as a view reports them, all measured at one time."""
     return tuple(
         HiddenObject(
             id=index,
-            x_m=float(found.place_m[index, 0]),
-            y_m=float(found.place_m[index, 1]),
-            length_m=float(found.size_m[index, 0]),
-            width_m=float(found.size_m[index, 1]),
-            yaw_rad=float(found.yaw_rad[index]),
-            score=float(found.score[index]),
-            cov_m2=tuple(map(tuple, found.covariance_m2[index].tolist())),  # type: ignore[arg-type]
+            x_m=float(reports.place_m[index, 0]),
+            y_m=float(reports.place_m[index, 1]),
+            length_m=float(reports.size_m[index, 0]),
+            width_m=float(reports.size_m[index, 1]),
+            yaw_rad=float(reports.yaw_rad[index]),
+            score=float(reports.score[index]),
+            cov_m2=tuple(map(tuple, reports.covariance_m2[index].tolist())),  # type: ignore[arg-type]
             stamp_ns=stamp_ns,
         )
-        for index in range(len(found))
+        for index in range(len(reports))
     )

@@ -25,7 +25,7 @@ HYPOTHESES = SINGLES + 1
 FEATURES = (
     "valid", "depth", "to_wall", "incidence", "missed", "wall_length", "wall_angle_std", "mirror_gap",
     "x", "y", "in_view", "is_hidden", "direct_level", "direct_score", "other_images", "other_level", "other_score",
-    "nearest_wall", "first_leg_free", "second_leg_free",
+    "nearest_wall", "first_segment_free", "second_segment_free",
 )  # fmt: skip
 #: Index of the one feature that changes sign with left and right.
 Y_FEATURE = FEATURES.index("y")
@@ -118,8 +118,8 @@ def cell_hypotheses(
     )
     shown, direct, mirrored = np.array([level, *scores], np.float64)
     (first_m, next_m), (first_rad, next_rad) = grid.range_m[:2].tolist(), grid.azimuth_rad[:2].tolist()
-    seen = _Map(shown, direct, mirrored, first_m, next_m - first_m, first_rad, next_rad - first_rad)
-    wall, second, features = _all_cells(grid.range_m, _rays(direction, walls, returns), arrays, seen)
+    scan_map = _Map(shown, direct, mirrored, first_m, next_m - first_m, first_rad, next_rad - first_rad)
+    wall, second, features = _all_cells(grid.range_m, _rays(direction, walls, returns), arrays, scan_map)
     return CellHypotheses(wall, second, features)
 
 
@@ -159,7 +159,7 @@ def _height(place, wall, walls):  # type: ignore[no-untyped-def]
 @njit(cache=True)
 def _blocker(origin, end, own, walls):  # type: ignore[no-untyped-def]
     """Return the first wall other than `own` that surely blocks a segment, -1: none."""
-    nearest, found = np.inf, -1
+    nearest, blocker = np.inf, -1
     for wall in range(len(walls.sure)):
         if wall == own or not walls.sure[wall]:
             continue
@@ -168,8 +168,8 @@ def _blocker(origin, end, own, walls):  # type: ignore[no-untyped-def]
             continue
         start = _height(origin, wall, walls)
         if start / (start - stop) < nearest:
-            nearest, found = start / (start - stop), wall
-    return found
+            nearest, blocker = start / (start - stop), wall
+    return blocker
 
 
 @njit(cache=True)
@@ -233,10 +233,10 @@ def _log(distance):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _cell_of(place, seen):  # type: ignore[no-untyped-def]
+def _cell_of(place, scan_map):  # type: ignore[no-untyped-def]
     """Return the row and column of a place, outside the map where it is not in view."""
-    row = round((np.hypot(place[0], place[1]) - seen.first_m) / seen.step_m)
-    column = round((np.arctan2(place[1], place[0]) - seen.first_rad) / seen.step_rad)
+    row = round((np.hypot(place[0], place[1]) - scan_map.first_m) / scan_map.step_m)
+    column = round((np.arctan2(place[1], place[0]) - scan_map.first_rad) / scan_map.step_rad)
     return int(row), int(column)
 
 
@@ -274,25 +274,25 @@ def _distance(place, a, b):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
-def _describe_place(place, own, walls, seen, out):  # type: ignore[no-untyped-def]
+def _describe_place(place, own, walls, scan_map, out):  # type: ignore[no-untyped-def]
     """Write what walls and map say of a place; `own` is the last wall on the way."""
-    row, column = _cell_of(place, seen)
-    in_view = 0 <= column < seen.level.shape[1]
+    row, column = _cell_of(place, scan_map)
+    in_view = 0 <= column < scan_map.level.shape[1]
     hidden = _blocker((0.0, 0.0), place, -1, walls) >= 0
     out[8], out[9], out[10], out[11] = place[0] / PLACE_M, place[1] / PLACE_M, in_view, hidden
     if in_view and not hidden:
-        out[12], out[13] = _largest(seen.level, row, column), _largest(seen.direct, row, column)
+        out[12], out[13] = _largest(scan_map.level, row, column), _largest(scan_map.direct, row, column)
     nearest = FAR_M
     for wall in range(len(walls.sure)):
         nearest = min(nearest, _distance(place, walls.a[wall], walls.b[wall]))
         if wall == own:
             continue
         shown, image = _shows(place, wall, walls)
-        row, column = _cell_of(image, seen)
-        if shown and 0 <= column < seen.level.shape[1] and row < seen.level.shape[0]:
+        row, column = _cell_of(image, scan_map)
+        if shown and 0 <= column < scan_map.level.shape[1] and row < scan_map.level.shape[0]:
             out[14] += 1.0 / IMAGES
-            out[15] = max(out[15], _largest(seen.level, row, column))
-            out[16] = max(out[16], _largest(seen.mirrored, row, column))
+            out[15] = max(out[15], _largest(scan_map.level, row, column))
+            out[16] = max(out[16], _largest(scan_map.mirrored, row, column))
     out[17] = _log(nearest)
 
 
@@ -311,7 +311,7 @@ def _describe_mirror(place, column, wall, rays, walls, out):  # type: ignore[no-
 
 
 @njit(cache=True)
-def _legs(place, column, preference, rays, walls):  # type: ignore[no-untyped-def]
+def _costs(place, column, preference, rays, walls):  # type: ignore[no-untyped-def]
     """Return the costs [W] of single mirrors of a cell, and the wall that blocks each one's second leg (-1: none)."""
     cost, block = preference.copy(), np.full(len(preference), -1)
     for wall in range(len(cost)):
@@ -328,7 +328,7 @@ def _legs(place, column, preference, rays, walls):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True)
-def _singles(place, column, cost, free, block, rays, walls, seen, wall_out, out):  # type: ignore[no-untyped-def]
+def _singles(place, column, cost, free, block, rays, walls, scan_map, wall_out, out):  # type: ignore[no-untyped-def]
     """Write the cheapest single mirrors of a cell."""
     left = cost.copy()
     for k in range(min(SINGLES, len(left))):
@@ -339,12 +339,12 @@ def _singles(place, column, cost, free, block, rays, walls, seen, wall_out, out)
         wall_out[k] = wall
         _describe_mirror(place, column, wall, rays, walls, out[k])
         folded = _folded(place, rays.normal[column, wall], _depth(place, column, wall, rays))
-        _describe_place(folded, wall, walls, seen, out[k])
+        _describe_place(folded, wall, walls, scan_map, out[k])
         out[k, 18], out[k, 19] = free[wall], block[wall] < 0
 
 
 @njit(cache=True)
-def _pair(place, column, cost, free, block, rays, walls, seen, wall_out, second_out, out):  # type: ignore[no-untyped-def]
+def _pair(place, column, cost, free, block, rays, walls, scan_map, wall_out, second_out, out):  # type: ignore[no-untyped-def]
     """Write the cheapest pair of mirrors of a cell: a wall whose second leg another one blocks, and that one."""
     left = cost.copy()
     for _ in range(len(left)):
@@ -360,13 +360,13 @@ def _pair(place, column, cost, free, block, rays, walls, seen, wall_out, second_
         if is_free:
             wall_out[SINGLES], second_out[SINGLES] = wall, block[wall]
             _describe_mirror(place, column, wall, rays, walls, out[SINGLES])
-            _describe_place(folded, block[wall], walls, seen, out[SINGLES])
+            _describe_place(folded, block[wall], walls, scan_map, out[SINGLES])
             out[SINGLES, 18], out[SINGLES, 19] = 1.0, 1.0
             return
 
 
 @njit(cache=True, nogil=True)
-def _all_cells(range_m, rays, walls, seen):  # type: ignore[no-untyped-def]
+def _all_cells(range_m, rays, walls, scan_map):  # type: ignore[no-untyped-def]
     """Return first and second walls int16 [K, R, C] and features float32 [K, F, R, C] of all cells."""
     rows, columns = len(range_m), len(rays.direction)
     wall = np.full((rows, columns, HYPOTHESES), -1, np.int16)
@@ -376,8 +376,8 @@ def _all_cells(range_m, rays, walls, seen):  # type: ignore[no-untyped-def]
         preference, free = _preferences(column, rays, walls)
         for row in range(rows):
             place = _at(rays.direction[column], range_m[row])
-            cost, block = _legs(place, column, preference, rays, walls)
+            cost, block = _costs(place, column, preference, rays, walls)
             out = features[row, column]
-            _singles(place, column, cost, free, block, rays, walls, seen, wall[row, column], out)
-            _pair(place, column, cost, free, block, rays, walls, seen, wall[row, column], second[row, column], out)
+            _singles(place, column, cost, free, block, rays, walls, scan_map, wall[row, column], out)
+            _pair(place, column, cost, free, block, rays, walls, scan_map, wall[row, column], second[row, column], out)
     return wall.transpose(2, 0, 1), second.transpose(2, 0, 1), features.transpose(2, 3, 0, 1)

@@ -30,7 +30,10 @@ def test_a_cell_behind_one_wall_is_the_mirror_image_of_its_place() -> None:
     assert np.exp(4.0 * values[feature("wall_length")]) == pytest.approx(20.0, rel=1e-5)
     # the only return lies at (12, 0)
     assert np.exp(4.0 * values[feature("mirror_gap")]) == pytest.approx(12.0 * y / x, rel=1e-4)
-    assert values[[feature("first_leg_free"), feature("second_leg_free"), feature("in_view")]].tolist() == [1.0] * 3
+    assert (
+        values[[feature("first_segment_free"), feature("second_segment_free"), feature("in_view")]].tolist()
+        == [1.0] * 3
+    )
 
 
 def test_cells_before_a_wall_or_beside_it_have_none() -> None:
