@@ -73,7 +73,7 @@ class ObjectSample:
         with the same walls.
         """
         heat = np.zeros(self.wall.shape, np.float32)
-        for which, row, column in self.targets.at.astype(int):
+        _, rows, columns = self.wall.shape
         for which, row, column in self.targets.at.tolist():
             near = (
                 slice(max(row - REACH_CELLS[0], 0), min(row + REACH_CELLS[0] + 1, rows)),
