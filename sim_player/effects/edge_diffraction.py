@@ -45,6 +45,8 @@ class Edges(ArrayTable):
     #: Exterior angle / pi.
     n: np.ndarray
     height_m: np.ndarray
+    #: The same number for the same edge from everywhere: by the end of the first face's wall in the whole world.
+    number: np.ndarray
 
     def __len__(self) -> int:
         return len(self.n)
@@ -79,13 +81,14 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
     """Routes antenna -> edge -> points [N, 3] whose legs are free and on the edge's open side."""
     edges = edges_of(view)
     scene = view.walls, view.world.builds, view.blockers.pieces, view.world.radar.wavelength_m
-    return Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
+    routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
+    return routes.with_columns(edge=edges.number[routes.edge])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untyped-def]
     pieces = scene[2]
-    rows, count, visible = np.empty(len(point), ROUTE), 0, 0
+    rows, count = np.empty(len(point), ROUTE), 0
     start = antenna[0], antenna[1], antenna[2]
     top = start[2]
     for n in range(len(point)):
@@ -117,9 +120,8 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
             depart, source_m = direction_of(start, bend)
             arrive, target_m = direction_of(bend, end)
             fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-            row.edge, row.foliage = visible, leaves
+            row.edge, row.foliage = e, leaves
             row.whole, row.front = _field(edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene)
-        visible += 1
     return rows[:count]
 
 
@@ -172,4 +174,5 @@ def edges_of(view: Snapshot) -> Edges:
         sense=np.concatenate([np.ones(len(alone)), np.where(is_left[corner], 1.0, -1.0)]),
         n=np.concatenate([np.full(len(alone), 2.0), turn[corner] / np.pi]),
         height_m=np.minimum(world.wall_height_m[wall_1], world.wall_height_m[wall_2]),
+        number=2 * world.wall_id[wall_1] + (first >= len(ends.wall) // 2),
     )
