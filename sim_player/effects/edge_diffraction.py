@@ -35,8 +35,6 @@ _BENT = bit("edge_diffraction")
 class Edges(ArrayTable):
     """E upright edges."""
 
-    #: End of the first face (index into `World.wall_ends`), which names the edge at all times, [E].
-    end: np.ndarray
     #: Place in the plane, [E, 2], and the pieces of wall of the first and the last face (a free end: the same), [E].
     point: np.ndarray
     first: np.ndarray
@@ -47,14 +45,17 @@ class Edges(ArrayTable):
     #: Exterior angle / pi.
     n: np.ndarray
     height_m: np.ndarray
+    #: The same number for the same edge from everywhere: by the end of the first face's wall in the whole world.
+    number: np.ndarray
 
     def __len__(self) -> int:
         return len(self.n)
 
     def table(self) -> np.ndarray:
-        """Return the same as numbers, [E, 9], for compiled code."""
-        columns = self.point, self.first, self.last, self.face_rad, self.sense, self.n, self.height_m, self.end
-        return np.column_stack(columns).astype(np.float64)
+        """Return the same as numbers, [E, 8], for compiled code."""
+        return np.column_stack(
+            [self.point, self.first, self.last, self.face_rad, self.sense, self.n, self.height_m]
+        ).astype(np.float64)
 
 
 def absent(world: World) -> str | None:
@@ -80,7 +81,8 @@ def edge_routes(view: Snapshot, point_m: np.ndarray, owner: np.ndarray) -> Route
     """Routes antenna -> edge -> points [N, 3] whose legs are free and on the edge's open side."""
     edges = edges_of(view)
     scene = view.walls, view.world.builds, view.blockers.pieces, view.world.radar.wavelength_m
-    return Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
+    routes = Routes(_edge_routes(view.antenna, point_m, owners(owner, len(point_m)), edges.table(), scene))
+    return routes.with_columns(edge=edges.number[routes.edge])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -92,7 +94,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
     for n in range(len(point)):
         top = max(top, point[n, 2])
     for e in range(len(edges)):
-        x, y, _, _, face_rad, sense, n_half, height, end_index = edges[e]
+        x, y, _, _, face_rad, sense, n_half, height = edges[e]
         # seen at the greatest height at which a ray to any point may meet it
         if not passage(start, (x, y, top), -1, pieces, True)[0]:
             continue
@@ -118,7 +120,7 @@ def _edge_routes(antenna, point, owner, edges, scene):  # type: ignore[no-untype
             depart, source_m = direction_of(start, bend)
             arrive, target_m = direction_of(bend, end)
             fill_route(row, n, source_m + target_m, depart, arrive, _BENT)
-            row.edge, row.foliage = int(end_index), leaves
+            row.edge, row.foliage = e, leaves
             row.whole, row.front = _field(edges[e], (to_source, to_target), (source_m, target_m), source_plan, scene)
     return rows[:count]
 
@@ -165,7 +167,6 @@ def edges_of(view: Snapshot) -> Edges:
     first, last = np.concatenate([alone, end_1[corner]]), np.concatenate([alone, end_2[corner]])
     wall_1, wall_2 = ends.wall[first], ends.wall[last]
     return Edges(
-        end=first,
         point=ends.position[first],
         first=wall_1,
         last=wall_2,
@@ -173,4 +174,5 @@ def edges_of(view: Snapshot) -> Edges:
         sense=np.concatenate([np.ones(len(alone)), np.where(is_left[corner], 1.0, -1.0)]),
         n=np.concatenate([np.full(len(alone), 2.0), turn[corner] / np.pi]),
         height_m=np.minimum(world.wall_height_m[wall_1], world.wall_height_m[wall_2]),
+        number=2 * world.wall_id[wall_1] + (first >= len(ends.wall) // 2),
     )

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 pytest.importorskip("shapely", reason="maps need shapely")
+pytest.importorskip("osmium", reason="maps need osmium")
 
 from msgs.files.shipped import LAUNCH
 from sim_player.maps.footprints import Footprint, FootprintFile
