@@ -37,3 +37,9 @@ def test_labels_come_back_and_lie_among_all_echoes(recipe: Recipe, tmp_path: Pat
 def test_a_series_of_another_maker_is_refused() -> None:
     with pytest.raises(ValueError, match=r"series.json must say effects"):
         trace_again(DrawnScene(scene_yaml="", index=0, gain_db=0.0, series={"seed": 1}))
+
+
+def test_scans_of_drives_are_not_traced_again() -> None:
+    drawn = DrawnScene(scene_yaml="", index=0, gain_db=0.0, series={"seed": 1, "effects": "all", "scans": 12})
+    with pytest.raises(ValueError, match="must be of places at rest to be traced again, scans is 12"):
+        trace_again(drawn)
