@@ -22,7 +22,7 @@ import platform
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -31,7 +31,8 @@ import numpy as np
 from rich.progress import track
 
 from msgs.values.radar import RadarSetup
-from sim_player.effects.table import ALL_EFFECTS
+from sim_player.effects.names import bit
+from sim_player.effects.table import ALL_EFFECTS, PATHS
 from sim_player.generate.places import random_place
 from sim_player.planner import plan as planner
 from sim_player.planner.cells import cells_of
@@ -158,12 +159,23 @@ def _alone(place: Place, purpose: Purpose) -> list[dict[str, Any]]:
         # without noise rounding is not white, and the law has no floor
         if effect.bound_db is None or effect.bound_db >= 200.0 or effect.name == "thermal_noise":
             continue
-        without = manual_plan(place.world, place.setup, everything.used - {effect.name})
+        without = _without(place, effect.name)
         planned = noisy_profiles(without, place.setup, place.index, "float64")
         actual_db = place.off_db(reference, planned, purpose)
         row = {"purpose": purpose.value, "effect": effect.name, "bound_db": effect.bound_db, "actual_db": actual_db}
         found.append(row)
     return found
+
+
+def _without(place: Place, name: str) -> Plan:
+    """Everything but one effect, its paths taken away as plans do: to trace without it would lose routes of others."""
+    everything = place.everything[1]
+    plan = manual_plan(place.world, place.setup, everything.used - {name})
+    if name not in PATHS or name == "curved_wall":
+        return plan
+    left = (everything.echoes.needs & np.uint32(bit(name))) == 0
+    parts = {part: getattr(everything, part)[left] for part in ("squints", "overlaps")}
+    return replace(plan, echoes=everything.echoes.take(left), **parts)
 
 
 # --- what it adds up to

@@ -100,11 +100,11 @@ class EffectAblation:
 
     def settle(self) -> None:
         """Go on with the paths that are left, as they are left."""
-        chosen, kept = self.selection, ~self.selection.dropped
+        selection, kept = self.selection, ~self.selection.dropped
         self.echoes, self.paths = self.echoes.take(kept), self.paths.take(kept)
-        self.terms = self.terms.take(kept).unsquinted(~chosen.squints[kept])
+        self.terms = self.terms.take(kept).unsquinted(~selection.squints[kept])
         self.selection = replace(
-            chosen, dropped=~kept[kept], squints=chosen.squints[kept], overlaps=chosen.overlaps[kept]
+            selection, dropped=~kept[kept], squints=selection.squints[kept], overlaps=selection.overlaps[kept]
         )
 
     def refresh(self) -> None:
@@ -152,8 +152,8 @@ class EffectAblation:
     def unbalanced(self) -> np.ndarray:
         """Bound of what I/Q imbalance changes, [B, bins]: the gain of all that is there, and its image's skirts."""
         wanted, image = iq_factors(self.front_end)
-        found = self.whole(self.terms, None, self.selection.overlaps)
-        echoes = np.abs(found.values) + found.bound
+        standing = self.whole(self.terms, None, self.selection.overlaps)
+        echoes = np.abs(standing.values) + standing.bound
         bins = np.arange(RANGE_BINS)
         # from +f at -f, by the window alone: an echo at bin b reaches bin i over i + b bins, its skirts fall as 1 / x^3
         away = bins[:, None] + bins[None]

@@ -67,9 +67,9 @@ def effects(
         plan = resolved or manual_plan(world, loaded.setup, (BASIC_EFFECTS | _PLAIN_SIGNAL) & ALL_EFFECTS)
     if as_json:
         rows = msgspec.to_builtins(plan.effects)
-        found = {"purpose": plan.purpose.value, "budget_db": plan.budget_db, "effects": rows}
+        answer = {"purpose": plan.purpose.value, "budget_db": plan.budget_db, "effects": rows}
         levels = msgspec.to_builtins(levels_of(plan))
-        print_json({**found, "paths": len(plan.echoes), "traced": plan.traced, "levels": levels})
+        print_json({**answer, "paths": len(plan.echoes), "traced": plan.traced, "levels": levels})
         return
     _print_plan(plan, loaded.name)
 
