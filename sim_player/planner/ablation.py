@@ -116,6 +116,11 @@ class EffectAblation:
         """A change over what the law's reference is, the largest over all cells; for `spent`, what has been spent."""
         return self.budget * float(self._ratios(change).max())
 
+    def answer(self) -> np.ndarray | None:
+        """Return the evaluated profiles where their own error stays under the budget, complex64 [B, bins]."""
+        missing = Change(np.zeros_like(self.evaluated.values), self.evaluated.bound)
+        return self.evaluated.values if (self._ratios(missing) <= 1.0).all() else None
+
     def fits(self, change: Change) -> bool:
         """Return whether a change stays under the budget together with all that was dropped."""
         return bool((self._ratios(self.spent + change) <= 1.0).all())

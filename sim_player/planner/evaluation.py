@@ -17,15 +17,16 @@ from scipy import fft
 from msgs.values.radar import RadarParams
 from sim_player.planner.sweep_terms import MAX_TERMS, SweepTerms
 
-#: Steps of the grid in a range bin; width of the gridding kernel in steps and its shape, exact to 1e-6 of an echo.
+#: Steps of the grid in a range bin; width of the gridding kernel in steps and its shape.
 OVERSAMPLING, WIDTH, SHAPE = 2, 8, 18.4
+#: Rounding in single precision: of a transform by the root of all that is in it squared, of an echo by its own size.
 ROUNDING = 1e-6
 #: The grid reaches so many bins beyond the range bins at most: echoes farther off fall under the window's skirts.
 BEYOND_BINS = 128
 #: Bins between two at which the overlapped start is evaluated, those beyond either end, taps to either side.
 COARSE, GUARD, TAPS = 8, 80, 10
-#: Bound of the overlap's closed form, relative: an integral for a sum, interpolation.
-CLOSED_FORM = 0.01
+#: Bound of the overlap's closed form, relative: interpolation; an integral for a sum, by the tone's distance squared.
+CLOSED_FORM, MIDPOINT = 1e-3, 1.2 / 24.0
 
 #: What of an echo is evaluated.
 NOTHING, WHOLE, SQUINT = 0, 1, 2
@@ -69,8 +70,10 @@ def error(radar: RadarParams, echoes: SweepTerms, part: np.ndarray, range_bins: 
     left = echoes.remainder * (part != NOTHING)
     cell = np.minimum(echoes.tone.astype(np.int64), range_bins + BEYOND_BINS - 1)
     gathered = np.bincount(cell, left * near, range_bins + BEYOND_BINS)
+    # echoes of one bin may add up, those of different bins are different samples of the transform
+    rounded = float(np.linalg.norm(np.bincount(cell, strength * near)))
     far = float((strength + echoes.remainder)[~near].sum()) * float(skirt(radar, 0)[0])
-    return np.asarray(gathered @ _skirts(radar, range_bins) + ROUNDING * strength[near].sum() + far)
+    return np.asarray(gathered @ _skirts(radar, range_bins) + ROUNDING * rounded + far)
 
 
 @lru_cache(maxsize=8)
@@ -101,7 +104,9 @@ class HeadChange:
         table = np.polynomial.chebyshev.chebvander(2.0 * head - 1.0, echoes.terms.shape[1] - 1)
         self._field = _fields(echoes.terms, mine, table.astype(np.float32))
         strong = strength[mine].astype(np.float64)
-        self._closed, self._loose = _head_forms(tone, head, at, strong, echoes.swing_rad[mine])
+        self._closed, self._loose = _head_forms(
+            tone, head, at, strong, echoes.swing_rad[mine], 2.0 * np.pi / radar.samples_per_chirp
+        )
         turn = np.exp(1j * np.pi * longest * (at - at[0]))
         self._closed *= turn.astype(np.complex64)
         self._matrix = _interpolation(range_bins, step)
@@ -149,7 +154,7 @@ def _band_away(radar: RadarParams, range_bins: int) -> float:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _head_forms(tone, head, at, strength, swing):  # type: ignore[no-untyped-def]
+def _head_forms(tone, head, at, strength, swing, turn_rad):  # type: ignore[no-untyped-def]
     """Integrals of (1 - cos 2 pi x) exp(2 pi j d x) over [0, X], d = tone - bin, complex64 [P, bins], and bounds of
     the errors of a signal of this strength, float32 [P, bins].
 
@@ -182,7 +187,8 @@ def _head_forms(tone, head, at, strength, swing):  # type: ignore[no-untyped-def
             sum_re = here * now_im - up * up_im - down * down_im
             sum_im = -here * (now_re - 1.0) + up * (up_re - 1.0) + down * (down_re - 1.0)
             out[path, index] = np.complex64(complex(sum_re, sum_im))
-            loose = min(turns / (off * off), most) + CLOSED_FORM * np.sqrt(sum_re * sum_re + sum_im * sum_im)
+            inexact = CLOSED_FORM + MIDPOINT * (off * turn_rad) ** 2
+            loose = min(turns / (off * off), most) + inexact * np.sqrt(sum_re * sum_re + sum_im * sum_im)
             error[path, index] = strength[path] * loose
             re, im = re * turn_re - im * turn_im, re * turn_im + im * turn_re
     return out, error

@@ -81,7 +81,7 @@ class Plan:
     spent_db: float | None
     timing_s: dict[str, float]
     #: The answer at the kernel level where one was asked for, found on the way to the plan: profiles of all echoes, all
-    #: effects, to far less than the budget; complex64 [beams, bins], without what the electronics add.
+    #: effects, None where their error is over the budget; complex64 [beams, bins], without what the electronics add.
     evaluated: np.ndarray | None = None
 
     @cached_property
@@ -255,7 +255,7 @@ class _Planner:
             traced=self.traced,
             spent_db=_decibel(ablation.ratio(ablation.spent)) if ablation.begun else None,
             timing_s=self.timing_s,
-            evaluated=ablation.evaluated.values if ablation.begun else None,
+            evaluated=ablation.answer() if ablation.begun else None,
         )
 
     def _timed(self, name: str, step: Callable[[], None]) -> None:

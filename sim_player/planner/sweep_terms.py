@@ -127,8 +127,8 @@ def _reach_m(setup: RadarSetup, across: np.ndarray, up: np.ndarray, both: bool) 
     array, wavelength_m = setup.array, setup.radar.wavelength_m
     across_m = 0.5 * (array.columns - 1) * array.column_spacing(wavelength_m)
     up_m = 0.5 * (array.rows - 1) * array.row_spacing(wavelength_m)
-    legs = 2 if both else 1
-    return np.asarray((across_m * np.abs(across[:legs]) + up_m * np.abs(up[:legs])).sum(axis=0))
+    steered = 2 if both else 1
+    return np.asarray((across_m * np.abs(across[:steered]) + up_m * np.abs(up[:steered])).sum(axis=0))
 
 
 @njit(cache=True, nogil=True)
