@@ -16,6 +16,7 @@ from scipy import fft
 
 from msgs.values.radar import RadarParams
 from sim_player.planner.sweep_terms import MAX_TERMS, SweepTerms
+from sim_player.signal.switches import sampled
 
 #: Steps of the grid in a range bin; width of the gridding kernel in steps and its shape.
 OVERSAMPLING, WIDTH, SHAPE = 2, 8, 18.4
@@ -104,26 +105,32 @@ class HeadChange:
         table = np.polynomial.chebyshev.chebvander(2.0 * head - 1.0, echoes.terms.shape[1] - 1)
         self._field = _fields(echoes.terms, mine, table.astype(np.float32))
         strong = strength[mine].astype(np.float64)
+        # a sum of samples is the integral from half a sample before the first to half a sample before the end
+        cut = np.maximum(head - 0.5 / radar.samples_per_chirp, 0.0)
         self._closed, self._loose = _head_forms(
-            tone, head, at, strong, echoes.swing_rad[mine], 2.0 * np.pi / radar.samples_per_chirp
+            tone, cut, at, strong, echoes.swing_rad[mine], 2.0 * np.pi / radar.samples_per_chirp
         )
         turn = np.exp(1j * np.pi * longest * (at - at[0]))
         self._closed *= turn.astype(np.complex64)
         self._matrix = _interpolation(range_bins, step)
         self._back = np.exp(-1j * np.pi * longest * (bins - at[0])).astype(np.complex64)
-        self._last_chirp = strong * head_height(head) / (np.pi * _band_away(radar, range_bins))
+        last = _last_chirp(radar, tone, head, at)
+        self._last_field = echoes.terms[mine].sum(axis=1) * _last_turn(radar, tone)[:, None]
+        self._last = last * turn.astype(np.complex64)
+        # its pattern is taken at the end of the sweep, up to half a start too early
+        self._loose += (strong * np.minimum(4.0 * echoes.swing_rad[mine] * head + 0.02, 2.0))[:, None] * np.abs(last)
         self._nearest = np.clip(np.rint((bins - at[0]) / step).astype(int), 1, len(at) - 2)
 
     def __call__(self, mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the change by some of the echoes, bool [P], complex64 [B, bins], and a bound of its error [bins]."""
         inside = mask[self._mine]
-        coarse = self._field[inside].T @ self._closed[inside]
-        change = -(coarse @ self._matrix) * self._back
+        coarse = self._last_field[inside].T @ self._last[inside] - self._field[inside].T @ self._closed[inside]
+        change = (coarse @ self._matrix) * self._back
         loose = inside.astype(np.float32) @ self._loose
         near = np.maximum.reduce([loose[self._nearest + side] for side in (-1, 0, 1)])
         most = np.where(mask, self._most, 0.0)
         most[self._mine] = 0.0
-        return change, near + most.sum() + self._last_chirp[inside].sum()
+        return change, near + most.sum()
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -147,10 +154,27 @@ def head_height(share: np.ndarray) -> np.ndarray:
     return np.asarray(1.0 - np.cos(2.0 * np.pi * share))
 
 
-def _band_away(radar: RadarParams, range_bins: int) -> float:
-    """Return the least distance of the last chirp's tones from the range bins, in bins."""
+def _last_turn(radar: RadarParams, tone: np.ndarray) -> np.ndarray:
+    """Return what turns an echo's beat into the last chirp's where that one begins, and 0 where no sample holds it.
+
+    2 pi f_c tau - pi S tau^2 at tau - T_c, less the same at tau: complex64 [P].
+    """
     back = radar.bandwidth_hz * radar.chirp_period_s
-    return max(min(back, radar.samples_per_chirp - back) - 2.0 * range_bins, 16.0)
+    turns = (-radar.carrier_hz * radar.chirp_period_s) % 1.0 + tone - 0.5 * back
+    passes = sampled(radar, (tone - back) / radar.chirp_period_s)
+    return (np.exp(2j * np.pi * (turns % 1.0)) * passes).astype(np.complex64)
+
+
+def _last_chirp(radar: RadarParams, tone: np.ndarray, head: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return what the last chirp's unit echo, a band away, leaves in some bins, complex64 [P, bins]: where it is cut.
+
+    Summed by parts, a window that rises from zero leaves h(X) exp(2 pi j d X) / (2 j N sin(pi d / N)).
+    """
+    count = radar.samples_per_chirp
+    off = tone[:, None] - radar.bandwidth_hz * radar.chirp_period_s - at
+    phase = 2.0 * np.pi * ((off * (head - 0.5 / count)[:, None]) % 1.0)
+    height = head_height(head)[:, None]
+    return np.asarray(height * np.exp(1j * phase) / (2j * count * np.sin(np.pi * off / count)), np.complex64)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
